@@ -1,0 +1,57 @@
+# flightstack: `make fly` flies, `make test` tests; both set up all they need in .venv.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+RECORDED := $(wildcard ../shared/data)
+ifneq ($(RECORDED),)
+export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
+endif
+
+.DEFAULT_GOAL := help
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight clean
+
+help:
+	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
+	@echo "make test         set up, then format, lint, types, import rules and tests"
+	@echo "make format       rewrite the sources in the house format"
+	@echo "make bench-plant  the plant's speed beside its peers"
+	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
+	@echo "make clean        remove the environment and all caches"
+
+$(BIN)/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' \
+	  || { echo "error: Python 3.11 to 3.13 is needed; say which: make PYTHON=python3.11 ..." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(BIN)/.installed-dev: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(BIN)/.installed-bench: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	@touch $@
+
+fly: $(BIN)/.installed
+	$(BIN)/flightstack fly
+
+test: $(BIN)/.installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+format: $(BIN)/.installed-dev
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench-plant: $(BIN)/.installed-bench
+	$(BIN)/python benchmarks/plant.py
+
+bench-flight: $(BIN)/.installed
+	$(BIN)/python benchmarks/flight.py
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -1,0 +1,1 @@
+"""The core of the flight stack: pure computation, no sockets, clocks, open files or threads."""

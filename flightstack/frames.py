@@ -1,0 +1,160 @@
+"""Frames and attitude: the only place where signs change.
+
+NED world, FRD body, Hamilton quaternions (w, x, y, z), body to world.  Viewers want ENU and FLU: `ned_to_enu`,
+`frd_to_flu` and `q_ned_frd_to_enu_flu` are the one way there.
+Compiled functions take and return float64 arrays; `*_into` writes its result to avoid an allocation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.types import F64
+
+
+@njit
+def quat_multiply(a: F64, b: F64) -> F64:
+    """Hamilton product a ⊗ b; (4,), (4,) -> (4,)."""
+    out = np.empty(4)
+    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    return out
+
+
+@njit
+def quat_conjugate(q: F64) -> F64:
+    """The inverse rotation of a unit quaternion; (4,) -> (4,)."""
+    return np.array([q[0], -q[1], -q[2], -q[3]])
+
+
+@njit
+def quat_to_matrix(q: F64) -> F64:
+    """Rotation matrix R (3, 3) of a unit quaternion: v_world = R v_body; its columns are the body axes in the world."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    r = np.empty((3, 3))
+    r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    r[0, 1] = 2.0 * (x * y - w * z)
+    r[0, 2] = 2.0 * (x * z + w * y)
+    r[1, 0] = 2.0 * (x * y + w * z)
+    r[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    r[1, 2] = 2.0 * (y * z - w * x)
+    r[2, 0] = 2.0 * (x * z - w * y)
+    r[2, 1] = 2.0 * (y * z + w * x)
+    r[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return r
+
+
+@njit
+def matrix_to_quat(r: F64) -> F64:
+    """Unit quaternion (4,) with w >= 0 of a rotation matrix (3, 3); Shepperd's choice of the largest pivot."""
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    q = np.empty(4)
+    if trace >= r[0, 0] and trace >= r[1, 1] and trace >= r[2, 2]:
+        q[0] = 1.0 + trace
+        q[1] = r[2, 1] - r[1, 2]
+        q[2] = r[0, 2] - r[2, 0]
+        q[3] = r[1, 0] - r[0, 1]
+    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
+        q[0] = r[2, 1] - r[1, 2]
+        q[1] = 1.0 + 2.0 * r[0, 0] - trace
+        q[2] = r[1, 0] + r[0, 1]
+        q[3] = r[0, 2] + r[2, 0]
+    elif r[1, 1] >= r[2, 2]:
+        q[0] = r[0, 2] - r[2, 0]
+        q[1] = r[1, 0] + r[0, 1]
+        q[2] = 1.0 + 2.0 * r[1, 1] - trace
+        q[3] = r[2, 1] + r[1, 2]
+    else:
+        q[0] = r[1, 0] - r[0, 1]
+        q[1] = r[0, 2] + r[2, 0]
+        q[2] = r[2, 1] + r[1, 2]
+        q[3] = 1.0 + 2.0 * r[2, 2] - trace
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[0] < 0.0:
+        norm = -norm
+    return q / norm
+
+
+@njit
+def rotate(q: F64, v: F64) -> F64:
+    """Turn a body vector into the world: R(q) v; (4,), (3,) -> (3,)."""
+    tx = 2.0 * (q[2] * v[2] - q[3] * v[1])
+    ty = 2.0 * (q[3] * v[0] - q[1] * v[2])
+    tz = 2.0 * (q[1] * v[1] - q[2] * v[0])
+    out = np.empty(3)
+    out[0] = v[0] + q[0] * tx + q[2] * tz - q[3] * ty
+    out[1] = v[1] + q[0] * ty + q[3] * tx - q[1] * tz
+    out[2] = v[2] + q[0] * tz + q[1] * ty - q[2] * tx
+    return out
+
+
+@njit
+def rotate_inverse(q: F64, v: F64) -> F64:
+    """Turn a world vector into the body: R(q)^T v; (4,), (3,) -> (3,)."""
+    return rotate(quat_conjugate(q), v)
+
+
+@njit
+def quat_from_rotation_vector(phi: F64) -> F64:
+    """Exponential map: rotation vector (3,) rad -> unit quaternion (4,)."""
+    angle = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
+    half = 0.5 * angle
+    s = 0.5 - angle * angle / 48.0 if angle < 1e-6 else math.sin(half) / angle
+    out = np.empty(4)
+    out[0] = math.cos(half)
+    out[1] = s * phi[0]
+    out[2] = s * phi[1]
+    out[3] = s * phi[2]
+    return out
+
+
+@njit
+def quat_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
+    """Unit quaternion (4,) of ZYX (yaw, pitch, roll) Euler angles."""
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    out = np.empty(4)
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy
+    return out
+
+
+@njit
+def euler_from_quat(q: F64) -> F64:
+    """(roll, pitch, yaw) rad (3,), ZYX; pitch is clipped at +-90 degrees."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out = np.empty(3)
+    out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    out[1] = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    out[2] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return out
+
+
+def ned_to_enu(v: F64) -> F64:
+    """World vector(s) (..., 3) from NED to ENU; its own inverse."""
+    v = np.asarray(v, dtype=np.float64)
+    return np.stack([v[..., 1], v[..., 0], -v[..., 2]], axis=-1)
+
+
+def frd_to_flu(v: F64) -> F64:
+    """Body vector(s) (..., 3) from FRD to FLU; its own inverse."""
+    v = np.asarray(v, dtype=np.float64)
+    return np.stack([v[..., 0], -v[..., 1], -v[..., 2]], axis=-1)
+
+
+_SQRT_HALF = math.sqrt(0.5)
+
+
+def q_ned_frd_to_enu_flu(q: F64) -> F64:
+    """Attitude(s) (..., 4) for viewers: q_enu_ned ⊗ q_ned_frd ⊗ q_frd_flu, both fixed turns written out."""
+    q = np.asarray(q, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    return _SQRT_HALF * np.stack([w + z, x + y, x - y, w - z], axis=-1)

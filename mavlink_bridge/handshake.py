@@ -1,0 +1,114 @@
+"""The offboard handshake as one table: which event takes the companion from which state to which.
+
+Theory of operation
+-------------------
+The companion meets a vehicle, makes sure that it is one PX4 multicopter, streams harmless setpoints, and only then
+hands the vehicle to the flight stack; it brings it down again and leaves it disarmed in Hold.
+
+Rule 1: every change of state stands in `TRANSITIONS`; code elsewhere reports events and acts on states.
+Rule 2: the last four states are final.  There is no way back into flight but a new run: a pilot who took over keeps
+the vehicle, and nothing here arms twice.
+
+States in the order of a good flight:
+
+* DISCONNECTED: nothing heard from an autopilot.
+* IDENTIFYING: a heartbeat was heard; version asked for, who it is is being checked.
+* STANDBY: it is a PX4 multicopter; streams are asked for, nothing is commanded until it is ready.
+* STREAMING: setpoints go out that do nothing on the ground and hold the place in the air.  With leave to arm the
+  companion selects OFFBOARD and arms, else it waits for the pilot to do so.
+* OFFBOARD: armed, in OFFBOARD, flown by the stack.
+* LANDING: AUTO.LAND is commanded; PX4 lands and disarms.
+* LANDED: disarmed on the ground, Hold selected so that OFFBOARD isn't left standing.
+* PILOT: someone else changed the mode or disarmed: hands off.
+* LOST: the link or the state estimate went away for good: landing was commanded, the stream is stopped.
+* REFUSED: something is wrong before the flight; the reason is one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from types import MappingProxyType
+
+
+class State(Enum):
+    """Where the companion stands; see the module's text."""
+
+    DISCONNECTED = "disconnected"
+    IDENTIFYING = "identifying"
+    STANDBY = "standby"
+    STREAMING = "streaming"
+    OFFBOARD = "offboard"
+    LANDING = "landing"
+    LANDED = "landed"
+    PILOT = "pilot"
+    LOST = "lost"
+    REFUSED = "refused"
+
+
+class Event(Enum):
+    """What can happen to it."""
+
+    HEARTBEAT = "an autopilot's heartbeat arrived"
+    IDENTIFIED = "it is a PX4 multicopter and said which version"
+    FOREIGN = "it is not a vehicle that this companion can fly"
+    READY = "streams arrive, the estimate is good, arming is possible"
+    BUSY = "it is armed already, and not by us"
+    TIMEOUT = "the peer did not get there in time"
+    ARM_REFUSED = "OFFBOARD or arming was refused"
+    ENGAGED = "armed and in OFFBOARD"
+    MISSION_DONE = "the scenario's end is reached"
+    STOP = "the user asked to stop"
+    TOOK_OVER = "the mode was changed or the vehicle disarmed by someone else"
+    DISARMED = "disarmed after our landing"
+    LINK_LOST = "no heartbeat or no usable state for too long"
+
+
+FINAL = frozenset({State.LANDED, State.PILOT, State.LOST, State.REFUSED})
+
+_S, _E = State, Event
+TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
+    {
+        _S.DISCONNECTED: {_E.HEARTBEAT: _S.IDENTIFYING, _E.TIMEOUT: _S.REFUSED, _E.STOP: _S.REFUSED},
+        _S.IDENTIFYING: {
+            _E.IDENTIFIED: _S.STANDBY,
+            _E.FOREIGN: _S.REFUSED,
+            _E.TIMEOUT: _S.REFUSED,
+            _E.LINK_LOST: _S.REFUSED,
+            _E.STOP: _S.REFUSED,
+        },
+        _S.STANDBY: {
+            _E.READY: _S.STREAMING,
+            _E.FOREIGN: _S.REFUSED,
+            _E.BUSY: _S.REFUSED,
+            _E.TIMEOUT: _S.REFUSED,
+            _E.LINK_LOST: _S.REFUSED,
+            _E.STOP: _S.REFUSED,
+        },
+        _S.STREAMING: {
+            _E.ENGAGED: _S.OFFBOARD,
+            _E.ARM_REFUSED: _S.REFUSED,
+            _E.FOREIGN: _S.REFUSED,
+            _E.TOOK_OVER: _S.PILOT,
+            _E.TIMEOUT: _S.REFUSED,
+            _E.LINK_LOST: _S.REFUSED,
+            _E.STOP: _S.REFUSED,
+        },
+        _S.OFFBOARD: {
+            _E.MISSION_DONE: _S.LANDING,
+            _E.STOP: _S.LANDING,
+            _E.TOOK_OVER: _S.PILOT,
+            _E.LINK_LOST: _S.LOST,
+        },
+        _S.LANDING: {_E.DISARMED: _S.LANDED, _E.TOOK_OVER: _S.PILOT, _E.LINK_LOST: _S.LOST},
+        _S.LANDED: {},
+        _S.PILOT: {},
+        _S.LOST: {},
+        _S.REFUSED: {},
+    }
+)
+
+
+def transition(state: State, event: Event) -> State | None:
+    """The state after `event` in `state`, None where the event means nothing there."""
+    return TRANSITIONS[state].get(event)

@@ -1,0 +1,53 @@
+"""The vehicle's clock as seen from here; the oracle is the made-up clock that the stamps are drawn from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavlink_bridge.vehicle_clock import VehicleClock
+
+
+def _feed(clock: VehicleClock, *, rate: float, offset_us: int, seconds: float, seed: int, start_us: int = 0) -> int:
+    """Stamps every 4 ms of local time with an exponential latency of 300 us beyond 100 us; the last local time."""
+    rng = np.random.default_rng(seed)
+    local = start_us
+    for _ in range(int(seconds * 250)):
+        local += 4_000
+        latency = 100 + int(rng.exponential(300))
+        clock.observe(offset_us + round((local - latency) * rate), local)
+    return local
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.985, 4.0, 10.0])
+def test_rate_and_offset_are_found_through_latency(rate: float) -> None:
+    clock = VehicleClock()
+    local = _feed(clock, rate=rate, offset_us=7_000_000, seconds=5.0, seed=1)
+    assert clock.rate == pytest.approx(rate, rel=2e-3)
+    true_us = 7_000_000 + round(local * rate)
+    assert abs(clock.vehicle_us(local) - true_us) < 400 * rate  # the least latency (100 us) can't be seen from here
+    assert clock.jumps == 0
+
+
+def test_in_lockstep_the_clocks_are_one_to_the_microsecond() -> None:
+    clock = VehicleClock()
+    for step in range(2_000):
+        now = 5_000_000 + step * 4_000
+        clock.observe(now, now)
+        clock.observe(now - 7_000, now)  # an older sample of another stream
+        assert clock.vehicle_us(now) == now
+
+
+def test_a_jump_of_the_stamps_starts_a_new_fit() -> None:
+    clock = VehicleClock()
+    local = _feed(clock, rate=1.0, offset_us=60_000_000, seconds=3.0, seed=2)
+    _feed(clock, rate=1.0, offset_us=-local, seconds=3.0, seed=3, start_us=local)  # rebooted: counts from zero again
+    assert clock.jumps == 1
+    end = local + 3_000_000
+    assert abs(clock.vehicle_us(end) - (end - local)) < 500
+
+
+def test_before_the_first_stamp_local_time_is_the_best_guess() -> None:
+    clock = VehicleClock()
+    assert not clock.synchronised
+    assert clock.vehicle_us(123) == 123
