@@ -1,0 +1,262 @@
+"""The command line `flightstack`.  Verbs import what they need only when they run."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: a second BLAS thread beside a busy core costs 100 ms
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import signal
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+_USAGE_ERRORS: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+app = typer.Typer(
+    name="flightstack",
+    help="Offboard flight stack for PX4, its simulator and its logs.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(log_app, name="log")
+
+
+class Sensors(StrEnum):
+    """Grades of sensors and estimate."""
+
+    mocap = "mocap"
+    gps = "gps"
+
+
+class PlantName(StrEnum):
+    """Plants that can fly."""
+
+    native = "native"
+
+
+class ControllerName(StrEnum):
+    """Controllers that can fly."""
+
+    flatness = "flatness"
+
+
+ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
+WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `waypoints` (.toml or .csv).")]
+VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
+LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
+OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
+DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
+ControllerOption = Annotated[ControllerName, typer.Option(help="Controller.")]
+NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
+NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter.")]
+
+
+class Interrupts:
+    """Ctrl-C: once asks for a landing, twice ends the program."""
+
+    def __init__(self) -> None:
+        self.reason = ""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.reason:
+            raise KeyboardInterrupt
+        self.reason = "stopped by the user (Ctrl-C)" if number == signal.SIGINT else "stopped by a signal (SIGTERM)"
+
+    def requested(self) -> str:
+        """Why to stop; empty if not."""
+        return self.reason
+
+
+def _finish_flight(run: Callable[[Interrupts, Any], Any], title: str, json_file: Path | None) -> None:
+    """Fly, show, write the JSON, and end with the right code."""
+    from app import console, files
+
+    interrupts = Interrupts()
+    with console.progress(title) as show:
+        result = run(interrupts, show)
+    console.show_result(result)
+    if json_file is not None:
+        files.write_json(json_file, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
+
+
+@app.command()
+def fly(
+    scenario: ScenarioArgument = "paper-tracking",
+    waypoints: WaypointsArgument = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False,
+    plant: Annotated[PlantName, typer.Option(help="Physics.")] = PlantName.native,
+    sensors: Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")] = None,
+    vehicle: VehicleOption = None,
+    truth: Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")] = None,
+    seed: SeedOption = 0,
+    duration: DurationOption = None,
+    controller: ControllerOption = ControllerName.flatness,
+    no_learning: NoLearningOption = False,
+    no_filter: NoFilterOption = False,
+    log: LogOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
+    from app.flight import FlyOptions
+    from app.flight import fly as run
+
+    options = FlyOptions(
+        scenario=scenario,
+        waypoints=waypoints,
+        vehicle=vehicle,
+        truth=truth,
+        sensors=sensors.value if sensors else None,
+        seed=seed,
+        duration_s=duration,
+        realtime=realtime,
+        log=log,
+        out=out,
+    )
+    _finish_flight(
+        lambda stop, show: run(options, stop_requested=stop.requested, on_progress=show), f"flying {scenario}", json
+    )
+
+
+@app.command()
+def offboard(
+    connect: Annotated[str, typer.Option(help="udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE:BAUD.")],
+    scenario: Annotated[str, typer.Option(help="A shipped scenario, a .toml file, or `waypoints`.")] = "hover",
+    waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
+    vehicle: VehicleOption = None,
+    arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
+    duration: DurationOption = None,
+    controller: ControllerOption = ControllerName.flatness,
+    no_learning: NoLearningOption = False,
+    no_filter: NoFilterOption = False,
+    log: LogOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly a scenario on a PX4: a real one, or `flightstack sim` in another process."""
+    from app.offboard import OffboardOptions
+    from app.offboard import offboard as run
+
+    options = OffboardOptions(
+        connect=connect,
+        scenario=scenario,
+        waypoints=waypoints,
+        vehicle=vehicle,
+        arm=arm,
+        dry_run=dry_run,
+        duration_s=duration,
+        log=log,
+        out=out,
+    )
+    _finish_flight(
+        lambda stop, show: run(options, stop_requested=stop.requested, on_progress=show), f"flying {scenario}", json
+    )
+
+
+@app.command()
+def sim(
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
+    ] = None,
+    plant: Annotated[PlantName, typer.Option(help="Physics.")] = PlantName.native,
+    sensors: Annotated[Sensors, typer.Option(help="Grade of sensors and estimate.")] = Sensors.mocap,
+    seed: SeedOption = 0,
+    port: Annotated[
+        int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
+    ] = 14_540,
+    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
+    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C."""
+    from app import console, files
+    from app.simulate import SimOptions, simulate
+
+    interrupts = Interrupts()
+    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration)
+    result = simulate(options, stop_requested=interrupts.requested, on_ready=lambda text: print(text, flush=True))
+    console.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
+    if json is not None:
+        files.write_json(json, result)
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+
+
+@app.command()
+def scenarios(json: JsonOption = None) -> None:
+    """List the shipped scenarios."""
+    from app import console, files
+
+    rows = []
+    for name in files.shipped_names("scenarios"):
+        scenario, _ = files.load_scenario(name)
+        rows.append((name, f"{scenario.duration_s:g} s", scenario.sensors, scenario.description))
+    rows.append(("waypoints FILE", "", "mocap", "minimum-snap flight through the waypoints of a file"))
+    console.show_table("scenarios", ("name", "track", "sensors", "what it is"), rows)
+    if json is not None:
+        keys = ("name", "duration", "sensors", "description")
+        listed = [dict(zip(keys, row, strict=True)) for row in rows]
+        files.write_json(json, {"schema": "flightstack.scenarios/1", "scenarios": listed})
+
+
+@log_app.command("info")
+def log_info(
+    file: Annotated[Path, typer.Argument(help="A log (.mcap).")],
+    json: JsonOption = None,
+) -> None:
+    """Say what is in a log: topics, rates, events, settings, and whether it is whole."""
+    from app import console, files
+    from logs.info import info, render
+    from logs.reader import read
+
+    summary = info(read(file))
+    console.output.print(render(summary))
+    if json is not None:
+        files.write_json(json, summary.as_json())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: no traceback for the user's mistakes, one line and exit code 2."""
+    from flightstack.types import InputError
+
+    try:
+        code = app(arguments, standalone_mode=False)
+    except typer.Abort:
+        code = INTERRUPTED
+    except _USAGE_ERRORS as error:
+        print(f"error: {' '.join(error.format_message().split())} (see --help)", file=sys.stderr)
+        code = BAD_INPUT
+    except InputError as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        code = BAD_INPUT
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        code = INTERRUPTED
+    sys.exit(code if isinstance(code, int) else OK)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""What a person sees in the terminal: progress while flying, a table at the end, one line when something is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from app.result import FlightResult
+
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+output = Console(highlight=False)
+
+
+class OnProgress(Protocol):
+    """Share done (0..1) and what is going on."""
+
+    def __call__(self, share: float, phase: str) -> None:
+        """Show it."""
+
+
+@contextmanager
+def progress(title: str) -> Iterator[OnProgress]:
+    """A progress bar on stderr, only where a person looks at it."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+        task = bars.add_task(title, total=1.0)
+
+        def show(share: float, phase: str) -> None:
+            bars.update(task, completed=share, description=f"{title}: {phase}")
+
+        yield show
+
+
+def say_error(text: str) -> None:
+    """One line on stderr that begins `error:`."""
+    errors.print(f"error: {' '.join(text.split())}", markup=False)
+
+
+def show_result(result: FlightResult) -> None:
+    """The flight's summary."""
+    if result.passed:
+        verdict = "[bold green]completed[/]"
+    else:
+        verdict = "[bold red]completed, but a check failed[/]" if result.completed else "[bold red]NOT completed[/]"
+    table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
+    table.add_column(style="dim")
+    table.add_column()
+    for name, value in _rows(result):
+        table.add_row(name, value)
+    output.print(table)
+
+
+def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
+    if result.reason:
+        yield "why", result.reason
+    pace = f"{result.wall_time_s:.1f} s, {result.flight_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
+    yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
+    tracking = result.tracking
+    if tracking["rmse_m"] is not None:
+        yield (
+            f"distance from the reference ({'true' if tracking['of'] == 'truth' else 'estimated'} position)",
+            f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
+            f"most {_length(tracking['max_m'])}",
+        )
+    yield "learning, barrier filter", "not part of this flight"
+    lateness = result.loop["lateness_us"]
+    if lateness["p50"] is not None:
+        yield (
+            "loop",
+            f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
+        )
+    for check in result.checks:
+        yield "check", f"{'[green]kept[/]' if check['passed'] else '[red]FAILED[/]'}: {check['words']}"
+    if result.log:
+        yield "log", f"{result.log}" + (f" [red]({result.log_problem})[/]" if result.log_problem else "")
+    if result.report:
+        yield "report", result.report
+
+
+def _length(metres: float | None) -> str:
+    if metres is None:
+        return "-"
+    return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def show_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+    """A plain table."""
+    table = Table(title=title, title_justify="left", box=None)
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(value) for value in row))
+    output.print(table)

@@ -1,0 +1,262 @@
+"""`flightstack fly`: simulator and companion in one process, every message through UDP on loopback.
+
+In lockstep the simulator's clock is the only clock: 4 ms are simulated, the datagrams go out, the companion waits for
+just as many, ticks and answers, and the simulator waits for the answers.  No thread sleeps, nothing depends on the
+machine, and the same seed gives the same log.  With `--realtime` the very same loop is paced by absolute deadlines.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from sim.server import Server
+
+from app import files
+from app.recorder import LogObserver
+from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
+from flightstack.model import Model
+from flightstack.scenario import Scenario
+from flightstack.stack import Stack
+from flightstack.vehicle import Vehicle
+from logs.threaded import ThreadedLog
+from logs.topics import Attachment
+from logs.writer import FlightLog, Recorder
+from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.link import Link
+from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.transport.udp import UdpSocket
+from sim.grade import load_grade
+from sim.shell import ONBOARD, Shell
+from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
+
+TICK_MS = 4
+LOCKSTEP_TIMEOUT_S = 2.0
+FLIGHT_TIME_LIMIT_S = 180.0
+"""Simulated time that a flight may take beyond its scenario before it counts as stuck."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """What `fly` was asked for; names as given on the command line."""
+
+    scenario: str = "paper-tracking"
+    waypoints: str | None = None
+    vehicle: str | None = None
+    truth: str | None = None
+    sensors: str | None = None
+    seed: int = 0
+    duration_s: float | None = None
+    realtime: bool = False
+    log: Path | None = None
+    out: Path | None = None
+
+    @property
+    def as_written(self) -> bool:
+        """The scenario is flown as its file says, so that its checks mean what they say."""
+        return all(given is None for given in (self.vehicle, self.truth, self.sensors, self.duration_s))
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """The files of a flight, read and checked."""
+
+    scenario: Scenario
+    believed: Vehicle
+    truth: Vehicle
+    sensors: str
+    attachments: tuple[Attachment, ...]
+    settings: dict[str, str]
+
+
+def prepare(options: FlyOptions) -> Setup:
+    """Read and check everything before anything moves; InputError with one line where something is wrong."""
+    scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
+    if options.duration_s is not None:
+        scenario = scenario.with_duration(options.duration_s)
+    believed, vehicle_file = files.load_vehicle(options.vehicle)
+    attached = [(scenario_file, "scenario.toml"), (vehicle_file, "vehicle.toml")]
+    if options.truth is not None:
+        truth, truth_file = files.load_vehicle(options.truth)
+        attached.append((truth_file, "truth.toml"))
+    else:
+        truth = scenario.truth_vehicle(believed)
+    sensors = options.sensors or scenario.sensors
+    settings = {
+        "scenario": scenario.name,
+        "vehicle": believed.name,
+        "truth": truth.name,
+        "seed": str(options.seed),
+        "sensors": sensors,
+        "plant": "native",
+        "controller": "flatness",
+        "pace": "realtime" if options.realtime else "lockstep",
+        "duration_s": f"{scenario.duration_s:g}",
+    }
+    attachments = tuple(Attachment(name, "application/toml", file.text.encode()) for file, name in attached)
+    return Setup(scenario, believed, truth, sensors, attachments, settings)
+
+
+class SimulatedFlight:
+    """One flight in the simulator; `run` flies it to its end."""
+
+    def __init__(self, setup: Setup, options: FlyOptions, log: Recorder) -> None:
+        self.setup = setup
+        self._log = log
+        self.vehicle: SimulatedVehicle = simulated_vehicle(
+            setup.believed, setup.truth, load_grade(setup.sensors), seed=options.seed
+        )
+        self._socket = UdpSocket.bind("127.0.0.1", 0)
+        near = UdpSocket.bind("127.0.0.1", 0, peer=self._socket.address)
+        self._socket.peer = near.address
+        self.shell = Shell(Server(self.vehicle), (near, None))
+        observer = LogObserver(log, setup.scenario, setup.believed, truth=True)
+        stack = Stack(Model.from_vehicle(setup.believed), limits=setup.scenario.limits)
+        self.companion = Companion(Link(240, 191), stack, setup.scenario, observer, CompanionConfig(arm=True))
+        observer.companion = self.companion
+        self.score = TrackingScore("truth")
+        self._events = sorted(setup.scenario.events, key=lambda event: event.time_s)
+        self._true_start = np.zeros(3)
+
+    @property
+    def t_us(self) -> int:
+        """Simulated time."""
+        return self.vehicle.t_us
+
+    @property
+    def progress(self) -> float:
+        """Share of the scenario flown, 0..1."""
+        companion = self.companion
+        if companion.mission is None:
+            return 0.0
+        flown = (self.t_us - companion.flight_start_us) * 1e-6
+        return min(1.0, flown / companion.mission.track_end_s)
+
+    def step(self) -> None:
+        """4 ms of both ends."""
+        sent = self.shell.advance(TICK_MS)[ONBOARD]
+        companion, log, now_us = self.companion, self._log, self.t_us
+        arrived = self._socket.receive_exactly(sent, LOCKSTEP_TIMEOUT_S)
+        if len(arrived) != sent:
+            companion.stop(f"{sent - len(arrived)} datagrams were lost on loopback: this machine is too busy to fly")
+        for data in arrived:
+            log.mavlink("rx", now_us, data)
+            companion.receive_datagram(data, now_us)
+        engaged = companion.flight_start_us
+        companion.step(now_us)
+        answers = companion.link.datagrams_to_send()
+        for data in answers:
+            log.mavlink("tx", now_us, data)
+            self._socket.send(data)
+        self.shell.receive_exactly(ONBOARD, len(answers), LOCKSTEP_TIMEOUT_S)
+        if engaged != companion.flight_start_us:
+            self._true_start = self.vehicle.plant.pos_ned_m.copy()
+        self._observe_truth(now_us)
+
+    def _observe_truth(self, now_us: int) -> None:
+        self._log.truth(now_us, self.vehicle.plant.truth())
+        companion = self.companion
+        if companion.mission is None or companion.land_command_us >= 0:
+            return
+        mission_s = (now_us - companion.flight_start_us) * 1e-6
+        track_s = mission_s - companion.mission.track_start_s
+        while self._events and self._events[0].time_s <= track_s:
+            event = self._events.pop(0)
+            self.vehicle.plant.set_effect(event.effect, dict(event.values))
+            self._log.event(now_us, "effect", f"{event.effect} is now {dict(event.values)}")
+        if 0.0 <= track_s <= self.setup.scenario.duration_s:
+            reference = self.setup.scenario.trajectory.at(track_s).pos_ned_m
+            self.score.add(track_s, self.vehicle.plant.pos_ned_m - self._true_start, reference)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._socket.close()
+        self.shell.close()
+
+
+def fly(
+    options: FlyOptions,
+    *,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> FlightResult:
+    """Fly a scenario in the simulator; log and report lie where the result says."""
+    setup = prepare(options)
+    out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
+    log_path = options.log or out / "flight.mcap"
+    metadata = {"settings": setup.settings, "versions": files.versions()}
+    log = FlightLog.open(log_path, metadata=metadata, attachments=setup.attachments, overwrite=True)
+    recorder: Recorder = ThreadedLog(log) if options.realtime else log
+    timing = LoopTiming(250) if options.realtime else None
+    started = time.perf_counter()
+    try:
+        flight = SimulatedFlight(setup, options, recorder)
+        try:
+            with undisturbed():
+                _run(flight, recorder, timing, stop_requested, on_progress)
+        finally:
+            flight.close()
+    finally:
+        recorder.close()
+    wall_s = time.perf_counter() - started
+    result = _result(flight, options, log, wall_s, timing)
+    files.write_flight_report(log_path, out / "report.html", result)
+    return result
+
+
+def _run(
+    flight: SimulatedFlight,
+    log: Recorder,
+    timing: LoopTiming | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> None:
+    companion = flight.companion
+    pace = Pace(TICK_MS * 1000) if timing is not None else None
+    limit_us = int((flight.setup.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
+    ticks = 0
+    while not companion.done:
+        if pace is not None and timing is not None:
+            lateness_us = pace.wait()
+            timing.lateness_us.append(lateness_us)
+            timing.missed = pace.missed
+        flight.step()
+        if pace is not None:
+            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        ticks += 1
+        if ticks % 25 == 0:
+            if reason := stop_requested():
+                companion.stop(reason)
+            on_progress(flight.progress, companion.phase)
+        if flight.t_us > limit_us:
+            companion.reason = companion.reason or f"stuck in {companion.state.value}: gave up"
+            break
+    for _ in range(50):  # what the last words (Hold) do is in the log too
+        flight.step()
+
+
+def _result(
+    flight: SimulatedFlight, options: FlyOptions, log: FlightLog, wall_s: float, timing: LoopTiming | None
+) -> FlightResult:
+    companion = flight.companion
+    flown_us = max(0, flight.t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
+    tracking = flight.score.summary()
+    result = FlightResult(
+        scenario=flight.setup.scenario.name,
+        seed=options.seed,
+        log=str(log.path),
+        completed=companion.completed,
+        reason=companion.reason,
+        flight_time_s=flown_us * 1e-6,
+        wall_time_s=wall_s,
+        plant="native",
+        tracking=tracking,
+        loop=timing.summary() if timing is not None else NO_LOOP,
+        log_problem=log.failed or "",
+    )
+    if options.as_written:
+        result.checks = [judge(check, result.as_json()) for check in flight.setup.scenario.checks]
+    return result

@@ -1,0 +1,94 @@
+"""From the companion's observations to the log: which message becomes which topic, and what a person is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from flightstack.scenario import Scenario
+from flightstack.types import F64, TickRecord
+from flightstack.vehicle import Vehicle
+from logs.scene import Region, Scene
+from logs.writer import Recorder
+from mavlink_bridge import messages as m
+from mavlink_bridge.companion import Companion
+
+_TOPIC_OF: dict[type, str] = {
+    m.AttitudeQuaternion: "/vehicle/attitude",
+    m.LocalPositionNed: "/vehicle/local_position",
+    m.HighresImu: "/vehicle/imu",
+    m.ServoOutputRaw: "/vehicle/motors",
+}
+
+
+class LogObserver:
+    """The companion's observer: everything goes to the log, and each tick to `on_record`.
+
+    `companion` is set once it exists; `truth` says whether the true vehicle is in the log too.
+    """
+
+    def __init__(
+        self,
+        log: Recorder,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        *,
+        truth: bool,
+        on_record: Callable[[TickRecord], None] | None = None,
+    ) -> None:
+        self.companion: Companion | None = None
+        self._log = log
+        self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
+        self._on_record = on_record
+        self._placed = False
+
+    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
+        """A transition, a change of mode or phase, a text of the vehicle."""
+        self._log.event(t_us, name, text, severity)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
+        if not self._placed and self.companion is not None and self.companion.mission is not None:
+            self._placed = True
+            scene = scene_of(self._scenario, self._vehicle, self.companion.start_ned_m, truth=self._truth)
+            self._log.scene(record.t_us, scene)
+        self._log.tick(record)
+        if self._on_record is not None:
+            self._on_record(record)
+
+    def on_message(self, t_us: int, message: object) -> None:
+        """A message of the vehicle, as a table."""
+        topic = _TOPIC_OF.get(type(message))
+        if topic is not None:
+            self._log.write(topic, t_us, message)
+        elif isinstance(message, m.Statustext):
+            self._log.statustext(t_us, message.severity, message.text)
+        elif isinstance(message, m.Heartbeat) and self.companion is not None:
+            view = self.companion.view
+            self._log.write("/vehicle/status", t_us, (view.mode_name, view.armed, view.on_ground))
+        elif isinstance(message, m.SysStatus):
+            remaining = message.remaining / 100.0 if message.remaining >= 0 else math.nan
+            self._log.write("/vehicle/battery", t_us, (message.voltage_v, message.current_a, remaining))
+        elif isinstance(message, m.GlobalPositionInt):
+            self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
+
+
+def scene_of(scenario: Scenario, vehicle: Vehicle, start_ned_m: F64, *, truth: bool) -> Scene:
+    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, reference."""
+    times = np.arange(0.0, scenario.duration_s, 0.05)
+    path = np.array([scenario.trajectory.at(float(t)).pos_ned_m for t in times]) + start_ned_m
+    region = None
+    if scenario.region is not None:
+        north, east, down = (np.asarray(scenario.region.centre_ned_m) + start_ned_m).tolist()
+        shape = "ellipsoid" if scenario.region.kind == "ellipsoid" else "box"
+        region = Region(shape, (north, east, down), scenario.region.semi_axes_m)
+    return Scene(
+        rotor_position_frd_m=vehicle.rotors.position_m,
+        rotor_radius_m=vehicle.rotors.radius_m,
+        ground_down_m=float(start_ned_m[2]),
+        region=region,
+        reference_ned_m=path,
+        truth=truth,
+    )

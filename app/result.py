@@ -1,0 +1,148 @@
+"""A flight's result: what was measured, as `flightstack.flight/1` (docs: the contract's section 2.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flightstack.scenario import Check
+from flightstack.types import F64
+
+
+@dataclass(slots=True)
+class TrackingScore:
+    """Distance from the scenario's reference, tick by tick, while the scenario is tracked."""
+
+    of: str
+    times_s: list[float] = field(default_factory=list)
+    distances_m: list[float] = field(default_factory=list)
+
+    def add(self, time_s: float, position_ned_m: F64, reference_ned_m: F64) -> None:
+        """One tick: time since the start of tracking, both positions relative to the place of arming."""
+        self.times_s.append(time_s)
+        self.distances_m.append(math.dist(position_ned_m, reference_ned_m))
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON's `tracking`; null figures where nothing was tracked."""
+        if not self.distances_m:
+            return {"of": self.of, "rmse_m": None, "max_m": None, "rmse_settled_m": None}
+        distance = np.asarray(self.distances_m)
+        settled = distance[len(distance) // 2 :]
+        return {
+            "of": self.of,
+            "rmse_m": float(np.sqrt(np.mean(distance**2))),
+            "max_m": float(distance.max()),
+            "rmse_settled_m": float(np.sqrt(np.mean(settled**2))),
+        }
+
+
+@dataclass(slots=True)
+class LoopTiming:
+    """Lateness of the real-time loop against its absolute deadlines."""
+
+    rate_hz: int
+    lateness_us: list[int] = field(default_factory=list)
+    missed: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON's `loop`."""
+        return {"rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed}
+
+
+def percentiles(values: list[int]) -> dict[str, float | None]:
+    """p50, p99 and maximum; null where there is nothing."""
+    if not values:
+        return {"p50": None, "p99": None, "max": None}
+    array = np.asarray(values, dtype=np.float64)
+    return {"p50": float(np.percentile(array, 50)), "p99": float(np.percentile(array, 99)), "max": float(array.max())}
+
+
+NO_LOOP: dict[str, Any] = {"rate_hz": None, "lateness_us": {"p50": None, "p99": None, "max": None}, "missed": None}
+NO_BARRIER: dict[str, Any] = {
+    "enabled": False,
+    "min_h_truth": None,
+    "min_h_estimate": None,
+    "violations": None,
+    "interventions": None,
+}
+NO_GP: dict[str, Any] = {
+    "enabled": False,
+    "points": None,
+    "fed": None,
+    "step_us": {"p50": None, "p99": None, "max": None},
+    "coverage_3sigma": None,
+}
+NO_QP: dict[str, Any] = {"solve_us": {"p50": None, "p99": None, "max": None}, "infeasible": None}
+
+
+@dataclass(slots=True)
+class FlightResult:
+    """Everything `fly --json` and `offboard --json` say."""
+
+    scenario: str
+    seed: int | None
+    log: str | None
+    completed: bool
+    reason: str
+    flight_time_s: float
+    wall_time_s: float
+    plant: str | None
+    tracking: dict[str, Any]
+    loop: dict[str, Any]
+    report: str | None = None
+    log_problem: str = ""
+    """Why the log is not whole, one line; empty where it is."""
+    controller: str = "flatness"
+    interrupted: bool = False
+    checks: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        """Completed, with the log whole and every check of the scenario kept."""
+        return self.completed and not self.log_problem and all(check["passed"] for check in self.checks)
+
+    def failure(self) -> str:
+        """Why it did not pass, one line; empty where it did."""
+        if not self.completed:
+            return self.reason or "the flight did not complete"
+        if self.log_problem:
+            return self.log_problem
+        failed = [check for check in self.checks if not check["passed"]]
+        return "; ".join(f"check failed: {check['words']} ({check['metric']} = {check['value']})" for check in failed)
+
+    def as_json(self) -> dict[str, Any]:
+        """The `flightstack.flight/1` object."""
+        return {
+            "schema": "flightstack.flight/1",
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "log": self.log,
+            "report": self.report,
+            "completed": self.completed,
+            "reason": self.reason,
+            "flight_time_s": self.flight_time_s,
+            "wall_time_s": self.wall_time_s,
+            "realtime_factor": self.flight_time_s / self.wall_time_s if self.wall_time_s > 0 else None,
+            "plant": self.plant,
+            "controller": self.controller,
+            "tracking": self.tracking,
+            "barrier": NO_BARRIER,
+            "gp": NO_GP,
+            "qp": NO_QP,
+            "loop": self.loop,
+            "checks": self.checks,
+            "log_complete": not self.log_problem,
+        }
+
+
+def judge(check: Check, result: dict[str, Any]) -> dict[str, Any]:
+    """One check of a scenario, held against a flight's JSON; a figure that is missing fails it."""
+    value: Any = result
+    for key in check.metric.split("."):
+        value = value.get(key) if isinstance(value, dict) else None
+    known = isinstance(value, int | float)
+    passed = known and (check.below is None or value < check.below) and (check.above is None or value > check.above)
+    return {"words": check.words, "metric": check.metric, "value": value if known else None, "passed": bool(passed)}

@@ -1,0 +1,94 @@
+"""`flightstack sim`: the simulated PX4 alone, in real time or faster, with PX4's ports."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sim.server import Server
+
+from app import files
+from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.transport.udp import UdpSocket
+from sim.grade import load_grade
+from sim.shell import GCS, ONBOARD, Shell
+from sim.simulated_vehicle import simulated_vehicle
+
+HOST = "127.0.0.1"
+OFFBOARD_PORT = 14540
+GCS_PORT = 14550
+GCS_BIND = 18570
+PORT_STEP = 40
+"""PX4 binds its offboard link 40 ports above the one it sends to."""
+TICK_MS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class SimOptions:
+    """What `sim` was asked for."""
+
+    vehicle: str | None = None
+    sensors: str = "mocap"
+    seed: int = 0
+    port: int = OFFBOARD_PORT
+    gcs_port: int = GCS_PORT
+    speed: float = 1.0
+    duration_s: float | None = None
+
+
+def simulate(
+    options: SimOptions,
+    *,
+    stop_requested: Callable[[], str],
+    on_ready: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
+    truth, _ = files.load_vehicle(options.vehicle)
+    vehicle = simulated_vehicle(replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed)
+    onboard = UdpSocket.bind(HOST, options.port + PORT_STEP, peer=(HOST, options.port), latch=True)
+    gcs_bind = GCS_BIND if options.gcs_port == GCS_PORT else 0
+    try:
+        gcs = UdpSocket.bind(HOST, gcs_bind, peer=(HOST, options.gcs_port), latch=True)
+    except BaseException:
+        onboard.close()
+        raise
+    shell = Shell(Server(vehicle), (onboard, gcs))
+    on_ready(
+        f"{truth.name} is up: offboard link {HOST}:{options.port} (bound to {onboard.address[1]}), "
+        f"ground station {HOST}:{options.gcs_port} (bound to {gcs.address[1]}), {options.speed:g} times real time"
+    )
+    sent = [0, 0]
+    try:
+        with undisturbed():
+            pace = _loop(shell, options, stop_requested, sent)
+    finally:
+        shell.close()
+    return {
+        "schema": "flightstack.sim/1",
+        "vehicle": truth.name,
+        "seed": options.seed,
+        "simulated_s": vehicle.t_us * 1e-6,
+        "speed": options.speed,
+        "missed": pace.missed,
+        "datagrams_sent": {"onboard": sent[ONBOARD], "gcs": sent[GCS]},
+    }
+
+
+def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], sent: list[int]) -> Pace:
+    pace = Pace(TICK_MS * 1000 / options.speed)
+    vehicle = shell.server.vehicle
+    end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
+    ticks = 0
+    while end_us is None or vehicle.t_us < end_us:
+        pace.wait()
+        shell.receive()
+        for index, count in enumerate(shell.advance(TICK_MS)):
+            sent[index] += count
+        ticks += 1
+        if ticks % 25 == 0 and stop_requested():
+            break
+        if ticks % 250 == 0:
+            gc.collect(0)
+    return pace

@@ -1,0 +1,205 @@
+"""The paper's controller: u = u_FF + u_FB on top of the pole-placement nominal (Sections IV.A and V.A).
+
+How the pieces combine.  The nominal answers tracking errors with a jerk and integrates it to an acceleration a_d
+(`flightstack.trajectory.nominal_step`).  Flatness turns (a_d, jerk_d, snap_ref, yaw) into u_FF = (f_FF, omega_FF) and
+an attitude.  The feedback then is, with r_d, v_d the *reference* position and velocity:
+
+    f_FB     = Kp <z_b, r_d - r> + Kd <z_b, v_d - v>                     (f = -T, so it is subtracted from T)
+    omega_FB = Ka e_R + Kr (omega_d - omega) + Kbar (y_d - y, x - x_d, 0)
+
+e_R is twice the vector part of the quaternion from the present to the desired attitude, in body axes: for small
+angles it is the paper's (phi_d - phi, theta_d - theta, psi_d - psi), without its singularity.  The Kbar term, right
+only at yaw 0 in the paper, is turned by the vehicle's heading.  omega_FF is turned from the desired into the present
+body axes.  So along body z the errors act at once (rotors are the only lag), sideways through the attitude.
+
+Known lags are led: thrust by the rotors' time constant times its rate of change, body rates by the rate loop's delay
+times the angular acceleration that the reference's snap asks for.
+
+With no learner a constant unexplained acceleration d leaves a constant error: d / (p^2/3 + Kp) along body z and about
+d / (p^2/3) sideways.  That is the paper's large error with the wrong model; learning removes it, gains need not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flightstack.flatness import _to_body
+from flightstack.frames import matrix_to_quat, quat_to_matrix
+from flightstack.jit import njit
+from flightstack.model import Limits, Model
+from flightstack.trajectory import NominalGains, nominal_step
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Measurement
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackGains:
+    """Gains of u_FB; forces per believed kilogram, so that they suit every mass."""
+
+    nominal: NominalGains = field(default_factory=NominalGains)
+    thrust_p_ps2: float = 5.0
+    """Kp / m: adds to the nominal's p^2/3 along body z, where only the rotors' lag (20-50 ms) limits it."""
+    thrust_d_ps: float = 2.0
+    """Kd / m: critical damping for Kp alone would be 4.5; the nominal damps too."""
+    attitude_p_ps: float = 6.5
+    """Ka of roll and pitch: 1 / (4 Ka) = 38 ms; with PX4's rate lag of 45-80 ms the attitude closes at zeta 0.9-0.7."""
+    yaw_p_ps: float = 2.0
+    """Ka of yaw, whose rate loop is four times slower (reaction torque only)."""
+    rate_p: float = 0.15
+    """Kr: adds to PX4's own rate feedback, hence small; more would only pass gyro noise on."""
+    position_rate_radpms: float = 0.1
+    """Kbar, rad/s per metre: against Ka a stiffness of g Kbar / Ka = 0.15 1/s^2; small, because it has no damping."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlState:
+    """What the controller remembers: the nominal's correction (3,) NED m/s^2 and the time of the last step."""
+
+    correction_ned_mps2: F64
+    t_us: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """What the controller wants, part by part, before limits and guard; vectors (3,), body FRD unless named NED."""
+
+    thrust_ff_n: float
+    thrust_fb_n: float
+    rate_ff_frd_radps: F64
+    rate_fb_frd_radps: F64
+    attitude_error_rad: F64
+    nominal_acc_ned_mps2: F64
+    nominal_jerk_ned_mps3: F64
+    rate_frd_radps: F64
+
+    @property
+    def thrust_n(self) -> float:
+        """Feed-forward and feedback together."""
+        return self.thrust_ff_n + self.thrust_fb_n
+
+
+_DT_MAX_S = 0.05
+"""A longer gap between two ticks counts as this long."""
+
+
+class FlatnessController:
+    """The controller above for one model; final, holds only constants."""
+
+    __slots__ = ("_constants", "gains", "limits", "model")
+
+    def __init__(self, model: Model, gains: FeedbackGains | None = None, limits: Limits | None = None) -> None:
+        self.model = model
+        self.gains = gains or FeedbackGains()
+        self.limits = limits or Limits()
+        self._constants = _constants(self.model, self.gains, self.limits)
+
+    def init(self, now_us: int) -> ControlState:
+        """Nothing corrected yet."""
+        return ControlState(np.zeros(3), now_us)
+
+    def step(
+        self, state: ControlState, measurement: Measurement, reference: FlatOutput, learned: F64, now_us: int
+    ) -> tuple[ControlState, Proposal]:
+        """One step; `learned` (2, 3): unexplained acceleration and its rate, NED (zeros: nothing learned)."""
+        out = np.empty((7, 3))
+        correction = state.correction_ned_mps2.copy()
+        _step(
+            self._constants, correction, min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S),
+            reference.pos_ned_m, reference.vel_ned_mps, reference.acc_ned_mps2, reference.jerk_ned_mps3,
+            reference.snap_ned_mps4, reference.yaw_rad, reference.yaw_rate_radps,
+            measurement.pos_ned_m, measurement.vel_ned_mps, measurement.q_ned_frd, measurement.rate_frd_radps,
+            learned, out,
+        )  # fmt: skip
+        proposal = Proposal(float(out[0, 0]), float(out[0, 1]), out[1], out[2], out[3], out[4], out[5], out[6])
+        return ControlState(correction, now_us), proposal
+
+
+def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
+    """(6, 3) everything that does not change in flight, for one compiled call."""
+    low, high = model.thrust_range_n(limits)
+    nominal = gains.nominal
+    return np.array(
+        [
+            nominal.pole_radps,
+            nominal.correction_max_mps2,
+            (gains.attitude_p_ps, gains.attitude_p_ps, gains.yaw_p_ps),
+            (gains.thrust_p_ps2, gains.thrust_d_ps, gains.rate_p),
+            (gains.position_rate_radpms, low / model.mass_kg, high / model.mass_kg),
+            (model.mass_kg, model.motor_lag_s + model.transport_delay_s, model.rate_lag_s + model.transport_delay_s),
+            model.drag_kgps,
+            (math.tan(limits.tilt_max_rad), 0.0, 0.0),
+        ]
+    )
+
+
+@njit
+def _step(
+    constants: F64, correction: F64, dt: float, pos_d: F64, vel_d: F64, acc_d: F64, jerk_d: F64, snap_d: F64,
+    yaw_d: float, yaw_rate_d: float, pos: F64, vel: F64, q: F64, rate: F64, learned: F64, out: F64,
+) -> None:  # fmt: skip
+    """Nominal, feed-forward and feedback; `out` (7, 3) is the Proposal row by row."""
+    acc, jerk = out[4], out[5]
+    nominal_step(correction, constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
+    mass, drag = constants[5, 0], constants[6]
+    reachable = _reachable(acc, learned[0], vel_d, drag, mass, constants)
+    flat = np.empty(17)
+    _to_body(
+        vel_d, reachable, jerk, snap_d, yaw_d, yaw_rate_d, learned[0], learned[1], q, mass, drag,
+        STANDARD_GRAVITY_MPS2, flat,
+    )  # fmt: skip
+    r = quat_to_matrix(q)
+    r_d = flat[8:17].reshape(3, 3)
+    turn = r.T @ r_d  # desired body axes, seen from the present ones
+    aligned = max(turn[2, 2], 0.0)  # thrust only counts along the present thrust axis
+    out[0, 0] = aligned * (flat[0] + constants[5, 1] * flat[1])
+    along_p = along_d = 0.0
+    for i in range(3):
+        along_p += r[i, 2] * (pos_d[i] - pos[i])
+        along_d += r[i, 2] * (vel_d[i] - vel[i])
+    out[0, 1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d)
+    out[0, 2] = 0.0
+    error = out[3]
+    q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
+    for i in range(3):
+        error[i] = 2.0 * q_error[1 + i]
+    c, s = _heading(r)
+    north, east = pos_d[0] - pos[0], pos_d[1] - pos[1]
+    kbar = constants[4, 0]
+    drift = (kbar * (c * east - s * north), -kbar * (c * north + s * east), 0.0)
+    for i in range(3):
+        wanted = lead = 0.0
+        for k in range(3):
+            wanted += turn[i, k] * flat[2 + k]
+            lead += turn[i, k] * flat[5 + k]
+        out[1, i] = wanted + constants[5, 2] * lead
+        out[2, i] = constants[2, i] * error[i] + constants[3, 2] * (wanted - rate[i]) + drift[i]
+        out[6, i] = out[1, i] + out[2, i]
+
+
+@njit
+def _reachable(acc: F64, learned: F64, vel: F64, drag: F64, mass: float, constants: F64) -> F64:
+    """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
+    d = 0.5 * (drag[0] + drag[1]) / mass
+    low, high, slope = constants[4, 1], constants[4, 2], constants[7, 0]
+    t = learned - acc - d * vel
+    t[2] += STANDARD_GRAVITY_MPS2
+    down = min(max(t[2], low), high)
+    sideways = math.sqrt(t[0] * t[0] + t[1] * t[1])
+    allowed = min(slope * down, math.sqrt(high * high - down * down))
+    scale = 1.0 if sideways <= allowed else allowed / sideways
+    out = acc.copy()
+    out[0] += (1.0 - scale) * t[0]
+    out[1] += (1.0 - scale) * t[1]
+    out[2] += t[2] - down
+    return out
+
+
+@njit
+def _heading(r: F64) -> tuple[float, float]:
+    """Cosine and sine of the body x axis' heading; north where it points straight up or down."""
+    size = math.sqrt(r[0, 0] * r[0, 0] + r[1, 0] * r[1, 0])
+    if size < 1e-6:
+        return 1.0, 0.0
+    return r[0, 0] / size, r[1, 0] / size

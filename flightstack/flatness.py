@@ -1,0 +1,220 @@
+"""Differential flatness: position and yaw with their derivatives <-> thrust, attitude and body rates.
+
+The vehicle is a point mass with a thrust axis and linear drag (NED, FRD, z_b the body's down axis, thrust T >= 0):
+    a = g z_w - (T / m) z_b - (1/m) R D R^T v + d
+with d an acceleration that somebody learned (zero otherwise).  Let t = g z_w - a + d - (d_xy / m) v, d_xy the mean of
+the drag along body x and y.  Then z_b = t / |t| and T = m |t| - (d_z - d_xy) <z_b, v>: where D = diag(d, d, d_z) this
+is exact, because D acts like d everywhere plus (d_z - d) along the thrust axis, which thrust itself cancels
+(M. Faessler, A. Franchi, D. Scaramuzza, "Differential Flatness of Quadrotor Dynamics Subject to Rotor Drag for
+Accurate Tracking of High-Speed Trajectories", 2018).  Without drag it is the paper's f_FF = -m |a - d - g z_w|.
+
+Attitude.  x_b is the direction of y_c x z_b, y_c = (-sin psi, cos psi, 0): what the paper's
+theta = atan2(beta_a, beta_b), phi = atan2(beta_c, sqrt(beta_a^2 + beta_b^2)) says, without its angles, hence without
+tan and sec.  Body rates and their derivatives come from d/dt of the three axes.
+Heading is undefined only where z_b lies along y_c (rolled by 90 degrees).  Within 3 degrees of that the body x axis
+is the hint's, projected onto the plane of the rotors and carried along without turning about z_b; once z_b points
+upwards the sign of x_b is the hint's too, so that a roll through 90 degrees and beyond is continuous.  The hint is the
+body's present x axis (or the heading itself).  In free fall (|t| below 0.1 m/s^2) the thrust axis is the hint's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.frames import matrix_to_quat, quat_to_matrix
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Tuple3
+
+_FREE_FALL_MPS2 = 0.1
+_HEADING_SINE = 0.05
+_NO_DRAG: Tuple3 = (0.0, 0.0, 0.0)
+_ZERO3 = np.zeros(3)
+_ZERO3.setflags(write=False)
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+_UPRIGHT.setflags(write=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMotion:
+    """What the vehicle must do to follow a flat output."""
+
+    thrust_n: float
+    """Total thrust along body -z, newton; 0 or more wherever thrust can do it."""
+    thrust_rate_nps: float
+    q_ned_frd: F64
+    """(4,) attitude."""
+    rate_frd_radps: F64
+    """(3,) body rates."""
+    angular_acceleration_frd_radps2: F64
+    """(3,) time derivative of the body rates (yaw acceleration taken as zero)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatMotion:
+    """What a flying vehicle's attitude, rates and thrust say about its flat outputs."""
+
+    acc_ned_mps2: F64
+    jerk_ned_mps3: F64
+    yaw_rad: float
+    yaw_rate_radps: float
+
+
+def to_body(
+    point: FlatOutput,
+    *,
+    mass_kg: float,
+    drag_kgps: Tuple3 = _NO_DRAG,
+    learned_acc_ned_mps2: F64 = _ZERO3,
+    learned_jerk_ned_mps3: F64 = _ZERO3,
+    hint_q_ned_frd: F64 = _UPRIGHT,
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+) -> BodyMotion:
+    """Thrust (N), attitude, body rates (rad/s) and angular acceleration for one point of a reference.
+
+    `learned_acc_ned_mps2` (3,) is the acceleration that the model does not explain and `learned_jerk_ned_mps3` its
+    time derivative: they are fed forward.  `hint_q_ned_frd` (4,) settles the heading where the reference leaves it
+    open.  Finite for every finite input.
+    """
+    out = np.empty(_OUT)
+    _to_body(
+        point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4, point.yaw_rad,
+        point.yaw_rate_radps, np.asarray(learned_acc_ned_mps2, dtype=np.float64),
+        np.asarray(learned_jerk_ned_mps3, dtype=np.float64), np.asarray(hint_q_ned_frd, dtype=np.float64),
+        mass_kg, np.asarray(drag_kgps, dtype=np.float64), gravity_mps2, out,
+    )  # fmt: skip
+    return BodyMotion(
+        thrust_n=float(out[0]),
+        thrust_rate_nps=float(out[1]),
+        q_ned_frd=matrix_to_quat(np.ascontiguousarray(out[8:17].reshape(3, 3))),
+        rate_frd_radps=out[2:5].copy(),
+        angular_acceleration_frd_radps2=out[5:8].copy(),
+    )
+
+
+def to_flat(
+    q_ned_frd: F64,
+    rate_frd_radps: F64,
+    thrust_n: float,
+    *,
+    mass_kg: float,
+    thrust_rate_nps: float = 0.0,
+    vel_ned_mps: F64 = _ZERO3,
+    drag_kgps: Tuple3 = _NO_DRAG,
+    learned_acc_ned_mps2: F64 = _ZERO3,
+    learned_jerk_ned_mps3: F64 = _ZERO3,
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+) -> FlatMotion:
+    """Acceleration, jerk, yaw and yaw rate of a vehicle with this attitude (4,), rates (3,) and thrust: the way back.
+
+    Exact for any drag table (it uses the full R D R^T).
+    """
+    r = quat_to_matrix(np.asarray(q_ned_frd, dtype=np.float64))
+    wx, wy, wz = (float(value) for value in rate_frd_radps)
+    turn = r @ np.array([[0.0, -wz, wy], [wz, 0.0, -wx], [-wy, wx, 0.0]])
+    drag = np.diag(drag_kgps)
+    down = np.array([0.0, 0.0, gravity_mps2])
+    acc = down + learned_acc_ned_mps2 - (thrust_n * r[:, 2] + r @ drag @ r.T @ vel_ned_mps) / mass_kg
+    drag_rate = (turn @ drag @ r.T + r @ drag @ turn.T) @ vel_ned_mps + r @ drag @ r.T @ acc
+    jerk = learned_jerk_ned_mps3 - (thrust_rate_nps * r[:, 2] + thrust_n * turn[:, 2] + drag_rate) / mass_kg
+    forward, forward_rate = r[:2, 0], turn[:2, 0]
+    horizontal = max(float(forward @ forward), 1e-12)
+    return FlatMotion(
+        acc_ned_mps2=acc,
+        jerk_ned_mps3=jerk,
+        yaw_rad=math.atan2(forward[1], forward[0]),
+        yaw_rate_radps=float(forward[0] * forward_rate[1] - forward[1] * forward_rate[0]) / horizontal,
+    )
+
+
+_OUT = 17
+"""Flat result of the compiled map: thrust, its rate, body rates (3), angular accelerations (3), R (9, row by row)."""
+
+
+@njit
+def _cross(a: F64, b: F64) -> F64:
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
+
+
+@njit
+def _dot(a: F64, b: F64) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
+
+
+@njit
+def _to_body(
+    vel: F64, acc: F64, jerk: F64, snap: F64, yaw: float, yaw_rate: float, learned: F64, learned_rate: F64,
+    hint_q: F64, mass: float, drag: F64, gravity: float, out: F64,
+) -> None:  # fmt: skip
+    """The map of the module's header; `out` (17,) as _OUT says."""
+    hint = quat_to_matrix(hint_q)
+    d = 0.5 * (drag[0] + drag[1]) / mass
+    t = learned - acc - d * vel
+    t[2] += gravity
+    dt = learned_rate - jerk - d * acc
+    ddt = -snap - d * jerk
+    size = math.sqrt(_dot(t, t))
+    if size < _FREE_FALL_MPS2:
+        z, dz, ddz = hint[:, 2].copy(), np.zeros(3), np.zeros(3)
+        rise = ddsize = 0.0
+    else:
+        z = t / size
+        rise = _dot(z, dt)
+        dz = (dt - rise * z) / size
+        ddsize = _dot(dz, dt) + _dot(z, ddt)
+        ddz = (ddt - 2.0 * rise * dz - ddsize * z) / size
+    extra = drag[2] - 0.5 * (drag[0] + drag[1])
+    out[0] = mass * size - extra * _dot(z, vel)
+    out[1] = mass * rise - extra * (_dot(dz, vel) + _dot(z, acc))
+    x, dx, ddx = _forward(z, dz, ddz, yaw, yaw_rate, hint[:, 0])
+    y = _cross(z, x)
+    dy = _cross(dz, x) + _cross(z, dx)
+    out[2] = -_dot(y, dz)
+    out[3] = _dot(x, dz)
+    out[4] = _dot(y, dx)
+    out[5] = -_dot(dy, dz) - _dot(y, ddz)
+    out[6] = _dot(dx, dz) + _dot(x, ddz)
+    out[7] = _dot(dy, dx) + _dot(y, ddx)
+    for i in range(3):
+        out[8 + 3 * i] = x[i]
+        out[9 + 3 * i] = y[i]
+        out[10 + 3 * i] = z[i]
+
+
+@njit
+def _forward(z: F64, dz: F64, ddz: F64, yaw: float, yaw_rate: float, hint: F64) -> tuple[F64, F64, F64]:
+    """Body x axis and its two time derivatives for a thrust axis z and a heading."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    east = np.array([-s, c, 0.0])
+    cross = _cross(east, z)
+    size = math.sqrt(_dot(cross, cross))
+    if size < _HEADING_SINE:
+        along = _dot(hint, z)
+        x = hint - along * z
+        size = math.sqrt(_dot(x, x))
+        if size < 1e-6:  # the hint's x axis is this z axis: the heading, which is normal to z here
+            x = np.array([c, s, 0.0])
+            x -= _dot(x, z) * z
+            size = math.sqrt(_dot(x, x))
+        x = x / size
+        dx = -_dot(x, dz) * z  # no turn about z
+        ddx = -_dot(x, ddz) * z - _dot(dx, dz) * z - _dot(x, dz) * dz
+        return x, dx, ddx
+    if z[2] < 0.0 and _dot(cross, hint) < 0.0:
+        size = -size
+    deast = np.array([-c * yaw_rate, -s * yaw_rate, 0.0])
+    ddeast = -yaw_rate * yaw_rate * east
+    dcross = _cross(deast, z) + _cross(east, dz)
+    ddcross = _cross(ddeast, z) + 2.0 * _cross(deast, dz) + _cross(east, ddz)
+    x = cross / size
+    dsize = _dot(x, dcross)
+    dx = (dcross - dsize * x) / size
+    ddsize = _dot(dx, dcross) + _dot(x, ddcross)
+    ddx = (ddcross - 2.0 * dsize * dx - ddsize * x) / size
+    return x, dx, ddx

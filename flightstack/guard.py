@@ -1,0 +1,166 @@
+"""The independent last word on every command: finite, fresh, inside the envelope; else the stated fallback.
+
+It knows the model's numbers and the limits, nothing of controller, learner or filter, and never raises.
+
+| what is wrong                                           | what is sent instead                                     |
+| ------------------------------------------------------- | -------------------------------------------------------- |
+| attitude missing, stale or not finite                   | zero_rates: no rotation, the thrust that carried so far  |
+| position, velocity or IMU missing, stale or not finite  | level: level attitude, 3 % less than that thrust (sinks) |
+| tilt beyond `tilt_abort_rad`                            | brake: lean against the velocity, sink at 0.5 m/s        |
+| position outside `radius_m`, `height_m`                 | brake                                                    |
+| command not finite                                      | brake                                                    |
+| thrust or rates outside their limits                    | clip: the nearest allowed ones                           |
+
+Ending the flight is the companion's business: it sees the name in the record and lands.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit
+from flightstack.model import Limits, Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Measurement
+
+_LEVEL_GAIN_PS = 4.0
+_BRAKE_GAIN_PS = 1.0
+_BRAKE_MAX_MPS2 = 3.0
+_SINK_MPS = 0.5
+_SINK_GAIN_PS = 3.0
+_LEVEL_SINK_SHARE = 0.97
+_CARRIED_TIME_CONSTANT_US = 1_000_000
+
+_PASS, _CLIP, _COMMAND, _TILT, _ENVELOPE, _POSITION, _ATTITUDE = range(7)
+_NAMES = (
+    "",
+    "clip: command beyond its limits",
+    "brake: command not finite",
+    "brake: tilt",
+    "brake: outside the envelope",
+    "level: position lost",
+    "zero_rates: attitude lost",
+)
+
+
+def carried_thrust(before_n: float, command: Command, measurement: Measurement, dt_us: int) -> float:
+    """The vertical part of the thrust sent, low-passed over a second: what keeps this vehicle up, whatever its mass."""
+    _, x, y, _ = measurement.q_ned_frd.tolist()
+    vertical = command.thrust_n * (1.0 - 2.0 * (x * x + y * y))
+    share: float = min(max(dt_us / _CARRIED_TIME_CONSTANT_US, 0.0), 1.0)
+    return before_n + share * (float(vertical) - before_n)
+
+
+def stale(measurement: Measurement | None, limits: Limits) -> str:
+    """Name of the stream that is missing, or older than three of its periods plus the link's latency ("" if none)."""
+    if measurement is None:
+        return "attitude"
+    latency = limits.latency_max_us
+    if measurement.attitude_age_us > limits.attitude_age_max_us + latency:
+        return "attitude"
+    if measurement.position_age_us > limits.position_age_max_us + latency:
+        return "position"
+    return "imu" if measurement.imu_age_us > limits.imu_age_max_us + latency else ""
+
+
+class Guard:
+    """The guard of one flight; final, holds only constants."""
+
+    __slots__ = ("_bounds", "limits", "model")
+
+    def __init__(self, model: Model, limits: Limits) -> None:
+        self.model = model
+        self.limits = limits
+        low, high = model.thrust_range_n(limits)
+        self._bounds = np.array(
+            [low, high, *limits.rate_max_radps, limits.radius_m, limits.height_m, math.cos(limits.tilt_abort_rad)]
+        )
+
+    def check(
+        self, command: Command, measurement: Measurement | None, origin_ned_m: F64, carried_n: float, now_us: int
+    ) -> tuple[Command, str]:
+        """The command to send, and the name of what was done to it ("" where it passed).
+
+        `origin_ned_m` (3,): where the vehicle was armed; `carried_n`: the vertical thrust that carried it so far, N.
+        """
+        lost = stale(measurement, self.limits)
+        rate = np.zeros(3)
+        carried = carried_n if math.isfinite(carried_n) else self.model.weight_n
+        if measurement is None or lost == "attitude":
+            code, thrust = _ATTITUDE, min(max(carried, float(self._bounds[0])), float(self._bounds[1]))
+        else:
+            code, thrust = _judge(
+                command.thrust_n, command.thrust_norm, command.rate_frd_radps, measurement.pos_ned_m,
+                measurement.vel_ned_mps, measurement.q_ned_frd, measurement.rate_frd_radps, origin_ned_m,
+                carried, self._bounds, self.model.mass_kg, lost != "", rate,
+            )  # fmt: skip
+        if code == _PASS:
+            return command, ""
+        return Command(now_us, thrust, self.model.norm_of(thrust), rate), _NAMES[code]
+
+
+@njit
+def _finite(values: F64) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+@njit
+def _judge(
+    thrust: float, thrust_norm: float, rate: F64, pos: F64, vel: F64, q: F64, body_rate: F64, origin: F64,
+    carried: float, bounds: F64, mass: float, lost: bool, out: F64,
+) -> tuple[int, float]:  # fmt: skip
+    """What is wrong (the worst first) and the thrust for it; body rates in `out` (3,).
+
+    `bounds` (8,): least and greatest thrust, rates (3), radius, height, cosine of the greatest tilt.
+    """
+    carried = min(max(carried, bounds[0]), bounds[1])
+    norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if not (abs(norm - 1.0) < 1e-3 and _finite(body_rate)):
+        return _ATTITUDE, carried
+    still = np.zeros(3)
+    if lost or not (_finite(pos) and _finite(vel)):
+        _lean(q, still, bounds, out)
+        return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[0])
+    code = _PASS
+    north, east, down = pos[0] - origin[0], pos[1] - origin[1], pos[2] - origin[2]
+    if not (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6]):
+        code = _ENVELOPE
+    elif not quat_to_matrix(q)[2, 2] >= bounds[7]:
+        code = _TILT
+    elif not (_finite(rate) and math.isfinite(thrust) and math.isfinite(thrust_norm)):
+        code = _COMMAND
+    if code != _PASS:
+        cosine = _lean(q, vel, bounds, out)
+        wanted = carried + mass * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
+        return code, min(max(wanted / max(cosine, 0.5), bounds[0]), bounds[1])
+    clipped = min(max(thrust, bounds[0]), bounds[1])
+    if clipped != thrust or not 0.0 <= thrust_norm <= 1.0:
+        code = _CLIP
+    for i in range(3):
+        out[i] = min(max(rate[i], -bounds[2 + i]), bounds[2 + i])
+        if out[i] != rate[i]:
+            code = _CLIP
+    return code, clipped
+
+
+@njit
+def _lean(q: F64, vel: F64, bounds: F64, out: F64) -> float:
+    """Body rates (into `out`) that lean the thrust against the horizontal velocity; the cosine of the present tilt."""
+    r = quat_to_matrix(q)
+    speed = math.sqrt(vel[0] * vel[0] + vel[1] * vel[1])
+    brake = min(_BRAKE_GAIN_PS, _BRAKE_MAX_MPS2 / max(speed, 1e-9))
+    axis = np.array([brake * vel[0], brake * vel[1], STANDARD_GRAVITY_MPS2])
+    axis /= math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    wanted = r.T @ axis
+    size = math.sqrt(wanted[0] * wanted[0] + wanted[1] * wanted[1])
+    gain = _LEVEL_GAIN_PS
+    if wanted[2] < 0.0:  # more than a quarter turn away: as fast as at a quarter turn, about roll where undecided
+        gain = _LEVEL_GAIN_PS / max(size, 1e-9)
+        if size < 1e-9:
+            wanted[1] = 1e-9
+    out[0] = min(max(-gain * wanted[1], -bounds[2]), bounds[2])
+    out[1] = min(max(gain * wanted[0], -bounds[3]), bounds[3])
+    out[2] = 0.0
+    return r[2, 2]  # type: ignore[no-any-return]

@@ -1,0 +1,152 @@
+"""A flight as one reference over time: climb, settle, run-up, track, and how to stop.
+
+From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw, waits a
+moment, then runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that
+tracking begins without a step.  After the trajectory the reference brakes and stands still; by then the companion has
+been told "done" and lands.  Time is seconds since take-off began; coordinates are those of the vehicle's estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flightstack.scenario import Scenario
+from flightstack.trajectory import Boundary, Polynomial, Trajectory, hover, minimum_snap
+from flightstack.types import F64, FlatOutput
+
+_CLIMB_MPS = 1.2
+_YAW_RATE_RADPS = 0.7
+_REST_TO_REST_PEAK = 2.1875  # peak speed of the rest-to-rest segment, in mean speeds
+_SETTLE_S = 1.5
+_RUN_UP_S = 3.0
+_RUN_UP_STEP = 1.15
+_RUN_UP_MAX_S = 120.0
+_LEAST_HEIGHT_M = 0.4
+_LEAST_CLIMB_S = 1.5
+_ACC_MAX_MPS2 = 4.0
+_SPEED_MAX_MPS = 4.0
+_BRAKE_MPS2 = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Leg:
+    """A part of the mission: from `start_s` on, `trajectory` at (t - start_s), moved by `offset_ned_m`."""
+
+    phase: str
+    start_s: float
+    trajectory: Trajectory
+    offset_ned_m: F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mission:
+    """The reference of one flight; `plan` makes it, `stop` cuts it short."""
+
+    legs: tuple[_Leg, ...]
+    ground_down_m: float
+    """Down coordinate of the ground at the start."""
+    takeoff_end_s: float
+    """The climb is over."""
+    track_start_s: float
+    """From here on the scenario's trajectory is flown (and its clock runs)."""
+    track_end_s: float
+    """Land from here on."""
+
+    def reference(self, t_s: float) -> FlatOutput:
+        """Flat outputs at `t_s` seconds since take-off began."""
+        leg = self.legs[0]
+        for candidate in self.legs:
+            if candidate.start_s > t_s:
+                break
+            leg = candidate
+        point = leg.trajectory.at(max(t_s - leg.start_s, 0.0))
+        point.pos_ned_m[:] += leg.offset_ned_m
+        return point
+
+    def phase(self, t_s: float) -> str:
+        """One of takeoff, approach, track, done."""
+        name = self.legs[0].phase
+        for leg in self.legs:
+            if leg.start_s > t_s:
+                break
+            name = leg.phase
+        return name
+
+    def stop(self, t_s: float, state: FlatOutput | None = None) -> Mission:
+        """The same mission, broken off at `t_s`: brake smoothly from `state` (default: the reference) and hover."""
+        kept = tuple(leg for leg in self.legs if leg.start_s < t_s) or self.legs[:1]
+        brake = _Leg("done", t_s, _braking(state or self.reference(t_s), self.ground_down_m), np.zeros(3))
+        return replace(
+            self,
+            legs=(*kept, brake),
+            takeoff_end_s=min(self.takeoff_end_s, t_s),
+            track_start_s=min(self.track_start_s, t_s),
+            track_end_s=min(self.track_end_s, t_s),
+        )
+
+
+def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -> Mission:
+    """The mission that flies `scenario` from where the vehicle stands (3,) with its present heading."""
+    start = np.array(start_pos_ned_m, dtype=np.float64)
+    first = scenario.trajectory.at(0.0)
+    turn = math.remainder(first.yaw_rad - start_yaw_rad, 2.0 * math.pi)
+    above = np.array([0.0, 0.0, min(first.pos_ned_m[2], -_LEAST_HEIGHT_M), first.yaw_rad])
+    climb_s = max(
+        _LEAST_CLIMB_S,
+        _REST_TO_REST_PEAK * abs(above[2]) / _CLIMB_MPS,
+        _REST_TO_REST_PEAK * abs(turn) / _YAW_RATE_RADPS,
+    )
+    ground = np.array([0.0, 0.0, 0.0, first.yaw_rad - turn])
+    climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
+    ready_s = climb_s + _SETTLE_S
+    legs = [_Leg("takeoff", 0.0, climb, start)]
+    run_up = _run_up(above, first)
+    track_start_s = ready_s if run_up is None else ready_s + run_up.duration_s
+    settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
+    legs.append(_Leg("approach", climb_s, settled, start))
+    if run_up is not None:
+        legs.append(_Leg("approach", ready_s, run_up, start))
+    legs.append(_Leg("track", track_start_s, scenario.trajectory, start))
+    track_end_s = track_start_s + scenario.duration_s
+    legs.append(_Leg("done", track_end_s, _braking(scenario.trajectory.at(scenario.duration_s), 0.0), start))
+    return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
+
+
+def _run_up(above: F64, first: FlatOutput) -> Polynomial | None:
+    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable; None: it is there."""
+    goal = np.append(first.pos_ned_m, first.yaw_rad)
+    end = Boundary.of(first)
+    moving = max(float(np.abs(part).max()) for part in (end.velocity, end.acceleration, end.jerk))
+    if moving < 1e-9 and np.allclose(goal, above, atol=1e-9):
+        return None
+    speed_max = max(_SPEED_MAX_MPS, 1.2 * float(np.linalg.norm(first.vel_ned_mps)))
+    acc_max = max(_ACC_MAX_MPS2, 1.2 * float(np.linalg.norm(first.acc_ned_mps2)))
+    lowest = -_LEAST_HEIGHT_M + 1e-6
+    duration = _RUN_UP_S
+    while True:
+        path = minimum_snap(np.stack([above, goal]), np.array([0.0, duration]), end=end)
+        points = [path.at(t) for t in np.linspace(0.0, duration, 61)]
+        comfortable = all(
+            float(np.linalg.norm(p.vel_ned_mps)) <= speed_max
+            and float(np.linalg.norm(p.acc_ned_mps2)) <= acc_max
+            and p.pos_ned_m[2] <= max(lowest, first.pos_ned_m[2])
+            for p in points
+        )
+        if comfortable or duration > _RUN_UP_MAX_S:
+            return path
+        duration *= _RUN_UP_STEP
+
+
+def _braking(state: FlatOutput, ground_down_m: float) -> Polynomial:
+    """From any state to rest, straight on; a descent ends above the least height, or where it is if that is lower."""
+    speed = float(np.linalg.norm(state.vel_ned_mps))
+    duration = max(1.0, _REST_TO_REST_PEAK * speed / _BRAKE_MPS2, float(np.linalg.norm(state.acc_ned_mps2)) / 2.0)
+    goal = state.pos_ned_m + 0.5 * duration * state.vel_ned_mps
+    if state.vel_ned_mps[2] > 0.0:
+        goal[2] = min(goal[2], max(ground_down_m - _LEAST_HEIGHT_M, state.pos_ned_m[2]))
+    start = Boundary.of(replace(state, yaw_rate_radps=0.0))
+    points = np.stack([np.append(state.pos_ned_m, state.yaw_rad), np.append(goal, state.yaw_rad)])
+    return minimum_snap(points, np.array([0.0, duration]), start=start)

@@ -1,0 +1,96 @@
+"""The whole flight stack in order: learn -> control -> limit -> filter -> guard, and a record of why.
+
+One pure function, `Stack.tick`: no clock, no socket, no hidden state, the same for a real vehicle and a simulated one.
+Before it the streams are predicted to `now_us` (`flightstack.predictor`), after it the command goes to the link.
+In flight nothing raises: what goes wrong ends as the guard's fallback, named in the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.control.feedback import ControlState, FeedbackGains, FlatnessController, Proposal
+from flightstack.guard import Guard, carried_thrust, stale
+from flightstack.model import Limiter, Limits, Model
+from flightstack.seams import Learner, NoFilter, NoLearner, SafetyFilter
+from flightstack.types import F64, Command, FlatOutput, Measurement, TickRecord
+
+_UNKNOWN = np.full(3, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackState:
+    """Everything that one tick hands to the next."""
+
+    control: ControlState
+    learner: object
+    filter: object
+    measurement: Measurement
+    """The last one that was there."""
+    sent: Command
+    origin_ned_m: F64
+    """Where the flight began, (3,)."""
+    carried_n: float
+    """Vertical thrust of the last second or so: what the guard trusts to carry the vehicle."""
+
+
+class Stack:
+    """The flight stack of one believed vehicle; final, holds only constants."""
+
+    __slots__ = ("controller", "filter", "guard", "learner", "limiter", "limits", "model")
+
+    def __init__(
+        self,
+        model: Model,
+        gains: FeedbackGains | None = None,
+        limits: Limits | None = None,
+        *,
+        learner: Learner | None = None,
+        safety_filter: SafetyFilter | None = None,
+    ) -> None:
+        self.model = model
+        self.limits = limits or Limits()
+        self.controller = FlatnessController(model, gains, self.limits)
+        self.learner: Learner = learner or NoLearner()
+        self.filter: SafetyFilter = safety_filter or NoFilter()
+        self.guard = Guard(model, self.limits)
+        self.limiter = Limiter(model, self.limits)
+
+    def init(self, measurement: Measurement) -> StackState:
+        """State at the start: here is the origin, nothing is corrected, learned or carried beyond the weight."""
+        weight = self.model.weight_n
+        sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
+        control = self.controller.init(measurement.t_us)
+        origin = measurement.pos_ned_m.copy()
+        return StackState(control, self.learner.init(), self.filter.init(), measurement, sent, origin, weight)
+
+    def tick(
+        self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
+    ) -> tuple[StackState, Command, TickRecord]:
+        """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
+        seen = measurement or state.measurement
+        usable = not stale(measurement, self.limits)
+        control, learner, filtered = state.control, state.learner, state.filter
+        proposal, wanted, saturated = _NO_PROPOSAL, state.sent, False
+        if usable:
+            learner, learned = self.learner.step(learner, seen, state.sent, setpoint)
+            control, proposal = self.controller.step(control, seen, setpoint, learned, now_us)
+            wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
+            filtered, wanted = self.filter.step(filtered, seen, wanted, learned, setpoint)
+        command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us)
+        if guard and not np.isfinite(control.correction_ned_mps2).all():
+            control = self.controller.init(now_us)
+        carried = state.carried_n
+        if not guard:
+            carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
+        record = TickRecord(
+            now_us, setpoint, proposal.nominal_acc_ned_mps2, proposal.nominal_jerk_ned_mps3, seen,
+            proposal.thrust_ff_n, proposal.thrust_fb_n, proposal.rate_ff_frd_radps, proposal.rate_fb_frd_radps,
+            proposal.attitude_error_rad, command, saturated, guard,
+        )  # fmt: skip
+        return StackState(control, learner, filtered, seen, command, state.origin_ned_m, carried), command, record
+
+
+_NO_PROPOSAL = Proposal(np.nan, np.nan, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)

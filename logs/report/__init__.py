@@ -1,0 +1,39 @@
+"""The HTML report of a flight: one self-contained page that opens from disk.
+
+`from_log(log, result)` gathers what a log holds, `write_report(flight, path)` writes the page.
+"""
+
+from __future__ import annotations
+
+from logs.report.flight import (
+    CheckResult,
+    FlightEvent,
+    FlightReport,
+    Outcome,
+    Phase,
+    Region,
+    Samples,
+    Timing,
+    outcome_from_result,
+    samples,
+    timing_from_result,
+)
+from logs.report.log_input import from_log
+from logs.report.page import render_report, write_report
+
+__all__ = [
+    "CheckResult",
+    "FlightEvent",
+    "FlightReport",
+    "Outcome",
+    "Phase",
+    "Region",
+    "Samples",
+    "Timing",
+    "from_log",
+    "outcome_from_result",
+    "render_report",
+    "samples",
+    "timing_from_result",
+    "write_report",
+]

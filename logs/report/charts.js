@@ -1,0 +1,235 @@
+"use strict";
+// Charts over time.  The page's data says what is drawn; here is only how: colours, phases, limits, common cursor and zoom.
+const flight = (() => {
+  const errors = [];
+  const body = document.body;
+  const report = (text) => {
+    errors.push(text);
+    body.dataset.errors = errors.join("; ");
+    const box = document.createElement("p");
+    box.className = "script-error";
+    box.textContent = "This page could not draw everything: " + text;
+    document.querySelector("main").prepend(box);
+  };
+  window.addEventListener("error", (event) => report(event.message));
+  body.dataset.errors = "";
+
+  const data = JSON.parse(document.getElementById("flight-data").textContent);
+  const decode = (base64) => {
+    const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+    return Array.from(new Float32Array(bytes.buffer), (v) => (Number.isNaN(v) ? null : v));
+  };
+
+  let colours = {};
+  const colour = (name) => {
+    if (!(name in colours)) colours[name] = getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+    return colours[name];
+  };
+  const FONT = '11px system-ui, "DejaVu Sans", sans-serif';
+  const shadedPhases = new Set(["takeoff", "approach", "landing"]);
+  const fixed = (value, decimals) => (value == null ? "–" : value.toFixed(decimals).replace("-", "−"));
+
+  const charts = [];
+  const listeners = { cursor: [], zoom: [], theme: [] };
+  const tell = (kind, ...what) => listeners[kind].forEach((listener) => listener(...what));
+  let whole = [Infinity, -Infinity];
+  let zooming = false;
+
+  function zoom(from, to) {
+    if (zooming) return;
+    zooming = true;
+    for (const chart of charts) chart.setScale("x", { min: from, max: to });
+    zooming = false;
+    tell("zoom", from, to);
+  }
+  const showWhole = () => zoom(whole[0], whole[1]);
+
+  // Behind the curves: phases, and spans at a limit.
+  function drawBehind(u, spec) {
+    const { ctx, bbox } = u;
+    const band = (from, to, fill) => {
+      const a = Math.max(u.valToPos(from, "x", true), bbox.left);
+      const b = Math.min(u.valToPos(to, "x", true), bbox.left + bbox.width);
+      ctx.fillStyle = fill;
+      if (b >= a) ctx.fillRect(a, bbox.top, Math.max(b - a, 1), bbox.height);
+    };
+    ctx.save();
+    for (const [name, from, to] of data.phases) if (shadedPhases.has(name)) band(from, to, colour("phase"));
+    for (const [from, to] of spec.shaded) band(from, to, colour("hit"));
+    ctx.restore();
+  }
+
+  // Over the curves: limit lines with their names, event marks.
+  function drawOver(u, spec) {
+    const { ctx, bbox } = u;
+    const dpr = devicePixelRatio || 1;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top - 8 * dpr, bbox.width, bbox.height + 9 * dpr);
+    ctx.clip();
+    ctx.font = FONT.replace("11px", 11 * dpr + "px");
+    ctx.textAlign = "right";
+    for (const { value, label, role } of spec.lines) {
+      const y = u.valToPos(value, "y", true);
+      if (y < bbox.top - 1 || y > bbox.top + bbox.height + 1) continue;
+      ctx.strokeStyle = ctx.fillStyle = colour(role);
+      ctx.lineWidth = dpr;
+      ctx.setLineDash([5 * dpr, 4 * dpr]);
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+      ctx.stroke();
+      const below = y - bbox.top < 14 * dpr;
+      const right = bbox.left + bbox.width - 5 * dpr;
+      const base = y + (below ? 12 : -4) * dpr;
+      ctx.setLineDash([]);
+      ctx.lineJoin = "round";
+      ctx.lineWidth = 3 * dpr;
+      ctx.strokeStyle = colour("card");
+      ctx.strokeText(label.replace("-", "−"), right, base);
+      ctx.fillText(label.replace("-", "−"), right, base);
+    }
+    for (const [t, severity] of data.events) {
+      const x = u.valToPos(t, "x", true);
+      if (x < bbox.left - 1 || x > bbox.left + bbox.width + 1) continue;
+      ctx.fillStyle = colour(severity === "info" ? "muted" : "limit");
+      ctx.beginPath();
+      ctx.moveTo(x - 3.5 * dpr, bbox.top - 6 * dpr);
+      ctx.lineTo(x + 3.5 * dpr, bbox.top - 6 * dpr);
+      ctx.lineTo(x, bbox.top);
+      ctx.fill();
+    }
+    ctx.restore();
+  }
+
+  function verticalRange(spec) {
+    const values = spec.lines.map((line) => line.value);
+    return (u, low, high) => {
+      if (low == null || high == null) return [0, 1];
+      low = Math.min(low, ...values);
+      high = Math.max(high, ...values);
+      if (spec.floor != null) low = Math.min(spec.floor, low);
+      const pad = 0.06 * (high - low || Math.abs(high) || 1);
+      return [spec.floor != null && low >= spec.floor ? spec.floor : low - pad, high + pad];
+    };
+  }
+
+  function axes(spec) {
+    const common = {
+      stroke: () => colour("muted"), font: FONT,
+      grid: { stroke: () => colour("grid"), width: 1 },
+      ticks: { stroke: () => colour("line"), width: 1, size: 4 },
+      border: { show: true, stroke: () => colour("line"), width: 1 },
+    };
+    const tidy = (v) => String(v).replace("-", "−");
+    return [
+      { ...common, size: 26, gap: 4, values: (u, ticks) => ticks.map((v) => tidy(Number(v.toFixed(6))) + " s") },
+      { ...common, size: 50, gap: 4, space: 26, values: (u, ticks) => ticks.map((v) => tidy(Number(v.toFixed(6)))) },
+    ];
+  }
+
+  function series(spec) {
+    const unit = spec.unit === "of full scale" ? "" : spec.unit === "°" ? "°" : " " + spec.unit;
+    return spec.curves.map((curve) => ({
+      label: curve.label,
+      stroke: () => colour(curve.role),
+      width: curve.wide ? 3 : 1.25,
+      alpha: curve.wide ? 0.75 : 1,
+      points: { show: false },
+      value: (u, v) => (v == null ? "" : fixed(v, spec.decimals) + unit),
+    }));
+  }
+
+  const heightOf = (holder) => (holder.closest(".column") ? 245 : 170);
+
+  function makeChart(holder, spec) {
+    const t = decode(spec.t);
+    whole = [Math.min(whole[0], t[0]), Math.max(whole[1], t[t.length - 1])];
+    const chart = new uPlot({
+      width: holder.clientWidth,
+      height: heightOf(holder),
+      padding: [9, 10, 0, 0],
+      scales: { x: { time: false }, y: { range: verticalRange(spec) } },
+      axes: axes(spec),
+      series: [{ label: "time" }, ...series(spec)],
+      legend: { markers: { width: (u, i) => (spec.curves[i - 1] && spec.curves[i - 1].wide ? 4 : 2) } },
+      cursor: {
+        y: false, points: { size: 6 }, drag: { x: true, y: false },
+        bind: { dblclick: () => () => (showWhole(), null) },
+        sync: { key: "flight", setSeries: false, filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
+      },
+      hooks: {
+        drawClear: [(u) => drawBehind(u, spec)],
+        draw: [(u) => drawOver(u, spec)],
+        setScale: [(u, key) => key === "x" && u.status === 1 && zoom(u.scales.x.min, u.scales.x.max)],
+        setCursor: [(u) => u.cursor.event && tell("cursor", u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)],
+      },
+    }, [t, ...spec.curves.map((curve) => decode(curve.y))], holder);
+    holder.chart = chart;
+    charts.push(chart);
+  }
+
+  // The cursor of every chart at one time, for the table of events.
+  function pointAt(t) {
+    for (const chart of charts) {
+      const left = chart.valToPos(t, "x");
+      const inside = left >= 0 && left <= chart.over.clientWidth;
+      chart.setCursor({ left: inside ? left : -10, top: inside ? 10 : -10 }, false);
+    }
+    tell("cursor", t);
+  }
+
+  function phaseAt(t) {
+    const phase = data.phases.find(([, from, to]) => t >= from && t < to);
+    return phase ? phase[0] : "";
+  }
+
+  function nearestEvent(t) {
+    const near = 0.006 * (whole[1] - whole[0]);
+    let best = null;
+    for (const event of data.events) {
+      const away = Math.abs(event[0] - t);
+      if (away < near && (best === null || away < Math.abs(best[0] - t))) best = event;
+    }
+    return best ? best[2] : "";
+  }
+
+  function start() {
+    const specs = new Map(data.panels.map((spec) => [spec.key, spec]));
+    for (const holder of document.querySelectorAll(".chart")) makeChart(holder, specs.get(holder.dataset.panel));
+    if (charts.length) showWhole();
+    body.dataset.rendered = charts.length + " charts";
+
+    const readout = document.getElementById("readout");
+    listeners.cursor.push((t) => {
+      readout.textContent = t == null ? "" : [fixed(t, 2) + " s", phaseAt(t), nearestEvent(t)].filter(Boolean).join(" · ");
+    });
+    document.getElementById("whole").addEventListener("click", showWhole);
+    for (const button of document.querySelectorAll("[data-phase]")) {
+      button.querySelector("i").classList.toggle("shaded", shadedPhases.has(button.dataset.phase));
+      button.addEventListener("click", () => zoom(Number(button.dataset.start), Number(button.dataset.end)));
+    }
+    for (const row of document.querySelectorAll("tr[data-time]")) {
+      row.addEventListener("mouseenter", () => pointAt(Number(row.dataset.time)));
+    }
+  }
+
+  const resize = (holder) => holder.chart && holder.chart.setSize({ width: holder.clientWidth, height: heightOf(holder) });
+  const redraw = () => {
+    colours = {};
+    charts.forEach((chart) => chart.redraw(false, true));
+    tell("theme");
+  };
+  const relayout = () => {
+    document.querySelectorAll(".chart").forEach(resize);
+    redraw();
+  };
+  window.addEventListener("resize", relayout);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  window.matchMedia("print").addEventListener("change", relayout);
+  window.addEventListener("beforeprint", relayout);
+  window.addEventListener("afterprint", relayout);
+
+  return { data, decode, colour, fixed, listeners, start, report, FONT };
+})();
+flight.start();

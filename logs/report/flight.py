@@ -1,0 +1,253 @@
+"""What a flight's report shows: one frozen object that knows nothing of files, topics or HTML.
+
+Everything but the outcome may be missing (`None` or empty): its panel then says "not recorded".  All times are seconds
+on one axis whose zero is the start of the take-off; frames are NED and FRD, quaternions scalar first, body to world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.types import F64, Tuple3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """A signal over time: `t_s` (n,) ascending seconds, `values` (n, k); NaN marks what is unknown."""
+
+    t_s: F64
+    values: F64
+
+    def __post_init__(self) -> None:
+        if self.t_s.ndim != 1 or self.values.ndim != 2 or len(self.t_s) != len(self.values):
+            raise ValueError(f"Samples needs t_s (n,) and values (n, k); got {self.t_s.shape} and {self.values.shape}")
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A named part of the flight: takeoff, approach, track, landing."""
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEvent:
+    """Something that happened: a mode change, arming, a text of the autopilot."""
+
+    t_s: float
+    kind: str
+    text: str
+    severity: str = "info"
+    """info, warning or error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Where the vehicle has to stay: a box or an ellipsoid with axes along north, east and down."""
+
+    shape: str
+    """box or ellipsoid."""
+    centre_ned_m: Tuple3
+    half_ned_m: Tuple3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timing:
+    """How punctual a real-time loop was; `lateness_us` (n,) is the wake-up after each deadline."""
+
+    rate_hz: float | None
+    p50_us: float | None
+    p99_us: float | None
+    max_us: float | None
+    missed: int | None
+    lateness_us: F64 | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """A check of the scenario and whether it held."""
+
+    words: str
+    value: float | None
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The flight's result (`flightstack.flight/1`) as the report needs it; `None` where it is not said."""
+
+    scenario: str = "flight"
+    completed: bool | None = None
+    reason: str = ""
+    seed: int | None = None
+    plant: str | None = None
+    controller: str | None = None
+    flight_time_s: float | None = None
+    realtime_factor: float | None = None
+    tracking_of: str | None = None
+    rmse_m: float | None = None
+    max_m: float | None = None
+    rmse_settled_m: float | None = None
+    barrier_enabled: bool | None = None
+    barrier_min_h: float | None = None
+    barrier_violations: int | None = None
+    barrier_interventions: int | None = None
+    learner_enabled: bool | None = None
+    learner_points: int | None = None
+    learner_coverage: float | None = None
+    lockstep: bool | None = None
+    """True where the simulator's clock was the clock, so that lateness has no meaning."""
+    checks: tuple[CheckResult, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightReport:
+    """Everything the page shows.  Shapes (n, k) are those of `Samples.values`."""
+
+    outcome: Outcome
+    phases: tuple[Phase, ...] = ()
+    events: tuple[FlightEvent, ...] = ()
+    region: Region | None = None
+    reference_ned_m: Samples | None = None
+    """(n, 3) the scenario's reference, not the nominal that chases the vehicle; positions are relative to the start."""
+    estimate_ned_m: Samples | None = None
+    """(n, 3)."""
+    truth_ned_m: Samples | None = None
+    """(n, 3)."""
+    estimate_error_ned_m: Samples | None = None
+    """(n, 3) estimate minus truth."""
+    estimate_q_ned_frd: Samples | None = None
+    """(n, 4)."""
+    truth_q_ned_frd: Samples | None = None
+    """(n, 4)."""
+    thrust_command_n: Samples | None = None
+    """(n, 1) total thrust."""
+    thrust_feedforward_n: Samples | None = None
+    """(n, 1)."""
+    thrust_truth_n: Samples | None = None
+    """(n, 1) sum of what the rotors really delivered."""
+    thrust_saturated: Samples | None = None
+    """(n, 1), 1 where the command was cut to its limit."""
+    thrust_limits_n: tuple[float, float] | None = None
+    rate_command_frd_radps: Samples | None = None
+    """(n, 3)."""
+    rate_measured_frd_radps: Samples | None = None
+    """(n, 3)."""
+    rate_truth_frd_radps: Samples | None = None
+    """(n, 3)."""
+    rate_limit_frd_radps: Tuple3 | None = None
+    motors: Samples | None = None
+    """(n, 4) normalised commands, 0..1."""
+    timing: Timing | None = None
+    settings: tuple[tuple[str, str], ...] = ()
+    """Name and value: vehicle, scenario, seed, versions, git commit."""
+
+    @property
+    def flown_ned_m(self) -> Samples | None:
+        """What tracking is judged by: the truth where there is one, else the estimate."""
+        return self.truth_ned_m if self.truth_ned_m is not None else self.estimate_ned_m
+
+    def phase(self, name: str) -> Phase | None:
+        """The phase of that name, or None."""
+        return next((phase for phase in self.phases if phase.name == name), None)
+
+
+def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
+    """The result's JSON object as an `Outcome`; whatever is missing or of the wrong kind is unknown, never an error."""
+    if result is None:
+        return Outcome()
+    barrier, learner, loop = _part(result, "barrier"), _part(result, "gp"), _part(result, "loop")
+    tracking = _part(result, "tracking")
+    completed = _flag(result.get("completed"))
+    lateness = _part(loop, "lateness_us") if loop else {}
+    min_h = _number(barrier.get("min_h_truth"))
+    return Outcome(
+        scenario=_text(result.get("scenario")) or "flight",
+        completed=completed,
+        reason="" if completed else _text(result.get("reason")) or _text(result.get("failure")) or "",
+        seed=_whole(result.get("seed")),
+        plant=_text(result.get("plant")),
+        controller=_text(result.get("controller")),
+        flight_time_s=_number(result.get("flight_time_s")),
+        realtime_factor=_number(result.get("realtime_factor")),
+        tracking_of=_text(tracking.get("of")),
+        rmse_m=_number(tracking.get("rmse_m")),
+        max_m=_number(tracking.get("max_m")),
+        rmse_settled_m=_number(tracking.get("rmse_settled_m")),
+        barrier_enabled=_flag(barrier.get("enabled")),
+        barrier_min_h=min_h if min_h is not None else _number(barrier.get("min_h_estimate")),
+        barrier_violations=_whole(barrier.get("violations")),
+        barrier_interventions=_whole(barrier.get("interventions")),
+        learner_enabled=_flag(learner.get("enabled")),
+        learner_points=_whole(learner.get("points")),
+        learner_coverage=_number(learner.get("coverage_3sigma")),
+        lockstep=_number(lateness.get("p50")) is None if loop else None,
+        checks=_checks(result.get("checks")),
+    )
+
+
+def timing_from_result(result: Mapping[str, object] | None) -> Timing | None:
+    """The loop's punctuality as the result states it; None in lockstep, where its fields are null."""
+    loop = _part(result or {}, "loop")
+    lateness = _part(loop, "lateness_us")
+    p50, p99, worst = (_number(lateness.get(key)) for key in ("p50", "p99", "max"))
+    if p50 is None and p99 is None and worst is None:
+        return None
+    return Timing(_number(loop.get("rate_hz")), p50, p99, worst, _whole(loop.get("missed")))
+
+
+def samples(t_s: object, values: object) -> Samples | None:
+    """Samples of array-likes, ascending in time; (n,) values become (n, 1); None where nothing finite is in them."""
+    t = np.asarray(t_s, dtype=np.float64).reshape(-1)
+    v = np.asarray(values, dtype=np.float64)
+    if t.size == 0 or v.shape[:1] != t.shape or v.ndim > 2:
+        return None
+    v = v.reshape(len(t), -1)
+    good = np.isfinite(t)
+    t, v = t[good], np.where(np.isfinite(v[good]), v[good], np.nan)
+    if not np.isfinite(v).any():
+        return None
+    if (np.diff(t) < 0.0).any():
+        order = np.argsort(t, kind="stable")
+        t, v = t[order], v[order]
+    return Samples(t, v)
+
+
+def _checks(rows: object) -> tuple[CheckResult, ...]:
+    if not isinstance(rows, list | tuple):
+        return ()
+    return tuple(
+        CheckResult(_text(row.get("words")) or _text(row.get("metric")) or "check", _number(row.get("value")), passed)
+        for row in rows
+        if isinstance(row, Mapping) and (passed := _flag(row.get("passed"))) is not None
+    )
+
+
+def _part(of: Mapping[str, object], key: str) -> Mapping[str, object]:
+    part = of.get(key)
+    return part if isinstance(part, Mapping) else {}
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def _whole(value: object) -> int | None:
+    number = _number(value)
+    return None if number is None else int(number)
+
+
+def _flag(value: object) -> bool | None:
+    return value if isinstance(value, bool) else None
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None

@@ -1,0 +1,275 @@
+"""What the 3-D view shows, in Foxglove's well-known schemas: vehicle, flown path, reference, ground and safe region.
+
+Everything is given in NED and FRD and leaves in `world` (ENU) and `body` / `body_true` (FLU).  Both changes are linear
+in position and quaternion, so the signs of `flightstack.frames` are read off once, as one matrix, from unit vectors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from foxglove.messages import (
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    FrameTransform,
+    FrameTransforms,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    LocationFix,
+    Log,
+    LogLevel,
+    Point3,
+    Pose,
+    PoseInFrame,
+    PosesInFrame,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    SpherePrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from flightstack.frames import frd_to_flu, ned_to_enu, q_ned_frd_to_enu_flu
+from flightstack.types import F64, Tuple3, Tuple4
+
+WORLD = "world"
+BODY = "body"
+BODY_TRUE = "body_true"
+
+POSE_PERIOD_US = 20_000
+_PATH_POINT_US = 200_000
+_PATH_PERIOD_US = 1_000_000
+_PATH_POINTS = 600
+
+_LEVELS = {
+    "debug": LogLevel.Debug,
+    "info": LogLevel.Info,
+    "warning": LogLevel.Warning,
+    "error": LogLevel.Error,
+    "fatal": LogLevel.Fatal,
+}
+
+_IDENTITY = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+_GREY = Color(r=0.5, g=0.5, b=0.5, a=0.6)
+_BLUE = Color(r=0.2, g=0.5, b=1.0, a=1.0)
+_GREEN = Color(r=0.2, g=0.8, b=0.3, a=1.0)
+_ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.9)
+_RED = Color(r=0.9, g=0.2, b=0.2, a=0.9)
+_REGION = Color(r=0.2, g=0.9, b=0.4, a=0.15)
+
+View = tuple[str, bytes]
+"""A topic and the encoded message for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The part of space that the flight must keep to: an upright box or an ellipsoid."""
+
+    shape: str
+    """box or ellipsoid."""
+    center_ned_m: Tuple3
+    half_size_m: Tuple3
+    """Half the edges, or the semi-axes, along north, east, down."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What doesn't move, and the looks of what does."""
+
+    rotor_position_frd_m: F64
+    """(n, 3) from the centre of mass."""
+    rotor_radius_m: float
+    ground_down_m: float = 0.0
+    """Where the ground lies, along down."""
+    region: Region | None = None
+    reference_ned_m: F64 | None = None
+    """(N, 3) the whole reference path, where it is known beforehand."""
+    truth: bool = False
+    """Whether the true vehicle is shown too (in simulation)."""
+
+
+def _pose_matrix() -> F64:
+    """(7, 7): (position NED, q_ned_frd) -> (position ENU, q_enu_flu as w, x, y, z)."""
+    matrix = np.zeros((7, 7))
+    matrix[:3, :3] = ned_to_enu(np.eye(3)).T
+    matrix[3:, 3:] = q_ned_frd_to_enu_flu(np.eye(4)).T
+    return matrix
+
+
+_POSE_MATRIX = _pose_matrix()
+
+
+def timestamp(t_us: int) -> Timestamp:
+    """Vehicle time as Foxglove's time stamp."""
+    return Timestamp(sec=t_us // 1_000_000, nsec=t_us % 1_000_000 * 1000)
+
+
+def _points(ned_m: F64) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y, z in ned_to_enu(ned_m).reshape(-1, 3).tolist()]
+
+
+def log_line(t_us: int, level: str, name: str, text: str) -> bytes:
+    """A `foxglove.Log` message; an unknown level counts as unknown."""
+    return Log(timestamp=timestamp(t_us), level=_LEVELS.get(level, LogLevel.Unknown), name=name, message=text).encode()
+
+
+def location(t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> bytes:
+    """A `foxglove.LocationFix` message."""
+    return LocationFix(
+        timestamp=timestamp(t_us), frame_id=BODY, latitude=latitude_deg, longitude=longitude_deg, altitude=altitude_m
+    ).encode()
+
+
+class Posed(Protocol):
+    """What has a pose: a measurement, the truth."""
+
+    @property
+    def pos_ned_m(self) -> F64 | Tuple3:
+        """Position."""
+
+    @property
+    def q_ned_frd(self) -> F64 | Tuple4:
+        """Attitude (w, x, y, z), body to world."""
+
+
+class Trail:
+    """Pose, transform and flown path of one vehicle (estimated or true): `poses` says what to log at `t_us`.
+
+    The path has a point every 0.2 s and never more than 600: a full path drops every other point and goes on half as
+    fine.  `/scene/path` is the same path drawn as a line, whatever the viewer makes of `foxglove.PosesInFrame`.
+    """
+
+    def __init__(self, *, truth: bool) -> None:
+        self._prefix = "/truth" if truth else ""
+        self._frame = BODY_TRUE if truth else BODY
+        self._truth = truth
+        self._state = np.empty(7)
+        self._points: list[Pose] = []
+        self._corners: list[Point3] = []
+        self._point_period_us = _PATH_POINT_US
+        self._due_us = 0
+        self._point_due_us = 0
+        self._path_due_us = 0
+
+    def is_due(self, t_us: int) -> bool:
+        """Whether it is time for the next pose."""
+        return not self._due_us - POSE_PERIOD_US <= t_us < self._due_us
+
+    def poses(self, t_us: int, of: Posed) -> list[View]:
+        """Messages for the pose at `t_us`."""
+        self._due_us = t_us - t_us % POSE_PERIOD_US + POSE_PERIOD_US
+        state = self._state
+        state[:3] = of.pos_ned_m
+        state[3:] = of.q_ned_frd
+        x, y, z, qw, qx, qy, qz = (_POSE_MATRIX @ state).tolist()
+        stamp = timestamp(t_us)
+        place = Vector3(x=x, y=y, z=z)
+        turn = Quaternion(x=qx, y=qy, z=qz, w=qw)
+        move = FrameTransform(
+            timestamp=stamp, parent_frame_id=WORLD, child_frame_id=self._frame, translation=place, rotation=turn
+        )
+        pose = Pose(position=place, orientation=turn)
+        views = [
+            (f"{self._prefix}/tf", FrameTransforms(transforms=[move]).encode()),
+            (f"{self._prefix}/pose", PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()),
+        ]
+        if t_us >= self._point_due_us and math.isfinite(x + y + z):
+            self._add_point(t_us, pose, Point3(x=x, y=y, z=z))
+        if t_us >= self._path_due_us and self._points:
+            self._path_due_us = t_us + _PATH_PERIOD_US
+            path = PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
+            views.append((f"{self._prefix}/path", path.encode()))
+            if not self._truth:
+                line = _line(stamp, "path", self._corners, _BLUE)
+                views.append(("/scene/path", SceneUpdate(entities=[line]).encode()))
+        return views
+
+    def _add_point(self, t_us: int, pose: Pose, corner: Point3) -> None:
+        self._point_due_us = t_us + self._point_period_us
+        self._points.append(pose)
+        self._corners.append(corner)
+        if len(self._points) >= _PATH_POINTS:
+            del self._points[1::2]
+            del self._corners[1::2]
+            self._point_period_us *= 2
+
+
+def _disc(center: list[float], radius_m: float, color: Color) -> CylinderPrimitive:
+    position = Vector3(x=center[0], y=center[1], z=center[2])
+    size = Vector3(x=2.0 * radius_m, y=2.0 * radius_m, z=0.01)
+    pose = Pose(position=position, orientation=_IDENTITY)
+    return CylinderPrimitive(pose=pose, size=size, bottom_scale=1.0, top_scale=1.0, color=color)
+
+
+def _vehicle(stamp: Timestamp, scene: Scene, *, truth: bool) -> SceneEntity:
+    """Arms and rotor discs, front rotors orange; the estimated vehicle is a pale double of the true one."""
+    rotors = frd_to_flu(scene.rotor_position_frd_m).tolist()
+    pale = scene.truth and not truth
+    color = _GREY if pale else _BLUE
+    front = _GREY if pale else _ORANGE
+    center = Point3(x=0.0, y=0.0, z=0.0)
+    ends = [point for x, y, z in rotors for point in (center, Point3(x=x, y=y, z=z))]
+    arms = LinePrimitive(type=LinePrimitiveLineType.LineList, thickness=0.02, points=ends, color=color)
+    discs = [_disc(rotor, scene.rotor_radius_m, front if rotor[0] > 0.0 else color) for rotor in rotors]
+    frame, name = (BODY_TRUE, "vehicle_true") if truth else (BODY, "vehicle")
+    return SceneEntity(timestamp=stamp, frame_id=frame, id=name, frame_locked=True, lines=[arms], cylinders=discs)
+
+
+def _ground(stamp: Timestamp, down_m: float) -> SceneEntity:
+    """A grid of 1 m cells, 20 m by 20 m."""
+    half = 10
+    ends = [
+        end
+        for k in range(-half, half + 1)
+        for end in ((k, -half, down_m), (k, half, down_m), (-half, k, down_m), (half, k, down_m))
+    ]
+    grid = LinePrimitive(
+        type=LinePrimitiveLineType.LineList,
+        thickness=1.0,
+        scale_invariant=True,
+        points=_points(np.array(ends, dtype=np.float64)),
+        color=_GREY,
+    )
+    return SceneEntity(timestamp=stamp, frame_id=WORLD, id="ground", frame_locked=True, lines=[grid])
+
+
+def _line(stamp: Timestamp, name: str, points: list[Point3], color: Color) -> SceneEntity:
+    line = LinePrimitive(
+        type=LinePrimitiveLineType.LineStrip, thickness=2.0, scale_invariant=True, points=points, color=color
+    )
+    return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, lines=[line])
+
+
+def _region(stamp: Timestamp, region: Region) -> SceneEntity:
+    x, y, z = ned_to_enu(np.array(region.center_ned_m)).tolist()
+    dx, dy, dz = (2.0 * np.abs(ned_to_enu(np.array(region.half_size_m)))).tolist()
+    pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
+    size = Vector3(x=dx, y=dy, z=dz)
+    boxes = [CubePrimitive(pose=pose, size=size, color=_REGION)] if region.shape == "box" else []
+    balls = [SpherePrimitive(pose=pose, size=size, color=_REGION)] if region.shape != "box" else []
+    return SceneEntity(timestamp=stamp, frame_id=WORLD, id="region", frame_locked=True, cubes=boxes, spheres=balls)
+
+
+def scene_views(t_us: int, scene: Scene) -> list[View]:
+    """The messages of a scene: all of it in one, since a viewer that jumps in time asks for the last one only."""
+    stamp = timestamp(t_us)
+    entities = [_ground(stamp, scene.ground_down_m), _vehicle(stamp, scene, truth=False)]
+    views = []
+    if scene.truth:
+        entities.append(_vehicle(stamp, scene, truth=True))
+    if scene.region is not None:
+        entities.append(_region(stamp, scene.region))
+    if scene.reference_ned_m is not None:
+        entities.append(_line(stamp, "reference", _points(scene.reference_ned_m), _RED))
+        poses = [
+            Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
+            for x, y, z in ned_to_enu(scene.reference_ned_m).tolist()
+        ]
+        views.append(("/reference/path", PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=poses).encode()))
+    views.append(("/scene", SceneUpdate(entities=entities).encode()))
+    return views

@@ -1,0 +1,317 @@
+"""The one table of log topics: what each carries, in which units and frames, how often and where it comes from.
+
+A topic is one row here; writer, reader, `log info` and the round-trip test walk the table.  The log time of a message
+is the vehicle's own time since boot (in simulation: simulated time), microseconds in the API, nanoseconds in the file.
+Names keep their meaning across topics: `pos_ned_m` is a position, north-east-down, whether it is the truth's, the
+estimate's or the setpoint's.  Viewer topics (`Kind.VIEW`) are in Foxglove's well-known schemas, in frames `world` (ENU)
+and `body` (FLU); they repeat what the tables say and are never read back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Kind(Enum):
+    """How a topic's messages are encoded."""
+
+    TABLE = "table"
+    """Protocol buffer of this project, fields of fixed size: numbers read back as columns."""
+    RAW = "raw"
+    """Bytes as they were on the wire."""
+    LOG = "log"
+    """`foxglove.Log`: a line of text with a level; read back as columns `level`, `name`, `text`."""
+    VIEW = "view"
+    """A Foxglove message for the 3-D or map view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a TABLE topic."""
+
+    name: str
+    type: str
+    """double, float, int64, int32, bool or string."""
+    size: int
+    """0 for a scalar, else the length of the array."""
+    unit: str
+    text: str
+    path: str = ""
+    """Attribute path within the record, where it isn't the name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row: a topic of the log."""
+
+    name: str
+    kind: Kind
+    schema: str
+    rate_hz: float
+    """Nominal; 0 where messages come as things happen."""
+    source: str
+    text: str
+    fields: tuple[Field, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file carried inside the log: vehicle file, scenario, settings."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
+"""Levels of `foxglove.Log`, by number."""
+
+SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+"""MAVLink's severities, by number."""
+
+_LEVEL_OF_SEVERITY = ("fatal", "fatal", "fatal", "error", "warning", "info", "info", "debug")
+
+
+def severity_names(severity: int) -> tuple[str, str]:
+    """Foxglove level and MAVLink name of a MAV_SEVERITY; numbers out of range count as the nearest."""
+    number = min(max(severity, 0), len(SEVERITIES) - 1)
+    return _LEVEL_OF_SEVERITY[number], SEVERITIES[number]
+
+
+def _f64(name: str, size: int, unit: str, text: str, path: str = "") -> Field:
+    return Field(name, "double", size, unit, text, path)
+
+
+def _f32(name: str, size: int, unit: str, text: str) -> Field:
+    return Field(name, "float", size, unit, text)
+
+
+def _sample_time(name: str) -> Field:
+    return Field(name, "int64", 0, "us", "sample time by the vehicle's clock, since its boot")
+
+
+_REFERENCE_FIELDS = (
+    _f64("pos_ned_m", 3, "m", "position"),
+    _f64("vel_ned_mps", 3, "m/s", "velocity"),
+    _f64("acc_ned_mps2", 3, "m/s^2", "acceleration"),
+    _f64("jerk_ned_mps3", 3, "m/s^3", "jerk"),
+    _f64("snap_ned_mps4", 3, "m/s^4", "snap"),
+    _f64("yaw_rad", 0, "rad", "heading"),
+    _f64("yaw_rate_radps", 0, "rad/s", "rate of the heading"),
+)
+
+_COMMAND_FIELDS = (
+    _f64("thrust_n", 0, "N", "total thrust along body -z that the model expects"),
+    _f64("thrust_norm", 0, "1", "the same as normalised collective thrust, 0..1"),
+    _f64("rate_frd_radps", 3, "rad/s", "body rates"),
+)
+
+_TICK_FIELDS = (
+    _f64("pos_ned_m", 3, "m", "measured position, predicted to the tick", "measurement.pos_ned_m"),
+    _f64("vel_ned_mps", 3, "m/s", "measured velocity, predicted to the tick", "measurement.vel_ned_mps"),
+    _f64("q_ned_frd", 4, "1", "measured attitude (w, x, y, z), body to world", "measurement.q_ned_frd"),
+    _f64("rate_frd_radps", 3, "rad/s", "measured body rates", "measurement.rate_frd_radps"),
+    _f64("specific_force_frd_mps2", 3, "m/s^2", "measured specific force", "measurement.specific_force_frd_mps2"),
+    _f64("motor_command", 4, "1", "motor commands last reported, NaN if not", "measurement.motor_command"),
+    Field("position_age_us", "int64", 0, "us", "age of the position sample", "measurement.position_age_us"),
+    Field("attitude_age_us", "int64", 0, "us", "age of the attitude sample", "measurement.attitude_age_us"),
+    Field("imu_age_us", "int64", 0, "us", "age of the IMU sample", "measurement.imu_age_us"),
+    _f64("nominal_acc_ned_mps2", 3, "m/s^2", "nominal acceleration that the command realises"),
+    _f64("nominal_jerk_ned_mps3", 3, "m/s^3", "nominal jerk that the command realises"),
+    _f64("thrust_ff_n", 0, "N", "feed-forward part of the thrust"),
+    _f64("thrust_fb_n", 0, "N", "feedback part of the thrust"),
+    _f64("rate_ff_frd_radps", 3, "rad/s", "feed-forward part of the body rates"),
+    _f64("rate_fb_frd_radps", 3, "rad/s", "feedback part of the body rates"),
+    _f64("attitude_error_rad", 3, "rad", "rotation vector from the measured to the wanted attitude"),
+    Field("thrust_saturated", "bool", 0, "", "whether thrust was limited"),
+    Field("guard", "string", 0, "", "what the guard did instead of the command; empty if nothing"),
+)
+
+_TRUTH_FIELDS = (
+    _f64("pos_ned_m", 3, "m", "true position"),
+    _f64("vel_ned_mps", 3, "m/s", "true velocity"),
+    _f64("q_ned_frd", 4, "1", "true attitude (w, x, y, z), body to world"),
+    _f64("rate_frd_radps", 3, "rad/s", "true body rates"),
+    _f64("specific_force_frd_mps2", 3, "m/s^2", "true specific force"),
+    _f64("angular_acceleration_frd_radps2", 3, "rad/s^2", "true angular acceleration"),
+    _f64("motor_u", 4, "1", "motor state after lag, as a normalised command"),
+    _f64("rotor_thrust_n", 4, "N", "thrust of each rotor"),
+    _f64("wind_ned_mps", 3, "m/s", "velocity of the air over ground"),
+    _f64("battery_v", 0, "V", "battery voltage"),
+    Field("on_ground", "bool", 0, "", "whether the vehicle touches the ground"),
+)
+
+_LOG_FIELDS = (
+    Field("level", "string", 0, "", "debug, info, warning, error or fatal"),
+    Field("name", "string", 0, "", "what kind of event; for /vehicle/statustext MAVLink's severity"),
+    Field("text", "string", 0, "", "what happened, in words"),
+)
+
+_VEHICLE_TOPICS = (
+    Topic(
+        "/vehicle/attitude",
+        Kind.TABLE,
+        "flightstack.Attitude",
+        200.0,
+        "ATTITUDE_QUATERNION",
+        "attitude and body rates as the vehicle reports them",
+        (
+            _sample_time("t_boot_us"),
+            _f32("q_ned_frd", 4, "1", "attitude (w, x, y, z), body to world"),
+            _f32("rate_frd_radps", 3, "rad/s", "body rates"),
+        ),
+    ),
+    Topic(
+        "/vehicle/local_position",
+        Kind.TABLE,
+        "flightstack.LocalPosition",
+        125.0,
+        "LOCAL_POSITION_NED",
+        "position and velocity as the vehicle reports them",
+        (
+            _sample_time("t_boot_us"),
+            _f32("pos_ned_m", 3, "m", "position"),
+            _f32("vel_ned_mps", 3, "m/s", "velocity"),
+        ),
+    ),
+    Topic(
+        "/vehicle/imu",
+        Kind.TABLE,
+        "flightstack.Imu",
+        250.0,
+        "HIGHRES_IMU",
+        "inertial sensors as the vehicle reports them",
+        (
+            _sample_time("t_us"),
+            _f32("accel_frd_mps2", 3, "m/s^2", "specific force"),
+            _f32("rate_frd_radps", 3, "rad/s", "body rates"),
+        ),
+    ),
+    Topic(
+        "/vehicle/motors",
+        Kind.TABLE,
+        "flightstack.Motors",
+        100.0,
+        "SERVO_OUTPUT_RAW",
+        "outputs to the motors as the vehicle reports them",
+        (
+            _sample_time("t_us"),
+            Field("pwm_us", "int32", 16, "us", "pulse width of each output, 0 where unused"),
+        ),
+    ),
+    Topic(
+        "/vehicle/battery",
+        Kind.TABLE,
+        "flightstack.Battery",
+        1.0,
+        "SYS_STATUS",
+        "battery as the vehicle reports it",
+        (
+            _f32("voltage_v", 0, "V", "voltage, NaN if not known"),
+            _f32("current_a", 0, "A", "current, NaN if not known"),
+            _f32("remaining", 0, "1", "charge left, 0..1, NaN if not known"),
+        ),
+    ),
+    Topic(
+        "/vehicle/status",
+        Kind.TABLE,
+        "flightstack.Status",
+        1.0,
+        "HEARTBEAT, EXTENDED_SYS_STATE",
+        "flight mode, arming and landing state as the vehicle reports them",
+        (
+            Field("mode", "string", 0, "", "name of the flight mode"),
+            Field("armed", "bool", 0, "", "whether the motors are armed"),
+            Field("landed", "bool", 0, "", "whether the vehicle says that it is on the ground"),
+        ),
+    ),
+    Topic("/vehicle/statustext", Kind.LOG, "foxglove.Log", 0.0, "STATUSTEXT", "what the vehicle says", _LOG_FIELDS),
+)
+
+_STACK_TOPICS = (
+    Topic(
+        "/truth",
+        Kind.TABLE,
+        "flightstack.Truth",
+        250.0,
+        "simulator",
+        "the TRUTH, from the simulator; no controller ever sees it",
+        _TRUTH_FIELDS,
+    ),
+    Topic(
+        "/setpoint",
+        Kind.TABLE,
+        "flightstack.Setpoint",
+        250.0,
+        "companion",
+        "the scenario's reference at this tick",
+        _REFERENCE_FIELDS,
+    ),
+    Topic(
+        "/command",
+        Kind.TABLE,
+        "flightstack.Command",
+        250.0,
+        "companion",
+        "what was sent to the vehicle",
+        _COMMAND_FIELDS,
+    ),
+    Topic(
+        "/tick",
+        Kind.TABLE,
+        "flightstack.Tick",
+        250.0,
+        "companion",
+        "why the command is what it is: the stack's record of this tick",
+        _TICK_FIELDS,
+    ),
+    Topic(
+        "/events",
+        Kind.LOG,
+        "foxglove.Log",
+        0.0,
+        "companion",
+        "state and mode changes, phases of the flight, timed effects",
+        _LOG_FIELDS,
+    ),
+    Topic(
+        "/timing",
+        Kind.TABLE,
+        "flightstack.Timing",
+        250.0,
+        "companion",
+        "how punctual the loop was; real time only",
+        (
+            _f32("lateness_us", 0, "us", "start of the tick after its deadline"),
+            _f32("tick_us", 0, "us", "time that the tick took"),
+            Field("missed", "int32", 0, "1", "deadlines missed so far"),
+        ),
+    ),
+)
+
+_VIEW_TOPICS = (
+    Topic("/tf", Kind.VIEW, "foxglove.FrameTransforms", 50.0, "companion", "world (ENU) to body (FLU), as estimated"),
+    Topic(
+        "/truth/tf", Kind.VIEW, "foxglove.FrameTransforms", 50.0, "simulator", "world (ENU) to body_true (FLU), TRUTH"
+    ),
+    Topic("/pose", Kind.VIEW, "foxglove.PoseInFrame", 50.0, "companion", "estimated pose"),
+    Topic("/truth/pose", Kind.VIEW, "foxglove.PoseInFrame", 50.0, "simulator", "true pose"),
+    Topic("/path", Kind.VIEW, "foxglove.PosesInFrame", 1.0, "companion", "path flown so far, as estimated"),
+    Topic("/truth/path", Kind.VIEW, "foxglove.PosesInFrame", 1.0, "simulator", "path flown so far, TRUTH"),
+    Topic("/reference/path", Kind.VIEW, "foxglove.PosesInFrame", 0.0, "companion", "the whole reference path"),
+    Topic("/scene", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "vehicle, ground, safe region, reference"),
+    Topic("/scene/path", Kind.VIEW, "foxglove.SceneUpdate", 1.0, "companion", "the flown path as a line"),
+    Topic("/vehicle/location", Kind.VIEW, "foxglove.LocationFix", 5.0, "GLOBAL_POSITION_INT", "place on the map"),
+)
+
+TOPICS: dict[str, Topic] = {
+    topic.name: topic
+    for topic in (
+        Topic("/mavlink/rx", Kind.RAW, "mavlink.Datagram", 0.0, "socket", "datagrams that the companion received"),
+        Topic("/mavlink/tx", Kind.RAW, "mavlink.Datagram", 0.0, "socket", "datagrams that the companion sent"),
+        *_VEHICLE_TOPICS,
+        *_STACK_TOPICS,
+        *_VIEW_TOPICS,
+    )
+}

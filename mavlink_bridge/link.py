@@ -1,0 +1,255 @@
+"""One MAVLink link, sans-IO: bytes in, events out; messages in, bytes out.  No sockets, no clock.
+
+    link.receive_datagram(data, now_us)         whatever came in; never raises, drops and counts what it can't use
+    while (received := link.next_event()): ...  what it meant
+    link.send(message)                          queue a message
+    for data in link.datagrams_to_send(): ...   what must go out
+
+What is dropped is counted by reason in `link.stats`; losses are seen in the gaps of each sender's sequence numbers.
+Commands, modes and time-outs are the business of those who use the link.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Protocol
+
+from fastcrc.crc16 import mcrf4xx
+
+from mavlink_bridge.framing import (
+    CRC_STEP,
+    HEADER,
+    HEADER_SIZE,
+    MAGIC_V2,
+    SIGNED,
+    DatagramFraming,
+    Fault,
+    Frame,
+    Framing,
+    build_frame,
+    frame_at,
+    next_magic,
+)
+from mavlink_bridge.layout import CRC_EXTRAS
+from mavlink_bridge.messages import BY_EVENT, BY_ID, MESSAGES
+
+MAX_DATAGRAM = 1400
+"""Bytes: below every usual MTU."""
+_REORDER_WINDOW = 16
+_SHORTEST = HEADER_SIZE + 2
+_EXTRAS = CRC_EXTRAS | {row.id: row.crc_extra for row in MESSAGES}
+
+
+class Received(NamedTuple):
+    """A message and who sent it."""
+
+    system: int
+    component: int
+    seq: int
+    t_us: int
+    """The `now_us` it was received with."""
+    message: Any
+    """One of the event classes of `mavlink_bridge.messages`."""
+
+
+class Signing(Protocol):
+    """MAVLink 2 signing, as the link needs it."""
+
+    def accepts(self, frame: bytes, signed: bool, now_us: int) -> bool:
+        """Whether a received frame (whole, signature included) may be used."""
+
+    def signature(self, frame: bytes) -> bytes:
+        """The 13 bytes to append to an outgoing frame whose signed flag is set."""
+
+
+@dataclass(slots=True)
+class Stats:
+    """What a link has seen, counted."""
+
+    received: int = 0
+    """Messages handed out."""
+    sent: int = 0
+    garbage: int = 0
+    """Runs of bytes between frames that begin with no magic byte."""
+    bad_length: int = 0
+    """Frames cut short."""
+    bad_flags: int = 0
+    """Frames with incompatible flags that no one knows."""
+    bad_crc: int = 0
+    skipped_bytes: int = 0
+    """All bytes that belonged to no frame."""
+    bad_signature: int = 0
+    unknown_id: int = 0
+    not_finite: int = 0
+    """NaN or infinity where the message's row forbids it."""
+    lost: int = 0
+    """Missing sequence numbers."""
+    duplicate: int = 0
+    """The sender's last sequence number again (delivered all the same: some senders never count)."""
+    reordered: int = 0
+    """Late ones, no longer counted as lost."""
+    signed: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """Frames and runs of bytes that gave no message."""
+        return (
+            self.garbage + self.bad_length + self.bad_flags + self.bad_crc
+            + self.bad_signature + self.unknown_id + self.not_finite
+        )  # fmt: skip
+
+    def as_dict(self) -> dict[str, int]:
+        """Counter by name, for logs and JSON."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+class Link:
+    """One link of ours: `system` and `component` are what we send as."""
+
+    def __init__(
+        self, system: int, component: int, *, framing: Framing | None = None, signing: Signing | None = None
+    ) -> None:
+        if not (1 <= system <= 255 and 1 <= component <= 255):
+            raise ValueError(f"system {system} and component {component} must lie in 1..255")
+        self.system = system
+        self.component = component
+        self.stats = Stats()
+        self._framing = framing or DatagramFraming()
+        self._signing = signing
+        self._flags = SIGNED if signing else 0
+        self._events: deque[Received] = deque()
+        self._outgoing: list[bytes] = []
+        self._next_sequence: dict[int, int] = {}
+        self._expected: dict[int, int] = {}
+        self._peer = 0
+        self._lean = signing is None and isinstance(self._framing, DatagramFraming)
+
+    def expect_peer(self, system: int) -> None:
+        """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""
+        self._peer = system
+
+    def receive_datagram(self, data: bytes, now_us: int) -> None:
+        """Take what arrived at `now_us`: one datagram, or any piece of a stream."""
+        if self._lean and len(data) >= _SHORTEST:  # nearly always: exactly one unsigned frame
+            magic, size, sequence, system, number = HEADER.unpack_from(data)
+            if magic == MAGIC_V2 and size == len(data) - _SHORTEST:  # the flags, its upper byte, are 0
+                crc = mcrf4xx(data[1:-2])
+                extra = _EXTRAS.get(number >> 8, -1)
+                if extra >= 0 and CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 == data[-2] | data[-1] << 8:
+                    self._take(data, HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
+                    return
+        self._search(self._framing.arrive(data), now_us)
+
+    def next_event(self) -> Received | None:
+        """The oldest message not yet handed out, None where there is none."""
+        return self._events.popleft() if self._events else None
+
+    def send(self, message: Any, *, component: int | None = None) -> None:
+        """Queue a message, as this link's component or as another one of the same system."""
+        row = BY_EVENT[type(message)]
+        source = component or self.component
+        sequence = self._next_sequence.get(source, 0)
+        self._next_sequence[source] = (sequence + 1) & 0xFF
+        frame = build_frame(row.encode(message), row.id, row.crc_extra, sequence, self.system, source, self._flags)
+        if self._signing is not None:
+            frame += self._signing.signature(frame)
+        self._outgoing.append(frame)
+        self.stats.sent += 1
+
+    def datagrams_to_send(self, max_bytes: int = 0) -> list[bytes]:
+        """What to send now, in order: a datagram per message, or packed into datagrams of at most `max_bytes`."""
+        if not self._outgoing:
+            return []
+        outgoing, self._outgoing = self._outgoing, []
+        return _packed(outgoing, min(max_bytes, MAX_DATAGRAM)) if max_bytes else outgoing
+
+    def _search(self, data: bytes, now_us: int) -> None:
+        """Take every frame in `data`, whatever lies between them."""
+        at, size = 0, len(data)
+        in_frames = True  # one run of unusable bytes is counted once, by its first fault
+        while at < size:
+            frame = frame_at(data, at, _EXTRAS)
+            if isinstance(frame, Frame):
+                if self._trusted(data, at, frame, now_us):
+                    self._take(data, *frame[1:-1], now_us)
+                at = frame.end
+                in_frames = True
+                continue
+            if frame.needs and self._framing.keep(data, at):
+                return
+            if in_frames:
+                self._count(frame)
+                in_frames = False
+            after = next_magic(data, at + 1)
+            self.stats.skipped_bytes += after - at
+            at = after
+
+    def _trusted(self, data: bytes, at: int, frame: Frame, now_us: int) -> bool:
+        """Whether signing lets a frame pass; without a key, signatures are neither checked nor needed."""
+        self.stats.signed += frame.flags & SIGNED
+        if self._signing is None or self._signing.accepts(data[at : frame.end], bool(frame.flags & SIGNED), now_us):
+            return True
+        self.stats.bad_signature += 1
+        return False
+
+    def _take(
+        self, data: bytes, at: int, size: int, sequence: int, system: int, component: int, number: int, now_us: int
+    ) -> None:
+        """A frame whose CRC holds, its payload at `at`: account for it, decode it, hand it out."""
+        source = system << 8 | component
+        expected = self._expected
+        if expected.get(source, sequence) != sequence:
+            self._account(source, sequence)
+        else:
+            expected[source] = (sequence + 1) & 0xFF
+        row = BY_ID.get(number)
+        if row is None:
+            self.stats.unknown_id += 1
+            return
+        if size >= row.size:
+            message = row.decode(data, at)
+        else:  # MAVLink 2 cuts trailing zeros
+            message = row.decode(data[at : at + size].ljust(row.size, b"\0"), 0)
+        if message is None:
+            self.stats.not_finite += 1
+            return
+        self.stats.received += 1
+        self._events.append(_new_received(Received, (system, component, sequence, now_us, message)))
+
+    def _account(self, source: int, sequence: int) -> None:
+        """A sequence number that isn't the expected one: after a gap, repeated, or late."""
+        ahead = (sequence - self._expected[source]) & 0xFF
+        late = ahead > 0xFF - _REORDER_WINDOW
+        if not late:
+            self._expected[source] = (sequence + 1) & 0xFF
+        if self._peer not in (0, source >> 8):
+            return
+        if ahead == 0xFF:
+            self.stats.duplicate += 1
+        elif late:
+            self.stats.reordered += 1
+            self.stats.lost = max(0, self.stats.lost - 1)
+        else:
+            self.stats.lost += ahead
+
+    def _count(self, fault: Fault) -> None:
+        """Count the first fault of a run of unusable bytes."""
+        setattr(self.stats, fault.reason, getattr(self.stats, fault.reason) + 1)
+        if fault.source and self._expected.get(fault.source) == fault.sequence:
+            self._expected[fault.source] = (fault.sequence + 1) & 0xFF  # most likely a good one, unknown here: no loss
+
+
+def _packed(frames: list[bytes], max_bytes: int) -> list[bytes]:
+    """The frames in order, joined as long as they fit."""
+    datagrams, size = [frames[:1]], len(frames[0])
+    for frame in frames[1:]:
+        size += len(frame)
+        if size > max_bytes:
+            datagrams.append([])
+            size = len(frame)
+        datagrams[-1].append(frame)
+    return [b"".join(datagram) for datagram in datagrams]
+
+
+_new_received = tuple.__new__

@@ -1,0 +1,61 @@
+"""Pacing a real-time loop: absolute deadlines, counted misses, and a process that is left alone meanwhile."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mavlink_bridge.transport.clock import monotonic_us, sleep_until_us
+
+_SWITCH_INTERVAL_S = 20e-6
+
+
+class Pace:
+    """Deadlines at a fixed period from the first `wait` on; a late loop skips deadlines, it never queues them."""
+
+    def __init__(self, period_us: float) -> None:
+        self.period_us = period_us
+        self.missed = 0
+        """Deadlines that passed without a tick."""
+        self._deadline_us = -1.0
+        self._began_us = 0
+
+    def wait(self) -> int:
+        """Sleep to the next deadline; how late the return is, in microseconds."""
+        now = monotonic_us()
+        if self._deadline_us < 0:
+            self._deadline_us = float(now)
+        else:
+            self._deadline_us += self.period_us
+        behind = now - self._deadline_us
+        if behind > self.period_us:
+            skipped = int(behind // self.period_us)
+            self.missed += skipped
+            self._deadline_us += skipped * self.period_us
+        sleep_until_us(int(self._deadline_us))
+        self._began_us = monotonic_us()
+        return max(0, self._began_us - int(self._deadline_us))
+
+    def busy_us(self) -> int:
+        """Time since the last `wait` returned."""
+        return monotonic_us() - self._began_us
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """No garbage collection inside the loop, and other threads give the interpreter back within 20 us."""
+    interval = sys.getswitchinterval()
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
+        if enabled:
+            gc.enable()

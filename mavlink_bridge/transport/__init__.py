@@ -1,0 +1,1 @@
+"""The only sockets, ports and clock of the project."""

@@ -1,0 +1,188 @@
+"""A UDP socket for one MAVLink link: bound alone to its port, never blocking, never raising in flight.
+
+The port is never shared: SO_REUSEADDR would let a second program take half of the packets without an error.
+With `latch` the first sender becomes the peer for life, as on PX4's links.  Lost peers show as ECONNREFUSED on some
+systems; that and every other error of the network is counted, never raised: a link that is gone may come back.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import time
+from types import TracebackType
+from typing import Final, final
+
+from flightstack.types import InputError
+
+Address = tuple[str, int]
+
+_RECEIVE_BUFFER_BYTES: Final = 4 << 20
+_LARGEST: Final = 65_535
+LOOPBACK: Final = "127.0.0.1"
+
+
+@final
+class UdpSocket:
+    """See the module's text; make one with `bind`."""
+
+    def __init__(self, sock: socket.socket, peer: Address | None, *, latch: bool, drop_foreign: bool) -> None:
+        self._socket = sock
+        self._latch = latch
+        self._drop_foreign = drop_foreign
+        self._poll = select.poll()
+        self._poll.register(sock, select.POLLIN)
+        self.address: Final[Address] = sock.getsockname()[:2]
+        """Host and port this socket is bound to."""
+        self.peer = peer
+        """Where `send` sends; None: nowhere yet."""
+        self.latched = False
+        """Whether the first packet has fixed the peer."""
+        self.foreign = 0
+        """Datagrams from others than the latched peer."""
+        self.refused = 0
+        """Times the system said that nobody listens at the peer's port."""
+        self.send_errors = 0
+        """Datagrams not sent: no peer yet, no route, no room."""
+
+    @classmethod
+    def bind(
+        cls,
+        host: str,
+        port: int,
+        *,
+        peer: Address | None = None,
+        latch: bool = True,
+        drop_foreign: bool = False,
+    ) -> UdpSocket:
+        """Bind to `host` and `port` (0: any free one); InputError where that can't be.
+
+        peer: where to send before anyone was heard.  latch: the first sender becomes the peer for good; else the peer
+        stays as given.  drop_foreign: ignore (and count) datagrams from others than the latched or given peer; else
+        they come in too.
+        """
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+            sock.bind((host, port))
+            if peer is not None:
+                peer = (socket.gethostbyname(peer[0]), peer[1])
+        except (OSError, OverflowError) as error:
+            sock.close()
+            raise InputError(_why(error, host, port, peer)) from error
+        return cls(sock, peer, latch=latch, drop_foreign=drop_foreign)
+
+    @property
+    def port(self) -> int:
+        """The port this socket is bound to."""
+        return self.address[1]
+
+    def receive(self) -> bytes | None:
+        """The next datagram that has arrived, None where there is none."""
+        received = self.receive_from()
+        return received[0] if received else None
+
+    def receive_from(self) -> tuple[bytes, Address] | None:
+        """The same with its sender's address."""
+        while True:
+            try:
+                data, sender = self._socket.recvfrom(_LARGEST)
+            except BlockingIOError:
+                return None
+            except OSError as error:  # one pending error of an earlier send; the next call reads on
+                if not self._count(error):
+                    return None
+                continue
+            if sender != self.peer or not self.latched:
+                if not self._admit(sender):
+                    continue
+            return data, sender
+
+    def receive_all(self) -> list[bytes]:
+        """Everything that has arrived, in order."""
+        datagrams = []
+        while (data := self.receive()) is not None:
+            datagrams.append(data)
+        return datagrams
+
+    def receive_exactly(self, count: int, timeout_s: float) -> list[bytes]:
+        """The next `count` datagrams, waiting for them; fewer only where the time ran out.  For lockstep."""
+        datagrams: list[bytes] = []
+        deadline = -1.0
+        while len(datagrams) < count:
+            data = self.receive()
+            if data is not None:
+                datagrams.append(data)
+                continue
+            now = time.monotonic()
+            if deadline < 0.0:
+                deadline = now + timeout_s
+            if now >= deadline:
+                break
+            self.wait(deadline - now)
+        return datagrams
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until something can be received, at most `timeout_s` (rounded up to 1 ms); whether it can."""
+        return bool(self._poll.poll(max(0.0, timeout_s) * 1e3))
+
+    def send(self, data: bytes) -> bool:
+        """Send one datagram to the peer; False (and counted) where it couldn't go."""
+        if self.peer is None:
+            self.send_errors += 1
+            return False
+        try:
+            self._socket.sendto(data, self.peer)
+        except OSError as error:
+            if not self._count(error):
+                self.send_errors += 1
+            return False
+        return True
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+    def __enter__(self) -> UdpSocket:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _admit(self, sender: Address) -> bool:
+        """Latch a first sender; whether a datagram of this sender may come in."""
+        if self._latch and not self.latched:
+            self.peer, self.latched = sender, True
+            return True
+        if sender == self.peer:
+            return True
+        self.foreign += 1
+        return not self._drop_foreign
+
+    def _count(self, error: OSError) -> bool:
+        """Count a refusal; whether it was one."""
+        if error.errno == errno.ECONNREFUSED:
+            self.refused += 1
+            return True
+        return False
+
+
+def _why(error: Exception, host: str, port: int, peer: Address | None) -> str:
+    """One line for a user: why the socket couldn't be bound, and what to do."""
+    if isinstance(error, socket.gaierror):
+        name = host if peer is None else f"{host} or {peer[0]}"
+        return f"host {name} is not known: give an IPv4 address such as 127.0.0.1"
+    if isinstance(error, OverflowError):
+        return f"port {port} is out of range: choose one in 1..65535 (0: any free one)"
+    number = getattr(error, "errno", None)
+    if number == errno.EADDRINUSE:
+        return f"port {port} of {host} is in use by another program: stop it or choose another port"
+    if number == errno.EACCES:
+        return f"port {port} of {host} may not be used without privileges: choose one above 1023"
+    if number == errno.EADDRNOTAVAIL:
+        return f"address {host} is not one of this machine: choose 127.0.0.1, or 0.0.0.0 for all of its addresses"
+    return f"port {port} of {host} can't be bound ({error}): choose another"

@@ -1,0 +1,135 @@
+"""What the companion knows of the vehicle, gathered from its messages; nothing here is ever assumed or commanded."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from flightstack.predictor import Streams
+from mavlink_bridge import messages as m
+from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
+from mavlink_bridge.vehicle_clock import VehicleClock
+
+_TEXT_MEMORY = 50
+
+
+class VehicleView:
+    """The latest of every message that matters, with its local time of receipt (`*_at_us`, -1 before the first)."""
+
+    def __init__(self) -> None:
+        self.clock = VehicleClock()
+        self.heartbeat: m.Heartbeat | None = None
+        self.heartbeat_at_us = -1
+        self.custom_mode = 0
+        self.intended_mode = 0
+        self.mode_at_us = -1
+        self.landed_state = 0
+        self.estimator_flags = 0
+        self.version: m.AutopilotVersion | None = None
+        self.streams = Streams()
+        self.battery_v = float("nan")
+        self.can_arm = False
+        self.texts: deque[tuple[int, int, str]] = deque(maxlen=_TEXT_MEMORY)
+        """(local time of receipt, severity, text), whole messages only."""
+        self._partial_text = ""
+
+    @property
+    def armed(self) -> bool:
+        """Armed according to the last heartbeat (1 Hz)."""
+        return self.heartbeat is not None and bool(self.heartbeat.base_mode & ARMED_BIT)
+
+    @property
+    def in_offboard(self) -> bool:
+        """OFFBOARD according to the latest of HEARTBEAT and CURRENT_MODE."""
+        return main_mode(self.custom_mode) == MAIN_OFFBOARD
+
+    @property
+    def intends_offboard(self) -> bool:
+        """OFFBOARD is what PX4 goes back to as soon as setpoints arrive."""
+        return main_mode(self.intended_mode) == MAIN_OFFBOARD
+
+    @property
+    def on_ground(self) -> bool:
+        """The land detector says so (unknown counts as not on the ground)."""
+        return self.landed_state == 1
+
+    @property
+    def mode_name(self) -> str:
+        """The mode in PX4's words."""
+        return describe_mode(self.custom_mode)
+
+    def update(self, message: object, now_us: int) -> None:
+        """Take one message of the identified vehicle, received at local time `now_us`."""
+        handler = _HANDLERS.get(type(message))
+        if handler is not None:
+            handler(self, message, now_us)
+
+    def recent_texts(self, now_us: int, window_us: int) -> list[str]:
+        """Texts of severity warning or worse received within the window, oldest first."""
+        return [text for at_us, severity, text in self.texts if now_us - at_us <= window_us and severity <= 4]
+
+    def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> None:
+        self.heartbeat, self.heartbeat_at_us = message, now_us
+        self.custom_mode, self.mode_at_us = message.custom_mode, now_us
+
+    def _on_current_mode(self, message: m.CurrentMode, now_us: int) -> None:
+        self.custom_mode, self.mode_at_us = message.custom_mode, now_us
+        self.intended_mode = message.intended_custom_mode
+
+    def _on_attitude(self, message: m.AttitudeQuaternion, now_us: int) -> None:
+        self.streams.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
+        self.clock.observe(message.t_boot_us, now_us)
+
+    def _on_position(self, message: m.LocalPositionNed, now_us: int) -> None:
+        self.streams.position(message.t_boot_us, message.pos_ned_m, message.vel_ned_mps)
+        self.clock.observe(message.t_boot_us, now_us)
+
+    def _on_imu(self, message: m.HighresImu, now_us: int) -> None:
+        self.streams.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
+        self.clock.observe(message.t_us, now_us)
+
+    def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
+        """Outputs scaled as PX4's defaults do (1000 us stopped, 2000 us full); 900 us is disarmed."""
+        if message.port == 0:
+            commands = [min(1.0, max(0.0, (pwm - 1000.0) * 1e-3)) for pwm in message.pwm_us[:4]]
+            self.streams.motors(message.t_us, (commands[0], commands[1], commands[2], commands[3]))
+
+    def _on_landed(self, message: m.ExtendedSysState, now_us: int) -> None:
+        self.landed_state = message.landed_state
+
+    def _on_estimator(self, message: m.EstimatorStatus, now_us: int) -> None:
+        self.estimator_flags = message.flags
+
+    def _on_version(self, message: m.AutopilotVersion, now_us: int) -> None:
+        self.version = message
+
+    def _on_status(self, message: m.SysStatus, now_us: int) -> None:
+        self.can_arm = bool(message.health & _PREARM_BIT)
+        self.battery_v = message.voltage_v
+
+    def _on_text(self, message: m.Statustext, now_us: int) -> None:
+        """Put the 50-character chunks of a long text together; a chunk that is full has a next one."""
+        self._partial_text += message.text
+        if message.id and len(message.text) >= 50:
+            return
+        text, self._partial_text = self._partial_text.strip(), ""
+        if text:
+            self.texts.append((now_us, message.severity, text))
+
+
+_PREARM_BIT = 1 << 28
+
+_HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
+    m.Heartbeat: VehicleView._on_heartbeat,
+    m.CurrentMode: VehicleView._on_current_mode,
+    m.AttitudeQuaternion: VehicleView._on_attitude,
+    m.LocalPositionNed: VehicleView._on_position,
+    m.HighresImu: VehicleView._on_imu,
+    m.ServoOutputRaw: VehicleView._on_motors,
+    m.ExtendedSysState: VehicleView._on_landed,
+    m.EstimatorStatus: VehicleView._on_estimator,
+    m.AutopilotVersion: VehicleView._on_version,
+    m.SysStatus: VehicleView._on_status,
+    m.Statustext: VehicleView._on_text,
+}

@@ -1,0 +1,344 @@
+"""The commander: arming, modes, failsafes and the automatic disarms, as PX4 has them.
+
+Pure: `Commander.step(inputs, now_us)` is called once a tick with everything that happened, changes `Commander.state`
+(plain data, readable by all) and returns what is to be said and answered.  No clock, no link, no vehicle.
+
+Intention and reality are two things, as in PX4: `intended` is the mode last chosen, `mode` the one that flies.  A
+failsafe changes only `mode`; when its cause goes away (a setpoint stream resumes) the intention flies again by itself.
+Times follow PX4: setpoint freshness and the arming checks are looked at ten times a second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from sim.autopilot import arming, failsafe, modes, notices
+from sim.autopilot.arming import Checks, Conditions
+from sim.autopilot.failsafe import Action
+from sim.autopilot.modes import Mode
+from sim.autopilot.notices import Notice
+from sim.autopilot.params import Params
+
+NEVER: Final = -(1 << 60)
+CYCLE_US: Final = 100_000
+"""Period of the arming checks and of the offboard signal's freshness."""
+ESTIMATE_READY_US: Final = 3_900_000
+"""PX4's estimator trusts its heading this long after boot."""
+REPORT_US: Final = 2_000_000
+"""Least time between two reports of the arming checks."""
+FORCE: Final = 21196.0
+"""COMPONENT_ARM_DISARM.param2 that disarms in the air (arming checks stay)."""
+
+ACCEPTED: Final = 0
+TEMPORARILY_REJECTED: Final = 1
+
+COMMAND_SET_MODE: Final = 176
+COMMAND_ARM: Final = 400
+COMMAND_TAKEOFF: Final = 22
+COMMAND_LAND: Final = 21
+COMMAND_RETURN: Final = 20
+
+_EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
+_EXPLAIN_US: Final = 1_000_000
+
+
+class Sender(NamedTuple):
+    """Who asked: the MAVLink link and the address on it."""
+
+    link: int
+    system: int
+    component: int
+
+
+class ModeRequest(NamedTuple):
+    """Choose a mode by PX4's main and sub numbers."""
+
+    sender: Sender
+    main: int
+    sub: int
+
+
+class ArmRequest(NamedTuple):
+    """COMPONENT_ARM_DISARM: `param` 1 arms, 0 disarms."""
+
+    sender: Sender
+    param: float
+    force: bool
+
+
+class FlyRequest(NamedTuple):
+    """NAV_TAKEOFF, NAV_LAND or NAV_RETURN_TO_LAUNCH."""
+
+    sender: Sender
+    command: int
+    altitude_m: float = math.nan
+    """Of a take-off, above the sea; NaN takes MIS_TAKEOFF_ALT."""
+
+
+Request = ModeRequest | ArmRequest | FlyRequest
+
+
+class Answer(NamedTuple):
+    """A COMMAND_ACK to send."""
+
+    sender: Sender
+    command: int
+    result: int
+
+
+class Inputs(NamedTuple):
+    """What happened since the last step."""
+
+    landed: bool
+    last_setpoint_us: int
+    """When the last accepted offboard setpoint came; NEVER before the first."""
+    takeoff_done: bool = False
+    """AUTO.TAKEOFF has reached its height."""
+    requests: tuple[Request, ...] = ()
+
+
+class Outputs(NamedTuple):
+    """What the vehicle says."""
+
+    notices: tuple[Notice, ...]
+    answers: tuple[Answer, ...]
+
+
+_SILENCE: Final = Outputs((), ())
+
+
+@dataclass(slots=True)
+class CommanderState:
+    """Everything the commander remembers."""
+
+    checks: Checks
+    mode: Mode = modes.HOLD
+    intended: Mode = modes.HOLD
+    kept: Mode = modes.HOLD
+    """The mode that comes back after a disarm."""
+    armed: bool = False
+    armed_at_us: int = NEVER
+    flown: bool = False
+    """Taken off since arming."""
+    landed: bool = True
+    landed_at_us: int = NEVER
+    takeoff_altitude_m: float = math.nan
+    """Above the sea; NaN takes MIS_TAKEOFF_ALT."""
+    action: Action = Action.NONE
+    """The failsafe that flies, NONE without."""
+    next_cycle_us: int = 0
+    reported_for: Checks | None = None
+    reported: tuple[Notice, ...] = ()
+    reported_at_us: int = NEVER
+    explained_at_us: int = NEVER
+
+    @property
+    def in_failsafe(self) -> bool:
+        """Whether a failsafe flies instead of the intention."""
+        return self.action is not Action.NONE
+
+
+class Commander:
+    """PX4's commander for one vehicle."""
+
+    __slots__ = ("_answers", "_notices", "_params", "state")
+
+    def __init__(self, params: Params) -> None:
+        self._params = params
+        self._notices: list[Notice] = []
+        self._answers: list[Answer] = []
+        nothing = Conditions(estimate_ready=False, offboard_signal=False)
+        self.state = CommanderState(arming.check(modes.HOLD, nothing))
+
+    def step(self, inputs: Inputs, now_us: int) -> Outputs:
+        """Advance to `now_us`; requests are handled in their order, before the failsafes."""
+        state = self.state
+        if inputs.landed is not state.landed:
+            self._landed_changed(inputs.landed, now_us)
+        if inputs.takeoff_done and state.intended is modes.TAKEOFF and state.armed:
+            state.intended = modes.HOLD
+            self._apply_mode(now_us)
+        for request in inputs.requests:
+            self._handle(request, inputs, now_us)
+        if now_us >= state.next_cycle_us:
+            state.next_cycle_us = now_us - now_us % CYCLE_US + CYCLE_US
+            self._check(inputs, now_us)
+            self._apply_mode(now_us)
+            self._disarm_by_timer(now_us)
+            self._report(now_us)
+        if not self._notices and not self._answers:
+            return _SILENCE
+        outputs = Outputs(tuple(self._notices), tuple(self._answers))
+        self._notices.clear()
+        self._answers.clear()
+        return outputs
+
+    # --- the ten-times-a-second part ---
+
+    def _check(self, inputs: Inputs, now_us: int) -> None:
+        """Look at the conditions and evaluate the arming checks for the intended mode."""
+        state = self.state
+        age_us = now_us - inputs.last_setpoint_us
+        ready = now_us >= ESTIMATE_READY_US
+        conditions = Conditions(ready, age_us < self._params.get("COM_OF_LOSS_T") * 1e6, armed=state.armed)
+        if ready and not state.checks.conditions.estimate_ready:
+            self._notices.append(notices.READY)
+        if conditions != state.checks.conditions or state.intended is not state.checks.mode:
+            state.checks = arming.check(state.intended, conditions)
+
+    def _apply_mode(self, now_us: int) -> None:
+        """Fly the intention, or the failsafe that takes its place."""
+        state = self.state
+        action = failsafe.evaluate(
+            state.intended,
+            armed=state.armed,
+            offboard_signal=state.checks.conditions.offboard_signal,
+            params=self._params,
+        )
+        if action is not state.action:
+            state.action = action
+            if action is not Action.NONE:
+                self._notices.append(notices.failsafe(state.intended.custom_mode, action))
+        if action is Action.DISARM:
+            self._disarm(notices.BY_FAILSAFE)
+        else:
+            state.mode = failsafe.ACTION_MODES.get(action, state.intended)
+
+    def _disarm_by_timer(self, now_us: int) -> None:
+        """Disarm after a landing, and when nobody takes off."""
+        state = self.state
+        if not state.armed or not state.landed:
+            return
+        if state.flown:
+            limit_s = self._params.get("COM_DISARM_LAND")
+            if limit_s > 0.0 and now_us - state.landed_at_us >= limit_s * 1e6:
+                self._disarm(notices.BY_LANDING)
+        else:
+            limit_s = self._params.get("COM_DISARM_PRFLT")
+            spool_s = self._params.get("COM_SPOOLUP_TIME")
+            if limit_s > 0.0 and now_us - state.armed_at_us > (limit_s + spool_s) * 1e6:
+                self._disarm(notices.BY_PREFLIGHT)
+
+    def _report(self, now_us: int) -> None:
+        """Tell about the arming checks when they changed, at most every REPORT_US."""
+        state = self.state
+        if state.checks != state.reported_for and now_us - state.reported_at_us >= REPORT_US:
+            state.reported_for = state.checks
+            burst = arming.report(state.checks)
+            if burst != state.reported:
+                state.reported, state.reported_at_us = burst, now_us
+                self._notices.extend(burst)
+
+    def report_again(self) -> None:
+        """Repeat the report of the arming checks: a ground station has come."""
+        self.state.reported_for, self.state.reported = None, ()
+
+    # --- what happens to the vehicle ---
+
+    def _landed_changed(self, landed: bool, now_us: int) -> None:
+        state = self.state
+        state.landed = landed
+        if landed:
+            state.landed_at_us = now_us
+        elif state.armed:
+            state.flown = True
+        if state.armed:
+            self._notices.append(notices.LANDING_DETECTED if landed else notices.TAKEOFF_DETECTED)
+
+    def _arm(self, reason: int, now_us: int) -> None:
+        state = self.state
+        state.armed = True
+        state.armed_at_us = now_us
+        state.flown = not state.landed
+        self._notices.append(notices.armed(reason))
+
+    def _disarm(self, reason: int) -> None:
+        state = self.state
+        state.armed = False
+        state.flown = False
+        state.action = Action.NONE
+        if not state.intended.kept_after_disarm:
+            state.intended = state.kept
+        state.mode = state.intended
+        self._notices.append(notices.disarmed(reason))
+
+    # --- requests ---
+
+    def _handle(self, request: Request, inputs: Inputs, now_us: int) -> None:
+        if isinstance(request, ModeRequest):
+            result = self._choose_by_number(request, now_us)
+            self._answers.append(Answer(request.sender, COMMAND_SET_MODE, result))
+        elif isinstance(request, ArmRequest):
+            self._arm_or_disarm(request, inputs, now_us)
+        else:
+            self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
+
+    def _choose_by_number(self, request: ModeRequest, now_us: int) -> int:
+        """DO_SET_MODE and SET_MODE."""
+        mode = modes.mode_for(request.main, request.sub)
+        if mode is None or mode is modes.TERMINATION:
+            auto = request.main == modes.MAIN_AUTO
+            self._notices.append(notices.UNSUPPORTED_AUTO_MODE if auto else notices.UNSUPPORTED_MAIN_MODE)
+            return TEMPORARILY_REJECTED
+        if self._choose(mode, now_us):
+            return ACCEPTED
+        state = self.state
+        if request.sender.component == _EXPLAINED_TO and now_us - state.explained_at_us >= _EXPLAIN_US:
+            state.explained_at_us = now_us
+            self._notices.append(notices.mode_not_available(mode.title, mode.custom_mode, mode.nav_state))
+        return TEMPORARILY_REJECTED
+
+    def _choose(self, mode: Mode, now_us: int) -> bool:
+        """Make `mode` the intention; a disarmed vehicle takes any, an armed one only what can run."""
+        state = self.state
+        if state.armed and not state.checks.runs(mode):
+            return False
+        state.intended = mode
+        if mode.kept_after_disarm and not mode.prevents_arming:
+            state.kept = mode
+        state.checks = arming.check(mode, state.checks.conditions)
+        self._apply_mode(now_us)
+        return True
+
+    def _fly(self, request: FlyRequest, now_us: int) -> int:
+        """Take off, land or return."""
+        if request.command == COMMAND_TAKEOFF:
+            chosen, notice = self._choose(modes.TAKEOFF, now_us), None
+            if chosen:
+                self.state.takeoff_altitude_m = request.altitude_m
+        elif request.command == COMMAND_LAND:
+            chosen, notice = self._choose(modes.LAND, now_us), notices.LANDING_HERE
+        else:
+            chosen, notice = self._choose(modes.RTL, now_us), notices.RETURNING
+        if chosen and notice is not None:
+            self._notices.append(notice)
+        return ACCEPTED if chosen else TEMPORARILY_REJECTED
+
+    def _arm_or_disarm(self, request: ArmRequest, inputs: Inputs, now_us: int) -> None:
+        """COMPONENT_ARM_DISARM; a value that is neither 0 nor 1 gets words but no answer, as on PX4."""
+        state = self.state
+        result = ACCEPTED
+        if request.param == 1.0:
+            if not state.armed:
+                self._check(inputs, now_us)
+                if state.checks.arms(state.intended):
+                    self._arm(notices.BY_COMMAND, now_us)
+                    self._apply_mode(now_us)
+                else:
+                    self._notices.append(notices.ARMING_DENIED)
+                    if not state.checks.conditions.estimate_ready:
+                        self._notices.append(notices.HEADING_NOT_STABLE)
+                    result = TEMPORARILY_REJECTED
+        elif request.param == 0.0:
+            if state.armed and not state.landed and not request.force:
+                self._notices.append(notices.DISARMING_DENIED)
+                result = TEMPORARILY_REJECTED
+            elif state.armed:
+                self._disarm(notices.BY_COMMAND)
+        else:
+            value = request.param if math.isfinite(request.param) else math.nan
+            self._notices.append(notices.unsupported_arm_param(value))
+            return
+        self._answers.append(Answer(request.sender, COMMAND_ARM, result))

@@ -1,0 +1,140 @@
+"""What the autopilot says of itself: one table of PX4's events with their wording.
+
+PX4 says most things twice: as an EVENT (id 410: a number with arguments, for ground stations that know the names) and
+as a STATUSTEXT.  An event's number is the component (1) in the top byte over 24 bits of FNV-1a of its name, a property
+of MAVLink's events interface.  Levels (internal << 4 | external): 2 critical, 3 error, 4 warning, 6 info, 8 protocol.
+Texts end in a tab where PX4's do: clients that read EVENTs drop those lines.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Final, NamedTuple
+
+CRITICAL: Final = 2
+INFO: Final = 6
+
+
+class Notice(NamedTuple):
+    """One thing said: an EVENT, a STATUSTEXT, or both."""
+
+    event_id: int
+    """0: no EVENT."""
+    log_levels: int
+    arguments: bytes
+    severity: int
+    """MAV_SEVERITY of the text."""
+    text: str
+    """Empty: no STATUSTEXT."""
+
+
+def event_id(name: str, component: int = 1) -> int:
+    """The number of a named event."""
+    digest = 0x811C9DC5
+    for byte in name.encode():
+        digest = (digest ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return component << 24 | digest & 0xFFFFFF
+
+
+def _said(name: str, levels: int, severity: int, text: str, arguments: bytes = b"") -> Notice:
+    return Notice(event_id(name), levels, arguments, severity, text + "\t")
+
+
+# Reasons of arming and disarming (PX4's arm_disarm_reason).
+BY_COMMAND: Final = 4
+BY_LANDING: Final = 6
+BY_PREFLIGHT: Final = 7
+BY_FAILSAFE: Final = 14
+_REASONS: Final = {
+    BY_COMMAND: "external command",
+    BY_LANDING: "landing",
+    BY_PREFLIGHT: "auto preflight disarming",
+    BY_FAILSAFE: "failsafe",
+}
+
+ARMING_DENIED: Final = _said(
+    "commander_arm_denied_resolve_failures", 0x62, CRITICAL, "Arming denied: Resolve system health failures first"
+)
+DISARMING_DENIED: Final = _said("commander_disarm_denied_not_landed", 0x62, CRITICAL, "Disarming denied: not landed")
+TAKEOFF_DETECTED: Final = _said("commander_takeoff_detected", 0x66, INFO, "Takeoff detected")
+LANDING_DETECTED: Final = _said("commander_landing_detected", 0x66, INFO, "Landing detected")
+UNSUPPORTED_MAIN_MODE: Final = _said("commander_unsupported_main_mode", 0x33, CRITICAL, "Unsupported main mode")
+UNSUPPORTED_AUTO_MODE: Final = _said("commander_unsupported_auto_mode", 0x33, CRITICAL, "Unsupported auto mode")
+LANDING_HERE: Final = _said("commander_landing_current_pos", 0x66, INFO, "Landing at current position")
+RETURNING: Final = _said("commander_rtl", 0x66, INFO, "Returning to launch")
+RTL_LANDS: Final = _said("rtl_land_at_destination", 0x66, INFO, "RTL: land at destination")
+READY: Final = Notice(0, 0, b"", INFO, "Ready for takeoff!\t")
+HEADING_NOT_STABLE: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: heading estimate not stable\t")
+
+
+def armed(reason: int) -> Notice:
+    """The motors are live."""
+    return _said("commander_armed_by", 0x66, INFO, f"Armed by {_REASONS[reason]}", struct.pack("<B", reason))
+
+
+def disarmed(reason: int) -> Notice:
+    """The motors are off."""
+    return _said("commander_disarmed_by", 0x66, INFO, f"Disarmed by {_REASONS[reason]}", struct.pack("<B", reason))
+
+
+def failsafe(intended_custom_mode: int, action: int) -> Notice:
+    """A failsafe took over; `action`: 5 hold, 6 return, 7 land, 9 disarm, 10 terminate."""
+    arguments = struct.pack("<IB", intended_custom_mode, action)
+    return _said("commander_failsafe_enter_generic", 0x42, CRITICAL, "Failsafe activated", arguments)
+
+
+def unsupported_arm_param(value: float) -> Notice:
+    """COMPONENT_ARM_DISARM with something else than 0 or 1."""
+    text = f"Unsupported ARM_DISARM param: {value:.3f}"
+    return _said("commander_unsupported_arm_disarm_param", 0x33, CRITICAL, text, struct.pack("<f", value))
+
+
+def mode_not_available(title: str, custom_mode: int, nav_state: int) -> Notice:
+    """A mode was asked for that can't run now."""
+    arguments = struct.pack("<IB", custom_mode, nav_state)
+    text = f"Switching to {title} is currently not available"
+    return _said("commander_modeswitch_not_avail", 0x62, CRITICAL, text, arguments)
+
+
+def takeoff_altitude(height_m: float) -> Notice:
+    """A take-off that names no height takes MIS_TAKEOFF_ALT."""
+    arguments = struct.pack("<f", height_m)
+    text = f"Using default takeoff altitude: {height_m:.1f} m"
+    return _said("navigator_takeoff_default_alt", 0x66, INFO, text, arguments)
+
+
+def return_start(altitude_m: int, above_m: int) -> Notice:
+    """Return has begun: at which altitude (above the sea) and how far above its destination."""
+    arguments = struct.pack("<ii", altitude_m, above_m)
+    return _said(
+        "vrtl_return_at", 0x66, INFO, f"RTL: start return at {altitude_m} m ({above_m} m above destination)", arguments
+    )
+
+
+# --- the burst that reports the arming checks ---
+
+SYSTEM: Final = 20
+REMOTE_CONTROL: Final = 7
+"""Health components (bit numbers) that the checks report under."""
+_HEALTH_PRESENT: Final = 0x38021C0A
+_ANY_MODE: Final = 0xFFFFFFFF
+
+
+def _event(name: str, levels: int, arguments: bytes) -> Notice:
+    return Notice(event_id(name), levels, arguments, 0, "")
+
+
+def check_summary(errors: int, warnings: int, can_arm: int, can_run: int) -> Notice:
+    """First of the burst: failing components and the modes (bits by nav_state) that can be armed and run."""
+    arguments = struct.pack("<BIIII", 0, errors, warnings, can_arm, can_run)
+    return _event("commander_arming_check_summary", 0x88, arguments)
+
+
+def check_failed(name: str, levels: int, modes: int, component: int) -> Notice:
+    """One failing check and the modes that it bars."""
+    return _event(name, levels, struct.pack("<IB", modes & _ANY_MODE, component))
+
+
+def health_summary(errors: int, warnings: int) -> Notice:
+    """Last of the burst."""
+    return _event("commander_health_summary", 0x88, struct.pack("<BIII", 0, _HEALTH_PRESENT, errors, warnings))

@@ -1,0 +1,201 @@
+"""Body-rate control with PX4's structure, at 1 kHz, one compiled call a sample down to the motor commands.
+
+    torque = P e + I - D w' + FF w_sp        P, I, D each times K; e = w_sp - w
+
+Gyro: second-order Butterworth low-pass (IMU_GYRO_CUTOFF).  w': its derivative through a first-order low-pass
+(IMU_DGYRO_CUTOFF).  The integrator's step shrinks with the error, i' = I e (1 - (e / 400 deg/s)^2) and nothing beyond;
+it is held while landed, is limited, doesn't grow further into an axis that the allocation couldn't serve, and starts
+at 0 on arming.  Yaw torque passes a first-order low-pass (MC_YAW_TQ_CUTOFF).
+
+PX4's gains are tuned for each airframe through K.  Here K follows from the vehicle file: angular acceleration per unit
+of torque alpha and total lag tau (rotors, gyro filter, yaw's low-pass) make a loop s (tau s + 1) + K P alpha, whose
+damping falls with K P alpha tau.  K = min(1, c / (P alpha tau)) leaves PX4's defaults on ordinary vehicles and
+holds back agile ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from sim.autopilot.allocation import allocate, effectiveness, mixer
+from sim.autopilot.params import Params
+
+AXES = ("ROLLRATE", "PITCHRATE", "YAWRATE")
+INTEGRATOR_LIMITS = ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM")
+LOOP_GAIN_MAX = (1.1, 1.1, 0.6)
+"""Most P K alpha tau of roll, pitch, yaw that the default K allows; yaw has no D to damp it."""
+_INTEGRATOR_FADE_RADPS = math.radians(400.0)
+
+# places in the loop's state
+_RATE_SP, _THRUST_SP, _ARMED, _HOLD_I = 0, 3, 4, 5
+_FILTER, _RATE, _ACC, _INTEGRAL, _TORQUE, _LOST, _STARTED = 6, 12, 15, 18, 21, 24, 27
+_STATE_SIZE = 28
+# places in its configuration
+_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22
+_CONFIG_SIZE = 23
+
+
+def butterworth2(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float, float, float]:
+    """(b0, b1, b2, a1, a2) of a second-order Butterworth low-pass (bilinear, prewarped); no filter at 0 Hz."""
+    if cutoff_hz <= 0.0 or cutoff_hz >= 0.5 * sample_hz:
+        return 1.0, 0.0, 0.0, 0.0, 0.0
+    k = math.tan(math.pi * cutoff_hz / sample_hz)
+    norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
+    b0 = k * k * norm
+    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
+
+
+def first_order_alpha(cutoff_hz: float, dt_s: float) -> float:
+    """Weight of the new sample in a first-order low-pass; 1 (no filter) at 0 Hz."""
+    return 1.0 if cutoff_hz <= 0.0 else dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+
+
+def hover_command(vehicle: Vehicle) -> float:
+    """Motor command 0..1 at which the file's rotors carry the file's mass: f u^2 + (1 - f) u = m g / (4 T_max)."""
+    rotors = vehicle.rotors
+    load = vehicle.mass_kg * 9.80665 / (len(rotors.position_m) * rotors.max_thrust_n)
+    f = rotors.thrust_model_factor
+    u = load if f < 1e-9 else (math.sqrt((1.0 - f) ** 2 + 4.0 * f * load) - (1.0 - f)) / (2.0 * f)
+    return min(u, 1.0)
+
+
+def angular_acceleration_per_torque(vehicle: Vehicle) -> F64:
+    """(3,) rad/s^2 per unit of roll, pitch, yaw torque setpoint, linearised at hover."""
+    rotors = vehicle.rotors
+    f = rotors.thrust_model_factor
+    slope_n = rotors.max_thrust_n * (2.0 * f * hover_command(vehicle) + 1.0 - f)
+    moment_nm = np.diag(effectiveness(rotors)[:3] @ mixer(rotors)[:, :3]) * slope_n
+    return moment_nm / np.asarray(vehicle.inertia_kgm2)
+
+
+def default_rate_gains(vehicle: Vehicle, params: Params) -> dict[str, float]:
+    """MC_*RATE_K for this airframe (see the module's text)."""
+    lag_s = vehicle.rotors.time_constant_s
+    gyro_hz = params.get("IMU_GYRO_CUTOFF")
+    if gyro_hz > 0.0:
+        lag_s += math.sqrt(2.0) / (2.0 * math.pi * gyro_hz)
+    alpha = angular_acceleration_per_torque(vehicle)
+    gains = {}
+    for axis, name in enumerate(AXES):
+        tau_s = lag_s
+        if axis == 2 and params.get("MC_YAW_TQ_CUTOFF") > 0.0:
+            tau_s += 1.0 / (2.0 * math.pi * params.get("MC_YAW_TQ_CUTOFF"))
+        loop = params.get(f"MC_{name}_P") * float(alpha[axis]) * tau_s
+        gains[f"MC_{name}_K"] = max(0.01, min(1.0, LOOP_GAIN_MAX[axis] / loop)) if loop > 0.0 else 1.0
+    return gains
+
+
+class RateControl:
+    """Rate loop and allocation of one vehicle.
+
+    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro, `rate_setpoint_frd_radps` (3,),
+    `torque` (3,) normalised, `integral` (3,), `motor_command` (4,) 0..1.
+    """
+
+    __slots__ = (
+        "_config",
+        "_dt_s",
+        "_state",
+        "integral",
+        "mix",
+        "motor_command",
+        "rate_frd_radps",
+        "rate_setpoint_frd_radps",
+        "torque",
+    )
+
+    def __init__(self, vehicle: Vehicle, params: Params, dt_s: float = 0.001) -> None:
+        self._dt_s = dt_s
+        self._state = np.zeros(_STATE_SIZE)
+        self._config = np.zeros(_CONFIG_SIZE)
+        self.mix = mixer(vehicle.rotors)
+        self.motor_command = np.zeros(self.mix.shape[0])
+        self.rate_setpoint_frd_radps = self._state[_RATE_SP : _RATE_SP + 3]
+        self.rate_frd_radps = self._state[_RATE : _RATE + 3]
+        self.integral = self._state[_INTEGRAL : _INTEGRAL + 3]
+        self.torque = self._state[_TORQUE : _TORQUE + 3]
+        self.configure(params)
+
+    @property
+    def thrust_setpoint(self) -> float:
+        """Collective thrust asked for, 0..1."""
+        return float(self._state[_THRUST_SP])
+
+    def configure(self, params: Params) -> None:
+        """Take gains and cut-offs from the parameters; acts from the next sample."""
+        c = self._config
+        for axis, name in enumerate(AXES):
+            k = params.get(f"MC_{name}_K")
+            c[_P + axis] = k * params.get(f"MC_{name}_P")
+            c[_I + axis] = k * params.get(f"MC_{name}_I")
+            c[_D + axis] = k * params.get(f"MC_{name}_D")
+            c[_FF + axis] = params.get(f"MC_{name}_FF")
+            c[_LIMIT + axis] = params.get(INTEGRATOR_LIMITS[axis])
+        b0, b1, b2, a1, a2 = butterworth2(params.get("IMU_GYRO_CUTOFF"), 1.0 / self._dt_s)
+        c[_B], c[_B + 1], c[_B + 2], c[_A1], c[_A2] = b0, b1, b2, a1, a2
+        c[_ALPHA_D] = first_order_alpha(params.get("IMU_DGYRO_CUTOFF"), self._dt_s)
+        c[_ALPHA_YAW] = first_order_alpha(params.get("MC_YAW_TQ_CUTOFF"), self._dt_s)
+        c[_DT] = self._dt_s
+
+    def set_target(self, rate: tuple[float, float, float], thrust: float, *, armed: bool, hold_integral: bool) -> None:
+        """Rates (rad/s, NaN: the measured rate, so no action of P and I) and collective thrust from now on."""
+        s = self._state
+        s[0], s[1], s[2] = rate
+        s[_THRUST_SP] = thrust
+        s[_ARMED] = armed
+        s[_HOLD_I] = hold_integral
+
+    def step(self, gyro_frd_radps: F64) -> None:
+        """One gyro sample (3,) rad/s -> `motor_command`."""
+        rate_step(gyro_frd_radps, self._config, self._state, self.mix, self.motor_command)
+
+
+@njit
+def rate_step(gyro: F64, c: F64, s: F64, mix: F64, motors: F64) -> None:
+    """Filter, PID and allocation of one sample, in place."""
+    first = s[_STARTED] == 0.0
+    s[_STARTED] = 1.0
+    armed = s[_ARMED] != 0.0
+    for axis in range(3):
+        z1, z2 = _FILTER + axis, _FILTER + 3 + axis
+        x = gyro[axis]
+        if first:  # as if the first sample had lasted for ever
+            y = x
+            s[z1] = x * (1.0 - c[_B])
+            s[z2] = x * (c[_B + 2] - c[_A2])
+            s[_RATE + axis] = x
+        else:
+            y = c[_B] * x + s[z1]
+            s[z1] = c[_B + 1] * x - c[_A1] * y + s[z2]
+            s[z2] = c[_B + 2] * x - c[_A2] * y
+        raw_acc = (y - s[_RATE + axis]) / c[_DT]
+        s[_ACC + axis] += c[_ALPHA_D] * (raw_acc - s[_ACC + axis])
+        s[_RATE + axis] = y
+    if not armed:
+        for k in range(3):
+            s[_INTEGRAL + k] = 0.0
+            s[_TORQUE + k] = 0.0
+            s[_LOST + k] = 0.0
+        motors[:] = 0.0
+        return
+    for axis in range(3):
+        target = s[_RATE_SP + axis]
+        if math.isnan(target):
+            target = s[_RATE + axis]
+        error = target - s[_RATE + axis]
+        integral = s[_INTEGRAL + axis]
+        torque = c[_P + axis] * error + integral - c[_D + axis] * s[_ACC + axis] + c[_FF + axis] * target
+        if axis == 2:
+            torque = s[_TORQUE + 2] + c[_ALPHA_YAW] * (torque - s[_TORQUE + 2])
+        s[_TORQUE + axis] = torque
+        lost = s[_LOST + axis]
+        if s[_HOLD_I] == 0.0 and not (lost > 1e-9 and error > 0.0) and not (lost < -1e-9 and error < 0.0):
+            fade = error / _INTEGRATOR_FADE_RADPS
+            integral += c[_I + axis] * error * max(0.0, 1.0 - fade * fade) * c[_DT]
+            s[_INTEGRAL + axis] = min(max(integral, -c[_LIMIT + axis]), c[_LIMIT + axis])
+    allocate(mix, s[_TORQUE], s[_TORQUE + 1], s[_TORQUE + 2], s[_THRUST_SP], motors, s[_LOST : _LOST + 3])

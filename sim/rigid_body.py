@@ -1,0 +1,271 @@
+"""Six degrees of freedom: the equations that sum what the effects contribute, and their integration.
+
+    pos' = vel      m vel' = m g + R f + f_world      q' = q (x) (0, omega) / 2      I omega' = tau - omega x I omega
+
+The classic Runge-Kutta method of fourth order integrates them; motors (exactly), gusts (exactly), battery and
+friction (both once a step) stand beside it.  The order in which the effects act is in docs/physics.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from sim import ground
+from sim.battery import discharge
+from sim.effects import (
+    angular_damping,
+    battery_sag,
+    blade_flapping,
+    constant_force,
+    ground_effect,
+    induced_inflow,
+    linear_drag,
+    parasitic_drag,
+    rotor_drag,
+    rotor_gyroscopic,
+    slung_load,
+    steady_wind,
+    thrust_curve,
+    translational_lift,
+    transport_delay,
+    turbulence,
+    vortex_ring,
+)
+from sim.layout import (
+    D_ARM,
+    D_FACTOR,
+    D_GAIN,
+    D_INERTIA,
+    D_LAG_FULL,
+    D_LAG_HALF,
+    D_MASS,
+    D_TAU,
+    E_FORCE,
+    E_NORMAL,
+    E_THRUST,
+    INTEGRATED,
+    P_DT,
+    P_MAX_SPEED,
+    P_MAX_THRUST,
+    P_TORQUE_RATIO,
+    S_ANGULAR,
+    S_FORCE,
+    S_NORMAL,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_THRUST,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+    S_WIND,
+    Vec,
+)
+
+_G = STANDARD_GRAVITY_MPS2
+_STANDING = 1e-9
+"""A motor commanded to 0 stands below this; its lag would go on through ever smaller numbers."""
+Quad = tuple[float, float, float, float]
+
+
+@njit
+def _rotor_thrust(p: F64, rotor: int, curve_n: float, sag: float, hub_air: Vec, height_m: float) -> float:
+    """Thrust (N) of one rotor: static curve, translational lift, then everything that multiplies."""
+    thrust = curve_n + translational_lift.added_thrust(p, curve_n, hub_air)
+    thrust *= p[D_GAIN + rotor] * sag
+    thrust *= ground_effect.factor(p, height_m)
+    return float(thrust * vortex_ring.factor(p, thrust, hub_air[2]))
+
+
+@njit
+def _rotors(p: F64, y: F64, u: Quad, sag: float, air: Vec, down: Vec, out: F64) -> tuple[Vec, Vec]:
+    """Force (N) and torque (N m) of the four rotors, FRD; each thrust goes to `out`."""
+    wx, wy, wz = y[S_RATE], y[S_RATE + 1], y[S_RATE + 2]
+    fx = fy = fz = tx = ty = tz = spin = 0.0
+    for i in range(4):
+        ax, ay, az = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1], p[D_ARM + 3 * i + 2]
+        hub_air = (air[0] + wy * az - wz * ay, air[1] + wz * ax - wx * az, air[2] + wx * ay - wy * ax)
+        height = -(y[S_POS + 2] + down[0] * ax + down[1] * ay + down[2] * az)
+        share = thrust_curve.share(u[i], p[D_FACTOR])
+        speed = p[P_MAX_SPEED] * math.sqrt(share)
+        thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * share, sag, hub_air, height)
+        drag = rotor_drag.hub_force(p, speed, hub_air)
+        hx, hy = drag[0], drag[1]
+        hz = induced_inflow.hub_force(p, speed, hub_air) - thrust
+        flap = blade_flapping.torque(p, speed, hub_air)
+        fx += hx
+        fy += hy
+        fz += hz
+        tx += ay * hz - az * hy + flap[0]
+        ty += az * hx - ax * hz + flap[1]
+        tz += ax * hy - ay * hx + p[P_TORQUE_RATIO + i] * thrust
+        spin += rotor_gyroscopic.momentum(p, i, speed)
+        out[E_THRUST + i] = thrust
+    gyroscopic = rotor_gyroscopic.torque(spin, wx, wy)
+    return (fx, fy, fz), (tx + gyroscopic[0], ty + gyroscopic[1], tz)
+
+
+@njit
+def _to_body(q: F64, v: Vec) -> Vec:
+    """R^T v; `q` is the integrated state, its quaternion at S_Q."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * v[0] + 2.0 * (x * y + w * z) * v[1] + 2.0 * (x * z - w * y) * v[2],
+        2.0 * (x * y - w * z) * v[0] + (1.0 - 2.0 * (x * x + z * z)) * v[1] + 2.0 * (y * z + w * x) * v[2],
+        2.0 * (x * z + w * y) * v[0] + 2.0 * (y * z - w * x) * v[1] + (1.0 - 2.0 * (x * x + y * y)) * v[2],
+    )
+
+
+@njit
+def _to_world(q: F64, v: Vec) -> Vec:
+    """R v."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * v[0] + 2.0 * (x * y - w * z) * v[1] + 2.0 * (x * z + w * y) * v[2],
+        2.0 * (x * y + w * z) * v[0] + (1.0 - 2.0 * (x * x + z * z)) * v[1] + 2.0 * (y * z - w * x) * v[2],
+        2.0 * (x * z - w * y) * v[0] + 2.0 * (y * z + w * x) * v[1] + (1.0 - 2.0 * (x * x + y * y)) * v[2],
+    )
+
+
+@njit
+def _down(q: F64) -> Vec:
+    """The world's down axis in the body."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+
+
+@njit
+def evaluate(p: F64, y: F64, u: Quad, wind: Vec, sag: float, dy: F64) -> None:
+    """All forces and torques at one state: its derivative, specific force, thrusts and the ground's push into `dy`.
+
+    `y`: (INTEGRATED,) state; `u`: motors after their lag; `wind`: NED, m/s; `sag`: the battery's thrust factor;
+    `dy`: (EVALUATED,).
+    """
+    air = _to_body(y, (y[S_VEL] - wind[0], y[S_VEL + 1] - wind[1], y[S_VEL + 2] - wind[2]))
+    rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
+    down = _down(y)
+    rotor_force, rotor_torque = _rotors(p, y, u, sag, air, down, dy)
+    linear, parasitic = linear_drag.force(p, air), parasitic_drag.force(p, air)
+    damping = angular_damping.torque(p, rate)
+    fx = rotor_force[0] + linear[0] + parasitic[0]
+    fy = rotor_force[1] + linear[1] + parasitic[1]
+    fz = rotor_force[2] + linear[2] + parasitic[2]
+    tx, ty, tz = rotor_torque[0] + damping[0], rotor_torque[1] + damping[1], rotor_torque[2] + damping[2]
+    fn, fe, fd = _to_world(y, (fx, fy, fz))
+    constant = constant_force.force(p)
+    fn, fe, fd = fn + constant[0], fe + constant[1], fd + constant[2]
+    dy[E_NORMAL] = 0.0
+    if ground.near(p, y[S_POS + 2]):
+        normal, about_x, about_y, about_z = ground.push(p, y, down)
+        dy[E_NORMAL] = normal
+        fd -= normal
+        tx, ty, tz = tx + about_x, ty + about_y, tz + about_z
+    mass = p[D_MASS]
+    pull = slung_load.pull(p, y, (fn, fe, fd + mass * _G), dy)
+    an, ae, ad = (fn + pull[0]) / mass, (fe + pull[1]) / mass, (fd + pull[2]) / mass
+    dy[E_FORCE], dy[E_FORCE + 1], dy[E_FORCE + 2] = _to_body(y, (an, ae, ad))
+    dy[S_POS], dy[S_POS + 1], dy[S_POS + 2] = y[S_VEL], y[S_VEL + 1], y[S_VEL + 2]
+    dy[S_VEL], dy[S_VEL + 1], dy[S_VEL + 2] = an, ae, ad + _G
+    _turning(p, y, rate, (tx, ty, tz), dy)
+
+
+@njit
+def _turning(p: F64, y: F64, rate: Vec, torque: Vec, dy: F64) -> None:
+    """Kinematics of the quaternion and Euler's equations."""
+    wx, wy, wz = rate
+    q0, q1, q2, q3 = y[S_Q], y[S_Q + 1], y[S_Q + 2], y[S_Q + 3]
+    dy[S_Q] = 0.5 * (-q1 * wx - q2 * wy - q3 * wz)
+    dy[S_Q + 1] = 0.5 * (q0 * wx + q2 * wz - q3 * wy)
+    dy[S_Q + 2] = 0.5 * (q0 * wy + q3 * wx - q1 * wz)
+    dy[S_Q + 3] = 0.5 * (q0 * wz + q1 * wy - q2 * wx)
+    ix, iy, iz = p[D_INERTIA], p[D_INERTIA + 1], p[D_INERTIA + 2]
+    dy[S_RATE] = (torque[0] + (iy - iz) * wy * wz) / ix
+    dy[S_RATE + 1] = (torque[1] + (iz - ix) * wz * wx) / iy
+    dy[S_RATE + 2] = (torque[2] + (ix - iy) * wx * wy) / iz
+
+
+@njit
+def air_velocity(p: F64, row: F64) -> Vec:
+    """Velocity of the air (m/s, NED) at the vehicle, kept in the row's outputs."""
+    steady, gust = steady_wind.velocity(p), turbulence.gust(p, row)
+    wind = (steady[0] + gust[0], steady[1] + gust[1], steady[2] + gust[2])
+    row[S_WIND], row[S_WIND + 1], row[S_WIND + 2] = wind
+    return wind
+
+
+@njit
+def _lagged(target: Quad, now: Quad, left: float) -> Quad:
+    """Motors on their way to `target` when this share of the distance is left."""
+    return (
+        target[0] + (now[0] - target[0]) * left,
+        target[1] + (now[1] - target[1]) * left,
+        target[2] + (now[2] - target[2]) * left,
+        target[3] + (now[3] - target[3]) * left,
+    )
+
+
+@njit
+def _integrate(p: F64, row: F64, u: tuple[Quad, Quad, Quad], work: F64) -> None:
+    """One Runge-Kutta step of the row; `u`: motors at its beginning, middle and end; `work`: (3, EVALUATED).
+
+    work[2] ends as the step's mean derivative and outputs, work[1] as those at its last stage.
+    """
+    h = p[P_DT]
+    y, dy, mean = work[0], work[1], work[2]
+    wind = air_velocity(p, row)
+    sag = battery_sag.factor(p, row[S_VOLTAGE])
+    for j in range(INTEGRATED):
+        y[j] = row[j]
+    evaluate(p, y, u[0], wind, sag, dy)
+    for j in range(E_THRUST):
+        mean[j] = dy[j] / 6.0
+    for stage in range(3):
+        reach = 0.5 * h if stage < 2 else h
+        weight = 1.0 / 3.0 if stage < 2 else 1.0 / 6.0
+        for j in range(INTEGRATED):
+            y[j] = row[j] + reach * dy[j]
+        evaluate(p, y, u[1] if stage < 2 else u[2], wind, sag, dy)
+        for j in range(E_THRUST):
+            mean[j] += weight * dy[j]
+    for j in range(INTEGRATED):
+        row[j] += h * mean[j]
+
+
+@njit
+def step_row(p: F64, row: F64, command: F64, normals: F64, work: F64) -> None:
+    """One step of one vehicle, in place: `command` (4,) is held over it; `normals` (5,) drive the gusts."""
+    transport_delay.push(row, command)
+    target = (
+        transport_delay.delayed(p, row, 0),
+        transport_delay.delayed(p, row, 1),
+        transport_delay.delayed(p, row, 2),
+        transport_delay.delayed(p, row, 3),
+    )
+    start = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
+    if p[D_TAU] == 0.0:
+        start = target
+    end = _lagged(target, start, p[D_LAG_FULL])
+    turbulence.advance(p, row, normals)
+    _integrate(p, row, (start, _lagged(target, start, p[D_LAG_HALF]), end), work)
+    dy, mean = work[1], work[2]
+    for j in range(3):
+        row[S_FORCE + j] = mean[E_FORCE + j]
+        row[S_ANGULAR + j] = mean[S_RATE + j]
+    for i in range(4):
+        row[S_THRUST + i] = dy[E_THRUST + i]
+        row[S_U + i] = end[i] if target[i] != 0.0 or end[i] > _STANDING else 0.0
+    row[S_NORMAL] = mean[E_NORMAL]
+    if row[S_NORMAL] > 0.0:
+        ground.stick(p, row, _down(row))
+    _normalise(row)
+    slung_load.constrain(p, row)
+    discharge(p, row)
+
+
+@njit
+def _normalise(row: F64) -> None:
+    w, x, y, z = row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3]
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3] = w / norm, x / norm, y / norm, z / norm

@@ -1,0 +1,83 @@
+"""Many vehicles in one call fly as each would alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from fleet import QUAD, TYPICAL, quad, random_vehicle
+
+from flightstack.vehicle import with_effects
+from sim.layout import S_RING
+from sim.plant import BatchPlant, NativePlant
+
+
+def test_each_of_a_batch_of_random_vehicles_flies_bit_for_bit_as_alone() -> None:
+    rng = np.random.default_rng(9)
+    vehicles = [with_effects(random_vehicle(rng), {"turbulence": {}}) for _ in range(12)]
+    batch = BatchPlant(vehicles, seed=0)
+    singles = [NativePlant(vehicle, seed=0) for vehicle in vehicles]
+    for _ in range(300):
+        commands = rng.uniform(0.3, 1.0, (12, 4))
+        batch.step(commands)
+        for plant, command in zip(singles, commands, strict=True):
+            plant.step(command)
+    for k, plant in enumerate(singles):
+        for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_u"):
+            assert np.array_equal(getattr(batch, name)[k], getattr(plant, name)), name
+        assert batch.battery_v[k] == plant.battery_v
+        assert batch.on_ground[k] == plant.on_ground
+    assert batch.t_us == singles[0].t_us == 300_000
+
+
+def test_a_batch_of_one_meets_the_same_gusts_as_the_vehicle_alone() -> None:
+    vehicle = quad(**TYPICAL)
+    batch, plant = BatchPlant([vehicle], seed=4), NativePlant(vehicle, seed=4)
+    for _ in range(600):
+        batch.step(np.full(4, 0.8))
+        plant.step(np.full(4, 0.8))
+    assert np.array_equal(batch._state[0, : S_RING - 1], plant._state[0, : S_RING - 1])
+
+
+def test_many_steps_in_one_call_are_the_same_flight_as_step_by_step() -> None:
+    together, single = NativePlant(quad(**TYPICAL), seed=4), NativePlant(quad(**TYPICAL), seed=4)
+    command = np.array([0.8, 0.82, 0.79, 0.81])
+    for steps in (1, 255, 2, 700, 42):
+        together.run(command, steps)
+    for _ in range(1000):
+        single.step(command)
+    assert np.array_equal(together._state, single._state)
+    assert together.truth() == single.truth()
+
+
+def test_same_seed_same_flight_other_seed_other_gusts() -> None:
+    flights = []
+    for seed in (1, 1, 2):
+        plant = NativePlant(quad(**TYPICAL), seed=seed)
+        plant.run(np.full(4, 0.8), 1000)
+        flights.append(plant._state.copy())
+    assert np.array_equal(flights[0], flights[1])
+    assert not np.array_equal(flights[0], flights[2])
+
+
+def test_a_snapshot_is_plain_numbers_and_does_not_change_with_the_plant() -> None:
+    plant = NativePlant(QUAD, seed=0)
+    before = plant.truth()
+    plant.run(np.full(4, 0.9), 500)
+    after = plant.truth()
+    assert before.pos_ned_m == (0.0, 0.0, 0.0)
+    assert after.pos_ned_m == tuple(plant.pos_ned_m)
+    assert all(type(x) is float for x in (*after.pos_ned_m, *after.motor_u, after.battery_v))
+    assert type(after.on_ground) is bool
+    assert after.t_us == 500_000
+
+
+def test_commands_of_any_kind_of_numbers_fly_the_same() -> None:
+    """A list, float32 or a read-only array must neither fail nor compile anew."""
+    flights = []
+    read_only = np.full(4, 0.75)
+    read_only.setflags(write=False)
+    for command in ([0.75] * 4, np.full(4, 0.75, dtype=np.float32), read_only, np.full((4, 2), 0.75)[:, 0]):
+        plant = NativePlant(QUAD, seed=0)
+        for _ in range(50):
+            plant.step(command)  # type: ignore[arg-type]
+        flights.append(plant._state.copy())
+    assert all(np.array_equal(flight, flights[0]) for flight in flights)

@@ -1,0 +1,121 @@
+"""A stand-in for a PX4 at the other end of a link: its answers as measured on a real one, no physics at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mavlink_bridge import messages as m
+from mavlink_bridge.companion import Companion
+from mavlink_bridge.link import Link
+
+HOLD, LAND, OFFBOARD, POSITION, RTL = 0x03040000, 0x06040000, 0x00060000, 0x00030000, 0x05040000
+STEP_US = 4_000
+
+
+@dataclass
+class FakePx4:
+    """Stands on the ground; accepts what a healthy PX4 accepts; the fields make it behave otherwise."""
+
+    autopilot: int = 12
+    type: int = 2
+    system: int = 1
+    armed: bool = False
+    mode: int = HOLD
+    landed: int = 1
+    flags: int = 1023
+    answers_version: bool = True
+    arm_result: int = 0
+    mode_result: int = 0
+    texts: tuple[str, ...] = ()
+    heartbeats: bool = True
+    streams: bool = True
+    setpoints: list[m.SetAttitudeTarget] = field(default_factory=list)
+    commands: list[m.CommandLong] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.link = Link(self.system, 1)
+        self._ticks = 0
+
+    def step(self, now_us: int) -> None:
+        """Answer what came in and send what is due."""
+        while (received := self.link.next_event()) is not None:
+            self._take(received.message, received.system, received.component)
+        if self.heartbeats and self._ticks % 250 == 0:
+            self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
+        if self._ticks % 25 == 0:
+            self.link.send(m.ExtendedSysState(0, self.landed))
+            self.link.send(m.CurrentMode(0, self.mode, self.mode))
+            self.link.send(_estimator(now_us, self.flags))
+        if self.streams:
+            self.link.send(m.AttitudeQuaternion(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+            self.link.send(m.LocalPositionNed(now_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+            self.link.send(_imu(now_us))
+        self._ticks += 1
+
+    def _take(self, message: object, system: int, component: int) -> None:
+        if isinstance(message, m.SetAttitudeTarget):
+            self.setpoints.append(message)
+        elif isinstance(message, m.CommandLong):
+            self.commands.append(message)
+            self._obey(message, system, component)
+
+    def _obey(self, command: m.CommandLong, system: int, component: int) -> None:
+        def answer(result: int) -> None:
+            self.link.send(m.CommandAck(command.command, result, 0, 0, system, component))
+
+        if command.command == 176:
+            answer(0)  # the receiver's word, before the commander's
+            answer(self.mode_result)
+            if self.mode_result == 0:
+                self.mode = int(command.params[1]) << 16 | int(command.params[2] or 0) << 24
+        elif command.command == 400:
+            answer(self.arm_result)
+            for text in self.texts if self.arm_result else ():
+                self.link.send(m.Statustext(2, text))
+            self.armed = self.armed or self.arm_result == 0
+        elif command.command == 512:
+            if self.answers_version:
+                answer(0)
+                self.link.send(m.AutopilotVersion(0xE8FF, 0x01120040))
+        else:
+            answer(0)
+
+    def set_modes(self, command: int) -> list[m.CommandLong]:
+        """Commands of one number that arrived."""
+        return [given for given in self.commands if given.command == command]
+
+
+def _estimator(now_us: int, flags: int) -> m.EstimatorStatus:
+    return m.EstimatorStatus(now_us, flags, *(0.1 for _ in m.EstimatorStatus._fields[2:]))
+
+
+def _imu(now_us: int) -> m.HighresImu:
+    return m.HighresImu(now_us, (0.0, 0.0, -9.80665), (0.0, 0.0, 0.0), (0.2, 0.0, 0.4), 955.0, 0.0, 488.0, 20.0, 63)
+
+
+def exchange(
+    companion: Companion,
+    vehicle: FakePx4,
+    seconds: float,
+    *,
+    start_us: int = 0,
+    until: Callable[[], bool] | None = None,
+    each: Callable[[int], None] | None = None,
+) -> int:
+    """Let both run in lockstep, every datagram delivered at once; the time at the end."""
+    now_us = start_us
+    for _ in range(round(seconds * 1e6 / STEP_US)):
+        now_us += STEP_US
+        if each is not None:
+            each(now_us)
+        vehicle.step(now_us)
+        for data in vehicle.link.datagrams_to_send():
+            companion.receive_datagram(data, now_us)
+        companion.step(now_us)
+        for data in companion.link.datagrams_to_send():
+            vehicle.link.receive_datagram(data, now_us)
+        if companion.done or (until is not None and until()):
+            vehicle.step(now_us)  # what was said last is heard
+            break
+    return now_us

@@ -1,0 +1,434 @@
+"""Arming, modes, failsafes and timers of the simulated autopilot against what a real PX4 was seen to do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import pytest
+
+from sim.autopilot import modes, notices
+from sim.autopilot.commander import (
+    ACCEPTED,
+    COMMAND_ARM,
+    COMMAND_LAND,
+    COMMAND_RETURN,
+    COMMAND_SET_MODE,
+    COMMAND_TAKEOFF,
+    NEVER,
+    TEMPORARILY_REJECTED,
+    Answer,
+    ArmRequest,
+    Commander,
+    FlyRequest,
+    Inputs,
+    ModeRequest,
+    Request,
+    Sender,
+)
+from sim.autopilot.failsafe import Action
+from sim.autopilot.params import ParamResult, Params
+
+ME = Sender(0, 245, 190)
+TICK_US = 4_000
+HOLD = ModeRequest(ME, 4, 3)
+OFFBOARD = ModeRequest(ME, 6, 0)
+ARM = ArmRequest(ME, 1.0, False)
+DISARM = ArmRequest(ME, 0.0, False)
+
+
+@dataclass
+class Flight:
+    """A commander with its clock and what the vehicle around it reports."""
+
+    params: Params = field(default_factory=Params)
+    now_us: int = 0
+    landed: bool = True
+    streaming: bool = False
+    last_setpoint_us: int = NEVER
+    takeoff_done: bool = False
+    notices: list[notices.Notice] = field(default_factory=list)
+    answers: list[Answer] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.commander = Commander(self.params)
+        self.state = self.commander.state
+
+    def tick(self, *requests: Request) -> None:
+        self.now_us += TICK_US
+        if self.streaming:
+            self.last_setpoint_us = self.now_us
+        inputs = Inputs(self.landed, self.last_setpoint_us, self.takeoff_done, requests)
+        outputs = self.commander.step(inputs, self.now_us)
+        self.notices.extend(outputs.notices)
+        self.answers.extend(outputs.answers)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 1e6) // TICK_US):
+            self.tick()
+
+    def ask(self, request: Request) -> int | None:
+        """The result of the request's answer, None without one."""
+        count = len(self.answers)
+        self.tick(request)
+        new = self.answers[count:]
+        assert all(answer.sender == request.sender for answer in new)
+        return new[0].result if new else None
+
+    def texts(self) -> list[str]:
+        return [notice.text.rstrip("\t") for notice in self.notices if notice.text]
+
+    def set(self, name: str, value: float) -> None:
+        assert self.params.set(name, value) is ParamResult.OK
+
+
+@pytest.fixture
+def flight() -> Flight:
+    """Booted and ready, disarmed in Hold."""
+    flight = Flight()
+    flight.run(5.0)
+    return flight
+
+
+@pytest.fixture
+def offboard(flight: Flight) -> Flight:
+    """In the air in OFFBOARD with a setpoint stream."""
+    flight.streaming = True
+    flight.run(0.5)
+    assert flight.ask(OFFBOARD) == ACCEPTED
+    assert flight.ask(ARM) == ACCEPTED
+    flight.run(0.5)
+    flight.landed = False
+    flight.run(1.0)
+    assert flight.state.mode is modes.OFFBOARD
+    flight.notices.clear()
+    return flight
+
+
+def test_it_boots_disarmed_in_hold() -> None:
+    flight = Flight()
+    flight.tick()
+    assert flight.state.mode is modes.HOLD
+    assert not flight.state.armed
+
+
+def test_arming_is_refused_until_the_estimate_is_ready_3_9_seconds_after_boot() -> None:
+    flight = Flight()
+    flight.run(3.8)
+    assert flight.ask(ARM) == TEMPORARILY_REJECTED
+    assert "Arming denied: Resolve system health failures first" in flight.texts()
+    assert "Preflight Fail: heading estimate not stable" in flight.texts()
+    flight.run(0.2)
+    assert "Ready for takeoff!" in flight.texts()
+    assert flight.ask(ARM) == ACCEPTED
+
+
+def test_arming_and_disarming_twice_are_both_accepted(flight: Flight) -> None:
+    assert [flight.ask(request) for request in (DISARM, ARM, ARM, DISARM, DISARM)] == [ACCEPTED] * 5
+    assert flight.texts().count("Armed by external command") == 1
+    assert flight.texts().count("Disarmed by external command") == 1
+
+
+@pytest.mark.parametrize("value", [2.0, -1.0, 0.5, math.nan, math.inf, 1e38])
+def test_an_arm_value_that_is_neither_0_nor_1_gets_words_but_no_answer(flight: Flight, value: float) -> None:
+    assert flight.ask(ArmRequest(ME, value, False)) is None
+    assert flight.texts()[-1].startswith("Unsupported ARM_DISARM param: ")
+    assert not flight.state.armed
+
+
+def test_the_words_for_an_unsupported_arm_value_are_px4s(flight: Flight) -> None:
+    flight.ask(ArmRequest(ME, 2.0, False))
+    assert flight.texts()[-1] == "Unsupported ARM_DISARM param: 2.000"
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.POSCTL, modes.ALTCTL, modes.OFFBOARD, modes.LAND, modes.RTL])
+@pytest.mark.parametrize("force", [False, True])
+def test_a_mode_without_its_needs_is_chosen_but_does_not_arm_even_by_force(
+    flight: Flight, mode: modes.Mode, force: bool
+) -> None:
+    assert flight.ask(ModeRequest(ME, mode.main, mode.sub)) == ACCEPTED
+    assert flight.state.mode is mode
+    assert flight.ask(ArmRequest(ME, 1.0, force)) == TEMPORARILY_REJECTED
+    assert not flight.state.armed
+    assert "Arming denied: Resolve system health failures first" in flight.texts()
+
+
+def test_the_first_setpoint_makes_offboard_armable(flight: Flight) -> None:
+    flight.ask(OFFBOARD)
+    assert flight.ask(ARM) == TEMPORARILY_REJECTED
+    flight.last_setpoint_us = flight.now_us
+    assert flight.ask(ARM) == ACCEPTED
+    assert flight.state.mode is modes.OFFBOARD
+
+
+def test_arm_in_hold_then_stream_then_offboard_works_too(flight: Flight) -> None:
+    assert flight.ask(ARM) == ACCEPTED
+    flight.streaming = True
+    flight.run(0.2)
+    assert flight.ask(OFFBOARD) == ACCEPTED
+    assert flight.state.mode is modes.OFFBOARD
+
+
+def test_armed_offboard_without_a_signal_is_rejected_and_the_mode_kept(flight: Flight) -> None:
+    flight.ask(ARM)
+    assert flight.ask(OFFBOARD) == TEMPORARILY_REJECTED
+    assert flight.state.mode is modes.HOLD
+    assert flight.texts()[-1] == "Switching to Offboard is currently not available"
+
+
+def test_the_words_for_a_refused_mode_go_only_to_component_190_and_once_a_second(flight: Flight) -> None:
+    flight.ask(ARM)
+    words = "Switching to Offboard is currently not available"
+    flight.ask(ModeRequest(Sender(0, 245, 191), 6, 0))
+    assert words not in flight.texts()
+    flight.ask(OFFBOARD)
+    flight.ask(OFFBOARD)
+    assert flight.texts().count(words) == 1
+    flight.run(1.0)
+    flight.ask(OFFBOARD)
+    assert flight.texts().count(words) == 2
+
+
+@pytest.mark.parametrize(("main", "sub"), [(99, 0), (0, 0), (10, 0), (-5, 3), (255, 255)])
+def test_an_unknown_main_mode_is_rejected_in_words(flight: Flight, main: int, sub: int) -> None:
+    assert flight.ask(ModeRequest(ME, main, sub)) == TEMPORARILY_REJECTED
+    assert flight.texts()[-1] == "Unsupported main mode"
+    assert flight.state.mode is modes.HOLD
+
+
+def test_disarming_in_the_air_is_refused_unless_forced(offboard: Flight) -> None:
+    assert offboard.ask(DISARM) == TEMPORARILY_REJECTED
+    assert offboard.texts() == ["Disarming denied: not landed"]
+    assert offboard.state.armed
+    assert offboard.ask(ArmRequest(ME, 0.0, True)) == ACCEPTED
+    assert not offboard.state.armed
+
+
+def test_armed_in_hold_and_never_taken_off_it_disarms_after_11_1_seconds(flight: Flight) -> None:
+    flight.ask(ARM)
+    start = flight.now_us
+    while flight.state.armed:
+        flight.tick()
+    assert 11.0 <= (flight.now_us - start) / 1e6 <= 11.15
+    assert flight.texts()[-1] == "Disarmed by auto preflight disarming"
+
+
+def test_the_preflight_timer_follows_its_parameters(flight: Flight) -> None:
+    flight.set("COM_DISARM_PRFLT", 2.0)
+    flight.set("COM_SPOOLUP_TIME", 0.5)
+    flight.ask(ARM)
+    start = flight.now_us
+    while flight.state.armed:
+        flight.tick()
+    assert 2.5 <= (flight.now_us - start) / 1e6 <= 2.65
+
+
+@pytest.mark.parametrize(("parameter", "flown"), [("COM_DISARM_PRFLT", False), ("COM_DISARM_LAND", True)])
+def test_a_negative_time_switches_an_automatic_disarm_off(flight: Flight, parameter: str, flown: bool) -> None:
+    flight.set(parameter, -1.0)
+    flight.ask(ARM)
+    flight.landed = not flown
+    flight.run(0.5)
+    flight.landed = True
+    flight.run(15.0)
+    assert flight.state.armed
+
+
+def test_it_disarms_two_seconds_after_landing_and_says_both(offboard: Flight) -> None:
+    offboard.landed = True
+    offboard.tick()
+    start = offboard.now_us
+    assert offboard.texts() == ["Landing detected"]
+    while offboard.state.armed:
+        offboard.tick()
+    assert 2.0 <= (offboard.now_us - start) / 1e6 <= 2.11
+    assert offboard.texts() == ["Landing detected", "Disarmed by landing"]
+
+
+def test_touching_down_for_a_moment_does_not_disarm(offboard: Flight) -> None:
+    offboard.landed = True
+    offboard.run(1.5)
+    offboard.landed = False
+    offboard.run(3.0)
+    assert offboard.state.armed
+
+
+def test_landing_out_of_offboard_leaves_offboard_selected_after_the_disarm(offboard: Flight) -> None:
+    assert offboard.ask(FlyRequest(ME, COMMAND_LAND)) == ACCEPTED
+    assert offboard.state.mode is modes.LAND
+    offboard.streaming = False
+    offboard.run(5.0)
+    assert offboard.state.mode is modes.LAND
+    assert offboard.state.action is Action.NONE
+    offboard.landed = True
+    offboard.run(2.2)
+    assert not offboard.state.armed
+    assert offboard.state.mode is modes.OFFBOARD
+
+
+def test_land_is_always_allowed(offboard: Flight) -> None:
+    offboard.streaming = False
+    offboard.run(2.0)
+    assert offboard.ask(ModeRequest(ME, 4, 6)) == ACCEPTED
+    assert offboard.state.mode is modes.LAND
+    assert not offboard.state.in_failsafe
+
+
+@pytest.mark.parametrize(
+    ("settings", "mode", "action"),
+    [
+        ({}, modes.RTL, 6),
+        ({"COM_OBL_RC_ACT": 5}, modes.HOLD, 5),
+        ({"COM_OBL_RC_ACT": 4}, modes.LAND, 7),
+        ({"COM_OBL_RC_ACT": 3}, modes.RTL, 6),
+        ({"NAV_RCL_ACT": 1}, modes.HOLD, 5),
+        ({"NAV_RCL_ACT": 1, "COM_RC_IN_MODE": 4}, modes.HOLD, 5),
+        ({"COM_OBL_RC_ACT": 1}, modes.RTL, 6),
+        ({"COM_OBL_RC_ACT": 2, "NAV_RCL_ACT": 3}, modes.LAND, 7),
+        ({"COM_OBL_RC_ACT": 6}, modes.TERMINATION, 10),
+    ],
+)
+def test_a_lost_stream_is_answered_after_1_0_to_1_1_seconds_as_the_parameters_say(
+    offboard: Flight, settings: dict[str, float], mode: modes.Mode, action: int
+) -> None:
+    for name, value in settings.items():
+        offboard.set(name, value)
+    offboard.streaming = False
+    last = offboard.now_us
+    while offboard.state.mode is modes.OFFBOARD:
+        offboard.tick()
+    assert 1.0 <= (offboard.now_us - last) / 1e6 <= 1.104
+    assert offboard.state.mode is mode
+    assert offboard.state.in_failsafe
+    assert offboard.state.armed
+    assert offboard.state.intended is modes.OFFBOARD
+    assert offboard.texts() == ["Failsafe activated"]
+    event = next(notice for notice in offboard.notices if notice.text)
+    assert event.arguments == (0x00060000).to_bytes(4, "little") + bytes([action])
+
+
+def test_a_lost_stream_can_disarm(offboard: Flight) -> None:
+    offboard.set("COM_OBL_RC_ACT", 7)
+    offboard.streaming = False
+    offboard.run(1.2)
+    assert not offboard.state.armed
+
+
+def test_the_loss_time_follows_its_parameter_at_once(offboard: Flight) -> None:
+    offboard.set("COM_OF_LOSS_T", 0.2)
+    offboard.set("COM_OBL_RC_ACT", 5)
+    offboard.streaming = False
+    last = offboard.now_us
+    while offboard.state.mode is modes.OFFBOARD:
+        offboard.tick()
+    assert 0.2 <= (offboard.now_us - last) / 1e6 <= 0.304
+
+
+def test_six_setpoints_a_second_hold_offboard_with_a_loss_time_of_0_2_seconds(offboard: Flight) -> None:
+    offboard.set("COM_OF_LOSS_T", 0.2)
+    offboard.streaming = False
+    for _ in range(20):
+        offboard.last_setpoint_us = offboard.now_us
+        offboard.run(1.0 / 6.0)
+        assert offboard.state.mode is modes.OFFBOARD
+
+
+def test_a_resumed_stream_returns_to_offboard_within_0_2_seconds(offboard: Flight) -> None:
+    offboard.streaming = False
+    offboard.run(3.0)
+    assert offboard.state.mode is modes.RTL
+    offboard.streaming = True
+    offboard.run(0.2)
+    assert offboard.state.mode is modes.OFFBOARD
+    assert not offboard.state.in_failsafe
+
+
+def test_a_resumed_stream_returns_to_offboard_even_after_the_failsafe_has_landed(offboard: Flight) -> None:
+    offboard.streaming = False
+    offboard.run(3.0)
+    offboard.landed = True
+    offboard.run(1.0)
+    offboard.streaming = True
+    offboard.run(0.2)
+    assert offboard.state.mode is modes.OFFBOARD
+
+
+def test_hold_chosen_before_the_loss_replaces_the_intention(offboard: Flight) -> None:
+    assert offboard.ask(HOLD) == ACCEPTED
+    offboard.streaming = False
+    offboard.run(3.0)
+    assert offboard.state.mode is modes.HOLD
+    assert not offboard.state.in_failsafe
+    offboard.streaming = True
+    offboard.run(1.0)
+    assert offboard.state.mode is modes.HOLD
+    assert offboard.ask(OFFBOARD) == ACCEPTED
+    assert offboard.state.mode is modes.OFFBOARD
+
+
+def test_offboard_asked_for_during_the_failsafe_without_a_stream_is_refused(offboard: Flight) -> None:
+    offboard.streaming = False
+    offboard.run(2.0)
+    assert offboard.ask(OFFBOARD) == TEMPORARILY_REJECTED
+    assert offboard.state.mode is modes.RTL
+
+
+def test_a_stream_lost_while_armed_on_the_ground_does_the_same(flight: Flight) -> None:
+    flight.streaming = True
+    flight.run(0.3)
+    flight.ask(OFFBOARD)
+    flight.ask(ARM)
+    flight.streaming = False
+    flight.run(1.2)
+    assert flight.state.mode is modes.RTL
+    assert flight.ask(DISARM) == ACCEPTED
+    assert flight.state.mode is modes.OFFBOARD
+
+
+def test_a_takeoff_is_accepted_disarmed_and_ends_in_hold(flight: Flight) -> None:
+    assert flight.ask(FlyRequest(ME, COMMAND_TAKEOFF)) == ACCEPTED
+    assert flight.state.mode is modes.TAKEOFF
+    assert flight.ask(ARM) == ACCEPTED
+    flight.landed = False
+    flight.run(3.0)
+    assert flight.state.mode is modes.TAKEOFF
+    flight.takeoff_done = True
+    flight.tick()
+    assert flight.state.mode is modes.HOLD
+    assert "Takeoff detected" in flight.texts()
+
+
+@pytest.mark.parametrize(
+    ("command", "mode", "text"),
+    [
+        (COMMAND_LAND, modes.LAND, "Landing at current position"),
+        (COMMAND_RETURN, modes.RTL, "Returning to launch"),
+    ],
+)
+def test_land_and_return_are_accepted_and_said(offboard: Flight, command: int, mode: modes.Mode, text: str) -> None:
+    assert offboard.ask(FlyRequest(ME, command)) == ACCEPTED
+    assert offboard.state.mode is mode
+    assert offboard.texts()[0] == text
+
+
+def test_every_request_is_answered_with_its_own_command_number(flight: Flight) -> None:
+    flight.tick(HOLD, FlyRequest(ME, COMMAND_TAKEOFF), ARM)
+    assert [answer.command for answer in flight.answers] == [COMMAND_SET_MODE, COMMAND_TAKEOFF, COMMAND_ARM]
+
+
+def test_the_arming_events_are_sent_when_something_changes_and_not_twice_within_two_seconds(flight: Flight) -> None:
+    summary = notices.event_id("commander_arming_check_summary")
+
+    def bursts() -> int:
+        return sum(notice.event_id == summary for notice in flight.notices)
+
+    before = bursts()
+    flight.run(5.0)
+    assert bursts() == before
+    flight.last_setpoint_us = flight.now_us
+    flight.run(0.2)
+    assert bursts() == before + 1
+    flight.run(1.2)  # the signal is gone again, but the report waits
+    assert bursts() == before + 1
+    flight.run(1.0)
+    assert bursts() == before + 2

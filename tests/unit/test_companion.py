@@ -1,0 +1,258 @@
+"""The companion against a stand-in PX4: who may be flown, who decides, and what the last words are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flightstack.model import Model
+from flightstack.scenario import parse_scenario
+from flightstack.stack import Stack
+from flightstack.types import TickRecord
+from flightstack.vehicle import parse_vehicle
+from mavlink_bridge import messages as m
+from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.handshake import State
+from mavlink_bridge.link import Link
+from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass
+class Notes:
+    """An observer that remembers."""
+
+    events: list[tuple[int, str, str, str]] = field(default_factory=list)
+    ticks: list[TickRecord] = field(default_factory=list)
+
+    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
+        self.events.append((t_us, name, text, severity))
+
+    def on_tick(self, record: TickRecord) -> None:
+        self.ticks.append(record)
+
+    def on_message(self, t_us: int, message: object) -> None:
+        pass
+
+
+def _companion(*, arm: bool = True, dry_run: bool = False) -> tuple[Companion, Notes]:
+    scenario = parse_scenario((ROOT / "scenarios" / "hover.toml").read_text(), "hover").with_duration(1.0)
+    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x")
+    notes = Notes()
+    config = CompanionConfig(arm=arm, dry_run=dry_run)
+    stack = Stack(Model.from_vehicle(vehicle), limits=scenario.limits)
+    return Companion(Link(240, 191), stack, scenario, notes, config), notes
+
+
+def test_a_good_flight_arms_flies_lands_and_leaves_hold_selected() -> None:
+    companion, notes = _companion()
+    vehicle = FakePx4()
+
+    def land_when_told(now_us: int) -> None:
+        if vehicle.mode == LAND:
+            vehicle.armed = False
+
+    exchange(companion, vehicle, 40.0, each=land_when_told)
+    assert companion.state is State.LANDED
+    assert companion.completed
+    assert vehicle.mode == HOLD  # OFFBOARD must not be left selected: the next stream would take off
+    assert len(vehicle.set_modes(400)) == 1  # armed once
+    assert len(notes.ticks) > 250
+    assert max(record.command.thrust_norm for record in notes.ticks) > 0.3
+
+
+def test_setpoints_flow_before_offboard_and_are_harmless_on_the_ground() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4()
+    exchange(companion, vehicle, 10.0, until=lambda: bool(vehicle.set_modes(176)))
+    assert len(vehicle.setpoints) >= 100  # 0.4 s at 250 Hz at least
+    assert all(point.thrust_norm == 0.0 and point.rate_frd_radps == (0.0, 0.0, 0.0) for point in vehicle.setpoints)
+    assert {point.type_mask for point in vehicle.setpoints} == {128}
+    assert all(np.isfinite(point.q_ned_frd).all() for point in vehicle.setpoints)
+
+
+@pytest.mark.parametrize("autopilot", [0, 3, 8])
+def test_a_peer_that_is_no_px4_is_refused_and_gets_no_command(autopilot: int) -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(autopilot=autopilot)
+    exchange(companion, vehicle, 10.0)
+    assert companion.state is State.REFUSED
+    assert "no PX4" in companion.reason
+    assert not vehicle.setpoints
+    assert not vehicle.set_modes(400)
+    assert not vehicle.set_modes(176)
+
+
+def test_a_fixed_wing_is_refused() -> None:
+    companion, _ = _companion()
+    exchange(companion, FakePx4(type=1), 10.0)
+    assert companion.state is State.REFUSED
+    assert "no quadrotor" in companion.reason
+
+
+def test_a_vehicle_that_does_not_say_who_it_is_is_never_armed() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(answers_version=False)
+    exchange(companion, vehicle, 20.0)
+    assert companion.state is State.REFUSED
+    assert "AUTOPILOT_VERSION" in companion.reason
+    assert not vehicle.set_modes(400)
+    assert not vehicle.setpoints
+
+
+def test_silence_is_told_from_a_vehicle() -> None:
+    companion, _ = _companion()
+    exchange(companion, FakePx4(heartbeats=False), 20.0)
+    assert companion.state is State.REFUSED
+    assert "no heartbeat" in companion.reason
+
+
+def test_a_refused_arming_says_why_in_the_vehicles_words() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(arm_result=1, texts=("Arming denied: Resolve system health failures first",))
+    exchange(companion, vehicle, 60.0)
+    assert companion.state is State.REFUSED
+    assert "arming refused: temporarily rejected" in companion.reason
+    assert "Resolve system health failures" in companion.reason
+    assert "\n" not in companion.reason
+
+
+def test_an_accepting_first_ack_does_not_hide_a_refused_mode() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(mode_result=1)
+    exchange(companion, vehicle, 60.0)
+    assert companion.state is State.REFUSED
+    assert "OFFBOARD mode refused: temporarily rejected" in companion.reason
+    assert not vehicle.set_modes(400)
+
+
+def test_without_leave_to_arm_it_waits_for_the_pilot() -> None:
+    companion, _ = _companion(arm=False)
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 40.0)
+    assert companion.state is State.STREAMING
+    assert not vehicle.set_modes(400)
+    assert not vehicle.set_modes(176)
+    vehicle.armed, vehicle.mode = True, OFFBOARD
+    exchange(companion, vehicle, 3.0, start_us=now, until=lambda: companion.state is State.OFFBOARD)
+    assert companion.state is State.OFFBOARD
+
+
+@pytest.mark.parametrize("mode", [POSITION, RTL, HOLD])
+def test_when_the_pilot_changes_the_mode_the_stream_stops_at_once_and_for_good(mode: int) -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    assert companion.state is State.OFFBOARD
+    vehicle.mode = mode
+    now = exchange(companion, vehicle, 1.0, start_us=now)
+    assert companion.state is State.PILOT
+    sent, commanded = len(vehicle.setpoints), len(vehicle.commands)
+    vehicle.mode = OFFBOARD  # even then: no re-entry without a new run
+    for _ in range(500):
+        now += 4_000
+        companion.step(now)
+        assert not companion.link.datagrams_to_send()
+    assert (len(vehicle.setpoints), len(vehicle.commands)) == (sent, commanded)
+    assert not companion.completed
+
+
+def test_a_vehicle_disarmed_by_someone_else_is_never_armed_again() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    vehicle.armed = False
+    exchange(companion, vehicle, 5.0, start_us=now)
+    assert companion.state is State.PILOT
+    assert len(vehicle.set_modes(400)) == 1
+
+
+@pytest.mark.parametrize("mode", [OFFBOARD, HOLD])
+def test_an_armed_vehicle_that_we_did_not_arm_is_left_alone(mode: int) -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(armed=True, mode=mode, landed=2)
+    exchange(companion, vehicle, 10.0)
+    assert companion.state is State.REFUSED
+    assert "already armed" in companion.reason
+    assert not vehicle.setpoints
+
+
+def test_a_dry_run_checks_and_sends_no_setpoint() -> None:
+    companion, _ = _companion(dry_run=True)
+    vehicle = FakePx4()
+    exchange(companion, vehicle, 20.0)
+    assert companion.state is State.STREAMING
+    assert companion.done
+    assert not vehicle.setpoints
+    assert not {176, 400} & {command.command for command in vehicle.commands}
+
+
+def test_a_bad_estimate_is_waited_for_and_then_named() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4(flags=164)
+    exchange(companion, vehicle, 60.0)
+    assert companion.state is State.REFUSED
+    assert "estimate not good" in companion.reason
+    assert not vehicle.setpoints
+
+
+def test_streams_that_stop_in_flight_end_in_a_landing_command_and_silence() -> None:
+    companion, notes = _companion()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    vehicle.streams = False
+    before = len(notes.ticks)
+    now = exchange(companion, vehicle, 3.0, start_us=now)
+    assert companion.state is State.LOST
+    assert vehicle.mode == LAND
+    blind = notes.ticks[before:]
+    assert any(record.guard for record in blind)
+    assert len(blind) <= 0.65 * 250  # half a second of fallback setpoints, then silence
+
+
+def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    companion.stop("stopped by the user")
+
+    def land_when_told(now_us: int) -> None:
+        if vehicle.mode == LAND:
+            vehicle.armed = False
+
+    exchange(companion, vehicle, 10.0, start_us=now, each=land_when_told)
+    assert companion.state is State.LANDED
+    assert not companion.completed
+    assert companion.reason == "stopped by the user"
+
+
+def test_messages_of_other_systems_do_not_count() -> None:
+    companion, _ = _companion()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    stranger = Link(7, 1)
+    stranger.send(m.Heartbeat(2, 12, 0x01, POSITION, 4))
+    stranger.send(m.CurrentMode(0, POSITION, POSITION))
+    for data in stranger.datagrams_to_send():
+        companion.receive_datagram(data, now)
+    exchange(companion, vehicle, 0.5, start_us=now)
+    assert companion.state is State.OFFBOARD
+
+
+def test_two_autopilots_on_the_link_are_refused_before_arming() -> None:
+    companion, _ = _companion()
+    vehicle, other = FakePx4(), FakePx4(system=2)
+
+    def also(now_us: int) -> None:
+        other.step(now_us)
+        for data in other.link.datagrams_to_send():
+            companion.receive_datagram(data, now_us)
+
+    exchange(companion, vehicle, 10.0, each=also)
+    assert companion.state is State.REFUSED
+    assert "two autopilots" in companion.reason
+    assert not vehicle.set_modes(400)
