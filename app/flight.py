@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from sim.server import Server
+from sim.streams import LinkKind
 
 from app import files
 from app.recorder import LogObserver
@@ -21,6 +22,7 @@ from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
+from flightstack.types import F64, TickRecord
 from flightstack.vehicle import Vehicle
 from logs.threaded import ThreadedLog
 from logs.topics import Attachment
@@ -112,14 +114,15 @@ class SimulatedFlight:
         self._socket = UdpSocket.bind("127.0.0.1", 0)
         near = UdpSocket.bind("127.0.0.1", 0, peer=self._socket.address)
         self._socket.peer = near.address
-        self.shell = Shell(Server(self.vehicle), (near, None))
-        observer = LogObserver(log, setup.scenario, setup.believed, truth=True)
+        self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (near,))
+        observer = LogObserver(log, setup.scenario, setup.believed, truth=True, on_record=self._on_record)
         stack = Stack(Model.from_vehicle(setup.believed), limits=setup.scenario.limits)
         self.companion = Companion(Link(240, 191), stack, setup.scenario, observer, CompanionConfig(arm=True))
         observer.companion = self.companion
         self.score = TrackingScore("truth")
         self._events = sorted(setup.scenario.events, key=lambda event: event.time_s)
         self._true_start = np.zeros(3)
+        self._reference_ned_m: F64 | None = None
 
     @property
     def t_us(self) -> int:
@@ -156,6 +159,9 @@ class SimulatedFlight:
             self._true_start = self.vehicle.plant.pos_ned_m.copy()
         self._observe_truth(now_us)
 
+    def _on_record(self, record: TickRecord) -> None:
+        self._reference_ned_m = record.reference.pos_ned_m
+
     def _observe_truth(self, now_us: int) -> None:
         self._log.truth(now_us, self.vehicle.plant.truth())
         companion = self.companion
@@ -167,9 +173,9 @@ class SimulatedFlight:
             event = self._events.pop(0)
             self.vehicle.plant.set_effect(event.effect, dict(event.values))
             self._log.event(now_us, "effect", f"{event.effect} is now {dict(event.values)}")
-        if 0.0 <= track_s <= self.setup.scenario.duration_s:
-            reference = self.setup.scenario.trajectory.at(track_s).pos_ned_m
-            self.score.add(track_s, self.vehicle.plant.pos_ned_m - self._true_start, reference)
+        if 0.0 <= track_s <= self.setup.scenario.duration_s and self._reference_ned_m is not None:
+            truth = self.vehicle.plant.pos_ned_m - self._true_start
+            self.score.add(track_s, truth, self._reference_ned_m - companion.start_ned_m)
 
     def close(self) -> None:
         """Close the sockets."""

@@ -32,9 +32,7 @@ _FREE_FALL_MPS2 = 0.1
 _HEADING_SINE = 0.05
 _NO_DRAG: Tuple3 = (0.0, 0.0, 0.0)
 _ZERO3 = np.zeros(3)
-_ZERO3.setflags(write=False)
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-_UPRIGHT.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

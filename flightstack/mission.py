@@ -29,6 +29,7 @@ _LEAST_CLIMB_S = 1.5
 _ACC_MAX_MPS2 = 4.0
 _SPEED_MAX_MPS = 4.0
 _BRAKE_MPS2 = 2.5
+_SHORTEST_BRAKE_S = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,9 +145,12 @@ def _braking(state: FlatOutput, ground_down_m: float) -> Polynomial:
     """From any state to rest, straight on; a descent ends above the least height, or where it is if that is lower."""
     speed = float(np.linalg.norm(state.vel_ned_mps))
     duration = max(1.0, _REST_TO_REST_PEAK * speed / _BRAKE_MPS2, float(np.linalg.norm(state.acc_ned_mps2)) / 2.0)
+    lowest = max(ground_down_m - _LEAST_HEIGHT_M, float(state.pos_ned_m[2]))
+    sinking = float(state.vel_ned_mps[2])
+    if sinking > 0.0:  # stopping takes half the duration times the speed
+        duration = min(duration, max(_SHORTEST_BRAKE_S, 2.0 * (lowest - float(state.pos_ned_m[2])) / sinking))
     goal = state.pos_ned_m + 0.5 * duration * state.vel_ned_mps
-    if state.vel_ned_mps[2] > 0.0:
-        goal[2] = min(goal[2], max(ground_down_m - _LEAST_HEIGHT_M, state.pos_ned_m[2]))
+    goal[2] = min(goal[2], lowest) if sinking > 0.0 else goal[2]
     start = Boundary.of(replace(state, yaw_rate_radps=0.0))
     points = np.stack([np.append(state.pos_ned_m, state.yaw_rad), np.append(goal, state.yaw_rad)])
     return minimum_snap(points, np.array([0.0, duration]), start=start)

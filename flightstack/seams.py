@@ -12,7 +12,6 @@ import numpy as np
 from flightstack.types import F64, Command, FlatOutput, Measurement
 
 _NOTHING = np.zeros((2, 3))
-_NOTHING.setflags(write=False)
 
 
 class Learner(Protocol):

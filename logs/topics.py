@@ -210,7 +210,7 @@ _VEHICLE_TOPICS = (
         (
             _f32("voltage_v", 0, "V", "voltage, NaN if not known"),
             _f32("current_a", 0, "A", "current, NaN if not known"),
-            _f32("remaining", 0, "1", "charge left, 0..1, NaN if not known"),
+            Field("remaining", "int32", 0, "%", "charge left, -1 if not known"),
         ),
     ),
     Topic(

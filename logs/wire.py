@@ -189,9 +189,9 @@ class _Source:
 def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encoder:
     """An encoder for records like `sample`: a plain tuple in field order, or any object with the fields' attributes.
 
-    Generated source, as `namedtuple` does it: every part is fetched in place, which is three times faster than a loop over
-    the fields.  With `blocks`, arrays of the field's own type go in as they are; the encoder raises where a later
-    record's aren't.  Without, any sequence of the right length will do.
+    Generated source, as `namedtuple` does it: every part is fetched in place, three times faster than a loop over the
+    fields.  With `blocks`, arrays of the field's own type go in as they are; the encoder raises where a later record's
+    aren't.  Without, any sequence of the right length will do.
     """
     by_place = type(sample) is tuple
     source = _Source()

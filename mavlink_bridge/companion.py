@@ -101,6 +101,16 @@ class Companion:
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
         self._mission_complete = False
+        self._t_us = 0
+        self._measured: Measurement | None = None
+        self._decide = {
+            State.DISCONNECTED: self._event_disconnected,
+            State.IDENTIFYING: self._event_identifying,
+            State.STANDBY: self._event_standby,
+            State.STREAMING: self._event_streaming,
+            State.OFFBOARD: self._event_offboard,
+            State.LANDING: self._event_landing,
+        }
 
     # ---------------------------------------------------------------- outside
 
@@ -126,9 +136,12 @@ class Companion:
         """One period: read, decide, act."""
         if self._started_us < 0:
             self._started_us = self._entered_us = now_us
+        self._t_us = self.view.clock.vehicle_us(now_us)
         self._read(now_us)
+        self._t_us = self.view.clock.vehicle_us(now_us)
+        self._measured = None
         if not self.done:
-            self.last_t_us = self.view.clock.vehicle_us(now_us)
+            self.last_t_us = self._t_us
         for _ in range(len(State)):  # a chain of transitions within one period is at most that long
             event = self._event(now_us)
             after = transition(self.state, event) if event is not None else None
@@ -159,7 +172,7 @@ class Companion:
     def _take(self, received: Received, now_us: int) -> None:
         message = received.message
         self.view.update(message, now_us)
-        t_us = self.view.clock.vehicle_us(now_us)
+        t_us = self._t_us
         self._observer.on_message(t_us, message)
         if isinstance(message, m.CommandAck):
             self._commands.acknowledge(message)
@@ -182,14 +195,7 @@ class Companion:
         if self._foreign_system and self.state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
             self.reason = f"two autopilots on one link (systems {self._system} and {self._foreign_system}): refusing"
             return Event.FOREIGN
-        decide = {
-            State.DISCONNECTED: self._event_disconnected,
-            State.IDENTIFYING: self._event_identifying,
-            State.STANDBY: self._event_standby,
-            State.STREAMING: self._event_streaming,
-            State.OFFBOARD: self._event_offboard,
-            State.LANDING: self._event_landing,
-        }.get(self.state)
+        decide = self._decide.get(self.state)
         return decide(now_us, in_state_s) if decide is not None else None
 
     def _event_disconnected(self, now_us: int, in_state_s: float) -> Event | None:
@@ -323,7 +329,7 @@ class Companion:
     def _enter(self, state: State, event: Event, now_us: int) -> None:
         """What happens once, on the way into a state."""
         self.state, self._entered_us = state, now_us
-        t_us = self.view.clock.vehicle_us(now_us)
+        t_us = self._t_us
         severity = "warning" if state in (State.PILOT, State.LOST, State.REFUSED) else "info"
         text = f"{state.value}: {event.value}" + (f" ({self.reason})" if self.reason else "")
         self._observer.on_event(t_us, "state", text, severity)
@@ -385,7 +391,7 @@ class Companion:
 
     def _stream_idle(self, now_us: int) -> None:
         """Setpoints that are safe at the moment of the switch: nothing on the ground, hold the place in the air."""
-        t_us = self.view.clock.vehicle_us(now_us)
+        t_us = self._t_us
         measurement = self._measure(now_us)
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
@@ -398,7 +404,7 @@ class Companion:
 
     def _fly(self, now_us: int) -> None:
         assert self.mission is not None
-        t_us = self.view.clock.vehicle_us(now_us)
+        t_us = self._t_us
         measurement = self._measure(now_us)
         if self._fresh(measurement):
             self._last_good_us = now_us
@@ -415,13 +421,16 @@ class Companion:
         self.ticks += 1
 
     def _measure(self, now_us: int) -> Measurement | None:
-        return predict(self.view.streams, self.view.clock.vehicle_us(now_us))
+        """The state at this step, predicted once."""
+        if self._measured is None:
+            self._measured = predict(self.view.streams, self._t_us)
+        return self._measured
 
     def _fresh(self, measurement: Measurement | None) -> bool:
         return not stale(measurement, self._stack.limits)
 
     def _mission_time_s(self, now_us: int) -> float:
-        return (self.view.clock.vehicle_us(now_us) - self.flight_start_us) / SECOND_US
+        return (self._t_us - self.flight_start_us) / SECOND_US
 
     def _set_phase(self, phase: str, t_us: int) -> None:
         if phase != self.phase:

@@ -60,6 +60,11 @@ class WireField:
         return 1 if self.is_bytes else max(1, self.length)
 
     @property
+    def size(self) -> int:
+        """Bytes."""
+        return _SIZES[self.type] * max(1, self.length)
+
+    @property
     def format(self) -> str:
         """Its part of the struct format."""
         return f"{self.length}s" if self.is_bytes else _FORMATS[self.type] * self.elements

@@ -79,15 +79,13 @@ class VehicleView:
 
     def _on_attitude(self, message: m.AttitudeQuaternion, now_us: int) -> None:
         self.streams.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
-        self.clock.observe(message.t_boot_us, now_us)
 
     def _on_position(self, message: m.LocalPositionNed, now_us: int) -> None:
         self.streams.position(message.t_boot_us, message.pos_ned_m, message.vel_ned_mps)
-        self.clock.observe(message.t_boot_us, now_us)
 
     def _on_imu(self, message: m.HighresImu, now_us: int) -> None:
         self.streams.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
-        self.clock.observe(message.t_us, now_us)
+        self.clock.observe(message.t_us, now_us)  # the one stream whose stamps have microseconds, not milliseconds
 
     def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
         """Outputs scaled as PX4's defaults do (1000 us stopped, 2000 us full); 900 us is disarmed."""

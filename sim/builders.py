@@ -89,7 +89,7 @@ def servo_output_raw(view: View) -> m.ServoOutputRaw:
     control = view.vehicle.control
     if not control.armed or not math.isfinite(control.thrust_setpoint):
         return m.ServoOutputRaw(view.t_us, 0, _DISARMED_SERVOS)
-    pwm = tuple([round(1000.0 + 1000.0 * u) for u in view.vehicle.motor_command.tolist()])
+    pwm = tuple([int(1000.5 + 1000.0 * u) for u in view.vehicle.motor_command.tolist()])
     return m.ServoOutputRaw(view.t_us, 0, pwm + _UNUSED_SERVOS)
 
 

@@ -39,7 +39,7 @@ from sim.layout import (
     S_WIND,
 )
 from sim.parameters import parameter_row
-from sim.rigid_body import air_velocity, evaluate, step_row
+from sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
 MAX_DELAY_S = 0.25
 _BLOCK = 256  # steps whose gust normals are drawn at once
@@ -133,7 +133,7 @@ def evaluate_rows(state: F64, params: F64) -> None:
         row, p = state[i], params[i]
         y[:] = row[:EVALUATED]
         u = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
-        evaluate(p, y, u, air_velocity(p, row), battery_sag.factor(p, row[S_VOLTAGE]), dy)
+        evaluate(p, y, rotor_speeds(p, u), air_velocity(p, row), battery_sag.factor(p, row[S_VOLTAGE]), dy)
         for j in range(3):
             row[S_FORCE + j] = dy[E_FORCE + j]
             row[S_ANGULAR + j] = dy[S_RATE + j]

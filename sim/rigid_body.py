@@ -80,31 +80,53 @@ def _rotor_thrust(p: F64, rotor: int, curve_n: float, sag: float, hub_air: Vec, 
 
 
 @njit
-def _rotors(p: F64, y: F64, u: Quad, sag: float, air: Vec, down: Vec, out: F64) -> tuple[Vec, Vec]:
-    """Force (N) and torque (N m) of the four rotors, FRD; each thrust goes to `out`."""
-    wx, wy, wz = y[S_RATE], y[S_RATE + 1], y[S_RATE + 2]
-    fx = fy = fz = tx = ty = tz = spin = 0.0
-    for i in range(4):
-        ax, ay, az = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1], p[D_ARM + 3 * i + 2]
-        hub_air = (air[0] + wy * az - wz * ay, air[1] + wz * ax - wx * az, air[2] + wx * ay - wy * ax)
-        height = -(y[S_POS + 2] + down[0] * ax + down[1] * ay + down[2] * az)
-        share = thrust_curve.share(u[i], p[D_FACTOR])
-        speed = p[P_MAX_SPEED] * math.sqrt(share)
-        thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * share, sag, hub_air, height)
-        drag = rotor_drag.hub_force(p, speed, hub_air)
-        hx, hy = drag[0], drag[1]
-        hz = induced_inflow.hub_force(p, speed, hub_air) - thrust
-        flap = blade_flapping.torque(p, speed, hub_air)
-        fx += hx
-        fy += hy
-        fz += hz
-        tx += ay * hz - az * hy + flap[0]
-        ty += az * hx - ax * hz + flap[1]
-        tz += ax * hy - ay * hx + p[P_TORQUE_RATIO + i] * thrust
-        spin += rotor_gyroscopic.momentum(p, i, speed)
-        out[E_THRUST + i] = thrust
-    gyroscopic = rotor_gyroscopic.torque(spin, wx, wy)
-    return (fx, fy, fz), (tx + gyroscopic[0], ty + gyroscopic[1], tz)
+def _rotor(
+    p: F64, i: int, height: float, speed: float, sag: float, air: Vec, rate: Vec, down: Vec, out: F64
+) -> tuple[Vec, Vec, float]:
+    """Force (N), torque (N m), both FRD, and angular momentum (N m s) of one rotor; its thrust goes to `out`."""
+    ax, ay, az = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1], p[D_ARM + 3 * i + 2]
+    wx, wy, wz = rate
+    hub_air = (air[0] + wy * az - wz * ay, air[1] + wz * ax - wx * az, air[2] + wx * ay - wy * ax)
+    hub_height = height - (down[0] * ax + down[1] * ay + down[2] * az)
+    thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * speed * speed, sag, hub_air, hub_height)
+    out[E_THRUST + i] = thrust
+    speed *= p[P_MAX_SPEED]
+    fx, fy, fz = rotor_drag.hub_force(p, speed, hub_air)
+    fz += induced_inflow.hub_force(p, speed, hub_air) - thrust
+    flap = blade_flapping.torque(p, speed, hub_air)
+    torque = (ay * fz - az * fy + flap[0], az * fx - ax * fz + flap[1], ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust)
+    return (fx, fy, fz), torque, rotor_gyroscopic.momentum(p, i, speed)
+
+
+@njit
+def _rotors(p: F64, y: F64, speeds: Quad, sag: float, air: Vec, down: Vec, out: F64) -> tuple[Vec, Vec]:
+    """Force (N) and torque (N m) of the four rotors, FRD; `speeds` are shares of the greatest."""
+    height = -y[S_POS + 2]
+    rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
+    f1, t1, h1 = _rotor(p, 0, height, speeds[0], sag, air, rate, down, out)
+    f2, t2, h2 = _rotor(p, 1, height, speeds[1], sag, air, rate, down, out)
+    f3, t3, h3 = _rotor(p, 2, height, speeds[2], sag, air, rate, down, out)
+    f4, t4, h4 = _rotor(p, 3, height, speeds[3], sag, air, rate, down, out)
+    turn = rotor_gyroscopic.torque(h1 + h2 + h3 + h4, rate[0], rate[1])
+    force = (f1[0] + f2[0] + f3[0] + f4[0], f1[1] + f2[1] + f3[1] + f4[1], f1[2] + f2[2] + f3[2] + f4[2])
+    torque = (
+        t1[0] + t2[0] + t3[0] + t4[0] + turn[0],
+        t1[1] + t2[1] + t3[1] + t4[1] + turn[1],
+        t1[2] + t2[2] + t3[2] + t4[2],
+    )
+    return force, torque
+
+
+@njit
+def rotor_speeds(p: F64, u: Quad) -> Quad:
+    """Speeds of the four rotors as shares of the greatest, after the static curve: their squares are the thrusts'."""
+    f = p[D_FACTOR]
+    return (
+        math.sqrt(thrust_curve.share(u[0], f)),
+        math.sqrt(thrust_curve.share(u[1], f)),
+        math.sqrt(thrust_curve.share(u[2], f)),
+        math.sqrt(thrust_curve.share(u[3], f)),
+    )
 
 
 @njit
@@ -137,16 +159,16 @@ def _down(q: F64) -> Vec:
 
 
 @njit
-def evaluate(p: F64, y: F64, u: Quad, wind: Vec, sag: float, dy: F64) -> None:
+def evaluate(p: F64, y: F64, speeds: Quad, wind: Vec, sag: float, dy: F64) -> None:
     """All forces and torques at one state: its derivative, specific force, thrusts and the ground's push into `dy`.
 
-    `y`: (INTEGRATED,) state; `u`: motors after their lag; `wind`: NED, m/s; `sag`: the battery's thrust factor;
+    `y`: (INTEGRATED,) state; `speeds`: `rotor_speeds`; `wind`: NED, m/s; `sag`: the battery's thrust factor;
     `dy`: (EVALUATED,).
     """
     air = _to_body(y, (y[S_VEL] - wind[0], y[S_VEL + 1] - wind[1], y[S_VEL + 2] - wind[2]))
     rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
     down = _down(y)
-    rotor_force, rotor_torque = _rotors(p, y, u, sag, air, down, dy)
+    rotor_force, rotor_torque = _rotors(p, y, speeds, sag, air, down, dy)
     linear, parasitic = linear_drag.force(p, air), parasitic_drag.force(p, air)
     damping = angular_damping.torque(p, rate)
     fx = rotor_force[0] + linear[0] + parasitic[0]
@@ -207,8 +229,8 @@ def _lagged(target: Quad, now: Quad, left: float) -> Quad:
 
 
 @njit
-def _integrate(p: F64, row: F64, u: tuple[Quad, Quad, Quad], work: F64) -> None:
-    """One Runge-Kutta step of the row; `u`: motors at its beginning, middle and end; `work`: (3, EVALUATED).
+def _integrate(p: F64, row: F64, start: Quad, middle: Quad, end: Quad, work: F64) -> None:
+    """One Runge-Kutta step of the row; `start`, `middle`, `end`: the rotors' speeds then; `work`: (3, EVALUATED).
 
     work[2] ends as the step's mean derivative and outputs, work[1] as those at its last stage.
     """
@@ -218,7 +240,7 @@ def _integrate(p: F64, row: F64, u: tuple[Quad, Quad, Quad], work: F64) -> None:
     sag = battery_sag.factor(p, row[S_VOLTAGE])
     for j in range(INTEGRATED):
         y[j] = row[j]
-    evaluate(p, y, u[0], wind, sag, dy)
+    evaluate(p, y, start, wind, sag, dy)
     for j in range(E_THRUST):
         mean[j] = dy[j] / 6.0
     for stage in range(3):
@@ -226,7 +248,7 @@ def _integrate(p: F64, row: F64, u: tuple[Quad, Quad, Quad], work: F64) -> None:
         weight = 1.0 / 3.0 if stage < 2 else 1.0 / 6.0
         for j in range(INTEGRATED):
             y[j] = row[j] + reach * dy[j]
-        evaluate(p, y, u[1] if stage < 2 else u[2], wind, sag, dy)
+        evaluate(p, y, middle if stage < 2 else end, wind, sag, dy)
         for j in range(E_THRUST):
             mean[j] += weight * dy[j]
     for j in range(INTEGRATED):
@@ -248,7 +270,8 @@ def step_row(p: F64, row: F64, command: F64, normals: F64, work: F64) -> None:
         start = target
     end = _lagged(target, start, p[D_LAG_FULL])
     turbulence.advance(p, row, normals)
-    _integrate(p, row, (start, _lagged(target, start, p[D_LAG_HALF]), end), work)
+    middle = _lagged(target, start, p[D_LAG_HALF])
+    _integrate(p, row, rotor_speeds(p, start), rotor_speeds(p, middle), rotor_speeds(p, end), work)
     dy, mean = work[1], work[2]
     for j in range(3):
         row[S_FORCE + j] = mean[E_FORCE + j]

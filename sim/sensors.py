@@ -104,6 +104,7 @@ class Sensors:
     def _sample_slow(self, plant: Plant) -> None:
         """The 4 ms part: biases that may change in flight, state estimate, raw fixes."""
         self.t_us = plant.t_us
+        self._pos_ned_m, self._q_ned_frd = plant.pos_ned_m, plant.q_ned_frd
         self._plant_bias[:3] = plant.gyro_bias_frd_radps
         self._plant_bias[3:] = plant.accel_bias_frd_mps2
         self.estimator.step(

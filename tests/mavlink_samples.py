@@ -1,6 +1,6 @@
 """Random values for every row of the message table, in the wire's own terms: the tests' side of the conversion.
 
-The unit factors stand here a second time, from the units that pymavlink's dialect states, not from the table under test.
+The unit factors stand here a second time, for the units that pymavlink's dialect states: the oracle of the table.
 """
 
 from __future__ import annotations

@@ -136,6 +136,7 @@ const flight = (() => {
       width: curve.wide ? 3 : 1.25,
       alpha: curve.wide ? 0.75 : 1,
       points: { show: false },
+      pxAlign: 0,
       value: (u, v) => (v == null ? "" : fixed(v, spec.decimals) + unit),
     }));
   }

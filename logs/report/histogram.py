@@ -61,7 +61,8 @@ def lateness_svg(lateness_us: F64, period_us: float | None, *, width: float = 52
     base = _TOP + plot_h
     for decade in range(round(math.log10(float(edges[-1]))) + 1):
         x = x_of(10.0**decade)
-        out.append(f'<text x="{x:.1f}" y="{base + 15:.1f}" text-anchor="middle">{_us(10.0**decade)}</text>')
+        anchor = "end" if x > width - _RIGHT - 1.0 else "middle"
+        out.append(f'<text x="{x:.1f}" y="{base + 15:.1f}" text-anchor="{anchor}">{_us(10.0**decade)}</text>')
     if period_us is not None and period_us < edges[-1]:
         x = x_of(period_us)
         out.append(f'<line class="limit" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP:.1f}" y2="{base:.1f}"/>')

@@ -148,11 +148,15 @@ def _phases(flight: FlightReport) -> str:
     )
 
 
+def _signed(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−")
+
+
 def _events(flight: FlightReport) -> str:
     if not flight.events:
         return _MISSING
     rows = "".join(
-        f'<tr class="{escape(event.severity)}" data-time="{event.t_s:.3f}"><td>{event.t_s:.2f} s</td>'
+        f'<tr class="{escape(event.severity)}" data-time="{event.t_s:.3f}"><td>{_signed(event.t_s)} s</td>'
         f"<td>{escape(event.kind)}</td><td>{escape(event.text)}</td></tr>"
         for event in flight.events[:EVENTS_SHOWN]
     )

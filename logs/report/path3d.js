@@ -129,8 +129,10 @@
     if (out[0] * (mid[0] - from[0]) + out[1] * (mid[1] - from[1]) < 0) out = [-out[0], -out[1]];
     line(edge, colour("shadow"), 1);
     const every = Math.ceil(22 / (along / (ticks(axis).length - 1)));
+    const corner = axis < 2 && Math.abs(a[1] - b[1]) > 5 ? (a[1] > b[1] ? bounds.low : bounds.high)[axis] : null;
     ticks(axis).forEach((value, i) => {
-      if (i % every) return;
+      // Both horizontal axes end in the nearest corner, where their numbers would lie on each other.
+      if (i % every || value === corner) return;
       const at = [...edge[0]];
       at[axis] = value;
       const [x, y] = project(at);

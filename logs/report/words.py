@@ -38,6 +38,8 @@ def seconds(value: float) -> str:
 
 def percent(share: float) -> str:
     """A share of 1 in per cent; small ones keep a decimal."""
+    if 0.0 < share < 0.001:
+        return "< 0.1 %"
     return f"{100.0 * share:.1f} %" if 0.0 < share < 0.1 else f"{100.0 * share:.0f} %"
 
 

@@ -22,6 +22,7 @@ _NO_THRUST: Final = 64
 _NO_ATTITUDE: Final = 128
 
 # SET_POSITION_TARGET_LOCAL_NED.type_mask: three bits each for position, velocity, acceleration, then these
+_NO_ACCELERATION: Final = 7 << 6
 _FORCE: Final = 512
 _NO_YAW: Final = 1024
 _NO_YAW_RATE_P: Final = 2048
@@ -56,13 +57,14 @@ def from_attitude_target(message: SetAttitudeTarget, last: ControlSetpoint | Non
 
     An attitude that is no rotation (q = 0 or not finite) keeps the one flown `last`.
     """
-    mask = message.type_mask
+    mask, thrust, (x, y, z) = message.type_mask, message.thrust_norm, message.rate_frd_radps
     kind = attitude_kind(mask)
     if kind is None:
         return None
-    thrust = 0.0 if mask & _NO_THRUST else message.thrust_norm
-    thrust = min(max(thrust, 0.0), 1.0) if math.isfinite(thrust) else NAN
-    x, y, z = message.rate_frd_radps
+    if mask & _NO_THRUST:
+        thrust = 0.0
+    elif not 0.0 <= thrust <= 1.0:
+        thrust = NAN if not math.isfinite(thrust) else 0.0 if thrust < 0.0 else 1.0
     yaw_rate = NAN if mask & _NO_YAW_RATE else _within(z, _MAX_RATE_RADPS)
     if kind is ControlKind.RATE:
         return ControlSetpoint(kind, (_within(x, _MAX_RATE_RADPS), _within(y, _MAX_RATE_RADPS), yaw_rate), thrust)
@@ -82,10 +84,13 @@ def _unit(q: Tuple4) -> Tuple4 | None:
 def from_position_target(message: SetPositionTargetLocalNed, yaw_rad: float) -> ControlSetpoint | None:
     """The setpoint to fly, None where the message is no signal; `yaw_rad`: the vehicle's heading, for body frames.
 
-    A force (mask bit 9) and frames other than local NED and body aren't supported; a body frame has no positions.
+    Forces in place of accelerations (mask bit 9) and frames other than local NED and body aren't supported; a body
+    frame has no positions.
     """
     mask, frame = message.type_mask, message.frame
-    if mask & _FORCE or not (frame == _LOCAL_NED or frame in _BODY_FRAMES):
+    if frame != _LOCAL_NED and frame not in _BODY_FRAMES:
+        return None
+    if mask & _FORCE and mask & _NO_ACCELERATION != _NO_ACCELERATION:
         return None
     pos = _chosen(message.pos_ned_m, mask, _MAX_POS_M)
     vel = _chosen(message.vel_ned_mps, mask >> 3, _MAX_VEL_MPS)

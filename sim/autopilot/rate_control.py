@@ -93,14 +93,16 @@ def default_rate_gains(vehicle: Vehicle, params: Params) -> dict[str, float]:
 class RateControl:
     """Rate loop and allocation of one vehicle.
 
-    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro, `rate_setpoint_frd_radps` (3,),
-    `torque` (3,) normalised, `integral` (3,), `motor_command` (4,) 0..1.
+    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro and `angular_acceleration_frd_radps2` (3,) its
+    filtered derivative, `rate_setpoint_frd_radps` (3,), `torque` (3,) normalised, `integral` (3,), `motor_command` (4,)
+    0..1.
     """
 
     __slots__ = (
         "_config",
         "_dt_s",
         "_state",
+        "angular_acceleration_frd_radps2",
         "integral",
         "mix",
         "motor_command",
@@ -117,6 +119,7 @@ class RateControl:
         self.motor_command = np.zeros(self.mix.shape[0])
         self.rate_setpoint_frd_radps = self._state[_RATE_SP : _RATE_SP + 3]
         self.rate_frd_radps = self._state[_RATE : _RATE + 3]
+        self.angular_acceleration_frd_radps2 = self._state[_ACC : _ACC + 3]
         self.integral = self._state[_INTEGRAL : _INTEGRAL + 3]
         self.torque = self._state[_TORQUE : _TORQUE + 3]
         self.configure(params)

@@ -38,7 +38,8 @@ addEventListener("load", () => {
   const later = (steps) => steps.length && setTimeout(() => { steps[0](); later(steps.slice(1)); }, 30);
   const over = charts[0].over, box = over.getBoundingClientRect();
   const mouse = (type, share) => over.dispatchEvent(new MouseEvent(type, {
-    bubbles: true, view: window, clientX: box.left + share * box.width, clientY: box.top + 20, button: 0 }));
+    bubbles: true, view: window, clientX: box.left + share * box.width, clientY: box.top + 20, movementX: 9,
+    button: 0 }));
   let still;
   later([
     () => { say("whole", spans()); still = inked(); say("ink", still); },
@@ -52,7 +53,9 @@ addEventListener("load", () => {
     () => say("zoomed", spans()),
     () => over.dispatchEvent(new MouseEvent("dblclick", { bubbles: true, view: window })),
     () => say("again", spans()),
-    () => { mouse("mousemove", 0.25); mouse("mousedown", 0.25); mouse("mousemove", 0.75); mouse("mouseup", 0.75); },
+    () => { mouse("mousemove", 0.25); mouse("mousedown", 0.25); },
+    () => mouse("mousemove", 0.75),
+    () => mouse("mouseup", 0.75),
     () => say("dragged", spans()),
     () => { still = inked(); document.querySelector('[data-view="top"]').click(); },
     () => { say("turned", inked() !== still); say("done", true); },

@@ -31,7 +31,7 @@ FLAT = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(FLAT, st.floats(0.02, 50.0), st.floats(0.0, 0.5), vectors(2.0), vectors(2.0))
 def test_there_and_back_gives_acceleration_jerk_yaw_and_yaw_rate(
     flat: FlatOutput, mass: float, drag_per_kg: float, learned: F64, learned_rate: F64
@@ -39,9 +39,7 @@ def test_there_and_back_gives_acceleration_jerk_yaw_and_yaw_rate(
     drag = (drag_per_kg * mass, drag_per_kg * mass, 0.3 * drag_per_kg * mass)
     thrust_axis = learned - flat.acc_ned_mps2 - drag_per_kg * flat.vel_ned_mps + [0.0, 0.0, G]
     assume(thrust_axis[2] > 0.5)  # upright: nothing is left to the hint
-    body = to_body(
-        flat, mass_kg=mass, drag_kgps=drag, learned_acc_ned_mps2=learned, learned_jerk_ned_mps3=learned_rate
-    )
+    body = to_body(flat, mass_kg=mass, drag_kgps=drag, learned_acc_ned_mps2=learned, learned_jerk_ned_mps3=learned_rate)
     back = to_flat(
         body.q_ned_frd, body.rate_frd_radps, body.thrust_n, mass_kg=mass, thrust_rate_nps=body.thrust_rate_nps,
         vel_ned_mps=flat.vel_ned_mps, drag_kgps=drag, learned_acc_ned_mps2=learned, learned_jerk_ned_mps3=learned_rate,
@@ -64,7 +62,7 @@ QUATERNION = (
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.builds(FlatOutput, ANY3, ANY3, ANY3, ANY3, ANY3, ANY, ANY), QUATERNION)
 def test_every_finite_reference_gives_a_rotation_and_finite_numbers(flat: FlatOutput, hint: F64) -> None:
     body = to_body(flat, mass_kg=1.0, hint_q_ned_frd=hint)
@@ -73,7 +71,7 @@ def test_every_finite_reference_gives_a_rotation_and_finite_numbers(flat: FlatOu
     assert np.linalg.norm(body.q_ned_frd) == pytest.approx(1.0, abs=1e-9)
 
 
-@settings(max_examples=100)
+@settings(max_examples=100, deadline=None)
 @given(QUATERNION, st.sampled_from([0.0, 0.5, 2.0]))
 def test_thrust_axes_all_round_the_sphere_are_met_exactly(attitude: F64, yaw: float) -> None:
     """Also horizontal and inverted ones, where Euler angles fail."""
@@ -120,15 +118,13 @@ def test_thrust_and_body_rates_alone_fly_the_path(
     assert Rotation.from_matrix(end[6:].reshape(3, 3).T @ goal).magnitude() < 1e-6
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(st.floats(0.1, 4.4), st.sampled_from([path for path, _, _ in PATHS[:2]]))
 def test_angular_acceleration_and_thrust_rate_are_the_derivatives_of_rates_and_thrust(t: float, path: Sinusoid) -> None:
     """Central differences, with drag and a heading that turns evenly (yaw acceleration is no flat output here)."""
     h = 1e-5
     before, now, after = (
-        to_body(
-            replace(path.at(s), yaw_rad=0.2 + 0.7 * s, yaw_rate_radps=0.7), mass_kg=1.2, drag_kgps=(0.3, 0.3, 0.1)
-        )
+        to_body(replace(path.at(s), yaw_rad=0.2 + 0.7 * s, yaw_rate_radps=0.7), mass_kg=1.2, drag_kgps=(0.3, 0.3, 0.1))
         for s in (t - h, t, t + h)
     )
     slope = (after.rate_frd_radps - before.rate_frd_radps) / (2 * h)

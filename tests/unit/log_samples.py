@@ -61,8 +61,20 @@ def tick_record(t_us: int, pos_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.
     )  # fmt: skip
     command = Command(t_us, 11.0, 0.44, three[8])
     return TickRecord(
-        t_us, reference, three[9], three[10], measurement, 11.5, -0.5, three[11], three[12], three[13], command, True, guard
-    )  # fmt: skip
+        t_us=t_us,
+        reference=reference,
+        nominal_acc_ned_mps2=three[9],
+        nominal_jerk_ned_mps3=three[10],
+        measurement=measurement,
+        thrust_ff_n=11.5,
+        thrust_fb_n=-0.5,
+        rate_ff_frd_radps=three[11],
+        rate_fb_frd_radps=three[12],
+        attitude_error_rad=three[13],
+        command=command,
+        thrust_saturated=True,
+        guard=guard,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.unit.log_samples import Truth, sample_record, tick_record
+from log_samples import Truth, sample_record, tick_record
 from mcap.writer import CompressionType, Writer
 from rich.console import Console
 
@@ -55,11 +55,15 @@ def test_every_topic_comes_back_as_it_was_written(tmp_path: Path, topic: Topic) 
 
 def test_nan_and_infinity_come_back(tmp_path: Path) -> None:
     with_log = FlightLog.open(tmp_path / "a.mcap", metadata={})
-    with_log.write("/vehicle/battery", 0, (float("nan"), float("inf"), float("-inf")))
+    with_log.write("/command", 0, (float("nan"), float("inf"), (float("-inf"), float("nan"), -0.0)))
+    with_log.write("/vehicle/battery", 0, (float("nan"), float("inf"), -1))
     with_log.close()
-    table = read(tmp_path / "a.mcap").tables["/vehicle/battery"]
-    assert np.isnan(table["voltage_v"][0])
-    assert (table["current_a"][0], table["remaining"][0]) == (np.inf, -np.inf)
+    tables = read(tmp_path / "a.mcap").tables
+    np.testing.assert_array_equal(tables["/command"]["thrust_n"], [np.nan])
+    np.testing.assert_array_equal(tables["/command"]["thrust_norm"], [np.inf])
+    np.testing.assert_array_equal(tables["/command"]["rate_frd_radps"], [[-np.inf, np.nan, -0.0]])
+    np.testing.assert_array_equal(tables["/vehicle/battery"]["voltage_v"], [np.nan])
+    np.testing.assert_array_equal(tables["/vehicle/battery"]["current_a"], [np.inf])
 
 
 def flight(path: Path, seconds: float = 2.0) -> FlightLog:
@@ -110,11 +114,11 @@ def test_a_log_that_holds_only_metadata_is_readable(tmp_path: Path) -> None:
 
 
 def test_any_cut_leaves_a_readable_beginning_or_a_clear_error(tmp_path: Path) -> None:
-    flight(tmp_path / "a.mcap", 1.0).close()
+    flight(tmp_path / "a.mcap", 0.6).close()
     data = (tmp_path / "a.mcap").read_bytes()
     whole = message_count(read(tmp_path / "a.mcap"))
     last = 0
-    for size in [*range(1, 60), *range(60, len(data), len(data) // 150), len(data) - 9, len(data) - 1]:
+    for size in [*range(1, 60), *range(60, len(data), len(data) // 60), len(data) - 9, len(data) - 1]:
         (tmp_path / "cut.mcap").write_bytes(data[:size])
         if size < 8:
             with pytest.raises(InputError, match="cut off within its first bytes"):
@@ -130,12 +134,12 @@ def test_any_cut_leaves_a_readable_beginning_or_a_clear_error(tmp_path: Path) ->
 
 def test_no_flipped_bit_makes_reading_raise_or_passes_for_complete_data(tmp_path: Path) -> None:
     """Every chunk has a checksum: a damaged one is skipped and named, never read as numbers."""
-    flight(tmp_path / "a.mcap", 1.0).close()
+    flight(tmp_path / "a.mcap", 0.6).close()
     data = (tmp_path / "a.mcap").read_bytes()
     right = read(tmp_path / "a.mcap").tables["/tick"]["pos_ned_m"].tolist()
     rng = random.Random(0)
     skipped = 0
-    for _ in range(300):
+    for _ in range(100):
         broken = bytearray(data)
         broken[rng.randrange(8, len(data))] ^= 1 << rng.randrange(8)
         (tmp_path / "b.mcap").write_bytes(broken)
@@ -146,7 +150,7 @@ def test_no_flipped_bit_makes_reading_raise_or_passes_for_complete_data(tmp_path
             assert all(row in right for row in rows[:20])
             assert len(rows) == len(right) or log.notes
         skipped += any("skipped" in note for note in log.notes)
-    assert skipped > 100
+    assert skipped > 30
 
 
 def test_garbage_behind_the_magic_is_a_log_with_nothing_in_it(tmp_path: Path) -> None:
@@ -232,7 +236,7 @@ def test_messages_come_in_order_of_time_however_they_were_written(tmp_path: Path
     with_log = FlightLog.open(tmp_path / "a.mcap", metadata={})
     for t_us in (5000, 1000, 3000, 1000):
         with_log.mavlink("rx", t_us, str(with_log.messages).encode())
-        with_log.write("/vehicle/battery", t_us, (t_us * 1.0, 0.0, 0.0))
+        with_log.write("/vehicle/battery", t_us, (t_us * 1.0, 0.0, -1))
     with_log.close()
     log = read(tmp_path / "a.mcap")
     assert log.messages["/mavlink/rx"].t_us.tolist() == [1000, 1000, 3000, 5000]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from tests.unit.log_samples import Truth, proto_class, sample_record, tick_record
+from log_samples import Truth, proto_class, sample_record, tick_record
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Attachment as AttachmentRecord
@@ -24,6 +25,7 @@ from logs.scene import Region, Scene
 from logs.topics import TOPICS, Attachment, Kind
 from logs.writer import CHUNK_BYTES, FLUSH_PERIOD_US, FlightLog
 
+PYTHONPATH = os.pathsep.join(str(Path(__file__).parents[k]) for k in (0, 2))
 RUN = {"run": {"seed": "7", "commit": "abc"}}
 VEHICLE = Attachment("vehicle.toml", "application/toml", b"name = 'x'\n")
 
@@ -201,10 +203,8 @@ def test_the_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_another_process_with_another_hash_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     fly(tmp_path / "a.mcap")
-    code = (
-        f"from pathlib import Path; import tests.unit.test_log_writer as t; t.fly(Path({str(tmp_path / 'b.mcap')!r}))"
-    )
-    environment = {**os.environ, "PYTHONHASHSEED": "5", "PYTHONPATH": str(Path(__file__).parents[2])}
+    code = f"from pathlib import Path; import test_log_writer as t; t.fly(Path({str(tmp_path / 'b.mcap')!r}))"
+    environment = {**os.environ, "PYTHONHASHSEED": "5", "PYTHONPATH": PYTHONPATH}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
@@ -252,8 +252,8 @@ def test_a_full_disk_never_raises_says_so_in_one_line_and_keeps_what_is_written(
     assert "No space left on device" in log.failed
     assert "\n" not in log.failed
     (tmp_path / "a.mcap").write_bytes(disk.data)
-    with (tmp_path / "a.mcap").open("rb") as file, pytest.raises(EndOfFile):
-        count = 0
+    count = 0
+    with (tmp_path / "a.mcap").open("rb") as file, contextlib.suppress(EndOfFile):
         for record in StreamReader(file).records:
             count += isinstance(record, Message)
     assert count * 100 > 50_000
@@ -281,7 +281,7 @@ def test_a_path_that_cannot_be_made_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="can't be written"):
         FlightLog.open(tmp_path / "file" / "a.mcap", metadata={})
-    with pytest.raises(InputError, match="can't be written|exists already"):
+    with pytest.raises(InputError, match="can't be written"):
         FlightLog.open(tmp_path, metadata={}, overwrite=True)
 
 
@@ -301,8 +301,8 @@ def test_a_record_that_does_not_fit_is_dropped_and_named_and_the_log_goes_on(
 ) -> None:
     log = FlightLog.open(tmp_path / "a.mcap", metadata={})
     log.write(topic, 0, record)
-    log.write("/vehicle/battery", 1, (16.0, 3.0, 0.9))
-    log.write("/vehicle/battery", -1, (16.0, 3.0, 0.9))
+    log.write("/vehicle/battery", 1, (16.0, 3.0, 90))
+    log.write("/vehicle/battery", -1, (16.0, 3.0, 90))
     log.close()
     assert log.rejected == 2
     assert log.failed is not None

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop import load_vehicle
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -17,6 +17,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle, scaled, with_effects
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.1, 1e4))
 def test_the_inverted_thrust_curve_gives_the_command_back(command: float, factor: float, max_thrust: float) -> None:
     thrust = max_thrust * (factor * command**2 + (1.0 - factor) * command)

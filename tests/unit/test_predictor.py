@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -59,6 +59,7 @@ def test_a_constant_acceleration_is_followed_exactly() -> None:
     np.testing.assert_allclose(m.pos_ned_m, [0.02, 0.0, 0.0] + 0.5 * 0.02**2 * acc, atol=1e-12)
 
 
+@settings(deadline=None)
 @given(
     st.tuples(*[st.floats(-6.0, 6.0)] * 3), st.tuples(*[st.floats(-1.2, 1.2)] * 3), st.integers(0, 30_000)
 )  # fmt: skip
@@ -108,6 +109,7 @@ def test_a_sample_from_the_future_is_not_carried_backwards() -> None:
     assert m.pos_ned_m[0] == 0.0
 
 
+@settings(deadline=None)
 @given(st.tuples(*[st.floats()] * 4), st.tuples(*[st.floats()] * 3))
 def test_whatever_was_sent_nothing_raises(q: tuple[float, ...], anything: tuple[float, float, float]) -> None:
     made = streams(q=q, rate=anything, pos=anything, vel=anything, accel=anything, gyro=anything)

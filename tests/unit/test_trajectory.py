@@ -32,9 +32,7 @@ COURSE = minimum_snap(
 
 
 def table(point: FlatOutput) -> F64:
-    return np.stack(
-        [point.pos_ned_m, point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4]
-    )
+    return np.stack([point.pos_ned_m, point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4])
 
 
 @pytest.mark.parametrize("path", [PAPER, figure8(length_m=3.0, width_m=1.5, period_s=8.0, height_m=2.0), COURSE])
@@ -120,7 +118,11 @@ def test_scipy_finds_no_cheaper_path_over_the_free_derivatives_at_the_inner_knot
         for i, span in enumerate(spans):
             scale = span ** np.arange(4)
             matrix = np.array(
-                [[math.perm(n, k) * s ** max(n - k, 0) * (n >= k) for n in range(8)] for s in (0.0, 1.0) for k in range(4)]
+                [
+                    [math.perm(n, k) * s ** max(n - k, 0) * (n >= k) for n in range(8)]
+                    for s in (0.0, 1.0)
+                    for k in range(4)
+                ]
             )
             rows.append(np.linalg.solve(matrix, np.concatenate([ends[i] * scale, ends[i + 1] * scale])))
         return np.array(rows)
@@ -131,7 +133,7 @@ def test_scipy_finds_no_cheaper_path_over_the_free_derivatives_at_the_inner_knot
     np.testing.assert_allclose(path(found.x), COURSE.coefficients[:, 0], atol=1e-2)
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2), st.floats(-1.0, 1.0).filter(lambda size: abs(size) > 1e-3), st.integers(0, 5))
 def test_any_feasible_bump_makes_the_path_dearer(segment: int, size: float, power: int) -> None:
     """s^4 (1 - s)^4 s^n keeps positions and derivatives up to the third at both ends of a segment."""
@@ -170,9 +172,7 @@ def test_a_polynomial_path_of_many_waypoints_is_still_exact() -> None:
 
 def nominal(correction: F64, pole: float, pos: F64, vel: F64, dt: float, limit: float = 100.0) -> tuple[F64, F64]:
     acc, jerk, zero = np.empty(3), np.empty(3), np.zeros(3)
-    nominal_step(
-        correction, np.full(3, pole), np.full(3, limit), (zero, zero, zero, zero), pos, vel, dt, acc, jerk
-    )
+    nominal_step(correction, np.full(3, pole), np.full(3, limit), (zero, zero, zero, zero), pos, vel, dt, acc, jerk)
     return acc, jerk
 
 

@@ -1,0 +1,180 @@
+"""The guard: whatever comes in, what goes out is finite, within limits and named."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from closed_loop import load_vehicle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from flightstack.frames import quat_from_euler, quat_to_matrix
+from flightstack.guard import Guard, carried_thrust, stale
+from flightstack.model import Limits, Model
+from flightstack.types import Command, Measurement
+
+MODEL = Model.from_vehicle(load_vehicle("quad-x"))
+LIMITS = Limits(radius_m=10.0, height_m=8.0)
+GUARD = Guard(MODEL, LIMITS)
+LOW, HIGH = MODEL.thrust_range_n(LIMITS)
+ORIGIN = np.zeros(3)
+GOOD = Measurement(
+    t_us=1000, pos_ned_m=np.array([1.0, 1.0, -2.0]), vel_ned_mps=np.zeros(3), q_ned_frd=quat_from_euler(0.1, 0.0, 0.5),
+    rate_frd_radps=np.zeros(3), specific_force_frd_mps2=np.zeros(3), motor_command=np.full(4, math.nan),
+    position_age_us=4000, attitude_age_us=4000, imu_age_us=4000,
+)  # fmt: skip
+HOVER = Command(1000, MODEL.weight_n, MODEL.hover_norm, np.array([0.1, -0.2, 0.3]))
+
+
+def check(command: Command = HOVER, carried_n: float = MODEL.weight_n, **changes: object) -> tuple[Command, str]:
+    measurement = dataclasses.replace(GOOD, **changes)  # type: ignore[arg-type]
+    return GUARD.check(command, measurement, ORIGIN, carried_n, 1000)
+
+
+def test_a_good_command_passes_untouched() -> None:
+    command, name = check()
+    assert name == ""
+    assert command is HOVER
+
+
+ANY = st.floats(width=64)
+ANY3 = arrays(np.float64, 3, elements=ANY)
+QUATERNION = st.one_of(
+    arrays(np.float64, 4, elements=ANY),
+    st.builds(quat_from_euler, st.floats(-4, 4), st.floats(-4, 4), st.floats(-4, 4)),
+)
+AGES = st.integers(-(10**12), 10**12)
+
+
+@settings(max_examples=500, deadline=None)
+@given(
+    st.builds(Command, AGES, ANY, ANY, ANY3),
+    st.one_of(
+        st.none(),
+        st.builds(
+            Measurement, AGES, ANY3, ANY3, QUATERNION, ANY3, ANY3, arrays(np.float64, 4, elements=ANY),
+            *[st.one_of(AGES, st.integers(0, 10_000))] * 3,
+        ),
+    ),
+    ANY3,
+    ANY,
+)  # fmt: skip
+def test_nothing_raises_and_the_result_is_finite_and_within_limits(
+    command: Command, measurement: Measurement | None, origin: np.ndarray, carried: float
+) -> None:
+    out, name = GUARD.check(command, measurement, origin, carried, 5)
+    assert LOW <= out.thrust_n <= HIGH
+    assert 0.0 <= out.thrust_norm <= 1.0
+    assert np.isfinite(out.rate_frd_radps).all()
+    assert (np.abs(out.rate_frd_radps) <= LIMITS.rate_max_radps).all()
+    assert (out is command) == (name == "")
+
+
+@pytest.mark.parametrize(
+    ("age", "limit_us", "stream"),
+    [("position_age_us", 34_000, "position"), ("attitude_age_us", 25_000, "attitude"), ("imu_age_us", 22_000, "imu")],
+)
+def test_a_stream_is_stale_beyond_three_periods_and_the_links_latency(age: str, limit_us: int, stream: str) -> None:
+    """Periods of 8, 5 and 4 ms, 10 ms of latency; the limit itself is still fresh."""
+    assert stale(dataclasses.replace(GOOD, **{age: limit_us}), LIMITS) == ""
+    assert stale(dataclasses.replace(GOOD, **{age: limit_us + 1}), LIMITS) == stream
+    assert stale(None, LIMITS) == "attitude"
+
+
+def test_without_attitude_nothing_turns_and_the_thrust_that_carried_so_far_goes_on() -> None:
+    for command, name in (
+        GUARD.check(HOVER, None, ORIGIN, 1.4 * MODEL.weight_n, 77),
+        check(attitude_age_us=10**6, carried_n=1.4 * MODEL.weight_n),
+        check(q_ned_frd=np.zeros(4), carried_n=1.4 * MODEL.weight_n),
+        check(rate_frd_radps=np.array([0.0, math.nan, 0.0]), carried_n=1.4 * MODEL.weight_n),
+    ):
+        assert name == "zero_rates: attitude lost"
+        np.testing.assert_array_equal(command.rate_frd_radps, 0.0)
+        assert command.thrust_n == pytest.approx(1.4 * MODEL.weight_n)
+    assert GUARD.check(HOVER, None, ORIGIN, 10.0, 77)[0].t_us == 77
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"position_age_us": 10**6}, {"imu_age_us": 10**6}, {"pos_ned_m": np.full(3, np.nan)},
+     {"vel_ned_mps": np.array([0.0, np.inf, 0.0])}],
+)  # fmt: skip
+def test_without_position_it_levels_and_sinks_slowly(changes: dict[str, object]) -> None:
+    command, name = check(**changes)
+    assert name == "level: position lost"
+    assert command.thrust_n == pytest.approx(0.97 * MODEL.weight_n)
+    assert command.rate_frd_radps[0] < -0.2, "rolled right by 0.1 rad: it rolls left"
+    assert command.rate_frd_radps[1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"pos_ned_m": np.array([10.1, 0.0, -2.0])}, "brake: outside the envelope"),
+        ({"pos_ned_m": np.array([0.0, 0.0, -8.1])}, "brake: outside the envelope"),
+        ({"q_ned_frd": quat_from_euler(math.radians(81.0), 0.0, 0.0)}, "brake: tilt"),
+    ],
+)
+def test_outside_the_envelope_or_tipped_over_it_brakes(changes: dict[str, object], name: str) -> None:
+    assert check(**changes)[1] == name
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        dataclasses.replace(HOVER, thrust_n=math.nan),
+        dataclasses.replace(HOVER, thrust_norm=math.inf),
+        dataclasses.replace(HOVER, rate_frd_radps=np.array([0.0, 0.0, math.nan])),
+    ],
+)
+def test_a_command_that_is_not_finite_is_replaced_by_braking(command: Command) -> None:
+    assert check(command)[1] == "brake: command not finite"
+
+
+def test_commands_beyond_the_limits_are_clipped() -> None:
+    wild = Command(1000, 1e3, 1.0, np.array([9.0, -9.0, 0.0]))
+    command, name = check(wild)
+    assert name == "clip: command beyond its limits"
+    assert command.thrust_n == pytest.approx(HIGH)
+    assert MODEL.thrust_of(command.thrust_norm) == pytest.approx(HIGH)
+    np.testing.assert_array_equal(command.rate_frd_radps, [6.0, -6.0, 0.0])
+
+
+@pytest.mark.parametrize("start", [(0.3, -0.2, 1.0), (3.0, 0.1, 0.0), (math.pi, 0.0, 0.0), (0.0, 2.9, -2.0)])
+def test_leveling_turns_any_attitude_level(start: tuple[float, float, float]) -> None:
+    """SciPy integrates the attitude under the fallback's own rates; also from upside down."""
+    attitude = Rotation.from_euler("ZYX", start[::-1])
+    for _ in range(600):
+        q = attitude.as_quat(scalar_first=True)
+        command, _ = check(q_ned_frd=q, position_age_us=10**6)
+        attitude = attitude * Rotation.from_rotvec(0.01 * command.rate_frd_radps)
+    assert quat_to_matrix(attitude.as_quat(scalar_first=True))[2, 2] > 0.9999
+
+
+def test_braking_leans_against_the_velocity_and_counters_a_fall() -> None:
+    """Moving north at 2 m/s and level: the nose must come up, which slows a vehicle that flies north."""
+    level = quat_from_euler(0.0, 0.0, 0.0)
+    out = np.array([20.0, 0.0, -2.0])
+    command, _ = check(q_ned_frd=level, pos_ned_m=out, vel_ned_mps=np.array([2.0, 0.0, 0.5]))
+    assert command.rate_frd_radps[1] > 0.1
+    assert command.thrust_n == pytest.approx(MODEL.weight_n), "sinking as fast as it should"
+    falling, _ = check(q_ned_frd=level, pos_ned_m=out, vel_ned_mps=np.array([0.0, 0.0, 1.0]))
+    assert falling.thrust_n == pytest.approx(MODEL.weight_n + 1.2 * 3.0 * 0.5)
+
+
+def test_the_thrust_that_carries_is_learned_within_a_few_seconds() -> None:
+    """Held at 1.4 weights and level, a first-order lag of 1 s: 1 - exp(-3) of the way after 3 s."""
+    carried = MODEL.weight_n
+    heavy = Command(0, 1.4 * MODEL.weight_n, 0.8, np.zeros(3))
+    level = dataclasses.replace(GOOD, q_ned_frd=quat_from_euler(0.0, 0.0, 1.0))
+    for _ in range(750):
+        carried = carried_thrust(carried, heavy, level, 4000)
+    share = (carried / MODEL.weight_n - 1.0) / 0.4
+    assert share == pytest.approx(1.0 - math.exp(-3.0), abs=2e-3)
+    tilted = dataclasses.replace(GOOD, q_ned_frd=quat_from_euler(math.pi / 3, 0.0, 0.0))
+    assert carried_thrust(0.0, heavy, tilted, 1_000_000) == pytest.approx(0.7 * MODEL.weight_n)

@@ -1,0 +1,267 @@
+"""The stack in flight, without a wire: against the simulated vehicle with its rotors' lag, rate loop and noisy sensors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from closed_loop import Flight, fly, load_scenario, load_vehicle
+
+from flightstack.control.feedback import FeedbackGains
+from flightstack.frames import quat_from_euler
+from flightstack.model import Limits, Model
+from flightstack.predictor import Streams, predict
+from flightstack.seams import NoFilter, NoLearner
+from flightstack.stack import Stack
+from flightstack.trajectory import figure8, hover
+from flightstack.types import F64, Command, FlatOutput, Measurement
+from flightstack.vehicle import Vehicle, with_effects
+from flightstack.warmup import warm_up
+
+QUAD = load_vehicle("quad-x")
+SIH = load_vehicle("px4-sihsim-quadx")
+MODEL = Model.from_vehicle(QUAD)
+SETPOINT = hover((0.0, 0.0, -1.0)).at(0.0)
+
+
+def measurement(t_us: int = 4000, **changes: object) -> Measurement:
+    streams = Streams()
+    streams.attitude(t_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    streams.position(t_us, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
+    streams.imu(t_us, (0.0, 0.0, -9.80665), (0.0, 0.0, 0.0))
+    seen = predict(streams, t_us)
+    assert seen is not None
+    return dataclasses.replace(seen, **changes)  # type: ignore[arg-type]
+
+
+def tick(stack: Stack, seen: Measurement | None, setpoint: FlatOutput = SETPOINT) -> tuple[Command, str]:
+    _, command, record = stack.tick(stack.init(measurement(0)), seen, setpoint, 4000)
+    assert record.command is command
+    return command, record.guard
+
+
+def test_at_the_reference_the_command_is_hover() -> None:
+    command, guard = tick(Stack(MODEL), measurement())
+    assert guard == ""
+    assert command.thrust_n == pytest.approx(1.2 * 9.80665)
+    assert command.thrust_norm == pytest.approx(MODEL.hover_norm)
+    np.testing.assert_allclose(command.rate_frd_radps, 0.0, atol=1e-12)
+    assert command.t_us == 4000
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.2, -2.9])
+def test_errors_are_answered_in_the_right_direction_at_every_heading(yaw: float) -> None:
+    """Below the reference: more thrust.  South of it, nose north: nose down; in general the thrust leans to the goal."""
+    q = quat_from_euler(0.0, 0.0, yaw)
+    stack, goal = Stack(MODEL), dataclasses.replace(SETPOINT, yaw_rad=yaw)
+    low, _ = tick(stack, measurement(q_ned_frd=q, pos_ned_m=np.array([0.0, 0.0, -0.9])), goal)
+    sinking, _ = tick(stack, measurement(q_ned_frd=q, vel_ned_mps=np.array([0.0, 0.0, 0.3])), goal)
+    assert min(low.thrust_n, sinking.thrust_n) > 1.2 * 9.80665 + 0.1
+    for error in (np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.2, 0.0])):
+        command, _ = tick(stack, measurement(q_ned_frd=q, pos_ned_m=np.array([0.0, 0.0, -1.0]) - error), goal)
+        c, s = math.cos(yaw), math.sin(yaw)
+        forward, right = c * error[0] + s * error[1], -s * error[0] + c * error[1]
+        p, pitch_rate, _ = command.rate_frd_radps
+        assert p * right >= -1e-9
+        assert pitch_rate * forward <= 1e-9
+        assert p / 0.2 == pytest.approx(-pitch_rate / 0.2 * right / forward if abs(forward) > 0.02 else p / 0.2)
+
+
+def test_the_feedback_is_the_papers_for_small_errors() -> None:
+    """Level, at rest, nominal's pole at (nearly) zero: f_FB and omega_FB of Section IV.A with Kbar turned by yaw."""
+    gains = FeedbackGains(nominal=dataclasses.replace(FeedbackGains().nominal, pole_radps=(1e-6, 1e-6, 1e-6)))
+    stack, yaw = Stack(MODEL, gains), 0.4
+    goal = dataclasses.replace(SETPOINT, yaw_rad=yaw)
+    euler, rate = np.array([0.01, -0.02, yaw + 0.015]), np.array([0.1, -0.2, 0.05])
+    error = np.array([0.05, -0.03, 0.04])
+    seen = measurement(
+        q_ned_frd=quat_from_euler(*euler), pos_ned_m=goal.pos_ned_m - error, rate_frd_radps=rate,
+        vel_ned_mps=np.array([0.0, 0.0, 0.1]),
+    )  # fmt: skip
+    _, _, record = stack.tick(stack.init(measurement(0)), seen, goal, 4000)
+    force = -MODEL.mass_kg * (gains.thrust_p_ps2 * error[2] + gains.thrust_d_ps * -0.1)
+    assert record.thrust_fb_n == pytest.approx(force, abs=0.02)
+    north, east = error[:2]
+    right = -math.sin(yaw) * north + math.cos(yaw) * east
+    forward = math.cos(yaw) * north + math.sin(yaw) * east
+    gain = np.array([gains.attitude_p_ps, gains.attitude_p_ps, gains.yaw_p_ps])
+    drift = gains.position_rate_radpms * np.array([right, -forward, 0.0])
+    wanted = gain * (np.array([0.0, 0.0, yaw]) - euler) - gains.rate_p * rate + drift
+    np.testing.assert_allclose(record.rate_fb_frd_radps, wanted, atol=2e-3)
+
+
+@pytest.mark.parametrize("vehicle", [QUAD, SIH], ids=["quad-x", "px4-sihsim-quadx"])
+@pytest.mark.parametrize("name", ["hover", "figure8", "minimum-snap"])
+def test_with_a_right_model_the_true_path_is_within_3_cm(name: str, vehicle: Vehicle) -> None:
+    scenario = load_scenario(name)
+    flight = fly(scenario.with_duration(min(scenario.duration_s, 16.0)), vehicle, seed=3)
+    assert flight.rmse_m < 0.03
+    assert flight.max_m < 0.06
+    assert flight.guards == set()
+
+
+@pytest.fixture(scope="module")
+def wrong_model() -> Flight:
+    """The paper's flight for 20 s: 1.4 times the mass, 0.1 g to the north, nothing learned."""
+    return fly(load_scenario("paper-tracking").with_duration(20.0), QUAD, seed=1)
+
+
+def test_with_the_papers_wrong_model_the_error_is_large_but_the_flight_is_safe(wrong_model: Flight) -> None:
+    assert 0.2 < wrong_model.rmse_m < 0.6
+    assert wrong_model.least_height_m > 0.4
+    assert wrong_model.guards == set()
+
+
+def test_the_wrong_masss_error_is_the_one_that_the_gains_predict(wrong_model: Flight) -> None:
+    """0.4 g of missing thrust against a stiffness of p^2 / 3 + Kp / m along body z: a constant droop."""
+    gains = FeedbackGains()
+    stiffness = gains.nominal.pole_radps[2] ** 2 / 3.0 + gains.thrust_p_ps2
+    assert wrong_model.errors_m[:, 2].mean() == pytest.approx(0.4 * 9.80665 / stiffness, rel=0.05)
+    assert wrong_model.errors_m[:, 0].mean() > 0.05, "pushed north"
+    assert abs(wrong_model.errors_m[:, 1].mean()) < 0.02
+
+
+def test_gps_grade_sensors_and_the_wrong_model_together_still_fly() -> None:
+    flight = fly(load_scenario("paper-tracking").with_duration(15.0), QUAD, seed=2, grade="gps")
+    assert flight.guards == set()
+    assert flight.max_m < 1.3
+    assert flight.least_height_m > 0.1
+
+
+def test_40_ms_of_latency_that_the_samples_own_times_tell_cost_nothing() -> None:
+    late = fly(load_scenario("figure8").with_duration(10.0), QUAD, seed=4, latency_ticks=10)
+    assert late.rmse_m < 0.03
+    assert late.guards == set()
+
+
+def test_a_believed_drag_is_compensated() -> None:
+    """The same vehicle, told and not told of its drag of 1 kg/s on 1 kg; 3.3 m/s."""
+    scenario = load_scenario("figure8").with_duration(10.0)
+    ignorant = with_effects(SIH, {"linear_drag": {"d_x_kgps": 0.0, "d_y_kgps": 0.0, "d_z_kgps": 0.0}})
+    assert fly(scenario, SIH).rmse_m < 0.25 * fly(scenario, ignorant, truth=SIH).rmse_m
+
+
+def test_the_same_seed_gives_the_same_flight_bit_for_bit() -> None:
+    scenario = load_scenario("hover").with_duration(2.0)
+    first, second = fly(scenario, QUAD, seed=9), fly(scenario, QUAD, seed=9)
+    np.testing.assert_array_equal(first.errors_m, second.errors_m)
+    assert not np.array_equal(first.errors_m, fly(scenario, QUAD, seed=10).errors_m)
+
+
+@pytest.mark.parametrize(
+    ("seen", "guard"),
+    [
+        (None, "zero_rates: attitude lost"),
+        (measurement(attitude_age_us=10**6), "zero_rates: attitude lost"),
+        (measurement(position_age_us=10**6), "level: position lost"),
+        (measurement(pos_ned_m=np.full(3, np.nan)), "level: position lost"),
+        (measurement(q_ned_frd=np.full(4, np.nan)), "zero_rates: attitude lost"),
+        (measurement(pos_ned_m=np.array([1e6, 0.0, 0.0])), "brake: outside the envelope"),
+    ],
+)
+def test_whatever_is_missing_ends_in_the_guards_fallback_and_the_next_good_tick_flies_on(
+    seen: Measurement | None, guard: str
+) -> None:
+    stack = Stack(MODEL)
+    state, command, record = stack.tick(stack.init(measurement(0)), seen, SETPOINT, 4000)
+    assert record.guard == guard
+    assert np.isfinite([command.thrust_n, command.thrust_norm, *command.rate_frd_radps]).all()
+    assert command.t_us == 4000
+    for i in range(2, 200):
+        state, command, record = stack.tick(state, measurement(4000 * i), SETPOINT, 4000 * i)
+    assert record.guard == ""
+    np.testing.assert_allclose(command.rate_frd_radps, 0.0, atol=0.05)
+
+
+def test_a_setpoint_that_is_not_finite_brakes_and_is_forgotten() -> None:
+    stack = Stack(MODEL)
+    bad = dataclasses.replace(SETPOINT, pos_ned_m=np.full(3, np.nan))
+    state, _, record = stack.tick(stack.init(measurement(0)), measurement(), bad, 4000)
+    assert record.guard == "brake: command not finite"
+    _, command, record = stack.tick(state, measurement(8000), SETPOINT, 8000)
+    assert record.guard == ""
+    assert command.thrust_n == pytest.approx(MODEL.weight_n, rel=0.01)
+
+
+def test_thrust_is_cut_at_its_limit_and_the_record_says_so() -> None:
+    far_below = measurement(pos_ned_m=np.array([0.0, 0.0, 4.0]))
+    stack = Stack(MODEL)
+    _, command, record = stack.tick(stack.init(measurement(0)), far_below, SETPOINT, 4000)
+    assert record.thrust_saturated
+    assert command.thrust_n == pytest.approx(1.8 * MODEL.weight_n)
+    assert record.guard == ""
+
+
+def test_tilt_stays_within_the_plan_for_any_error() -> None:
+    """A kilometre away the desired attitude leans by at most the limit, so the attitude error does too."""
+    stack = Stack(MODEL, limits=Limits(radius_m=1e4, tilt_max_rad=0.5))
+    state = stack.init(measurement(0))
+    for i in range(1, 100):
+        seen = measurement(4000 * i, pos_ned_m=np.array([1e3, 1e3, -1.0]))
+        state, _, record = stack.tick(state, seen, SETPOINT, 4000 * i)
+    assert np.linalg.norm(record.attitude_error_rad) <= 0.5 + 1e-6
+    assert np.linalg.norm(record.attitude_error_rad) > 0.4
+
+
+class _Known:
+    """A learner that has learned a constant acceleration."""
+
+    enabled = True
+
+    def init(self) -> object:
+        return 0
+
+    def step(self, state: object, seen: Measurement, sent: Command, reference: FlatOutput) -> tuple[object, F64]:
+        return int(str(state)) + 1, np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+
+
+class _Halves:
+    """A filter that halves the thrust."""
+
+    enabled = True
+
+    def init(self) -> object:
+        return None
+
+    def step(
+        self, state: object, seen: Measurement, command: Command, learned: F64, reference: FlatOutput
+    ) -> tuple[object, Command]:
+        return state, dataclasses.replace(command, thrust_n=0.5 * command.thrust_n, thrust_norm=0.3)
+
+
+def test_a_learner_and_a_filter_have_their_seams() -> None:
+    stack = Stack(MODEL, learner=_Known())
+    state, command, _ = stack.tick(stack.init(measurement(0)), measurement(), SETPOINT, 4000)
+    assert command.thrust_n == pytest.approx(1.2 * (9.80665 + 2.0)), "an unexplained 2 m/s^2 downwards is carried too"
+    assert state.learner == 1
+    command, guard = tick(Stack(MODEL, safety_filter=_Halves()), measurement())
+    assert command.thrust_n == pytest.approx(0.5 * MODEL.weight_n)
+    assert guard == ""
+    assert not NoLearner.enabled
+    assert not NoFilter.enabled
+
+
+def test_known_lag_is_led() -> None:
+    """At constant errors of zero, thrust is led by the rotors' lag, rates by the rate loop's."""
+    path = figure8(length_m=3.0, width_m=1.5, period_s=8.0, height_m=1.0)
+    point = path.at(0.7)
+    quick = dataclasses.replace(MODEL, motor_lag_s=0.0, rate_lag_s=0.0)
+    q = quat_from_euler(0.0, 0.0, 0.0)
+    seen = measurement(pos_ned_m=point.pos_ned_m, vel_ned_mps=point.vel_ned_mps, q_ned_frd=q)
+    records = []
+    for model in (MODEL, quick):
+        stack = Stack(model)
+        records.append(stack.tick(stack.init(measurement(0)), seen, point, 4000)[2])
+    assert not np.allclose(records[0].rate_ff_frd_radps, records[1].rate_ff_frd_radps, atol=1e-4)
+    assert records[0].thrust_ff_n != pytest.approx(records[1].thrust_ff_n, abs=1e-5)
+
+
+def test_warming_up_leaves_no_trace() -> None:
+    stack = Stack(MODEL)
+    before, _ = tick(stack, measurement())
+    warm_up(stack)
+    after, _ = tick(stack, measurement())
+    np.testing.assert_array_equal(before.rate_frd_radps, after.rate_frd_radps)
+    assert before.thrust_n == after.thrust_n
