@@ -131,18 +131,47 @@ _OUT = 17
 """Flat result of the compiled map: thrust, its rate, body rates (3), angular accelerations (3), R (9, row by row)."""
 
 
-@njit
-def _cross(a: F64, b: F64) -> F64:
-    out = np.empty(3)
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-    return out
+# A vector with its first two time derivatives is a (3, 3) array: order, axis.
 
 
 @njit
 def _dot(a: F64, b: F64) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
+
+
+@njit
+def _add_cross(scale: float, a: F64, b: F64, out: F64) -> None:
+    out[0] += scale * (a[1] * b[2] - a[2] * b[1])
+    out[1] += scale * (a[2] * b[0] - a[0] * b[2])
+    out[2] += scale * (a[0] * b[1] - a[1] * b[0])
+
+
+@njit
+def _cross(a: F64, b: F64) -> F64:
+    """Cross product with its derivatives (Leibniz); (3, 3), (3, 3) -> (3, 3)."""
+    out = np.zeros((3, 3))
+    _add_cross(1.0, a[0], b[0], out[0])
+    _add_cross(1.0, a[1], b[0], out[1])
+    _add_cross(1.0, a[0], b[1], out[1])
+    _add_cross(1.0, a[2], b[0], out[2])
+    _add_cross(2.0, a[1], b[1], out[2])
+    _add_cross(1.0, a[0], b[2], out[2])
+    return out
+
+
+@njit
+def _unit(v: F64, size: float) -> F64:
+    """v / size with its derivatives, size = |v| or -|v|; (3, 3) -> (3, 3)."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        out[0, i] = v[0, i] / size
+    first = _dot(out[0], v[1])
+    for i in range(3):
+        out[1, i] = (v[1, i] - first * out[0, i]) / size
+    second = _dot(out[1], v[1]) + _dot(out[0], v[2])
+    for i in range(3):
+        out[2, i] = (v[2, i] - 2.0 * first * out[1, i] - second * out[0, i]) / size
+    return out
 
 
 @njit
@@ -153,66 +182,70 @@ def _to_body(
     """The map of the module's header; `out` (17,) as _OUT says."""
     hint = quat_to_matrix(hint_q)
     d = 0.5 * (drag[0] + drag[1]) / mass
-    t = learned - acc - d * vel
-    t[2] += gravity
-    dt = learned_rate - jerk - d * acc
-    ddt = -snap - d * jerk
-    size = math.sqrt(_dot(t, t))
-    if size < _FREE_FALL_MPS2:
-        z, dz, ddz = hint[:, 2].copy(), np.zeros(3), np.zeros(3)
-        rise = ddsize = 0.0
-    else:
-        z = t / size
-        rise = _dot(z, dt)
-        dz = (dt - rise * z) / size
-        ddsize = _dot(dz, dt) + _dot(z, ddt)
-        ddz = (ddt - 2.0 * rise * dz - ddsize * z) / size
-    extra = drag[2] - 0.5 * (drag[0] + drag[1])
-    out[0] = mass * size - extra * _dot(z, vel)
-    out[1] = mass * rise - extra * (_dot(dz, vel) + _dot(z, acc))
-    x, dx, ddx = _forward(z, dz, ddz, yaw, yaw_rate, hint[:, 0])
-    y = _cross(z, x)
-    dy = _cross(dz, x) + _cross(z, dx)
-    out[2] = -_dot(y, dz)
-    out[3] = _dot(x, dz)
-    out[4] = _dot(y, dx)
-    out[5] = -_dot(dy, dz) - _dot(y, ddz)
-    out[6] = _dot(dx, dz) + _dot(x, ddz)
-    out[7] = _dot(dy, dx) + _dot(y, ddx)
+    t = np.empty((3, 3))
     for i in range(3):
-        out[8 + 3 * i] = x[i]
-        out[9 + 3 * i] = y[i]
-        out[10 + 3 * i] = z[i]
+        t[0, i] = learned[i] - acc[i] - d * vel[i]
+        t[1, i] = learned_rate[i] - jerk[i] - d * acc[i]
+        t[2, i] = -snap[i] - d * jerk[i]
+    t[0, 2] += gravity
+    size = math.sqrt(_dot(t[0], t[0]))
+    if size < _FREE_FALL_MPS2:
+        z = np.zeros((3, 3))
+        for i in range(3):
+            z[0, i] = hint[i, 2]
+    else:
+        z = _unit(t, size)
+    extra = drag[2] - 0.5 * (drag[0] + drag[1])
+    out[0] = mass * size - extra * _dot(z[0], vel)
+    out[1] = mass * _dot(z[0], t[1]) - extra * (_dot(z[1], vel) + _dot(z[0], acc))
+    x = _forward(z, yaw, yaw_rate, hint)
+    y = _cross(z, x)
+    out[2] = -_dot(y[0], z[1])
+    out[3] = _dot(x[0], z[1])
+    out[4] = _dot(y[0], x[1])
+    out[5] = -_dot(y[1], z[1]) - _dot(y[0], z[2])
+    out[6] = _dot(x[1], z[1]) + _dot(x[0], z[2])
+    out[7] = _dot(y[1], x[1]) + _dot(y[0], x[2])
+    for i in range(3):
+        out[8 + 3 * i] = x[0, i]
+        out[9 + 3 * i] = y[0, i]
+        out[10 + 3 * i] = z[0, i]
 
 
 @njit
-def _forward(z: F64, dz: F64, ddz: F64, yaw: float, yaw_rate: float, hint: F64) -> tuple[F64, F64, F64]:
-    """Body x axis and its two time derivatives for a thrust axis z and a heading."""
+def _forward(z: F64, yaw: float, yaw_rate: float, hint: F64) -> F64:
+    """Body x axis with its derivatives for a thrust axis with its own, a heading and the hint's axes (columns)."""
     c, s = math.cos(yaw), math.sin(yaw)
-    east = np.array([-s, c, 0.0])
+    east = np.zeros((3, 3))
+    east[0, 0], east[0, 1] = -s, c
+    east[1, 0], east[1, 1] = -c * yaw_rate, -s * yaw_rate
+    east[2, 0], east[2, 1] = s * yaw_rate * yaw_rate, -c * yaw_rate * yaw_rate
     cross = _cross(east, z)
-    size = math.sqrt(_dot(cross, cross))
+    size = math.sqrt(_dot(cross[0], cross[0]))
     if size < _HEADING_SINE:
-        along = _dot(hint, z)
-        x = hint - along * z
-        size = math.sqrt(_dot(x, x))
-        if size < 1e-6:  # the hint's x axis is this z axis: the heading, which is normal to z here
-            x = np.array([c, s, 0.0])
-            x -= _dot(x, z) * z
-            size = math.sqrt(_dot(x, x))
-        x = x / size
-        dx = -_dot(x, dz) * z  # no turn about z
-        ddx = -_dot(x, ddz) * z - _dot(dx, dz) * z - _dot(x, dz) * dz
-        return x, dx, ddx
-    if z[2] < 0.0 and _dot(cross, hint) < 0.0:
+        return _carried(z, c, s, hint)
+    if z[0, 2] < 0.0 and cross[0, 0] * hint[0, 0] + cross[0, 1] * hint[1, 0] + cross[0, 2] * hint[2, 0] < 0.0:
         size = -size
-    deast = np.array([-c * yaw_rate, -s * yaw_rate, 0.0])
-    ddeast = -yaw_rate * yaw_rate * east
-    dcross = _cross(deast, z) + _cross(east, dz)
-    ddcross = _cross(ddeast, z) + 2.0 * _cross(deast, dz) + _cross(east, ddz)
-    x = cross / size
-    dsize = _dot(x, dcross)
-    dx = (dcross - dsize * x) / size
-    ddsize = _dot(dx, dcross) + _dot(x, ddcross)
-    ddx = (ddcross - 2.0 * dsize * dx - ddsize * x) / size
-    return x, dx, ddx
+    return _unit(cross, size)
+
+
+@njit
+def _carried(z: F64, cosine: float, sine: float, hint: F64) -> F64:
+    """Where heading is undefined: the hint's x axis (else the heading) projected, carried along without turning."""
+    x = np.zeros((3, 3))
+    x[0, 0], x[0, 1], x[0, 2] = hint[0, 0], hint[1, 0], hint[2, 0]
+    if abs(_dot(x[0], z[0])) > 1.0 - 1e-9:  # the hint's x axis is this z axis; the heading is nearly normal to it here
+        x[0, 0], x[0, 1], x[0, 2] = cosine, sine, 0.0
+    along = _dot(x[0], z[0])
+    for i in range(3):
+        x[0, i] -= along * z[0, i]
+    size = math.sqrt(_dot(x[0], x[0]))
+    for i in range(3):
+        x[0, i] /= size
+    first, second = _dot(x[0], z[1]), _dot(x[0], z[2])
+    for i in range(3):
+        x[1, i] = -first * z[0, i]
+    cross = _dot(x[1], z[1])
+    for i in range(3):
+        x[2, i] = -(second + cross) * z[0, i] - first * z[1, i]
+    return x

@@ -103,7 +103,10 @@ class Guard:
 
 @njit
 def _finite(values: F64) -> bool:
-    return bool(np.isfinite(values).all())
+    for value in values:  # noqa: SIM110  compiled: no generators
+        if not math.isfinite(value):
+            return False
+    return True
 
 
 @njit
@@ -151,16 +154,17 @@ def _lean(q: F64, vel: F64, bounds: F64, out: F64) -> float:
     r = quat_to_matrix(q)
     speed = math.sqrt(vel[0] * vel[0] + vel[1] * vel[1])
     brake = min(_BRAKE_GAIN_PS, _BRAKE_MAX_MPS2 / max(speed, 1e-9))
-    axis = np.array([brake * vel[0], brake * vel[1], STANDARD_GRAVITY_MPS2])
-    axis /= math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
-    wanted = r.T @ axis
-    size = math.sqrt(wanted[0] * wanted[0] + wanted[1] * wanted[1])
+    north, east, down = brake * vel[0], brake * vel[1], STANDARD_GRAVITY_MPS2
+    length = math.sqrt(north * north + east * east + down * down)
+    x = (r[0, 0] * north + r[1, 0] * east + r[2, 0] * down) / length  # the wanted thrust axis, in body axes
+    y = (r[0, 1] * north + r[1, 1] * east + r[2, 1] * down) / length
+    z = (r[0, 2] * north + r[1, 2] * east + r[2, 2] * down) / length
     gain = _LEVEL_GAIN_PS
-    if wanted[2] < 0.0:  # more than a quarter turn away: as fast as at a quarter turn, about roll where undecided
+    if z < 0.0:  # more than a quarter turn away: as fast as at a quarter turn, about roll where undecided
+        size = math.sqrt(x * x + y * y)
         gain = _LEVEL_GAIN_PS / max(size, 1e-9)
-        if size < 1e-9:
-            wanted[1] = 1e-9
-    out[0] = min(max(-gain * wanted[1], -bounds[2]), bounds[2])
-    out[1] = min(max(gain * wanted[0], -bounds[3]), bounds[3])
+        y = y if size > 1e-9 else 1e-9
+    out[0] = min(max(-gain * y, -bounds[2]), bounds[2])
+    out[1] = min(max(gain * x, -bounds[3]), bounds[3])
     out[2] = 0.0
     return r[2, 2]  # type: ignore[no-any-return]

@@ -101,6 +101,8 @@ class Companion:
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
         self._mission_complete = False
+        self._landing = False
+        """PX4 has taken the command to land; that the mode falls back to OFFBOARD after it disarms means nothing."""
         self._t_us = 0
         self._measured: Measurement | None = None
         self._decide = {
@@ -376,7 +378,8 @@ class Companion:
         elif self.state is State.OFFBOARD:
             self._fly(now_us)
         elif self.state is State.LANDING:
-            if self.view.in_offboard:  # until PX4 says that it lands, the stack holds the vehicle
+            self._landing = self._landing or self.view.custom_mode == px4.MODE_LAND
+            if not self._landing:  # until PX4 says that it lands, the stack holds the vehicle
                 self._fly(now_us)
                 self._command_mode(px4.MODE_LAND, now_us)
         self._commands.step(now_us, self._system)

@@ -24,7 +24,6 @@ from mavlink_bridge.framing import (
     MAGIC_V2,
     SIGNED,
     DatagramFraming,
-    Fault,
     Frame,
     Framing,
     build_frame,
@@ -179,8 +178,12 @@ class Link:
             if frame.needs and self._framing.keep(data, at):
                 return
             if in_frames:
-                self._count(frame)
+                setattr(self.stats, frame.reason, getattr(self.stats, frame.reason) + 1)
                 in_frames = False
+            if frame.source and self._expected.get(frame.source) == frame.sequence:
+                self._expected[frame.source] = (
+                    frame.sequence + 1
+                ) & 0xFF  # most likely good, but unknown here: no loss
             after = next_magic(data, at + 1)
             self.stats.skipped_bytes += after - at
             at = after
@@ -232,12 +235,6 @@ class Link:
             self.stats.lost = max(0, self.stats.lost - 1)
         else:
             self.stats.lost += ahead
-
-    def _count(self, fault: Fault) -> None:
-        """Count the first fault of a run of unusable bytes."""
-        setattr(self.stats, fault.reason, getattr(self.stats, fault.reason) + 1)
-        if fault.source and self._expected.get(fault.source) == fault.sequence:
-            self._expected[fault.source] = (fault.sequence + 1) & 0xFF  # most likely a good one, unknown here: no loss
 
 
 def _packed(frames: list[bytes], max_bytes: int) -> list[bytes]:

@@ -3,8 +3,9 @@
 The parameter row begins with what the vehicle file says (`P_*`), goes on with the effects' parameters in the order of
 `flightstack.effect_specs` (`P_EFFECTS` + slot; NaN: the vehicle's own) and ends with what `sim.parameters.derive`
 makes of both (`D_*`), which is all that the dynamics read besides the acting effects' own parameters.
-The state row begins with what is integrated (`S_*` up to INTEGRATED), goes on with other states and outputs, and ends
-with the ring of past commands.  (Compiled code freezes these numbers: the cache of flightstack.jit watches this file.)
+The state row begins with what is integrated (`S_*` up to INTEGRATED), goes on with other states, inputs and outputs,
+and ends with the ring of past commands.
+(Compiled code freezes these numbers: the cache of flightstack.jit watches this file.)
 """
 
 from __future__ import annotations
@@ -68,14 +69,18 @@ S_GUST = 23  # 5, the turbulence filters' states, unit variance
 S_CHARGE = 28  # 0 .. 1
 S_VOLTAGE = 29  # V at the terminals, held within a step; 0 without battery
 
+# --- inputs of a step
+S_COMMAND = 30  # 4, normalised motor commands
+S_NORMALS = 34  # 5, standard normals that drive the gusts
+
 # --- outputs of a step
-S_FORCE = 30  # 3, specific force FRD, mean over the step, m/s^2
-S_ANGULAR = 33  # 3, angular acceleration FRD, mean over the step, rad/s^2
-S_THRUST = 36  # 4, N, at the end of the step
-S_WIND = 40  # 3, NED, m/s
-S_NORMAL = 43  # N, the ground's push, mean over the step
-S_CURSOR = 44  # where the ring of past commands was last written
-S_RING = 45  # 4 x entries
+S_FORCE = 39  # 3, specific force FRD, mean over the step, m/s^2
+S_ANGULAR = 42  # 3, angular acceleration FRD, mean over the step, rad/s^2
+S_THRUST = 45  # 4, N, at the end of the step
+S_WIND = 49  # 3, NED, m/s
+S_NORMAL = 52  # N, the ground's push, mean over the step
+S_CURSOR = 53  # where the ring of past commands was last written
+S_RING = 54  # 4 x entries
 
 # --- what one evaluation gives: the derivative of the integrated states, then
 E_FORCE = INTEGRATED  # 3, specific force FRD

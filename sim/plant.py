@@ -25,9 +25,11 @@ from sim.layout import (
     P_HAS_BATTERY,
     S_ANGULAR,
     S_CHARGE,
+    S_COMMAND,
     S_FORCE,
     S_GUST,
     S_NORMAL,
+    S_NORMALS,
     S_POS,
     S_Q,
     S_RATE,
@@ -43,7 +45,7 @@ from sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
 MAX_DELAY_S = 0.25
 _BLOCK = 256  # steps whose gust normals are drawn at once
-_NO_NORMALS = np.zeros((1, turbulence.NORMALS))
+_NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,23 +104,23 @@ class Plant(Protocol):
 
 
 @njit
-def step_rows(state: F64, params: F64, command: F64, normals: F64) -> None:
-    """One step of each of N vehicles: state (N, ...), params (N, PARAMS), command (N, 4), normals (N or 1, 5)."""
+def step_rows(state: F64, params: F64) -> None:
+    """One step of each of N vehicles: state (N, ...), commands and normals included, params (N, PARAMS)."""
     work = np.empty((3, EVALUATED))
-    shared = normals.shape[0] == 1
     for i in range(state.shape[0]):
-        step_row(params[i], state[i], command[i], normals[0 if shared else i], work)
+        step_row(params[i], state[i], work)
 
 
 @njit
-def run_rows(state: F64, params: F64, command: F64, normals: F64, steps: int) -> None:
-    """`steps` steps with the same commands; normals (steps or 1, N or 1, 5)."""
+def run_rows(state: F64, params: F64, normals: F64, steps: int) -> None:
+    """`steps` steps with the same commands; normals (steps, N, 5), or (0, N, 5) for steps without gusts."""
     work = np.empty((3, EVALUATED))
-    shared = normals.shape[1] == 1
     for k in range(steps):
-        block = normals[k if normals.shape[0] > 1 else 0]
         for i in range(state.shape[0]):
-            step_row(params[i], state[i], command[i], block[0 if shared else i], work)
+            if normals.shape[0] > 0:
+                for j in range(turbulence.NORMALS):
+                    state[i, S_NORMALS + j] = normals[k, i, j]
+            step_row(params[i], state[i], work)
 
 
 @njit
@@ -158,24 +160,27 @@ def state_rows(params: F64, *, dt_us: int, max_delay_s: float = MAX_DELAY_S) -> 
 class _Gusts:
     """Blocks of standard normals for (N, 5) a step; none are drawn while no vehicle has turbulence."""
 
-    def __init__(self, seed: int, count: int) -> None:
+    def __init__(self, seed: int, state: F64) -> None:
         self._rng = np.random.default_rng(seed)
-        self._count = count
-        self._block = np.empty((0, count, turbulence.NORMALS))
+        self._inputs = state[:, S_NORMALS : S_NORMALS + turbulence.NORMALS]
+        self._block = np.empty((0, *self._inputs.shape))
         self._next = 0
-
-    def start(self, state: F64) -> None:
-        for row, normals in zip(state, self._rng.standard_normal((self._count, turbulence.NORMALS)), strict=True):
-            turbulence.start(row, normals)
+        self._inputs[:] = self._rng.standard_normal(self._inputs.shape)
+        for row in state:
+            turbulence.start(row)
 
     def take(self, most: int) -> F64:
         """Normals of the next 1 to `most` steps, (steps, N, 5)."""
         if self._next == len(self._block):
-            self._block = self._rng.standard_normal((_BLOCK, self._count, turbulence.NORMALS))
+            self._block = self._rng.standard_normal((_BLOCK, *self._inputs.shape))
             self._next = 0
         first = self._next
         self._next = min(first + most, len(self._block))
         return self._block[first : self._next]
+
+    def draw(self) -> None:
+        """Put the next step's normals into the state rows."""
+        self._inputs[:] = self.take(1)[0]
 
 
 class NativePlant:
@@ -193,10 +198,9 @@ class NativePlant:
         self._ground = ground
         self._params = parameter_row(vehicle, dt_us=dt_us, ground=ground)[None, :]
         self._state = state_rows(self._params, dt_us=dt_us)
-        self._command = np.zeros((1, 4))
-        self._gusts = _Gusts(seed, 1)
-        self._gusts.start(self._state)
+        self._gusts = _Gusts(seed, self._state)
         row = self._state[0]
+        self._command = row[S_COMMAND : S_COMMAND + 4]
         self.pos_ned_m = row[S_POS : S_POS + 3]
         self.vel_ned_mps = row[S_VEL : S_VEL + 3]
         self.q_ned_frd = row[S_Q : S_Q + 4]
@@ -221,20 +225,22 @@ class NativePlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        self._command[0] = motor_command
-        step_rows(self._state, self._params, self._command, self._gusts.take(1)[0] if self._gusty else _NO_NORMALS)
+        self._command[:] = motor_command
+        if self._gusty:
+            self._gusts.draw()
+        step_rows(self._state, self._params)
         self.t_us += self.dt_us
 
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands in one compiled call; the same flight as calling `step` that often."""
-        self._command[0] = motor_command
+        self._command[:] = motor_command
         self.t_us += steps * self.dt_us
         if not self._gusty:
-            run_rows(self._state, self._params, self._command, _NO_NORMALS[None], steps)
+            run_rows(self._state, self._params, _NO_NORMALS, steps)
             return
         while steps > 0:
             normals = self._gusts.take(steps)
-            run_rows(self._state, self._params, self._command, normals, len(normals))
+            run_rows(self._state, self._params, normals, len(normals))
             steps -= len(normals)
 
     def evaluate(self) -> None:
@@ -291,9 +297,8 @@ class BatchPlant:
         self._params = np.stack([parameter_row(vehicle, dt_us=dt_us) for vehicle in vehicles])
         delays = [vehicle.effects.get("transport_delay", {}).get("delay_s", 0.0) for vehicle in vehicles]
         self._state = state_rows(self._params, dt_us=dt_us, max_delay_s=max(delays))
-        self._command = np.zeros((len(vehicles), 4))
-        self._gusts = _Gusts(seed, len(vehicles))
-        self._gusts.start(self._state)
+        self._command = self._state[:, S_COMMAND : S_COMMAND + 4]
+        self._gusts = _Gusts(seed, self._state)
         self._gusty = bool(np.any(self._params[:, turbulence.SIGMA] != 0.0))
         self.pos_ned_m = self._state[:, S_POS : S_POS + 3]
         self.vel_ned_mps = self._state[:, S_VEL : S_VEL + 3]
@@ -313,5 +318,7 @@ class BatchPlant:
     def step(self, motor_command: F64) -> None:
         """Advance all by dt_us; `motor_command` (N, 4) or (4,)."""
         self._command[:] = motor_command
-        step_rows(self._state, self._params, self._command, self._gusts.take(1)[0] if self._gusty else _NO_NORMALS)
+        if self._gusty:
+            self._gusts.draw()
+        step_rows(self._state, self._params)
         self.t_us += self.dt_us

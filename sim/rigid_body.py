@@ -94,7 +94,11 @@ def _rotor(
     fx, fy, fz = rotor_drag.hub_force(p, speed, hub_air)
     fz += induced_inflow.hub_force(p, speed, hub_air) - thrust
     flap = blade_flapping.torque(p, speed, hub_air)
-    torque = (ay * fz - az * fy + flap[0], az * fx - ax * fz + flap[1], ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust)
+    torque = (
+        ay * fz - az * fy + flap[0],
+        az * fx - ax * fz + flap[1],
+        ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust,
+    )
     return (fx, fy, fz), torque, rotor_gyroscopic.momentum(p, i, speed)
 
 
@@ -256,9 +260,9 @@ def _integrate(p: F64, row: F64, start: Quad, middle: Quad, end: Quad, work: F64
 
 
 @njit
-def step_row(p: F64, row: F64, command: F64, normals: F64, work: F64) -> None:
-    """One step of one vehicle, in place: `command` (4,) is held over it; `normals` (5,) drive the gusts."""
-    transport_delay.push(row, command)
+def step_row(p: F64, row: F64, work: F64) -> None:
+    """One step of one vehicle, in place; the row's command is held over it, its normals drive the gusts."""
+    transport_delay.push(row)
     target = (
         transport_delay.delayed(p, row, 0),
         transport_delay.delayed(p, row, 1),
@@ -269,7 +273,7 @@ def step_row(p: F64, row: F64, command: F64, normals: F64, work: F64) -> None:
     if p[D_TAU] == 0.0:
         start = target
     end = _lagged(target, start, p[D_LAG_FULL])
-    turbulence.advance(p, row, normals)
+    turbulence.advance(p, row)
     middle = _lagged(target, start, p[D_LAG_HALF])
     _integrate(p, row, rotor_speeds(p, start), rotor_speeds(p, middle), rotor_speeds(p, end), work)
     dy, mean = work[1], work[2]

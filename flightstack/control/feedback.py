@@ -150,8 +150,10 @@ def _step(
         STANDARD_GRAVITY_MPS2, flat,
     )  # fmt: skip
     r = quat_to_matrix(q)
-    r_d = flat[8:17].reshape(3, 3)
-    turn = r.T @ r_d  # desired body axes, seen from the present ones
+    turn = np.empty((3, 3))  # desired body axes, seen from the present ones
+    for i in range(3):
+        for k in range(3):
+            turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
     aligned = max(turn[2, 2], 0.0)  # thrust only counts along the present thrust axis
     out[0, 0] = aligned * (flat[0] + constants[5, 1] * flat[1])
     along_p = along_d = 0.0
@@ -183,16 +185,17 @@ def _reachable(acc: F64, learned: F64, vel: F64, drag: F64, mass: float, constan
     """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
     d = 0.5 * (drag[0] + drag[1]) / mass
     low, high, slope = constants[4, 1], constants[4, 2], constants[7, 0]
-    t = learned - acc - d * vel
-    t[2] += STANDARD_GRAVITY_MPS2
-    down = min(max(t[2], low), high)
-    sideways = math.sqrt(t[0] * t[0] + t[1] * t[1])
+    north = learned[0] - acc[0] - d * vel[0]
+    east = learned[1] - acc[1] - d * vel[1]
+    wanted = learned[2] - acc[2] - d * vel[2] + STANDARD_GRAVITY_MPS2
+    down = min(max(wanted, low), high)
+    sideways = math.sqrt(north * north + east * east)
     allowed = min(slope * down, math.sqrt(high * high - down * down))
-    scale = 1.0 if sideways <= allowed else allowed / sideways
-    out = acc.copy()
-    out[0] += (1.0 - scale) * t[0]
-    out[1] += (1.0 - scale) * t[1]
-    out[2] += t[2] - down
+    share = 0.0 if sideways <= allowed else 1.0 - allowed / sideways
+    out = np.empty(3)
+    out[0] = acc[0] + share * north
+    out[1] = acc[1] + share * east
+    out[2] = acc[2] + wanted - down
     return out
 
 

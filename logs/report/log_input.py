@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -119,7 +120,7 @@ def _phases(source: _Source) -> tuple[Phase, ...]:
         if name == "phase"
     ]
     phases: list[Phase] = []
-    for (start, name), (end, _) in zip(marks, [*marks[1:], (end_s, "")], strict=True):
+    for (start, name), (end, _) in pairwise([*marks, (end_s, "")]):
         if phases and phases[-1].name == name:
             phases[-1] = replace(phases[-1], end_s=end)
         elif name not in _NOT_FLOWN:

@@ -144,7 +144,6 @@ class GlobalPositionInt(NamedTuple):
     alt_msl_m: float
     relative_alt_m: float
     vel_ned_mps: Tuple3
-    """Centimetres per second on the wire."""
     heading_deg: float
     """0..359.99, NaN unknown."""
 

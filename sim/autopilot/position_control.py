@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from flightstack.frames import matrix_to_quat
+from flightstack.frames import quat_from_euler
 from flightstack.jit import njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from sim.autopilot.params import Params
@@ -139,7 +139,7 @@ def _thrust_and_attitude(
     across = up * tan_tilt
     kept = min(across, c[_MARGIN])
     up = min(up, math.sqrt(c[_THR_MAX] ** 2 - kept**2))
-    across = min(across, math.sqrt(max(c[_THR_MAX] ** 2 - up * up, 0.0)))
+    across = min(across, math.sqrt(max(c[_THR_MAX] ** 2 - up * up, 0.0)), up * math.tan(tilt_max))
     if not math.isnan(s[_VEL_SP + 2]):
         error = s[_VEL_SP + 2] - x[5]
         saturated = (up < up_free and error < 0.0) or (up > up_free and error > 0.0)
@@ -161,14 +161,12 @@ def _thrust_and_attitude(
 
 @njit
 def _attitude_from_thrust(zx: float, zy: float, zz: float, yaw: float, q_out: F64) -> None:
-    """Attitude with body z = (zx, zy, zz) (unit, zz > 0) whose x axis points along `yaw` over ground."""
-    yx, yy = -math.sin(yaw), math.cos(yaw)
-    x0, x1, x2 = yy * zz, -yx * zz, yx * zy - yy * zx
-    norm = math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
-    r = np.empty((3, 3))
-    r[0, 0], r[1, 0], r[2, 0] = x0 / norm, x1 / norm, x2 / norm
-    r[0, 2], r[1, 2], r[2, 2] = zx, zy, zz
-    r[0, 1] = zy * r[2, 0] - zz * r[1, 0]
-    r[1, 1] = zz * r[0, 0] - zx * r[2, 0]
-    r[2, 1] = zx * r[1, 0] - zy * r[0, 0]
-    q_out[:] = matrix_to_quat(r)
+    """Attitude with body z = (zx, zy, zz) (unit, zz > 0) whose x axis points along `yaw` over ground.
+
+    Seen from a frame turned by yaw, body z is (cos roll sin pitch, -sin roll, cos roll cos pitch).
+    """
+    ahead = zx * math.cos(yaw) + zy * math.sin(yaw)
+    right = zy * math.cos(yaw) - zx * math.sin(yaw)
+    q = quat_from_euler(math.asin(min(max(-right, -1.0), 1.0)), math.atan2(ahead, zz), yaw)
+    for i in range(4):
+        q_out[i] = q[i]

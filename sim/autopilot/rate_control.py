@@ -93,9 +93,9 @@ def default_rate_gains(vehicle: Vehicle, params: Params) -> dict[str, float]:
 class RateControl:
     """Rate loop and allocation of one vehicle.
 
-    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro and `angular_acceleration_frd_radps2` (3,) its
-    filtered derivative, `rate_setpoint_frd_radps` (3,), `torque` (3,) normalised, `integral` (3,), `motor_command` (4,)
-    0..1.
+    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro, `angular_acceleration_frd_radps2` (3,) its
+    filtered derivative, `rate_setpoint_frd_radps` (3,), `torque` (3,) normalised, `integral` (3,), `motor_command`
+    (4,) 0..1.
     """
 
     __slots__ = (

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from flightstack.jit import njit
 from flightstack.types import F64
-from sim.layout import D_DELAY_STEPS, P_DT, S_CURSOR, S_RING, p_effect
+from sim.layout import D_DELAY_STEPS, P_DT, S_COMMAND, S_CURSOR, S_RING, p_effect
 
 DELAY = p_effect("transport_delay", "delay_s")
 
@@ -20,8 +20,8 @@ def change(p: F64) -> None:
 
 
 @njit
-def push(row: F64, command: F64) -> None:
-    """Put a new command (4,) into the ring: saturated at 0..1, and a motor whose command is not a number stands."""
+def push(row: F64) -> None:
+    """Put the row's new command into the ring: saturated at 0..1, and a motor whose command is not a number stands."""
     entries = (row.shape[0] - S_RING) // 4
     cursor = int(row[S_CURSOR]) + 1
     if cursor >= entries:
@@ -29,11 +29,12 @@ def push(row: F64, command: F64) -> None:
     row[S_CURSOR] = cursor
     at = S_RING + 4 * cursor
     for i in range(4):
-        value = command[i]
+        value = row[S_COMMAND + i]
         if value > 1.0:
             value = 1.0
         elif not value >= 0.0:  # also where it is NaN
             value = 0.0
+        row[S_COMMAND + i] = value
         row[at + i] = value
 
 

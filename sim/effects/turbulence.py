@@ -15,7 +15,7 @@ import math
 from flightstack.jit import njit
 from flightstack.types import F64
 from sim.effects.steady_wind import velocity
-from sim.layout import P_DT, S_GUST, S_VEL, Vec, p_effect
+from sim.layout import P_DT, S_GUST, S_NORMALS, S_VEL, Vec, p_effect
 
 SIGMA = p_effect("turbulence", "sigma_mps")
 LENGTH = p_effect("turbulence", "length_m")
@@ -47,18 +47,18 @@ def _noise_factors(s: float) -> Vec:
 
 
 @njit
-def start(row: F64, normals: F64) -> None:
+def start(row: F64) -> None:
     """Draw the filters' states from their stationary distribution: the gusts blew before the flight began."""
-    row[S_GUST] = normals[0]
-    for axis in range(2):
-        z1 = normals[1 + 2 * axis]
-        row[S_GUST + 1 + 2 * axis] = z1
-        row[S_GUST + 2 + 2 * axis] = 0.5 * z1 + 0.5 * normals[2 + 2 * axis]
+    row[S_GUST] = row[S_NORMALS]
+    for at in (1, 3):
+        z1 = row[S_NORMALS + at]
+        row[S_GUST + at] = z1
+        row[S_GUST + at + 1] = 0.5 * z1 + 0.5 * row[S_NORMALS + at + 1]
 
 
 @njit
-def advance(p: F64, row: F64, normals: F64) -> None:
-    """Step the filters by one dt with fresh standard normals (5,)."""
+def advance(p: F64, row: F64) -> None:
+    """Step the filters by one dt with the row's fresh standard normals."""
     if p[SIGMA] == 0.0:
         return
     wind = velocity(p)
@@ -67,13 +67,12 @@ def advance(p: F64, row: F64, normals: F64) -> None:
     s = p[P_DT] * airspeed / p[LENGTH]
     decay = math.exp(-s)
     l11, l21, l22 = _noise_factors(s)
-    row[S_GUST] = decay * row[S_GUST] + l11 * normals[0]
-    for axis in range(2):
-        at = S_GUST + 1 + 2 * axis
-        n1, n2 = normals[1 + 2 * axis], normals[2 + 2 * axis]
-        z1 = row[at]
-        row[at] = decay * z1 + l11 * n1
-        row[at + 1] = decay * (s * z1 + row[at + 1]) + l21 * n1 + l22 * n2
+    row[S_GUST] = decay * row[S_GUST] + l11 * row[S_NORMALS]
+    for at in (1, 3):
+        n1, n2 = row[S_NORMALS + at], row[S_NORMALS + at + 1]
+        z1, z2 = row[S_GUST + at], row[S_GUST + at + 1]
+        row[S_GUST + at] = decay * z1 + l11 * n1
+        row[S_GUST + at + 1] = decay * (s * z1 + z2) + l21 * n1 + l22 * n2
 
 
 @njit

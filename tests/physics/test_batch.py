@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from fleet import QUAD, TYPICAL, quad, random_vehicle
+from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
 from flightstack.vehicle import with_effects
-from sim.layout import S_RING
-from sim.plant import BatchPlant, NativePlant
+from sim.layout import S_FORCE, S_RING, p_effect
+from sim.parameters import derive_rows, parameter_row
+from sim.plant import BatchPlant, NativePlant, evaluate_rows
 
 
 def test_each_of_a_batch_of_random_vehicles_flies_bit_for_bit_as_alone() -> None:
@@ -81,3 +82,25 @@ def test_commands_of_any_kind_of_numbers_fly_the_same() -> None:
             plant.step(command)  # type: ignore[arg-type]
         flights.append(plant._state.copy())
     assert all(np.array_equal(flight, flights[0]) for flight in flights)
+
+
+def test_rows_whose_raw_numbers_are_changed_and_derived_anew_are_the_changed_vehicles() -> None:
+    """What sensitivities need: vary a number in a row, derive, evaluate; the same as building the vehicle so."""
+    changed = {name: TYPICAL[name] for name in ("payload", "com_offset", "inertia", "thrust_scale", "rotor_drag")}
+    params = np.stack([parameter_row(QUAD, dt_us=1000), parameter_row(quad(**changed), dt_us=1000)])
+    varied = np.stack([params[0], params[0]])
+    for name, table in changed.items():
+        for key, value in table.items():
+            varied[1, p_effect(name, key)] = value
+    derive_rows(varied)
+    assert np.array_equal(varied, params, equal_nan=True)
+    rng = np.random.default_rng(3)
+    plant = NativePlant(QUAD, seed=0, ground=False)
+    set_random_state(plant, rng)
+    state = np.concatenate([plant._state, plant._state])
+    evaluate_rows(state, varied)
+    for row, vehicle in zip(state, (QUAD, quad(**changed)), strict=True):
+        alone = NativePlant(vehicle, seed=0, ground=False)
+        alone._state[:, :S_FORCE] = plant._state[:, :S_FORCE]
+        alone.evaluate()
+        assert np.array_equal(row[S_FORCE : S_FORCE + 6], alone._state[0, S_FORCE : S_FORCE + 6])

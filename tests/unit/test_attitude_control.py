@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +26,7 @@ def rotation(q: F64) -> Rotation:
 vectors = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 
 
+@settings(deadline=None)  # the first call compiles
 @given(vectors, vectors)
 def test_the_reduced_attitude_points_the_thrust_axis_right_by_the_shortest_turn(
     a: tuple[float, float, float], b: tuple[float, float, float]
@@ -40,6 +41,7 @@ def test_the_reduced_attitude_points_the_thrust_axis_right_by_the_shortest_turn(
     assert (now.inv() * reduced).magnitude() == pytest.approx(angle, abs=1e-7)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(vectors, vectors)
 def test_with_full_yaw_weight_the_error_is_the_plain_quaternion_error(
     a: tuple[float, float, float], b: tuple[float, float, float]

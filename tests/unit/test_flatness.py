@@ -99,7 +99,7 @@ def test_drag_is_compensated_exactly_where_x_and_y_are_alike(drag: tuple[float, 
 
 
 def test_a_loop_through_pitch_90_keeps_its_heading_axis_and_its_rates() -> None:
-    """The thrust axis turns about body y at 3 rad/s, through straight ahead and upside down: the rates stay (0, 3, 0)."""
+    """The thrust axis turns about body y at 3 rad/s, through horizontal and upside down: rates stay (0, 3, 0)."""
     for angle in np.linspace(-3.0, 3.0, 61):
         z = np.array([math.sin(angle), 0.0, math.cos(angle)])
         dz, ddz = 3.0 * np.array([math.cos(angle), 0.0, -math.sin(angle)]), -9.0 * z

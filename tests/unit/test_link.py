@@ -7,6 +7,7 @@ import random
 from typing import Any
 
 import pytest
+from pymavlink.generator.mavcrc import x25crc
 
 from mavlink_bridge import messages as m
 from mavlink_bridge.framing import StreamFraming, build_frame
@@ -84,7 +85,7 @@ def test_a_late_message_is_delivered_and_no_longer_counts_as_lost() -> None:
 
 
 def test_a_repeated_message_is_counted_and_delivered() -> None:
-    """A sender that never counts would otherwise be deaf-muted."""
+    """A sender that never counts would otherwise be heard only once."""
     sender, receiver = Link(1, 1), Link(9, 9)
     datagrams = _sent(sender, HEARTBEAT) * 3
     assert _deliver(receiver, datagrams) == [HEARTBEAT] * 3
@@ -133,17 +134,34 @@ def test_a_corrupt_frame_costs_itself_only() -> None:
     assert receiver.stats.lost == 1
 
 
+@pytest.mark.parametrize("flags", [2, 3, 0x80])
+def test_a_frame_with_unknown_flags_is_dropped_although_its_crc_is_right(flags: int) -> None:
+    row, receiver = m.BY_EVENT[m.Heartbeat], Link(9, 9)
+    frame = build_frame(row.encode(HEARTBEAT), row.id, row.crc_extra, 0, 1, 1, flags)
+    assert _deliver(receiver, [frame, *_sent(Link(1, 1), HEARTBEAT)]) == [HEARTBEAT]
+    assert receiver.stats.bad_flags == 1
+
+
+def test_a_frame_whose_length_lies_is_dropped_although_its_crc_is_right() -> None:
+    row, receiver = m.BY_EVENT[m.Heartbeat], Link(9, 9)
+    frame = bytearray(build_frame(row.encode(HEARTBEAT), row.id, row.crc_extra, 0, 1, 1))
+    for length in (0, 8, 10, 255):
+        frame[1] = length
+        frame[-2:] = x25crc(frame[1:-2] + bytes([row.crc_extra])).crc.to_bytes(2, "little")
+        assert _deliver(receiver, [bytes(frame)]) == []
+
+
 def test_an_unknown_message_is_counted_and_is_no_loss() -> None:
     """One that the dialect knows but the table doesn't (its CRC is checked), and one that nobody knows."""
     known = dialect.MAVLink_terrain_report_message(1, 2, 3, 4.0, 5.0, 6, 7)
     sender = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     sender.seq = 1
     known_frame = bytes(known.pack(sender))
-    ours = _sent(Link(1, 1), *[HEARTBEAT] * 4)
-    nobodys = build_frame(b"\x01\x02\x03", 54321, 99, 2, 1, 1)
+    ours = _sent(Link(1, 1), *[HEARTBEAT] * 5)
+    nobodys = [build_frame(b"\x01\x02\x03", 54321, 99, sequence, 1, 1) for sequence in (2, 3)]
     receiver = Link(9, 9)
-    assert _deliver(receiver, [ours[0], known_frame, nobodys, ours[3]]) == [HEARTBEAT, HEARTBEAT]
-    assert receiver.stats.unknown_id == 2
+    assert _deliver(receiver, [ours[0], known_frame, b"".join(nobodys), ours[4]]) == [HEARTBEAT, HEARTBEAT]
+    assert receiver.stats.unknown_id == 2  # a run of bytes that belong to no known frame counts once
     assert receiver.stats.lost == 0
 
 

@@ -89,7 +89,7 @@ def test_more_inertia_makes_the_rate_loop_slower() -> None:
 
 
 def test_a_vehicle_that_cannot_hover_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match="vehicle quad-x: .* cannot fly .*rotors.max_thrust_n"):
+    with pytest.raises(InputError, match=r"vehicle quad-x: .* cannot fly .*rotors\.max_thrust_n"):
         Model.from_vehicle(scaled(load_vehicle("quad-x"), mass_ratio=2.3))
 
 

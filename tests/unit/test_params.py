@@ -79,7 +79,7 @@ def test_limits_of_a_float_are_inclusive_although_32_bits_round_them() -> None:
 
 
 def test_constructing_with_a_bad_value_names_the_parameter_and_its_range() -> None:
-    with pytest.raises(InputError, match="MPC_XY_P = 5.*from 0 to 2"):
+    with pytest.raises(InputError, match=r"MPC_XY_P = 5.*from 0 to 2"):
         Params({"MPC_XY_P": 5.0})
     with pytest.raises(InputError, match="NOPE does not exist"):
         Params({"NOPE": 5.0})

@@ -14,7 +14,6 @@ from sim.autopilot.position_control import PositionControl
 
 G = 9.80665
 NAN = math.nan
-NO_INTEGRAL = {"MPC_XY_VEL_I_ACC": 0.0, "MPC_XY_VEL_D_ACC": 0.1, "MPC_Z_VEL_I_ACC": 0.2}
 
 
 def control(**setpoint: tuple[float, float, float] | float) -> PositionControl:
@@ -117,14 +116,17 @@ def test_the_integrator_finds_the_missing_lift_and_the_lateral_force() -> None:
 
 
 def test_integrators_do_not_wind_up_against_the_limits() -> None:
-    """Held back for 20 s at full thrust and full tilt, then released at the setpoint: no lasting push remains."""
+    """Held back for 20 s at full thrust and full tilt, then told to stay: nothing pushes on that way.
+
+    Back-calculation with gain 2/P even pulls back: it settles where P e + I exceeds what is given by P e / 2.
+    """
     loop = control(pos=(50.0, 0.0, -50.0))
     for _ in range(2500):
         loop.step(state())
     loop.setpoint[:3] = 0.0
     loop.step(state())
     vector = thrust_vector(loop)
-    assert abs(vector[0]) < 0.35
+    assert -0.5 < vector[0] < 0.01
     assert -vector[2] < 0.75
 
 

@@ -54,7 +54,7 @@ def test_the_gyro_low_pass_is_scipys_butterworth(cutoff_hz: float) -> None:
 
 def test_the_gyro_passes_through_that_filter_and_starts_settled() -> None:
     control = loop()
-    noise = np.random.default_rng(0).standard_normal((400, 3)) + [5.0, -3.0, 0.5]
+    noise = np.random.default_rng(0).normal((5.0, -3.0, 0.5), 1.0, (400, 3))
     b, a = signal.butter(2, 40.0, fs=1000.0)
     expected = np.stack([signal.lfilter(b, a, x, zi=signal.lfilter_zi(b, a) * x[0])[0] for x in noise.T], axis=1)
     ours = []
@@ -71,7 +71,7 @@ def test_cut_offs_of_zero_mean_no_filter() -> None:
 
 @pytest.mark.recorded
 def test_torques_follow_those_a_real_px4_computed_from_the_same_rates(recorded: Path) -> None:
-    """Fed PX4's filtered rates and setpoints at its 250 Hz; the rest is the log's gaps.  Angular accelerations likewise."""
+    """Fed PX4's filtered rates and setpoints at its 250 Hz; what error is left comes from the log's gaps."""
     log, values = read_flight(recorded)
     params = Params()
     for name in (n for n in values if n.startswith("MC_") and params.set(n, values[n][1]).name == "OK"):

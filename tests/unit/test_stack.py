@@ -1,4 +1,4 @@
-"""The stack in flight, without a wire: against the simulated vehicle with its rotors' lag, rate loop and noisy sensors."""
+"""The stack in flight, without a wire: against the simulated vehicle with its lags, rate loop and noisy sensors."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_at_the_reference_the_command_is_hover() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2, -2.9])
 def test_errors_are_answered_in_the_right_direction_at_every_heading(yaw: float) -> None:
-    """Below the reference: more thrust.  South of it, nose north: nose down; in general the thrust leans to the goal."""
+    """Below the reference: more thrust.  Beside it: the axis of the turn is across the way to the goal."""
     q = quat_from_euler(0.0, 0.0, yaw)
     stack, goal = Stack(MODEL), dataclasses.replace(SETPOINT, yaw_rad=yaw)
     low, _ = tick(stack, measurement(q_ned_frd=q, pos_ned_m=np.array([0.0, 0.0, -0.9])), goal)
@@ -66,7 +66,7 @@ def test_errors_are_answered_in_the_right_direction_at_every_heading(yaw: float)
         p, pitch_rate, _ = command.rate_frd_radps
         assert p * right >= -1e-9
         assert pitch_rate * forward <= 1e-9
-        assert p / 0.2 == pytest.approx(-pitch_rate / 0.2 * right / forward if abs(forward) > 0.02 else p / 0.2)
+        assert p * forward + pitch_rate * right == pytest.approx(0.0, abs=0.01 * math.hypot(p, pitch_rate))
 
 
 def test_the_feedback_is_the_papers_for_small_errors() -> None:

@@ -29,7 +29,8 @@ ON_GCS = {
     "Attitude": 50, "AttitudeQuaternion": 50, "AttitudeTarget": 50, "LocalPositionNed": 50, "GlobalPositionInt": 50,
     "PositionTargetLocalNed": 50, "ServoOutputRaw": 50, "GpsRawInt": 5, "VfrHud": 4, "Heartbeat": 1,
     "MissionCurrent": 1, "Altitude": 1, "ExtendedSysState": 1, "OpenDroneIdLocation": 1, "OpenDroneIdSystem": 1,
-    "ScaledPressure": 1, "SysStatus": 1, "LinkNodeStatus": 1, "BatteryStatus": 0.5, "CurrentMode": 0.5, "DistanceSensor": 0.5,
+    "ScaledPressure": 1, "SysStatus": 1, "LinkNodeStatus": 1, "BatteryStatus": 0.5, "CurrentMode": 0.5,
+    "DistanceSensor": 0.5,
     "EstimatorStatus": 0.5, "HomePosition": 0.5, "TimeEstimateToTarget": 0.5, "CurrentEventSequence": 1 / 3,
     "Ping": 1 / 6, "Vibration": 1 / 6,
 }  # fmt: skip

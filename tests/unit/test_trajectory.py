@@ -107,7 +107,7 @@ def snap_cost(coefficients: F64, spans: F64) -> float:
 
 
 def test_scipy_finds_no_cheaper_path_over_the_free_derivatives_at_the_inner_knots() -> None:
-    """Each segment is fixed by position, velocity, acceleration, jerk at its ends; the optimiser may choose the inner."""
+    """Each segment is fixed by position to jerk at its ends; those at the inner knots are the optimiser's to choose."""
     spans, points = np.diff(COURSE.knots_s), [0.0, 2.0, 3.0, 0.0]
 
     def path(inner: F64) -> F64:

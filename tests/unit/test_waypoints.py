@@ -75,9 +75,9 @@ def test_a_mistake_is_one_line_that_names_the_waypoint(text: str, message: str) 
         (((0, 0, -1, 0), (5, 0, -1, 0)), (0.0, 1.0), "w: on the way to waypoint 2 tilt would be"),
         (((0, 0, -1, 0), (3, 0, -1, 0), (3, 0, -6, 0)), (0.0, 3.0, 4.0), "w: on the way to waypoint [23] "),
         (
-            ((0, 0, -0.5, 0), (1, 0, -3, 0), (2, 0, -0.35, 0), (3, 0, -0.35, 0)),
-            (0.0, 2.0, 4.0, 5.0),
-            "waypoint 4 the path dips",
+            ((0, 0, -4, 0), (1, 0, -0.4, 0), (2, 0, -0.4, 0), (3, 0, -4, 0)),
+            (0.0, 3.0, 5.0, 8.0),
+            "waypoint 3 the path dips",
         ),
     ],
 )
@@ -90,6 +90,6 @@ def test_a_course_that_cannot_be_flown_is_refused_by_waypoint(
 
 def test_tilt_beyond_the_limit_is_refused() -> None:
     waypoints = Waypoints(((0, 0, -1, 0), (4, 0, -1, 0)), (0.0, 2.0))
-    with pytest.raises(InputError, match="tilt would be .* degrees; allowed are 20"):
+    with pytest.raises(InputError, match=r"tilt would be .* degrees; allowed are 20"):
         waypoint_trajectory(waypoints, "w", Limits(tilt_max_rad=np.radians(20.0)))
     assert waypoint_trajectory(waypoints, "w", Limits()).duration_s == 2.0
