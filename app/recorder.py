@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -20,6 +19,7 @@ _TOPIC_OF: dict[type, str] = {
     m.LocalPositionNed: "/vehicle/local_position",
     m.HighresImu: "/vehicle/imu",
     m.ServoOutputRaw: "/vehicle/motors",
+    m.SysStatus: "/vehicle/battery",
 }
 
 
@@ -68,9 +68,6 @@ class LogObserver:
         elif isinstance(message, m.Heartbeat) and self.companion is not None:
             view = self.companion.view
             self._log.write("/vehicle/status", t_us, (view.mode_name, view.armed, view.on_ground))
-        elif isinstance(message, m.SysStatus):
-            remaining = message.remaining / 100.0 if message.remaining >= 0 else math.nan
-            self._log.write("/vehicle/battery", t_us, (message.voltage_v, message.current_a, remaining))
         elif isinstance(message, m.GlobalPositionInt):
             self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
 

@@ -181,9 +181,7 @@ class Link:
                 setattr(self.stats, frame.reason, getattr(self.stats, frame.reason) + 1)
                 in_frames = False
             if frame.source and self._expected.get(frame.source) == frame.sequence:
-                self._expected[frame.source] = (
-                    frame.sequence + 1
-                ) & 0xFF  # most likely good, but unknown here: no loss
+                self._expected[frame.source] = (frame.sequence + 1) & 0xFF  # most likely good, only unknown: no loss
             after = next_magic(data, at + 1)
             self.stats.skipped_bytes += after - at
             at = after

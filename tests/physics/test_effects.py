@@ -13,16 +13,19 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import with_effects
 from sim.effects import EFFECTS
-from sim.layout import INTEGRATED, S_CHARGE, S_WIND
+from sim.layout import S_CHARGE, S_WIND
 from sim.plant import NativePlant
 
 SENSORS = ("accelerometer_bias", "gyro_bias", "attitude_misalignment")
 OFF = np.zeros(4)
 
 
-def flight(effects: dict[str, dict[str, float]]) -> F64:
-    """A short lively flight low over the ground, all states after it; linear drag so that wind is felt."""
-    plant = NativePlant(quad(linear_drag={"d_x_kgps": 0.1, "d_y_kgps": 0.2, "d_z_kgps": 0.1}, **effects), seed=5)
+DRAG = {"linear_drag": {"d_x_kgps": 0.1, "d_y_kgps": 0.2, "d_z_kgps": 0.1}}
+
+
+def flight(effects: dict[str, dict[str, float]], background: dict[str, dict[str, float]] = DRAG) -> F64:
+    """A short lively flight low over the ground, all states after it; with drag behind it all, so that wind is felt."""
+    plant = NativePlant(quad(**{**background, **effects}), seed=5)
     plant.pos_ned_m[2] = -0.5
     plant.vel_ned_mps[:] = [2.0, 1.0, -0.5]
     plant.rate_frd_radps[:] = [0.5, -0.4, 0.3]
@@ -42,19 +45,13 @@ def test_the_table_has_a_row_with_physics_and_source_for_every_spec_in_its_order
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_at_its_null_value_flies_bit_for_bit_like_none(name: str) -> None:
     nulls = {p.name: p.null for p in EFFECTS[name].spec.params if p.null is not None}
-    if name == "linear_drag":
-        pytest.skip("the flight of comparison has this effect")
-    assert np.array_equal(flight({name: nulls}), flight({}))
-    assert np.array_equal(flight({name: {}}), flight({}))
+    background = {} if name in DRAG else DRAG
+    assert np.array_equal(flight({name: nulls}, background), flight({}, background))
+    assert np.array_equal(flight({name: {}}, background), flight({}, background))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_off_null_changes_what_its_kind_says(name: str) -> None:
-    if name == "linear_drag":
-        changed = flight({})
-        plain = NativePlant(QUAD, seed=5)
-        assert not np.array_equal(changed[:INTEGRATED], plain._state[0, :INTEGRATED])
-        return
     same = np.array_equal(flight({name: TYPICAL[name]}), flight({}))
     assert same == (name in SENSORS), "sensor effects leave the motion alone, all others change it"
     plant, plain = NativePlant(quad(**{name: TYPICAL[name]}), seed=5), NativePlant(QUAD, seed=5)

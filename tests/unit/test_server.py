@@ -26,8 +26,6 @@ from station import (
 
 from mavlink_bridge import messages as m
 
-ZERO3 = (0.0, 0.0, 0.0)
-
 
 @pytest.fixture
 def station() -> Station:
@@ -105,9 +103,15 @@ def test_a_message_asked_for_comes_before_its_acknowledgement(station: Station, 
     assert m.BY_ID[number].event in names[: names.index(m.CommandAck)]
 
 
-@pytest.mark.parametrize("number", [24, 259, 410, 411, 77, 12345, 65000, -1, math.inf])
+@pytest.mark.parametrize("number", [259, 410, 411, 77, 12345, 65000, -1, math.inf])
 def test_a_message_that_is_not_to_be_had_is_denied(station: Station, number: float) -> None:
     assert station.command(512, float(number)) == [2]
+
+
+def test_a_fix_that_was_sent_already_is_denied() -> None:
+    station = Station(grade="gps").boot()
+    station.command(512, 24.0)
+    assert station.command(512, 24.0) == [2]
 
 
 def test_all_26_modes_are_listed_on_request_or_one_by_its_index(station: Station) -> None:
@@ -292,10 +296,8 @@ def test_velocity_setpoints_fly_at_that_velocity(flying: Station) -> None:
 
 
 def test_body_frame_velocities_turn_with_the_heading(flying: Station) -> None:
-    zero = (0.0, 0.0, 0.0)
-    east = m.SetPositionTargetLocalNed(0, 1, 1, 1, 0b001111111000, (0.0, 0.0, -2.5), zero, zero, math.pi / 2, 0.0)
-    flying.stream = east._replace(type_mask=0b101111111000 & ~1024)
-    flying.run(4.0)
+    flying.stream = position_setpoint(0.0, 0.0, -2.5)._replace(yaw_rad=math.pi / 2)
+    flying.run(6.0)
     flying.stream = velocity_setpoint(1.0, 0.0, 0.0)._replace(frame=8, yaw_rad=math.pi / 2)
     flying.run(4.0)
     assert flying.vehicle.plant.truth().vel_ned_mps == pytest.approx((0.0, 1.0, 0.0), abs=0.15)
@@ -363,7 +365,8 @@ def test_a_landing_ends_disarmed_two_seconds_after_touch_down_with_offboard_stil
     flying.heartbeat_every_us = 1_000_000
     assert flying.command(LAND) == [0]
     flying.stream = None
-    flying.run_until(lambda: flying.last(m.ExtendedSysState).landed_state == 4, 1.0)
+    flying.run(0.4)
+    assert flying.last(m.ExtendedSysState).landed_state == 4
     flying.run_until(lambda: "Landing detected" in flying.texts(), 15.0)
     took_s = flying.run_until(lambda: not flying.state.armed, 5.0)
     assert took_s == pytest.approx(2.05, abs=0.07)
@@ -431,7 +434,9 @@ def test_the_answer_to_a_lost_stream_follows_its_parameters(
 
 def test_a_resumed_stream_takes_off_again_out_of_the_landed_failsafe(flying: Station) -> None:
     flying.stream = None
-    flying.run_until(lambda: flying.last(m.Heartbeat).system_status == 5 and flying.state.landed, 20.0)
+    flying.run(2.2)
+    assert flying.last(m.Heartbeat).system_status == 5
+    flying.run_until(lambda: flying.state.landed, 20.0)
     assert flying.state.armed
     flying.stream = position_setpoint(0.0, 0.0, -2.0)
     took_s = flying.run_until(lambda: flying.state.mode.title == "Offboard", 1.0)
@@ -443,7 +448,6 @@ def test_a_resumed_stream_takes_off_again_out_of_the_landed_failsafe(flying: Sta
 def test_disarming_in_the_air_is_refused_and_forced_disarming_drops_it(flying: Station) -> None:
     assert flying.command(ARM, 0.0) == [1]
     assert flying.command(ARM, 0.0, 21196.0) == [0]
-    assert flying.last(m.Heartbeat) is not None
     flying.run(1.1)
     assert flying.last(m.Heartbeat).base_mode == 0x01
     assert flying.vehicle.plant.truth().vel_ned_mps[2] > 3.0 or flying.vehicle.plant.on_ground
