@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from sim.server import Server
-from sim.streams import LinkKind
 
 from app import files
 from app.recorder import LogObserver
@@ -24,16 +22,21 @@ from flightstack.scenario import Scenario
 from flightstack.stack import Stack
 from flightstack.types import F64, TickRecord
 from flightstack.vehicle import Vehicle
+from flightstack.warmup import warm_up as warm_up_stack
 from logs.threaded import ThreadedLog
 from logs.topics import Attachment
 from logs.writer import FlightLog, Recorder
+from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket
-from sim.grade import load_grade
+from sim.grade import Grade, load_grade
+from sim.server import Server
 from sim.shell import ONBOARD, Shell
 from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
+from sim.streams import LinkKind
+from sim.warmup import warm_up as warm_up_simulator
 
 TICK_MS = 4
 LOCKSTEP_TIMEOUT_S = 2.0
@@ -69,7 +72,8 @@ class Setup:
     scenario: Scenario
     believed: Vehicle
     truth: Vehicle
-    sensors: str
+    grade: Grade
+    stack: Stack
     attachments: tuple[Attachment, ...]
     settings: dict[str, str]
 
@@ -99,7 +103,15 @@ def prepare(options: FlyOptions) -> Setup:
         "duration_s": f"{scenario.duration_s:g}",
     }
     attachments = tuple(Attachment(name, "application/toml", file.text.encode()) for file, name in attached)
-    return Setup(scenario, believed, truth, sensors, attachments, settings)
+    stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
+    return Setup(scenario, believed, truth, load_grade(sensors), stack, attachments, settings)
+
+
+def compile_all(setup: Setup) -> None:
+    """Whatever is compiled at its first call is called once: a fresh machine takes its half minute here, not in flight."""
+    messages.prepare()
+    warm_up_stack(setup.stack)
+    warm_up_simulator(setup.truth, setup.grade)
 
 
 class SimulatedFlight:
@@ -108,16 +120,15 @@ class SimulatedFlight:
     def __init__(self, setup: Setup, options: FlyOptions, log: Recorder) -> None:
         self.setup = setup
         self._log = log
-        self.vehicle: SimulatedVehicle = simulated_vehicle(
-            setup.believed, setup.truth, load_grade(setup.sensors), seed=options.seed
-        )
+        self.vehicle: SimulatedVehicle = simulated_vehicle(setup.believed, setup.truth, setup.grade, seed=options.seed)
         self._socket = UdpSocket.bind("127.0.0.1", 0)
         near = UdpSocket.bind("127.0.0.1", 0, peer=self._socket.address)
         self._socket.peer = near.address
+        self._socket.connect()
+        near.connect()
         self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (near,))
         observer = LogObserver(log, setup.scenario, setup.believed, truth=True, on_record=self._on_record)
-        stack = Stack(Model.from_vehicle(setup.believed), limits=setup.scenario.limits)
-        self.companion = Companion(Link(240, 191), stack, setup.scenario, observer, CompanionConfig(arm=True))
+        self.companion = Companion(Link(240, 191), setup.stack, setup.scenario, observer, CompanionConfig(arm=True))
         observer.companion = self.companion
         self.score = TrackingScore("truth")
         self._events = sorted(setup.scenario.events, key=lambda event: event.time_s)
@@ -191,6 +202,8 @@ def fly(
 ) -> FlightResult:
     """Fly a scenario in the simulator; log and report lie where the result says."""
     setup = prepare(options)
+    on_progress(0.0, "compiling (once on a new machine)")
+    compile_all(setup)
     out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
     metadata = {"settings": setup.settings, "versions": files.versions()}

@@ -12,7 +12,6 @@ from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
 from flightstack.scenario import Scenario
-from flightstack.stack import Stack
 from flightstack.types import TickRecord
 from flightstack.vehicle import Vehicle
 from logs.threaded import ThreadedLog
@@ -22,7 +21,7 @@ from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import Pace, undisturbed
-from mavlink_bridge.transport.address import Transport, framing_for, open_address, parse_address
+from mavlink_bridge.transport.address import Transport, framing_for, open_address
 from mavlink_bridge.transport.clock import monotonic_us
 
 PERIOD_US = 4_000
@@ -77,7 +76,6 @@ def offboard(
         scenario = scenario.with_duration(options.duration_s)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     model = Model.from_vehicle(believed)
-    address = parse_address(options.connect)
     transport = open_address(address)
     try:
         out = options.out or files.new_run_folder(scenario.name, None)
@@ -105,7 +103,7 @@ def offboard(
         observer = LogObserver(recorder, scenario, believed, truth=False, on_record=score.on_record)
         companion = Companion(
             Link(240, 191, framing=framing_for(address)),
-            Stack(model, limits=scenario.limits),
+            stack,
             scenario,
             observer,
             CompanionConfig(arm=options.arm, dry_run=options.dry_run),

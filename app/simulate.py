@@ -7,14 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sim.server import Server
-
 from app import files
+from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket
 from sim.grade import load_grade
+from sim.server import Server
 from sim.shell import GCS, ONBOARD, Shell
 from sim.simulated_vehicle import simulated_vehicle
+from sim.warmup import warm_up
 
 HOST = "127.0.0.1"
 OFFBOARD_PORT = 14540
@@ -23,6 +24,8 @@ GCS_BIND = 18570
 PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
 TICK_MS = 4
+PATIENCE_US = 200_000
+"""So far behind real time the simulator catches up; beyond, its clock stands still instead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,10 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
     truth, _ = files.load_vehicle(options.vehicle)
-    vehicle = simulated_vehicle(replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed)
+    grade = load_grade(options.sensors)
+    messages.prepare()
+    warm_up(truth, grade)
+    vehicle = simulated_vehicle(replace(truth, effects={}), truth, grade, seed=options.seed)
     onboard = UdpSocket.bind(HOST, options.port + PORT_STEP, peer=(HOST, options.port), latch=True)
     gcs_bind = GCS_BIND if options.gcs_port == GCS_PORT else 0
     try:
@@ -77,7 +83,7 @@ def simulate(
 
 
 def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], sent: list[int]) -> Pace:
-    pace = Pace(TICK_MS * 1000 / options.speed)
+    pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     vehicle = shell.server.vehicle
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
     ticks = 0

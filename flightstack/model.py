@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.jit import njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, InputError, Tuple3
 from flightstack.vehicle import Vehicle
 
@@ -135,23 +136,38 @@ class Model:
 class Limiter:
     """Cuts what a controller wants to the limits of the flight and of the rotors; final, holds only constants."""
 
-    __slots__ = ("_range_n", "_rate_max_radps", "model")
+    __slots__ = ("_constants",)
 
     def __init__(self, model: Model, limits: Limits) -> None:
-        self.model = model
-        self._range_n = model.thrust_range_n(limits)
-        self._rate_max_radps = limits.rate_max_radps
+        thrust_range = model.thrust_range_n(limits)
+        curve = (model.max_thrust_n, model.thrust_model_factor)
+        self._constants = np.array([*thrust_range, *limits.rate_max_radps, *curve])
 
     def limit(self, thrust_n: float, rate_frd_radps: F64, now_us: int) -> tuple[Command, bool]:
         """The command within the limits, and whether thrust was cut; what is not a number stays so, for the guard."""
-        low, high = self._range_n
-        x, y, z = self._rate_max_radps
-        p, q, r = rate_frd_radps.tolist()
-        thrust = min(max(thrust_n, low), high)
-        rate = np.array((min(max(p, -x), x), min(max(q, -y), y), min(max(r, -z), z)))
-        return Command(now_us, thrust, self.model.norm_of(thrust), rate), thrust != thrust_n
+        rate = np.empty(3)
+        thrust, norm = _limit(thrust_n, rate_frd_radps, self._constants, rate)
+        return Command(now_us, thrust, norm, rate), thrust != thrust_n
 
 
+@njit
+def _clip(value: float, low: float, high: float) -> float:
+    """Within the range; NaN stays NaN."""
+    if value > high:
+        return high
+    return low if value < low else value
+
+
+@njit
+def _limit(thrust: float, rate: F64, constants: F64, out: F64) -> tuple[float, float]:
+    """Limited thrust and its norm, rates into `out`; `constants` (7,): thrust range, rates (3), T_max, curve factor."""
+    for i in range(3):
+        out[i] = _clip(rate[i], -constants[2 + i], constants[2 + i])
+    limited = _clip(thrust, constants[0], constants[1])
+    return limited, thrust_to_norm(limited, constants[5], constants[6])
+
+
+@njit
 def thrust_to_norm(thrust_n: float, max_thrust_n: float, thrust_model_factor: float) -> float:
     """Invert T = T_max (f u^2 + (1 - f) u) for u in 0..1; the root is written so that f = 0 is no special case."""
     share = min(1.0, max(0.0, thrust_n / max_thrust_n))

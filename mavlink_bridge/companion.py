@@ -30,6 +30,7 @@ _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
+_TIMESYNC_PERIOD_US = 100_000
 _FULL_MASK_RATES = 128
 """SET_ATTITUDE_TARGET: ignore the attitude, take body rates and thrust.  Never the throttle-ignore bit (64)."""
 
@@ -95,6 +96,7 @@ class Companion:
         self._entered_us = -1
         self._started_us = -1
         self._heartbeat_due_us = 0
+        self._timesync_due_us = 0
         self._stack_state: StackState | None = None
         self._last_good_us = -1
         self._stop_requested = ""
@@ -369,6 +371,9 @@ class Companion:
         if now_us >= self._heartbeat_due_us and self._system:
             self._heartbeat_due_us = now_us + SECOND_US
             self._send_heartbeats()
+        if now_us >= self._timesync_due_us and self._system:
+            self._timesync_due_us = now_us + _TIMESYNC_PERIOD_US
+            self.link.send(m.Timesync(0, now_us * 1000, self._system, px4.COMPONENT_AUTOPILOT))
         if self.state is State.IDENTIFYING:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
         elif self.state is State.STREAMING and not self._config.dry_run:

@@ -13,10 +13,15 @@ _SWITCH_INTERVAL_S = 20e-6
 
 
 class Pace:
-    """Deadlines at a fixed period from the first `wait` on; a late loop skips deadlines, it never queues them."""
+    """Deadlines at a fixed period from the first `wait` on.
 
-    def __init__(self, period_us: float) -> None:
+    A late loop skips deadlines, it never queues old ones.  A simulator may be patient instead: it catches up as long
+    as it is not more than `patience_us` behind, so that its clock keeps its rate on a busy machine.
+    """
+
+    def __init__(self, period_us: float, *, patience_us: float = 0.0) -> None:
         self.period_us = period_us
+        self._patience_us = patience_us
         self.missed = 0
         """Deadlines that passed without a tick."""
         self._deadline_us = -1.0
@@ -30,7 +35,7 @@ class Pace:
         else:
             self._deadline_us += self.period_us
         behind = now - self._deadline_us
-        if behind > self.period_us:
+        if behind > max(self.period_us, self._patience_us):
             skipped = int(behind // self.period_us)
             self.missed += skipped
             self._deadline_us += skipped * self.period_us

@@ -4,15 +4,22 @@ A stamp is taken before it is sent, so (stamp - receipt) is the clocks' offset m
 negative: the largest values are the good ones.  The largest of each bucket of time is kept, and a line through the
 buckets gives offset and rate.  A simulator may run several times faster than real time, and PX4's lockstep simulation
 1.5 % slower: the controller lives in the vehicle's time, so both are no more than a rate.
+
+One-way stamps can't tell a vehicle whose clock stood still for a moment (a simulator on a busy machine) from a link
+that became slow.  Round trips (TIMESYNC) can: one that is quick and contradicts the line shows a clock that slipped.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from itertools import combinations
+from statistics import median
 
 _BUCKET_US = 250_000
 _BUCKETS = 12
 _JUMP_US = 500_000
+_ROUND_TRIP_MAX_US = 30_000
+_SLIP_US = 2_000
 
 
 class VehicleClock:
@@ -23,6 +30,8 @@ class VehicleClock:
         """Vehicle seconds per local second."""
         self.jumps = 0
         """How often the stamps left the line by more than half a second (a reboot, a jump): the fit began anew."""
+        self.slips = 0
+        """How often a round trip showed that the vehicle's clock had stood still or run ahead."""
         self._anchor: tuple[int, int] | None = None
         self._bucket_id = 0
         self._best: tuple[int, int] | None = None
@@ -54,6 +63,19 @@ class VehicleClock:
         if len(self._buckets) < 2 and lead > 0:  # too early for a line: the least latency so far
             self._anchor = (local_us, stamp_us)
 
+    def observe_round_trip(self, asked_us: int, vehicle_us: int, answered_us: int) -> None:
+        """Take an answered TIMESYNC: local times of question and answer, and the vehicle's time in between."""
+        trip_us = answered_us - asked_us
+        if self._anchor is None or not 0 <= trip_us <= _ROUND_TRIP_MAX_US:
+            return
+        middle_us = (asked_us + answered_us) // 2
+        error_us = vehicle_us - self.vehicle_us(middle_us)
+        if abs(error_us) > (trip_us / 2 + _SLIP_US) * max(1.0, self.rate):
+            self.slips += 1
+            rate = self.rate
+            self._restart(vehicle_us, middle_us)
+            self.rate = rate
+
     def vehicle_us(self, local_us: int) -> int:
         """The vehicle's time at a local time; local time itself before the first stamp."""
         if self._anchor is None:
@@ -68,14 +90,8 @@ class VehicleClock:
         self.rate = 1.0
 
     def _fit(self) -> None:
-        """Least-squares line through the buckets' best pairs, raised to touch the one with the least latency."""
+        """A line with the median of the buckets' slopes (robust to bursts), through the pair with the least latency."""
         if len(self._buckets) < 2:
             return
-        local0, stamp0 = self._buckets[0]
-        xs = [local - local0 for local, _ in self._buckets]
-        ys = [stamp - stamp0 for _, stamp in self._buckets]
-        n = len(xs)
-        mean_x, mean_y = sum(xs) / n, sum(ys) / n
-        sxx = sum((x - mean_x) ** 2 for x in xs)
-        self.rate = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / sxx
+        self.rate = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._buckets, 2))
         self._anchor = max(self._buckets, key=lambda pair: pair[1] - self.rate * pair[0])

@@ -115,6 +115,11 @@ class VehicleView:
         if text:
             self.texts.append((now_us, message.severity, text))
 
+    def _on_timesync(self, message: m.Timesync, now_us: int) -> None:
+        """The answer to a question of ours carries our own stamp; the vehicle's own questions have tc1 0."""
+        if message.tc1_ns:
+            self.clock.observe_round_trip(message.ts1_ns // 1000, message.tc1_ns // 1000, now_us)
+
 
 _PREARM_BIT = 1 << 28
 
@@ -130,4 +135,5 @@ _HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
     m.AutopilotVersion: VehicleView._on_version,
     m.SysStatus: VehicleView._on_status,
     m.Statustext: VehicleView._on_text,
+    m.Timesync: VehicleView._on_timesync,
 }

@@ -124,5 +124,7 @@ def _estimate(pos: F64, vel: F64, q: F64, tilt: F64, accel: F64, noise: F64, row
     norm = math.sqrt(measured[0] ** 2 + measured[1] ** 2 + measured[2] ** 2 + measured[3] ** 2)
     for i in range(4):
         out[6 + i] = measured[i] / norm
-    out[10:13] = rotate(out[6:10], accel)
+    turned = rotate(out[6:10], accel)
+    for i in range(3):
+        out[10 + i] = turned[i]
     out[12] += STANDARD_GRAVITY_MPS2

@@ -41,10 +41,12 @@ class LocalFrame:
         latitude = math.radians(latitude_deg)
         turn = math.radians(longitude_deg - self.longitude_deg)
         sin_lat, cos_lat, cos_turn = math.sin(latitude), math.cos(latitude), math.cos(turn)
-        angle = math.acos(max(-1.0, min(1.0, self._sin_lat * sin_lat + self._cos_lat * cos_lat * cos_turn)))
-        scale = EARTH_RADIUS_M if angle < _TINY else EARTH_RADIUS_M * angle / math.sin(angle)
-        north = scale * (self._cos_lat * sin_lat - self._sin_lat * cos_lat * cos_turn)
-        return north, scale * cos_lat * math.sin(turn)
+        x = self._cos_lat * sin_lat - self._sin_lat * cos_lat * cos_turn
+        y = cos_lat * math.sin(turn)
+        sin_c = math.hypot(x, y)
+        cos_c = self._sin_lat * sin_lat + self._cos_lat * cos_lat * cos_turn
+        scale = EARTH_RADIUS_M * (math.atan2(sin_c, cos_c) / sin_c if sin_c > _TINY else 1.0)
+        return scale * x, scale * y
 
 
 PX4_SIH: Final = LocalFrame(47.397742, 8.545594, 489.4)

@@ -24,6 +24,7 @@ from sim.plant import Plant
 
 ESTIMATE_EVERY_MS = 4
 _BLOCK = 1024
+_FIX_BLOCK = 64
 FIELD_NED_GAUSS = (0.2147, 0.0116, 0.4297)
 """Earth's magnetic field at Zurich (World Magnetic Model)."""
 HOME_ALTITUDE_M = 489.4
@@ -80,6 +81,10 @@ class Sensors:
         self.fix: Fix | None = None
         self.fix_count = 0
         self._pending: deque[tuple[int, Fix]] = deque()
+        fix = grade.fix
+        self._fix_std = np.array([*fix.pos_std_m, *fix.vel_std_mps])
+        self._fix_accuracy = (math.hypot(*fix.pos_std_m[:2]), fix.pos_std_m[2], math.hypot(*fix.vel_std_mps))
+        self._fix_noise: list[list[float]] = []
         self._fix_period_us = round(1e6 / grade.fix.rate_hz)
         self._fix_delay_us = round(1e6 * grade.fix.delay_s)
         self._next_fix_us = 0
@@ -118,19 +123,12 @@ class Sensors:
             self.fix_count += 1
 
     def _take_fix(self, plant: Plant) -> Fix:
-        grade = self.grade.fix
-        noise = self._fix_rng.standard_normal(6).tolist()
-        pos, vel = plant.pos_ned_m.tolist(), plant.vel_ned_mps.tolist()
-        north, east, down = (p + s * n for p, s, n in zip(pos, grade.pos_std_m, noise[:3], strict=True))
-        v_north, v_east, v_down = (v + s * n for v, s, n in zip(vel, grade.vel_std_mps, noise[3:], strict=True))
-        return Fix(
-            plant.t_us,
-            (north, east, down),
-            (v_north, v_east, v_down),
-            math.hypot(*grade.pos_std_m[:2]),
-            grade.pos_std_m[2],
-            math.hypot(*grade.vel_std_mps),
-        )
+        if not self._fix_noise:
+            self._fix_noise = (self._fix_std * self._fix_rng.standard_normal((_FIX_BLOCK, 6))).tolist()
+        en, ee, ed, evn, eve, evd = self._fix_noise.pop()
+        n, e, d = plant.pos_ned_m.tolist()
+        vn, ve, vd = plant.vel_ned_mps.tolist()
+        return Fix(plant.t_us, (n + en, e + ee, d + ed), (vn + evn, ve + eve, vd + evd), *self._fix_accuracy)
 
     def estimate(self, rate_frd_radps: F64) -> Estimate:
         """Frozen copy of the last estimate; `rate_frd_radps` is the rate loop's filtered gyro."""

@@ -20,7 +20,7 @@ from sim import commands, protocols
 from sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
 from sim.autopilot.navigator import Navigator
 from sim.autopilot.notices import Notice
-from sim.autopilot.offboard import from_attitude_target, from_position_target
+from sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from sim.autopilot.setpoint import ControlSetpoint
 from sim.geodesy import PX4_SIH, LocalFrame
 from sim.protocols import EventMemory, ParameterList
@@ -112,7 +112,11 @@ class Server:
             self._offboard, self._offboard_at_us = setpoint, received.t_us
 
     def _on_position_target(self, link_index: int, received: Received) -> None:
-        setpoint = from_position_target(received.message, self.view.heading_rad)
+        message, view = received.message, self.view
+        if isinstance(message, m.SetPositionTargetLocalNed):
+            setpoint = from_position_target(message, view.heading_rad)
+        else:
+            setpoint = from_global_target(message, view.frame, view.home_altitude_m)
         if setpoint is not None:
             self._offboard, self._offboard_at_us = setpoint, received.t_us
 
@@ -266,6 +270,7 @@ class Server:
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
     m.SetAttitudeTarget: Server._on_attitude_target,
     m.SetPositionTargetLocalNed: Server._on_position_target,
+    m.SetPositionTargetGlobalInt: Server._on_position_target,
     m.Heartbeat: Server._on_heartbeat,
     m.CommandLong: Server._on_command,
     m.CommandInt: Server._on_command,

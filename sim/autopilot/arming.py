@@ -68,11 +68,11 @@ def report(checks: Checks) -> tuple[Notice, ...]:
     conditions = checks.conditions
     failed = []
     errors = warnings = 0
-    if not conditions.mission:
-        failed.append(notices.check_failed("check_modes_mission", 0x66, modes.MISSION_WORD, notices.SYSTEM))
     if checks.mode.prevents_arming and not conditions.armed:
         barred = modes.PREVENTS_ARMING_WORD
         failed.append(notices.check_failed("check_modes_cannot_takeoff", 0x66, barred, notices.SYSTEM))
+    if not conditions.mission:
+        failed.append(notices.check_failed("check_modes_mission", 0x66, modes.MISSION_WORD, notices.SYSTEM))
     if not conditions.offboard_signal:
         barred = modes.OFFBOARD.bit
         failed.append(notices.check_failed("check_modes_offboard_signal", 0x33, barred, notices.SYSTEM))

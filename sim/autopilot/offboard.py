@@ -1,4 +1,4 @@
-"""Offboard setpoints: from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED to what the control loops fly.
+"""Offboard setpoints: from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_* to what the control loops fly.
 
 Which masks count as a signal, and what becomes of what they leave out, follows PX4 (measured, mask by mask):
 roll and pitch rate go together, a body-rate setpoint without either is dropped; the yaw rate may be left out; thrust
@@ -11,8 +11,9 @@ import math
 from typing import Final
 
 from flightstack.types import Tuple3, Tuple4
-from mavlink_bridge.messages import SetAttitudeTarget, SetPositionTargetLocalNed
+from mavlink_bridge.messages import SetAttitudeTarget, SetPositionTargetGlobalInt, SetPositionTargetLocalNed
 from sim.autopilot.setpoint import NAN, ControlKind, ControlSetpoint
+from sim.geodesy import LocalFrame
 
 # SET_ATTITUDE_TARGET.type_mask
 _NO_ROLL_RATE: Final = 1
@@ -28,6 +29,9 @@ _NO_YAW: Final = 1024
 _NO_YAW_RATE_P: Final = 2048
 _LOCAL_NED: Final = 1
 _BODY_FRAMES: Final = (8, 12)  # BODY_NED, BODY_FRD
+
+_ABOVE_SEA: Final = (0, 5)  # GLOBAL, GLOBAL_INT
+_ABOVE_HOME: Final = (3, 6)  # GLOBAL_RELATIVE_ALT, the same INT
 
 _MAX_RATE_RADPS: Final = 100.0
 _MAX_POS_M: Final = 1e6
@@ -104,6 +108,22 @@ def from_position_target(message: SetPositionTargetLocalNed, yaw_rad: float) -> 
     return ControlSetpoint(
         ControlKind.POSITION, pos_ned_m=pos, vel_ned_mps=vel, acc_ned_mps2=acc, yaw_rad=yaw, yaw_rate_radps=yaw_rate
     )
+
+
+def from_global_target(
+    message: SetPositionTargetGlobalInt, frame: LocalFrame, home_altitude_m: float
+) -> ControlSetpoint | None:
+    """The same with the position on the globe, its height above the sea or above home."""
+    if message.frame not in _ABOVE_SEA and message.frame not in _ABOVE_HOME:
+        return None
+    north, east = frame.to_local(message.lat_deg, message.lon_deg)
+    above_sea_m = message.alt_m + (home_altitude_m if message.frame in _ABOVE_HOME else 0.0)
+    local = SetPositionTargetLocalNed(
+        message.t_boot_us, message.target_system, message.target_component, _LOCAL_NED, message.type_mask,
+        (north, east, frame.altitude_m - above_sea_m), message.vel_ned_mps, message.acc_ned_mps2,
+        message.yaw_rad, message.yaw_rate_radps,
+    )  # fmt: skip
+    return from_position_target(local, 0.0)
 
 
 def _chosen(values: Tuple3, ignore: int, limit: float) -> Tuple3:

@@ -5,7 +5,8 @@
 Gyro: second-order Butterworth low-pass (IMU_GYRO_CUTOFF).  w': its derivative through a first-order low-pass
 (IMU_DGYRO_CUTOFF).  The integrator's step shrinks with the error, i' = I e (1 - (e / 400 deg/s)^2) and nothing beyond;
 it is held while landed, is limited, doesn't grow further into an axis that the allocation couldn't serve, and starts
-at 0 on arming.  Yaw torque passes a first-order low-pass (MC_YAW_TQ_CUTOFF).
+at 0 on arming.  Yaw torque passes a first-order low-pass (MC_YAW_TQ_CUTOFF).  Motor commands are thrusts where
+THR_MDL_FAC is 0; above, they are the commands whose curve gives those thrusts.
 
 PX4's gains are tuned for each airframe through K.  Here K follows from the vehicle file: angular acceleration per unit
 of torque alpha and total lag tau (rotors, gyro filter, yaw's low-pass) make a loop s (tau s + 1) + K P alpha, whose
@@ -20,7 +21,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 from sim.autopilot.allocation import allocate, effectiveness, mixer
 from sim.autopilot.params import Params
@@ -36,8 +37,8 @@ _RATE_SP, _THRUST_SP, _ARMED, _HOLD_I = 0, 3, 4, 5
 _FILTER, _RATE, _ACC, _INTEGRAL, _TORQUE, _LOST, _STARTED = 6, 12, 15, 18, 21, 24, 27
 _STATE_SIZE = 28
 # places in its configuration
-_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22
-_CONFIG_SIZE = 23
+_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22, 23
+_CONFIG_SIZE = 24
 
 
 def butterworth2(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float, float, float]:
@@ -58,7 +59,7 @@ def first_order_alpha(cutoff_hz: float, dt_s: float) -> float:
 def hover_command(vehicle: Vehicle) -> float:
     """Motor command 0..1 at which the file's rotors carry the file's mass: f u^2 + (1 - f) u = m g / (4 T_max)."""
     rotors = vehicle.rotors
-    load = vehicle.mass_kg * 9.80665 / (len(rotors.position_m) * rotors.max_thrust_n)
+    load = vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / (len(rotors.position_m) * rotors.max_thrust_n)
     f = rotors.thrust_model_factor
     u = load if f < 1e-9 else (math.sqrt((1.0 - f) ** 2 + 4.0 * f * load) - (1.0 - f)) / (2.0 * f)
     return min(u, 1.0)
@@ -144,6 +145,7 @@ class RateControl:
         c[_ALPHA_D] = first_order_alpha(params.get("IMU_DGYRO_CUTOFF"), self._dt_s)
         c[_ALPHA_YAW] = first_order_alpha(params.get("MC_YAW_TQ_CUTOFF"), self._dt_s)
         c[_DT] = self._dt_s
+        c[_CURVE] = params.get("THR_MDL_FAC")
 
     def set_target(self, rate: tuple[float, float, float], thrust: float, *, armed: bool, hold_integral: bool) -> None:
         """Rates (rad/s, NaN: the measured rate, so no action of P and I) and collective thrust from now on."""
@@ -202,3 +204,8 @@ def rate_step(gyro: F64, c: F64, s: F64, mix: F64, motors: F64) -> None:
             integral += c[_I + axis] * error * max(0.0, 1.0 - fade * fade) * c[_DT]
             s[_INTEGRAL + axis] = min(max(integral, -c[_LIMIT + axis]), c[_LIMIT + axis])
     allocate(mix, s[_TORQUE], s[_TORQUE + 1], s[_TORQUE + 2], s[_THRUST_SP], motors, s[_LOST : _LOST + 3])
+    curve = c[_CURVE]
+    if curve > 1e-6:  # the command u whose curve f u^2 + (1 - f) u is the thrust wanted
+        for i in range(motors.shape[0]):
+            linear = 1.0 - curve
+            motors[i] = (math.sqrt(linear * linear + 4.0 * curve * motors[i]) - linear) / (2.0 * curve)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from fleet import QUAD, TYPICAL, matrix, quad, set_random_state, without_thrust_or_ground
 from oracle import RHO, G
+from scipy.integrate import quad as quadrature
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import with_effects
-from sim.effects import EFFECTS
-from sim.layout import S_CHARGE, S_WIND
+from sim.effects import EFFECTS, turbulence
+from sim.layout import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
 from sim.plant import NativePlant
 
 SENSORS = ("accelerometer_bias", "gyro_bias", "attitude_misalignment")
@@ -303,3 +304,31 @@ def test_start_is_at_rest_on_the_ground_facing_north_with_a_full_battery() -> No
     assert truth.motor_u == truth.rotor_thrust_n == (0.0,) * 4
     assert truth.battery_v == 16.8
     assert truth.on_ground
+
+
+@pytest.mark.parametrize("s", [1e-7, 1e-5, 1e-3, 0.0499, 0.0501, 0.5, 3.0, 40.0])
+def test_the_gust_filters_noise_of_one_step_is_the_integral_and_keeps_their_distribution_stationary(s: float) -> None:
+    """Covariance 2 int_0^s exp(-2x) [[1, x], [x, x^2]] dx by SciPy; with the decay it restores the rest."""
+    l11, l21, l22 = turbulence._noise_factors(s)
+    found = np.array([[l11 * l11, l11 * l21], [l11 * l21, l21 * l21 + l22 * l22]])
+    for power, value in ((0, found[0, 0]), (1, found[0, 1]), (2, found[1, 1])):
+        integral = quadrature(lambda x, n=power: 2 * math.exp(-2 * x * s) * x**n, 0, 1, epsabs=0)[0] * s ** (power + 1)
+        assert value == pytest.approx(integral, rel=1e-7)
+    stationary = np.array([[1.0, 0.5], [0.5, 0.5]])
+    decay = math.exp(-s) * np.array([[1.0, 0.0], [s, 1.0]])
+    assert decay @ stationary @ decay.T + found == pytest.approx(stationary, abs=1e-12)
+
+
+def test_gusts_start_from_their_stationary_distribution() -> None:
+    """The map from normals to states, column by column: its square is the stationary covariance."""
+    columns = np.zeros((5, 5))
+    for k in range(5):
+        row = np.zeros(S_RING)
+        row[S_NORMALS + k] = 1.0
+        turbulence.start(row)
+        columns[:, k] = row[S_GUST : S_GUST + 5]
+    block = np.array([[1.0, 0.5], [0.5, 0.5]])
+    expected = np.zeros((5, 5))
+    expected[0, 0] = 1.0
+    expected[1:3, 1:3] = expected[3:5, 3:5] = block
+    assert columns @ columns.T == pytest.approx(expected)

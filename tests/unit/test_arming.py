@@ -44,8 +44,8 @@ def test_with_a_stream_the_offboard_event_is_gone_and_its_bit_is_set() -> None:
 def test_in_a_landing_mode_arming_is_barred_for_all_such_modes() -> None:
     assert burst(modes.LAND, READY) == [
         (SUMMARY, 0x88, "000000100080000000900a4380b03a7f80"),
-        (MISSION, 0x66, "0800000014"),
         (CANNOT, 0x66, "20303c0014"),
+        (MISSION, 0x66, "0800000014"),
         (OFFBOARD, 0x33, "0040000014"),
         (STICKS, 0x44, "ffffffff07"),
         (HEALTH, 0x88, "000a1c0238"),

@@ -186,6 +186,15 @@ def test_a_changed_gain_acts_when_the_loop_is_configured_again() -> None:
     assert run(control, (0.0, 0.0, 0.0), 1)[0] == pytest.approx(0.3)
 
 
+def test_a_thrust_curve_is_undone_in_the_motor_commands() -> None:
+    control = loop(Params({"THR_MDL_FAC": 0.6}))
+    for thrust in (0.0, 0.3, 1.0):
+        control.set_target((0.0, 0.0, 0.0), thrust, armed=True, hold_integral=False)
+        run(control, (0.0, 0.0, 0.0), 1)
+        u = control.motor_command
+        np.testing.assert_allclose(0.6 * u * u + 0.4 * u, thrust, atol=1e-6)
+
+
 def test_a_unit_of_torque_turns_sih_as_measured() -> None:
     """113 rad/s^2 for roll and pitch, 13.3 for yaw."""
     np.testing.assert_allclose(angular_acceleration_per_torque(SIH), [113.0, 113.0, 13.3], rtol=0.005)

@@ -299,7 +299,7 @@ def test_body_frame_velocities_turn_with_the_heading(flying: Station) -> None:
     flying.stream = position_setpoint(0.0, 0.0, -2.5)._replace(yaw_rad=math.pi / 2)
     flying.run(6.0)
     flying.stream = velocity_setpoint(1.0, 0.0, 0.0)._replace(frame=8, yaw_rad=math.pi / 2)
-    flying.run(4.0)
+    flying.run(8.0)
     assert flying.vehicle.plant.truth().vel_ned_mps == pytest.approx((0.0, 1.0, 0.0), abs=0.15)
 
 
@@ -307,6 +307,18 @@ def test_position_setpoints_are_reached(flying: Station) -> None:
     flying.stream = position_setpoint(2.0, -1.0, -3.0)
     flying.run(8.0)
     assert flying.vehicle.plant.truth().pos_ned_m == pytest.approx((2.0, -1.0, -3.0), abs=0.2)
+
+
+@pytest.mark.parametrize(("frame", "height_m"), [(5, 489.4 + 3.0), (6, 3.0)])
+def test_a_position_on_the_globe_is_reached(flying: Station, frame: int, height_m: float) -> None:
+    """1e-5 degrees of latitude are 1.112 m."""
+    zero = (0.0, 0.0, 0.0)
+    home = flying.server.view.frame
+    flying.stream = m.SetPositionTargetGlobalInt(
+        0, 1, 1, frame, 0b101111111000, home.latitude_deg + 2e-5, home.longitude_deg, height_m, zero, zero, 0.0, 0.0
+    )
+    flying.run(8.0)
+    assert flying.vehicle.plant.truth().pos_ned_m == pytest.approx((2.224, 0.0, -3.0), abs=0.2)
 
 
 @pytest.mark.parametrize("frame", [0, 3, 5, 6, 7, 9, 255])
@@ -363,6 +375,7 @@ def test_a_takeoff_can_name_its_altitude() -> None:
 
 def test_a_landing_ends_disarmed_two_seconds_after_touch_down_with_offboard_still_chosen(flying: Station) -> None:
     flying.heartbeat_every_us = 1_000_000
+    flying.run(1.1)
     assert flying.command(LAND) == [0]
     flying.stream = None
     flying.run(0.4)

@@ -51,3 +51,27 @@ def test_before_the_first_stamp_local_time_is_the_best_guess() -> None:
     clock = VehicleClock()
     assert not clock.synchronised
     assert clock.vehicle_us(123) == 123
+
+
+def test_a_clock_that_stood_still_is_found_by_the_next_quick_round_trip() -> None:
+    clock = VehicleClock()
+    local = _feed(clock, rate=1.0, offset_us=5_000_000, seconds=3.0, seed=4)
+    stalled = 60_000  # the simulator lost 60 ms
+    for _ in range(25):
+        local += 4_000
+        clock.observe(5_000_000 + local - 300 - stalled, local)
+    asked = local
+    clock.observe_round_trip(asked, 5_000_000 + asked + 500 - stalled, asked + 1_000)
+    assert clock.slips == 1
+    assert abs(clock.vehicle_us(local) - (5_000_000 + local - stalled)) < 1_000
+
+
+def test_a_slow_link_is_not_taken_for_a_slow_clock() -> None:
+    clock = VehicleClock()
+    local = _feed(clock, rate=1.0, offset_us=5_000_000, seconds=3.0, seed=5)
+    for _ in range(150):
+        local += 4_000
+        clock.observe(5_000_000 + local - 80_000, local)  # every message is 80 ms old on arrival
+        clock.observe_round_trip(local - 160_000, 5_000_000 + local - 80_000, local)
+    assert clock.slips == 0
+    assert clock.vehicle_us(local) - (5_000_000 + local) > -2_000  # so the age of what arrives shows

@@ -1,0 +1,19 @@
+"""Compile everything that the simulator calls in flight, before anyone waits for it."""
+
+from __future__ import annotations
+
+from flightstack.vehicle import Vehicle
+from sim.autopilot.setpoint import HOLD, LAND, ControlKind, ControlSetpoint
+from sim.grade import Grade
+from sim.server import Server
+from sim.simulated_vehicle import simulated_vehicle
+
+_SETTLE_MS = 200
+
+
+def warm_up(vehicle: Vehicle, grade: Grade) -> None:
+    """A moment of a throwaway vehicle's life: idle behind its server, then with every control loop running."""
+    throwaway = simulated_vehicle(vehicle, vehicle, grade, seed=0)
+    Server(throwaway).advance(_SETTLE_MS)
+    for setpoint in (ControlSetpoint(ControlKind.RATE, thrust_norm=0.5), HOLD, LAND):
+        throwaway.advance(setpoint, _SETTLE_MS)
