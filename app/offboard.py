@@ -75,7 +75,10 @@ def offboard(
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
-    model = Model.from_vehicle(believed)
+    stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
+    messages.prepare()
+    warm_up(stack)
+    address = parse_address(options.connect)
     transport = open_address(address)
     try:
         out = options.out or files.new_run_folder(scenario.name, None)

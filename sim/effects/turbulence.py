@@ -24,7 +24,7 @@ NORMALS = 5
 _LEAST_AIRSPEED_MPS = 1.0
 _SQRT3 = math.sqrt(3.0)
 _SQRT_HALF = math.sqrt(0.5)
-_SERIES_BELOW = 0.05
+_SERIES_BELOW = 0.01
 
 
 @njit
