@@ -12,16 +12,19 @@ from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
 from flightstack.scenario import Scenario
+from flightstack.stack import Stack
 from flightstack.types import TickRecord
 from flightstack.vehicle import Vehicle
+from flightstack.warmup import warm_up
 from logs.threaded import ThreadedLog
 from logs.topics import Attachment
 from logs.writer import FlightLog, Recorder
+from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import Pace, undisturbed
-from mavlink_bridge.transport.address import Transport, framing_for, open_address
+from mavlink_bridge.transport.address import Transport, framing_for, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
 
 PERIOD_US = 4_000

@@ -11,12 +11,12 @@ from typing import Any, Final
 from mavlink_bridge import messages as m
 from sim.autopilot import modes
 from sim.autopilot.commander import ESTIMATE_READY_US
+from sim.autopilot.setpoint import ControlKind
 from sim.view import View
 
 NAN: Final = math.nan
 
 _STANDBY, _ACTIVE, _CRITICAL = 3, 4, 5
-_PWM_OFF: Final = 900.0
 _UNUSED_SERVOS: Final = (900,) * 12
 _DISARMED_SERVOS: Final = (900,) * 16
 _ALIGNED_US: Final = 2_500_000
@@ -85,11 +85,12 @@ def highres_imu(view: View) -> m.HighresImu:
 
 
 def servo_output_raw(view: View) -> m.ServoOutputRaw:
-    """What the motors get: 1000 + 1000 u, 900 while disarmed or stopped."""
-    control = view.vehicle.control
-    if not control.armed or not math.isfinite(control.thrust_setpoint):
+    """What the motors get: 1000 + 1000 u, 900 while disarmed or stopped (no finite thrust)."""
+    setpoint = view.setpoint
+    if setpoint.kind is ControlKind.OFF or not math.isfinite(setpoint.thrust_norm):
         return m.ServoOutputRaw(view.t_us, 0, _DISARMED_SERVOS)
-    pwm = tuple([int(1000.5 + 1000.0 * u) for u in view.vehicle.motor_command.tolist()])
+    u1, u2, u3, u4 = view.vehicle.motor_command.tolist()
+    pwm = (int(1000.5 + 1000.0 * u1), int(1000.5 + 1000.0 * u2), int(1000.5 + 1000.0 * u3), int(1000.5 + 1000.0 * u4))
     return m.ServoOutputRaw(view.t_us, 0, pwm + _UNUSED_SERVOS)
 
 

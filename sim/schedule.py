@@ -6,8 +6,7 @@ tick comes out right on average; a stream that fell behind starts a new grid ins
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterable
+from heapq import heapify, heappush, heapreplace
 
 STOPPED = -1
 
@@ -29,15 +28,15 @@ class Schedule:
         """Run stream `key` every `interval_us` (> 0) from `first_us` on; replaces what it did before."""
         self.stop(key)
         self._intervals_us[key] = interval_us
-        heapq.heappush(self._heap, (first_us, key, interval_us))
+        heappush(self._heap, (first_us, key, interval_us))
 
     def stop(self, key: int) -> None:
         """Stop a stream."""
         if self._intervals_us.pop(key, None) is not None:
             self._heap = [entry for entry in self._heap if entry[1] != key]
-            heapq.heapify(self._heap)
+            heapify(self._heap)
 
-    def due(self, now_us: int) -> Iterable[int]:
+    def due(self, now_us: int) -> list[int]:
         """Keys of the streams that are due at `now_us`, in order of due time, then key; each once."""
         heap = self._heap
         keys = []
@@ -46,6 +45,6 @@ class Schedule:
             next_us = due_us + interval_us
             if next_us <= now_us:
                 next_us = now_us + interval_us
-            heapq.heapreplace(heap, (next_us, key, interval_us))
+            heapreplace(heap, (next_us, key, interval_us))
             keys.append(key)
         return keys

@@ -177,10 +177,11 @@ class Server:
 
     def advance(self, n_ms: int = 4) -> None:
         """Simulate n_ms milliseconds under what has been received, then queue the streams that are due."""
-        vehicle, view = self.vehicle, self.view
+        vehicle, view, state = self.vehicle, self.view, self.commander.state
         now_us = view.t_us
-        self._command(now_us)
-        state = self.commander.state
+        landed = vehicle.control.land_detector.landed
+        if self._requests or now_us >= state.next_cycle_us or landed is not state.landed:
+            self._command(landed, now_us)  # between its cycles the commander sleeps unless something happens
         setpoint, said = self.navigator.step(
             state.mode,
             self._offboard,
@@ -197,20 +198,17 @@ class Server:
         if view.t_us >= self._next_slow_us:
             self._slow()
         for port in self._ports:
-            send = port.link.send
-            for message in port.streams.due(view):
-                send(message)
+            port.streams.emit(view, port.link.send)
             if port.parameters.running:
                 for item in port.parameters.take(vehicle.params, PARAMS_PER_TICK):
-                    send(item)
+                    port.link.send(item)
 
-    def _command(self, now_us: int) -> None:
+    def _command(self, landed: bool, now_us: int) -> None:
         """The commander's tick."""
         requests: tuple[Request, ...] = ()
         if self._requests:
             requests = tuple(self._requests)
             self._requests.clear()
-        landed = self.vehicle.control.land_detector.landed
         done = self.navigator.state.takeoff_done
         outputs = self.commander.step(Inputs(landed, self._offboard_at_us, done, requests), now_us)
         armed = self.commander.state.armed

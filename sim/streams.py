@@ -6,7 +6,7 @@ give at most, however much is asked for.  All times are simulated.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final
@@ -160,11 +160,9 @@ class LinkStreams:
         interval_us = max(interval_us, STREAMS[index].least_us)
         self._schedule.start(index, interval_us, now_us + index * _STAGGER_US % interval_us)
 
-    def due(self, view: View) -> Iterable[Any]:
-        """The messages to send now."""
-        messages = []
+    def emit(self, view: View, send: Callable[[Any], None]) -> None:
+        """Send what is due."""
         for index in self._schedule.due(view.t_us):
             message = _BUILDERS[index](view)
             if message is not None:
-                messages.append(message)
-        return messages
+                send(message)
