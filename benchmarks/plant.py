@@ -226,19 +226,20 @@ def measure(seconds: float) -> list[Row]:
 
 
 def show(rows: list[Row]) -> None:
-    """The table, with each rate's ratio to ours of the same kind (all effects on)."""
-    base = {row.what.split(", all")[0]: row.steps_per_s for row in rows if row.what.endswith("all effects on")}
+    """The table, with the ratio of ours to each peer's of the same kind: no effect on / all effects on."""
+    own = {row.what: row.steps_per_s for row in rows if row.system == "flightstack"}
     print(
         f"steps of 1 ms per second; {platform.platform()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     )
-    print(f"| {'system':<12} | {'what':<48} | {'steps/s':>12} | {'ours/theirs':>11} | note")
-    print(f"| {'-' * 12} | {'-' * 48} | {'-' * 12} | {'-' * 11} | ---")
+    print(f"| {'system':<12} | {'what':<48} | {'steps/s':>12} | {'ours/theirs':>15} | note")
+    print(f"| {'-' * 12} | {'-' * 48} | {'-' * 12} | {'-' * 15} | ---")
     for row in rows:
         kind = row.what.replace(f"{BATCH} vehicles, compiled loop", f"{BATCH} vehicles, one call")
-        own = base.get(kind)
-        ratio = f"{own / row.steps_per_s:.2f}" if own and row.steps_per_s else ""
-        rate = f"{row.steps_per_s:,.0f}" if row.steps_per_s else ""
-        print(f"| {row.system:<12} | {row.what:<48} | {rate:>12} | {ratio:>11} | {row.note}")
+        pair = [own.get(f"{kind}, {label}") for label in ("no effect on", "all effects on")]
+        theirs = row.steps_per_s
+        ratio = " / ".join(f"{ours / theirs:.2f}" for ours in pair if ours and theirs)
+        rate = f"{theirs:,.0f}" if theirs else ""
+        print(f"| {row.system:<12} | {row.what:<48} | {rate:>12} | {ratio:>15} | {row.note}")
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from mavlink_bridge import messages as m
 from sim.autopilot import modes
 from sim.autopilot.commander import ESTIMATE_READY_US
 from sim.autopilot.setpoint import ControlKind
+from sim.battery_state import CURRENT_A
 from sim.view import View
 
 NAN: Final = math.nan
@@ -206,7 +207,7 @@ def sys_status(view: View) -> m.SysStatus:
     health = _SENSORS_HEALTHY | (_PREARM_CHECK if view.can_arm else 0)
     battery = view.battery
     return m.SysStatus(
-        _SENSORS_PRESENT, _SENSORS_ENABLED, health, 100, battery.voltage_v, -1.0, round(100.0 * battery.remaining),
+        _SENSORS_PRESENT, _SENSORS_ENABLED, health, 100, battery.voltage_v, CURRENT_A, round(100.0 * battery.remaining),
         health_extended=1,
     )  # fmt: skip
 
@@ -215,7 +216,7 @@ def battery_status(view: View) -> m.BatteryStatus:
     """One cell slot holds the whole voltage, the current is unknown (-1 A), as PX4's simulator has it."""
     battery = view.battery
     return m.BatteryStatus(
-        0, 1, 1, NAN, (battery.voltage_v, *_CELLS_ABSENT), -1.0, remaining=round(100.0 * battery.remaining),
+        0, 1, 1, NAN, (battery.voltage_v, *_CELLS_ABSENT), CURRENT_A, remaining=round(100.0 * battery.remaining),
         charge_state=1,
     )  # fmt: skip
 

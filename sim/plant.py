@@ -172,15 +172,21 @@ class _Gusts:
     def take(self, most: int) -> F64:
         """Normals of the next 1 to `most` steps, (steps, N, 5)."""
         if self._next == len(self._block):
-            self._block = self._rng.standard_normal((_BLOCK, *self._inputs.shape))
-            self._next = 0
+            self._refill()
         first = self._next
         self._next = min(first + most, len(self._block))
         return self._block[first : self._next]
 
     def draw(self) -> None:
         """Put the next step's normals into the state rows."""
-        self._inputs[:] = self.take(1)[0]
+        if self._next == len(self._block):
+            self._refill()
+        self._inputs[:] = self._block[self._next]
+        self._next += 1
+
+    def _refill(self) -> None:
+        self._block = self._rng.standard_normal((_BLOCK, *self._inputs.shape))
+        self._next = 0
 
 
 class NativePlant:

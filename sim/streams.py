@@ -110,12 +110,6 @@ _ONCE: Final[dict[int, Callable[[View], Any]]] = {
 """What REQUEST_MESSAGE gives besides the streams."""
 
 
-def spec_for(message_id: int) -> StreamSpec | None:
-    """The row of a stream, None for a message that is none."""
-    index = _INDEX.get(message_id)
-    return STREAMS[index] if index is not None else None
-
-
 def build_once(message_id: int, view: View) -> Any | None:
     """A message asked for by id; None where there is none to give."""
     index = _INDEX.get(message_id)

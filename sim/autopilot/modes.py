@@ -26,7 +26,6 @@ class Need(Enum):
 CUSTOM: Final = 0x01
 AUTO_BITS: Final = 0x1C  # auto, stabilize, guided
 ATTITUDE_BIT: Final = 0x10
-MANUAL_BIT: Final = 0x40
 ARMED_BIT: Final = 0x80
 
 
@@ -101,8 +100,6 @@ EXTERNAL_SLOTS: Final[tuple[int, ...]] = tuple(4 << 16 | sub << 24 for sub in ra
 """custom_mode of the places for external modes, all empty here."""
 
 MAIN_AUTO: Final = 4
-_MAIN_MODES: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 10, 11})
-_EXTERNAL_STATES: Final = range(23, 31)
 _EMPTY_STATES: Final = (7, 9, 11, 16, 31)
 
 # What a client may choose; "ready" and "hold" are both Hold.
@@ -124,11 +121,6 @@ def mode_for(main: int, sub: int) -> Mode | None:
     if mode is None and main not in (3, MAIN_AUTO):
         mode = _BY_WIRE.get((main, 0))
     return mode
-
-
-def is_main_mode(main: int) -> bool:
-    """Whether PX4 knows this main mode at all."""
-    return main in _MAIN_MODES
 
 
 def base_mode(mode: Mode, *, armed: bool, attitude_controlled: bool) -> int:

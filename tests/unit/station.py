@@ -25,6 +25,8 @@ T = TypeVar("T")
 OFFBOARD_MODE = (1.0, 6.0)
 HOLD_MODE = (1.0, 4.0, 3.0)
 POSITION_MODE = (1.0, 3.0)
+HOSTILE = (math.nan, math.inf, -math.inf, 1e38, -1e38)
+"""Numbers that no sane client sends."""
 MODE, ARM, TAKEOFF, LAND, RETURN = 176, 400, 22, 21, 20
 
 

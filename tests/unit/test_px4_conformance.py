@@ -1,4 +1,4 @@
-"""The client's side of a recorded PX4 session, played to the simulated vehicle; its answers beside PX4's own."""
+"""The client's side of a recorded PX4 exchange, played to the simulated vehicle; its answers beside PX4's own."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def recording(path: Path) -> Iterator[Heard]:
             yield Heard(t_us - start, received.system, frame, received.message)
 
 
-class Session(NamedTuple):
+class Exchange(NamedTuple):
     """Both sides of the recording and our answers to its client."""
 
     theirs: list[Heard]
@@ -55,7 +55,7 @@ class Session(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def session(recorded: Path) -> Session:
+def exchange(recorded: Path) -> Exchange:
     heard = [item for item in recording(recorded / "px4_sih_offboard.tlog") if item.t_us < GROUND_US]
     station = Station(grade="gps")
     station.run(SETTLE_S)
@@ -72,84 +72,84 @@ def session(recorded: Path) -> Session:
             heartbeats.append((item.message, set(lately)))
     station.run(0.1)
     ours = [(t_us - start_us, message) for t_us, message in station.heard[ONBOARD]]
-    return Session([item for item in heard if item.system == 1], ours, heartbeats)
+    return Exchange([item for item in heard if item.system == 1], ours, heartbeats)
 
 
-def theirs(session: Session, kind: type) -> list[Any]:
-    return [item.message for item in session.theirs if isinstance(item.message, kind)]
+def theirs(exchange: Exchange, kind: type) -> list[Any]:
+    return [item.message for item in exchange.theirs if isinstance(item.message, kind)]
 
 
-def ours(session: Session, kind: type) -> list[Any]:
-    return [message for _, message in session.ours if isinstance(message, kind)]
+def ours(exchange: Exchange, kind: type) -> list[Any]:
+    return [message for _, message in exchange.ours if isinstance(message, kind)]
 
 
-def test_every_command_gets_px4s_acknowledgements_in_px4s_order(session: Session) -> None:
-    assert len(theirs(session, m.CommandAck)) > 50
-    assert ours(session, m.CommandAck) == theirs(session, m.CommandAck)
+def test_every_command_gets_px4s_acknowledgements_in_px4s_order(exchange: Exchange) -> None:
+    assert len(theirs(exchange, m.CommandAck)) > 50
+    assert ours(exchange, m.CommandAck) == theirs(exchange, m.CommandAck)
 
 
-def test_every_heartbeat_on_the_ground_is_px4s(session: Session) -> None:
-    assert len(session.heartbeats) > 55
-    for expected, got in session.heartbeats:
+def test_every_heartbeat_on_the_ground_is_px4s(exchange: Exchange) -> None:
+    assert len(exchange.heartbeats) > 55
+    for expected, got in exchange.heartbeats:
         assert expected in got
 
 
-def test_every_text_is_px4s(session: Session) -> None:
+def test_every_text_is_px4s(exchange: Exchange) -> None:
     def texts(messages: list[Any]) -> list[tuple[int, str, int]]:
         ignored = "WPM:"  # of a mission transfer left open: there are no missions here
         return [(t.severity, t.text, t.chunk_seq) for t in messages if not t.text.startswith(ignored)]
 
-    assert texts(ours(session, m.Statustext)) == texts(theirs(session, m.Statustext))
+    assert texts(ours(exchange, m.Statustext)) == texts(theirs(exchange, m.Statustext))
 
 
-def test_every_event_is_px4s(session: Session) -> None:
+def test_every_event_is_px4s(exchange: Exchange) -> None:
     def events(messages: list[Any]) -> list[tuple[int, int, bytes]]:
         mission = {0x012A0939, 0x016A6D8E}
         return [(e.id, e.log_levels, e.arguments) for e in messages if e.id not in mission]
 
-    assert events(ours(session, m.Event)) == events(theirs(session, m.Event))
+    assert events(ours(exchange, m.Event)) == events(theirs(exchange, m.Event))
 
 
-def test_every_interval_read_is_px4s(session: Session) -> None:
-    assert ours(session, m.MessageInterval) == theirs(session, m.MessageInterval)
+def test_every_interval_read_is_px4s(exchange: Exchange) -> None:
+    assert ours(exchange, m.MessageInterval) == theirs(exchange, m.MessageInterval)
 
 
-def test_every_listed_mode_and_version_is_px4s(session: Session) -> None:
-    assert ours(session, m.AvailableModes) == theirs(session, m.AvailableModes)
-    got, expected = ours(session, m.AutopilotVersion)[0], theirs(session, m.AutopilotVersion)[0]
+def test_every_listed_mode_and_version_is_px4s(exchange: Exchange) -> None:
+    assert ours(exchange, m.AvailableModes) == theirs(exchange, m.AvailableModes)
+    got, expected = ours(exchange, m.AutopilotVersion)[0], theirs(exchange, m.AutopilotVersion)[0]
     assert got.capabilities == expected.capabilities
     assert got.flight_sw_version == expected.flight_sw_version
-    assert ours(session, m.ProtocolVersion)[0][:3] == theirs(session, m.ProtocolVersion)[0][:3]
+    assert ours(exchange, m.ProtocolVersion)[0][:3] == theirs(exchange, m.ProtocolVersion)[0][:3]
 
 
-def test_parameters_that_do_not_exist_or_have_another_type_get_px4s_errors(session: Session) -> None:
+def test_parameters_that_do_not_exist_or_have_another_type_get_px4s_errors(exchange: Exchange) -> None:
     """PX4 has more parameters than we have, and names none where an index is too large; those answers may differ."""
     missing = 1
-    expected = [(error.param_id, error.error) for error in theirs(session, m.ParamError)]
+    expected = [(error.param_id, error.error) for error in theirs(exchange, m.ParamError)]
     comparable = [
         (name, error) for name, error in expected if name.isascii() and (find(name) is not None or error == missing)
     ]
-    got = [(error.param_id, error.error) for error in ours(session, m.ParamError)]
+    got = [(error.param_id, error.error) for error in ours(exchange, m.ParamError)]
     assert len(comparable) == 3
     assert [pair for pair in got if pair in comparable] == comparable
     assert all(find(name) is None and error == missing for name, error in got if (name, error) not in comparable)
 
 
-def test_parameters_that_both_have_are_of_the_same_type(session: Session) -> None:
-    types = {value.param_id: value.param_type for value in theirs(session, m.ParamValue)}
-    checked = [value for value in ours(session, m.ParamValue) if value.param_id in types]
+def test_parameters_that_both_have_are_of_the_same_type(exchange: Exchange) -> None:
+    types = {value.param_id: value.param_type for value in theirs(exchange, m.ParamValue)}
+    checked = [value for value in ours(exchange, m.ParamValue) if value.param_id in types]
     assert len(checked) > 50
     for value in checked:
         assert value.param_type == types[value.param_id], value.param_id
 
 
-def test_empty_missions_are_px4s(session: Session) -> None:
-    assert ours(session, m.MissionCount) == theirs(session, m.MissionCount)
+def test_empty_missions_are_px4s(exchange: Exchange) -> None:
+    assert ours(exchange, m.MissionCount) == theirs(exchange, m.MissionCount)
 
 
-def test_the_clock_is_answered_like_px4(session: Session) -> None:
-    expected = [answer for answer in theirs(session, m.Timesync) if answer.tc1_ns]
-    got = [answer for answer in ours(session, m.Timesync) if answer.tc1_ns]
+def test_the_clock_is_answered_like_px4(exchange: Exchange) -> None:
+    expected = [answer for answer in theirs(exchange, m.Timesync) if answer.tc1_ns]
+    got = [answer for answer in ours(exchange, m.Timesync) if answer.tc1_ns]
     assert [a.ts1_ns for a in got] == [a.ts1_ns for a in expected]
     assert [(a.target_system, a.target_component) for a in got] == [
         (a.target_system, a.target_component) for a in expected

@@ -1,0 +1,245 @@
+"""The command line as a user meets it: results, exit codes, one clear line for each mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app import cli
+from logs.reader import read
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _own_signals() -> Iterator[None]:
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+def _run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        cli.main([str(argument) for argument in arguments])
+    return int(stop.value.code or 0)
+
+
+def _start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "app.cli", *(str(argument) for argument in arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    return subprocess.Popen(
+        command, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def _free_port() -> int:
+    """A port whose neighbour 40 above is free too."""
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first:
+            first.bind(("127.0.0.1", 0))
+            port = int(first.getsockname()[1])
+            if port + 40 > 65_535:
+                continue
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
+                try:
+                    second.bind(("127.0.0.1", port + 40))
+                except OSError:
+                    continue
+                return port
+
+
+def _start_sim(tmp_path: Path, *arguments: object) -> tuple[subprocess.Popen[str], int]:
+    port = _free_port()
+    sim = _start("sim", "--port", port, "--gcs-port", _free_port(), *arguments, cwd=tmp_path)
+    assert sim.stdout is not None
+    assert "is up" in sim.stdout.readline()
+    return sim, port
+
+
+def test_fly_writes_the_contracts_json_and_says_where_everything_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert _run("fly", "hover", "--duration", 3, "--seed", 5, "--out", out, "--json", tmp_path / "r.json") == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["schema"] == "flightstack.flight/1"
+    assert set(result) >= {
+        "scenario", "seed", "log", "completed", "flight_time_s", "wall_time_s", "realtime_factor", "plant",
+        "controller", "tracking", "barrier", "gp", "qp", "loop",
+    }  # fmt: skip
+    assert (result["scenario"], result["seed"], result["completed"]) == ("hover", 5, True)
+    assert set(result["tracking"]) == {"of", "rmse_m", "max_m", "rmse_settled_m"}
+    assert result["barrier"] == dict.fromkeys(result["barrier"]) | {"enabled": False}
+    assert result["gp"]["enabled"] is False
+    assert result["gp"]["points"] is None
+    assert result["loop"] == {
+        "rate_hz": None, "lateness_us": {"p50": None, "p99": None, "max": None}, "missed": None,
+    }  # fmt: skip
+    assert Path(result["log"]).is_file()
+    assert "</html>" in (out / "report.html").read_text()
+    printed = capsys.readouterr().out
+    assert "completed" in printed
+    assert "flight.mcap" in printed.replace("\n", "")
+
+
+def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("fly", "hover", "--duration", 2, "--out", tmp_path) == 0
+    capsys.readouterr()
+    assert _run("log", "info", tmp_path / "flight.mcap", "--json", tmp_path / "i.json") == 0
+    assert "/truth" in capsys.readouterr().out
+    assert json.loads((tmp_path / "i.json").read_text())["complete"] is True
+
+
+def test_scenarios_lists_the_contracts_names(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("scenarios") == 0
+    printed = capsys.readouterr().out
+    for name in ("hover", "paper-tracking", "paper-barrier", "figure8", "waypoints"):
+        assert name in printed
+
+
+@pytest.mark.parametrize("verb", [(), ("fly",), ("sim",), ("offboard",), ("scenarios",), ("log",), ("log", "info")])
+def test_every_verb_has_help(verb: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run(*verb, "--help") == 0
+    assert "Usage" in capsys.readouterr().out
+
+
+def _vehicle(tmp_path: Path, old: str, new: str) -> Path:
+    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    assert old in text
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("mass_kg", "mas_kg", "mas_kg"),
+        ("mass_kg = 1.2", "mass_kg = -1.2", "mass_kg"),
+        ("mass_kg = 1.2", 'mass_kg = "heavy"', "mass_kg"),
+        ("max_thrust_n = 6.6", "max_thrust_n = 1.0", "max_thrust_n"),
+        ("[rotors]", "[rotor]", "rotor"),
+        ("mass_kg = 1.2", "mass_kg = ", "bad.toml"),
+    ],
+)
+def test_a_bad_vehicle_file_is_one_line_that_names_the_key(
+    old: str, new: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = _run("fly", "hover", "--vehicle", _vehicle(tmp_path, old, new), "--out", tmp_path / "out")
+    _assert_one_error_line(capsys, code, named)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("fly", "nowhere"), "nowhere"),
+        (("fly", "hover", "--vehicle", "no-such.toml"), "no-such.toml"),
+        (("fly", "hover", "--plant", "gazebo"), "gazebo"),
+        (("fly", "hover", "--duration", "-3"), "duration"),
+        (("fly", "hover", "--duration", "nan"), "duration"),
+        (("fly", "hover", "--seed", "-1"), "seed"),
+        (("fly", "hover", "extra.csv"), "waypoints"),
+        (("fly", "waypoints"), "waypoints"),
+        (("fly", "hover", "--wings"), "--wings"),
+        (("offboard", "--connect", "tcp:1.2.3.4:5"), "tcp"),
+        (("offboard",), "--connect"),
+        (("log", "info", "absent.mcap"), "absent.mcap"),
+        (("explode",), "explode"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_one_line(
+    arguments: tuple[str, ...],
+    named: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _assert_one_error_line(capsys, _run(*arguments), named)
+
+
+def _assert_one_error_line(capsys: pytest.CaptureFixture[str], code: int, named: str) -> None:
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert code == 2
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("error: ")
+    assert named in lines[0]
+
+
+def test_a_scenario_with_a_typo_names_the_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "scenarios" / "paper-tracking.toml").read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("mass_ratio", "mass_ration"))
+    _assert_one_error_line(capsys, _run("fly", path, "--out", tmp_path / "out"), "mass_ration")
+
+
+def test_a_port_in_use_is_said_and_never_shared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        code = _run("offboard", "--connect", f"udpin:127.0.0.1:{port}", "--out", tmp_path)
+        _assert_one_error_line(capsys, code, str(port))
+        if port > 40:
+            _assert_one_error_line(capsys, _run("sim", "--port", port - 40, "--duration", 1), str(port))
+
+
+def test_a_log_that_cannot_be_written_stops_the_flight_before_it_begins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = _run("fly", "hover", "--duration", 2, "--log", "/dev/full", "--out", tmp_path)
+    _assert_one_error_line(capsys, code, "/dev/full")
+
+
+def test_no_heartbeat_is_said_with_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = _run("offboard", "--connect", f"udpin:127.0.0.1:{_free_port()}", "--timeout", 0.5, "--out", tmp_path)
+    error = capsys.readouterr().err.strip()
+    assert code == 1
+    assert error.startswith("error: no heartbeat")
+    assert "\n" not in error
+
+
+def test_two_processes_fly_a_scenario_faster_than_real_time(tmp_path: Path) -> None:
+    sim, port = _start_sim(tmp_path, "--speed", 2)
+    try:
+        arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
+        flight = _start("offboard", "--connect", f"udpin:127.0.0.1:{port}", *arguments, cwd=tmp_path)
+        printed, errors = flight.communicate(timeout=120)
+        assert flight.returncode in (0, 1), errors  # 1: a busy machine may fail the scenario's own accuracy check
+        result = json.loads((tmp_path / "r.json").read_text())
+        assert result["completed"], result["reason"]
+        assert result["tracking"]["of"] == "estimate"
+        assert result["tracking"]["rmse_m"] < 0.3
+        assert result["loop"]["rate_hz"] == 250
+        log = read(tmp_path / "flight.mcap")
+        assert log.complete
+        assert -log.tables["/vehicle/local_position"]["pos_ned_m"][:, 2].min() > 1.0
+    finally:
+        sim.send_signal(signal.SIGINT)
+        assert sim.wait(timeout=20) == 130
+
+
+def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
+    flight = _start("fly", "paper-tracking", "--out", tmp_path, cwd=tmp_path)
+    log_file = tmp_path / "flight.mcap"
+    deadline = time.monotonic() + 120.0
+    while time.monotonic() < deadline and not (log_file.exists() and log_file.stat().st_size > 1_000_000):
+        assert flight.poll() is None
+    flight.kill()
+    flight.wait(timeout=20)
+    log = read(log_file)
+    assert not log.complete
+    assert len(log.tables["/truth"]) > 500
+    assert log.metadata["settings"]["scenario"] == "paper-tracking"
+    assert log.attachment("vehicle.toml")
+    assert _run("log", "info", log_file) == 0

@@ -1,0 +1,115 @@
+"""Whole flights through `fly`: simulator and companion over UDP.  Each asserts that it really flew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import files
+from app.flight import FlyOptions, fly
+from app.result import FlightResult
+from flightstack.control.feedback import FeedbackGains
+from logs.reader import Log, read
+from mavlink_bridge import messages as m
+from mavlink_bridge.link import Link
+
+RIGHT_MODEL = ("hover", "figure8", "minimum-snap")
+
+
+def _fly(tmp_path: Path, scenario: str, **options: object) -> tuple[FlightResult, Log]:
+    result = fly(FlyOptions(scenario=scenario, out=tmp_path, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
+    return result, read(tmp_path / "flight.mcap")
+
+
+def _sent_setpoints(log: Log) -> list[m.SetAttitudeTarget]:
+    link = Link(1, 1)
+    for data in log.messages["/mavlink/tx"].data:
+        link.receive_datagram(data, 0)
+    assert link.stats.dropped == 0
+    events = []
+    while (received := link.next_event()) is not None:
+        if isinstance(received.message, m.SetAttitudeTarget):
+            events.append(received.message)
+    return events
+
+
+def _assert_flew(log: Log, least_height_m: float) -> None:
+    """Armed according to the vehicle, up in the air according to the truth, moved by setpoints that were on the wire."""
+    assert bool(np.any(log.tables["/vehicle/status"]["armed"]))
+    assert -log.tables["/truth"]["pos_ned_m"][:, 2].min() > least_height_m
+    flown = [point for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
+    assert len(flown) > 1000
+    assert all(point.type_mask == 128 for point in flown)
+    end = {name: column[-1] for name, column in log.tables["/truth"].columns.items()}
+    assert bool(end["on_ground"])
+    assert np.abs(end["vel_ned_mps"]).max() < 0.01
+    assert not bool(log.tables["/vehicle/status"]["armed"][-1])
+
+
+@pytest.mark.parametrize("scenario", RIGHT_MODEL)
+def test_with_a_right_model_the_true_error_stays_below_3_cm_rms(scenario: str, tmp_path: Path) -> None:
+    result, log = _fly(tmp_path, scenario)
+    assert result.completed, result.reason
+    assert result.passed
+    assert result.tracking["of"] == "truth"
+    assert 0.0 < result.tracking["rmse_m"] < 0.03
+    _assert_flew(log, 1.2)
+
+
+@pytest.mark.parametrize("scenario", files.shipped_names("scenarios"))
+@pytest.mark.parametrize("sensors", ["mocap", "gps"])
+def test_every_shipped_scenario_completes_and_lands(scenario: str, sensors: str, tmp_path: Path) -> None:
+    result, log = _fly(tmp_path, scenario, sensors=sensors, duration_s=8.0, seed=1)
+    assert result.completed, result.reason
+    _assert_flew(log, 0.4)
+
+
+def test_the_papers_wrong_model_shows_as_a_steady_droop_that_the_gains_explain(tmp_path: Path) -> None:
+    """f = 1.4 m (g - a_z): what the believed mass lacks, 0.4 g, is carried by the position error alone.
+
+    With poles at p the nominal's stiffness is p^2 / 3, and the feedback adds K_p / m: both are read from the gains.
+    """
+    result, log = _fly(tmp_path, "paper-tracking", duration_s=20.0)
+    assert result.completed, result.reason
+    truth, reference = log.tables["/truth"], log.tables["/setpoint"]
+    t_us = reference.t_us[(reference.t_us > reference.t_us[-1] - 15_000_000)]
+    down = np.interp(t_us, truth.t_us, truth["pos_ned_m"][:, 2])
+    wanted = np.interp(t_us, reference.t_us, reference["pos_ned_m"][:, 2])
+    droop = float(np.mean(down - wanted))
+    gains = FeedbackGains()
+    stiffness = gains.nominal.pole_radps[2] ** 2 / 3.0 + gains.thrust_p_ps2
+    assert droop == pytest.approx(0.4 * 9.80665 / stiffness, rel=0.1)
+    assert result.tracking["rmse_m"] > 0.1  # the baseline that learning has to beat
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(tmp_path: Path) -> None:
+    logs = []
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        (tmp_path / name).mkdir()
+        result, _ = _fly(tmp_path / name, "figure8", duration_s=4.0, seed=seed)
+        assert result.completed
+        logs.append((tmp_path / name / "flight.mcap").read_bytes())
+    assert logs[0] == logs[1]
+    assert logs[0] != logs[2]
+
+
+def test_the_companion_sees_the_truth_only_through_its_sensors(tmp_path: Path) -> None:
+    _, log = _fly(tmp_path, "hover", duration_s=4.0)
+    truth, seen = log.tables["/truth"], log.tables["/vehicle/local_position"]
+    at = np.interp(seen["t_boot_us"], truth.t_us, truth["pos_ned_m"][:, 0])
+    error = seen["pos_ned_m"][:, 0] - at
+    assert 0.002 < float(np.std(error)) < 0.01  # mocap grade: 5 mm
+
+
+def test_ctrl_c_lands_and_closes_the_log(tmp_path: Path) -> None:
+    calls = iter(range(10_000))
+    options = FlyOptions(scenario="hover", out=tmp_path)
+    result = fly(options, stop_requested=lambda: "stopped by the user" if next(calls) > 100 else "")
+    assert not result.completed
+    assert result.reason == "stopped by the user"
+    log = read(tmp_path / "flight.mcap")
+    assert log.complete
+    assert bool(log.tables["/truth"]["on_ground"][-1])
+    assert not bool(log.tables["/vehicle/status"]["armed"][-1])
