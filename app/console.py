@@ -58,6 +58,11 @@ def show_result(result: FlightResult) -> None:
     for name, value in _rows(result):
         table.add_row(name, value)
     output.print(table)
+    for name, path in (("log", result.log), ("report", result.report)):
+        if path:  # outside the table: a path must never be cut or wrapped
+            output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
+    if result.log_problem:
+        output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
 
 
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
@@ -82,10 +87,6 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         )
     for check in result.checks:
         yield "check", f"{'[green]kept[/]' if check['passed'] else '[red]FAILED[/]'}: {check['words']}"
-    if result.log:
-        yield "log", f"{result.log}" + (f" [red]({result.log_problem})[/]" if result.log_problem else "")
-    if result.report:
-        yield "report", result.report
 
 
 def _length(metres: float | None) -> str:

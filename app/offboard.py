@@ -43,6 +43,7 @@ class OffboardOptions:
     vehicle: str | None = None
     arm: bool = False
     dry_run: bool = False
+    heartbeat_timeout_s: float = 10.0
     duration_s: float | None = None
     log: Path | None = None
     out: Path | None = None
@@ -112,7 +113,7 @@ def offboard(
             stack,
             scenario,
             observer,
-            CompanionConfig(arm=options.arm, dry_run=options.dry_run),
+            CompanionConfig(arm=options.arm, dry_run=options.dry_run, heartbeat_timeout_s=options.heartbeat_timeout_s),
         )
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)

@@ -71,5 +71,5 @@ if not _numba_config.CACHE_DIR:  # a user's own NUMBA_CACHE_DIR wins
 
 def njit(function: F) -> F:
     """Compile `function` in nopython mode, IEEE arithmetic (no fastmath: same seed, same bytes), cached on disk."""
-    compiled: F = numba.njit(cache=True, error_model="numpy")(function)
+    compiled: F = numba.njit(cache=True, error_model="numpy", forceinline=True)(function)
     return compiled

@@ -190,8 +190,10 @@ class Companion:
 
     def _event(self, now_us: int) -> Event | None:
         """The first thing that matters in the present state."""
+        if self.state in FINAL:
+            return None
         in_state_s = (now_us - self._entered_us) / SECOND_US
-        if self._stop_requested and self.state not in (State.LANDING, *FINAL):
+        if self._stop_requested and self.state is not State.LANDING:
             self.reason = self._stop_requested
             return Event.STOP
         if self.state is not State.DISCONNECTED and self._link_lost(now_us):
