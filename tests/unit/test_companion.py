@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
 
 from flightstack.model import Model
 from flightstack.scenario import parse_scenario
@@ -17,7 +18,6 @@ from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -350,7 +350,7 @@ def test_a_schedule_that_fell_behind_does_not_catch_up() -> None:
     assert list(schedule.due(1_010_000)) == [1]
 
 
-def test_a_schedule_gives_what_is_due_in_order_of_time() -> None:
+def test_a_schedule_gives_what_is_due_in_order_of_time_then_key() -> None:
     schedule = Schedule()
     schedule.start(5, 100_000, 3_000)
     schedule.start(2, 100_000, 4_000)
