@@ -38,7 +38,7 @@ class FlatOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """What the vehicle reports of itself, predicted to `t_us`; each age is `t_us` minus the stream's own sample time."""
+    """What the vehicle reports of itself, predicted to `t_us`; an age is `t_us` minus the stream's own sample time."""
 
     t_us: int
     pos_ned_m: F64

@@ -36,7 +36,7 @@ def _sent_setpoints(log: Log) -> list[m.SetAttitudeTarget]:
 
 
 def _assert_flew(log: Log, least_height_m: float) -> None:
-    """Armed according to the vehicle, up in the air according to the truth, moved by setpoints that were on the wire."""
+    """Armed by the vehicle's word, in the air by the truth, moved by setpoints that were on the wire."""
     assert bool(np.any(log.tables["/vehicle/status"]["armed"]))
     assert -log.tables["/truth"]["pos_ned_m"][:, 2].min() > least_height_m
     flown = [point for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
