@@ -1,0 +1,118 @@
+"""What goes wrong in flight, end to end: the pilot takes over, the companion dies, the disk is full."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.flight import FlyOptions, SimulatedFlight, prepare
+from logs.reader import read
+from logs.writer import FlightLog
+from mavlink_bridge import messages as m
+from mavlink_bridge import px4
+from mavlink_bridge.handshake import State
+from mavlink_bridge.link import Link
+from sim.shell import ONBOARD
+
+ROOT = Path(__file__).resolve().parents[2]
+HOLD = (1.0, 4.0, 3.0)
+LAND = (1.0, 4.0, 6.0)
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[SimulatedFlight]:
+    """A hover that has been tracking for a second."""
+    options = FlyOptions(scenario="hover", out=tmp_path)
+    log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
+    flying = SimulatedFlight(prepare(options), options, log)
+    while flying.companion.phase != "track":
+        flying.step()
+        assert not flying.companion.done
+    _advance(flying, 1.0)
+    yield flying
+    flying.close()
+    log.close()
+
+
+def _advance(flight: SimulatedFlight, seconds: float) -> None:
+    for _ in range(round(seconds * 250)):
+        flight.step()
+
+
+def _pilot(flight: SimulatedFlight, command: int, params: tuple[float, ...]) -> None:
+    """A ground station on the same link sends a command."""
+    station = Link(255, 190)
+    full = (*params, *(0.0,) * (7 - len(params)))
+    station.send(m.CommandLong(1, 1, command, 0, full))  # type: ignore[arg-type]
+    for data in station.datagrams_to_send():
+        flight.shell.server.receive(ONBOARD, data)
+
+
+@pytest.mark.parametrize("mode", [HOLD, LAND])
+def test_when_the_pilot_changes_the_mode_the_companion_falls_silent_and_px4_keeps_the_vehicle(
+    flight: SimulatedFlight, mode: tuple[float, ...]
+) -> None:
+    _pilot(flight, px4.Cmd.DO_SET_MODE, mode)
+    _advance(flight, 0.4)
+    assert flight.companion.state is State.PILOT
+    assert not flight.companion.completed
+    at = flight.vehicle.plant.pos_ned_m.copy()
+    _advance(flight, 8.0)
+    assert not flight.companion.link.datagrams_to_send()
+    assert float(np.linalg.norm(flight.vehicle.plant.pos_ned_m[:2] - at[:2])) < 0.5
+    state = flight.shell.server.commander.state
+    if mode == LAND:
+        assert flight.vehicle.plant.on_ground
+        assert not state.armed
+    else:
+        assert state.armed
+        assert state.mode.sub == int(HOLD[2])  # never back to OFFBOARD
+
+
+def test_a_pilots_kill_switch_is_respected(flight: SimulatedFlight) -> None:
+    _pilot(flight, px4.Cmd.COMPONENT_ARM_DISARM, (0.0, 21196.0))
+    _advance(flight, 3.0)
+    assert flight.companion.state is State.PILOT
+    assert not flight.shell.server.commander.state.armed
+    assert flight.vehicle.plant.on_ground
+
+
+def test_a_companion_that_dies_in_flight_leaves_a_vehicle_that_px4s_failsafe_lands(flight: SimulatedFlight) -> None:
+    for _ in range(30 * 250):  # its last setpoint is 1 s old: PX4 returns and lands
+        flight.shell.advance(4)
+        if not flight.shell.server.commander.state.armed:
+            break
+    assert not flight.shell.server.commander.state.armed
+    assert flight.vehicle.plant.on_ground
+    assert float(np.abs(flight.vehicle.plant.vel_ned_mps).max()) < 0.01
+
+
+def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
+
+    command = [sys.executable, "-m", "app.cli", "fly", "hover", "--duration", "5"]
+    command += ["--out", str(tmp_path), "--json", str(tmp_path / "r.json")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, preexec_fn=little_room
+    )
+    assert done.returncode == 1, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: log ")
+    assert "File too large" in lines[0]
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["completed"] is True  # flown to the end and landed
+    assert result["log_complete"] is False
+    log = read(tmp_path / "flight.mcap")
+    assert not log.complete
+    assert len(log.tables["/truth"]) > 100
