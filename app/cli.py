@@ -61,8 +61,8 @@ OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log an
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
 ControllerOption = Annotated[ControllerName, typer.Option(help="Controller.")]
-NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
-NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter.")]
+NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner (this version has none yet).")]
+NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter (none yet).")]
 
 
 class Interrupts:
@@ -215,7 +215,7 @@ def scenarios(json: JsonOption = None) -> None:
     rows = []
     for name in files.shipped_names("scenarios"):
         scenario, _ = files.load_scenario(name)
-        rows.append((name, f"{scenario.duration_s:g} s", scenario.sensors, scenario.description))
+        rows.append((name, f"{scenario.duration_s:.3g} s", scenario.sensors, scenario.description))
     rows.append(("waypoints FILE", "", "mocap", "minimum-snap flight through the waypoints of a file"))
     console.show_table("scenarios", ("name", "track", "sensors", "what it is"), rows)
     if json is not None:
@@ -245,7 +245,7 @@ def main(arguments: list[str] | None = None) -> None:
     from flightstack.types import InputError
 
     try:
-        code = app(arguments, standalone_mode=False)
+        code = app(arguments, standalone_mode=False, prog_name="flightstack")
     except typer.Abort:
         code = INTERRUPTED
     except _USAGE_ERRORS as error:
