@@ -61,7 +61,7 @@ OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log an
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
 ControllerOption = Annotated[ControllerName, typer.Option(help="Controller.")]
-NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner (this version has none yet).")]
+NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner (none yet).")]
 NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter (none yet).")]
 
 

@@ -209,8 +209,8 @@ def test_no_heartbeat_is_said_with_exit_code_1(tmp_path: Path, capsys: pytest.Ca
     assert "\n" not in error
 
 
-def test_two_processes_fly_a_scenario_faster_than_real_time(tmp_path: Path) -> None:
-    sim, port = _start_sim(tmp_path, "--speed", 2)
+def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
+    sim, port = _start_sim(tmp_path)
     try:
         arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
         flight = _start("offboard", "--connect", f"udpin:127.0.0.1:{port}", *arguments, cwd=tmp_path)
@@ -228,6 +228,18 @@ def test_two_processes_fly_a_scenario_faster_than_real_time(tmp_path: Path) -> N
         sim.send_signal(signal.SIGINT)
         sim.communicate(timeout=20)
     assert sim.returncode == 130
+
+
+def test_real_time_is_paced_and_its_lateness_reported(tmp_path: Path) -> None:
+    arguments = ("--realtime", "--duration", 1, "--out", tmp_path, "--json", tmp_path / "r.json")
+    code = _run("fly", "hover", *arguments)
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert code == 0, result["reason"]
+    assert result["loop"]["rate_hz"] == 250
+    assert result["loop"]["lateness_us"]["p50"] >= 0.0
+    assert 0.5 < result["realtime_factor"] <= 1.05  # paced: never faster than real time
+    timing = read(tmp_path / "flight.mcap").tables["/timing"]
+    assert len(timing) > 1000
 
 
 def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from logs.reader import Log, read
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
 
+ROOT = Path(__file__).resolve().parents[2]
 RIGHT_MODEL = ("hover", "figure8", "minimum-snap")
 
 
@@ -113,3 +114,30 @@ def test_ctrl_c_lands_and_closes_the_log(tmp_path: Path) -> None:
     assert log.complete
     assert bool(log.tables["/truth"]["on_ground"][-1])
     assert not bool(log.tables["/vehicle/status"]["armed"][-1])
+
+
+def test_a_timed_event_changes_the_truth_in_flight_and_is_in_the_log(tmp_path: Path) -> None:
+    """0.3 kg more from 2 s on: the true thrust that carries the vehicle grows by their weight."""
+    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = text[: text.index("[[checks]]")] + (
+        '[[events]]\ntime_s = 2.0\neffect = "payload"\nvalues = { mass_kg = 0.3 }\n'
+    )
+    (tmp_path / "drop.toml").write_text(text)
+    result, log = _fly(tmp_path, str(tmp_path / "drop.toml"), duration_s=10.0)
+    assert result.completed, result.reason
+    events = log.tables["/events"]
+    (at_us,) = (int(t) for t, name in zip(events.t_us, events["name"], strict=True) if name == "effect")
+    truth = log.tables["/truth"]
+    total = truth["rotor_thrust_n"].sum(axis=1)
+    before = float(np.mean(total[(truth.t_us > at_us - 1_000_000) & (truth.t_us < at_us)]))
+    after = float(np.mean(total[(truth.t_us > at_us + 5_000_000) & (truth.t_us < at_us + 7_000_000)]))
+    assert before == pytest.approx(1.2 * 9.80665, rel=0.01)
+    assert after == pytest.approx(1.5 * 9.80665, rel=0.01)
+
+
+def test_a_truth_file_replaces_the_scenarios_truth_and_the_controller_never_sees_it(tmp_path: Path) -> None:
+    """With --truth naming the believed vehicle, the paper's flight has no wrong mass and no wind left."""
+    result, log = _fly(tmp_path, "paper-tracking", truth="quad-x", duration_s=8.0)
+    assert result.completed, result.reason
+    assert result.tracking["rmse_m"] < 0.03
+    assert b"mass_kg = 1.2" in (log.attachment("truth.toml") or b"")

@@ -26,7 +26,7 @@ def vectors(size: float) -> st.SearchStrategy[F64]:
 
 
 FLAT = st.builds(
-    FlatOutput, vectors(10.0), vectors(10.0), vectors(6.0), vectors(30.0), vectors(100.0),
+    FlatOutput.of, vectors(10.0), vectors(10.0), vectors(6.0), vectors(30.0), vectors(100.0),
     st.floats(-math.pi, math.pi), st.floats(-2.0, 2.0),
 )  # fmt: skip
 
@@ -63,7 +63,7 @@ QUATERNION = (
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.builds(FlatOutput, ANY3, ANY3, ANY3, ANY3, ANY3, ANY, ANY), QUATERNION)
+@given(st.builds(FlatOutput.of, ANY3, ANY3, ANY3, ANY3, ANY3, ANY, ANY), QUATERNION)
 def test_every_finite_reference_gives_a_rotation_and_finite_numbers(flat: FlatOutput, hint: F64) -> None:
     body = to_body(flat, mass_kg=1.0, hint_q_ned_frd=hint)
     numbers = [body.thrust_n, body.thrust_rate_nps, *body.rate_frd_radps, *body.angular_acceleration_frd_radps2]
@@ -76,7 +76,7 @@ def test_every_finite_reference_gives_a_rotation_and_finite_numbers(flat: FlatOu
 def test_thrust_axes_all_round_the_sphere_are_met_exactly(attitude: F64, yaw: float) -> None:
     """Also horizontal and inverted ones, where Euler angles fail."""
     z = quat_to_matrix(attitude)[:, 2]
-    flat = FlatOutput(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, G]) - 8.0 * z, np.zeros(3), np.zeros(3), yaw, 0.0)
+    flat = FlatOutput.of(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, G]) - 8.0 * z, np.zeros(3), np.zeros(3), yaw, 0.0)
     body = to_body(flat, mass_kg=1.0, hint_q_ned_frd=attitude)
     np.testing.assert_allclose(quat_to_matrix(body.q_ned_frd)[:, 2], z, atol=1e-7)
     assert body.thrust_n == pytest.approx(8.0)
@@ -124,7 +124,7 @@ def test_angular_acceleration_and_thrust_rate_are_the_derivatives_of_rates_and_t
     """Central differences, with drag and a heading that turns evenly (yaw acceleration is no flat output here)."""
     h = 1e-5
     before, now, after = (
-        to_body(replace(path.at(s), yaw_rad=0.2 + 0.7 * s, yaw_rate_radps=0.7), mass_kg=1.2, drag_kgps=(0.3, 0.3, 0.1))
+        to_body(changed(path.at(s), yaw_rad=0.2 + 0.7 * s, yaw_rate_radps=0.7), mass_kg=1.2, drag_kgps=(0.3, 0.3, 0.1))
         for s in (t - h, t, t + h)
     )
     slope = (after.rate_frd_radps - before.rate_frd_radps) / (2 * h)

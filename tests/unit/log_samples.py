@@ -54,8 +54,8 @@ def tick_record(t_us: int, pos_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.
     """A tick whose every number is different (seeded by its time)."""
     rng = np.random.default_rng(t_us)
     three = [rng.normal(size=3) for _ in range(16)]
-    reference = FlatOutput(three[0], three[1], three[2], three[3], three[4], 0.1, 0.2)
-    measurement = Measurement(
+    reference = FlatOutput.of(three[0], three[1], three[2], three[3], three[4], 0.1, 0.2)
+    measurement = Measurement.of(
         t_us, np.array(pos_ned_m), three[5], np.array([1.0, 0.0, 0.0, 0.0]), three[6], three[7], rng.uniform(size=4),
         4000, 8000, 0,
     )  # fmt: skip
@@ -63,14 +63,8 @@ def tick_record(t_us: int, pos_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.
     return TickRecord(
         t_us=t_us,
         reference=reference,
-        nominal_acc_ned_mps2=three[9],
-        nominal_jerk_ned_mps3=three[10],
         measurement=measurement,
-        thrust_ff_n=11.5,
-        thrust_fb_n=-0.5,
-        rate_ff_frd_radps=three[11],
-        rate_fb_frd_radps=three[12],
-        attitude_error_rad=three[13],
+        proposal=Proposal(11.0, np.concatenate([(11.5, -0.5), *three[11:14], *three[9:11], three[14]])),
         command=command,
         thrust_saturated=True,
         guard=guard,

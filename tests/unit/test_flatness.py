@@ -18,7 +18,7 @@ PATH = sinusoid((0.0, 0.0, -1.5), (1.5, 1.0, 0.5), (1.6, 1.9, 2.6))
 
 def point(acc: F64, jerk: F64, snap: F64 | None = None, yaw: float = 0.0, yaw_rate: float = 0.0) -> FlatOutput:
     zero = np.zeros(3)
-    return FlatOutput(
+    return FlatOutput.of(
         zero, zero, np.array(acc), np.array(jerk), zero if snap is None else np.array(snap), yaw, yaw_rate
     )
 

@@ -23,7 +23,7 @@ LIMITS = Limits(radius_m=10.0, height_m=8.0)
 GUARD = Guard(MODEL, LIMITS)
 LOW, HIGH = MODEL.thrust_range_n(LIMITS)
 ORIGIN = np.zeros(3)
-GOOD = Measurement(
+GOOD = Measurement.of(
     t_us=1000, pos_ned_m=np.array([1.0, 1.0, -2.0]), vel_ned_mps=np.zeros(3), q_ned_frd=quat_from_euler(0.1, 0.0, 0.5),
     rate_frd_radps=np.zeros(3), specific_force_frd_mps2=np.zeros(3), motor_command=np.full(4, math.nan),
     position_age_us=4000, attitude_age_us=4000, imu_age_us=4000,
@@ -32,7 +32,7 @@ HOVER = Command(1000, MODEL.weight_n, MODEL.hover_norm, np.array([0.1, -0.2, 0.3
 
 
 def check(command: Command = HOVER, carried_n: float = MODEL.weight_n, **changes: object) -> tuple[Command, str]:
-    measurement = dataclasses.replace(GOOD, **changes)  # type: ignore[arg-type]
+    measurement = changed(GOOD, **changes)  # type: ignore[arg-type]
     return GUARD.check(command, measurement, ORIGIN, carried_n, 1000)
 
 
@@ -57,7 +57,7 @@ AGES = st.integers(-(10**12), 10**12)
     st.one_of(
         st.none(),
         st.builds(
-            Measurement, AGES, ANY3, ANY3, QUATERNION, ANY3, ANY3, arrays(np.float64, 4, elements=ANY),
+            Measurement.of, AGES, ANY3, ANY3, QUATERNION, ANY3, ANY3, arrays(np.float64, 4, elements=ANY),
             *[st.one_of(AGES, st.integers(0, 10_000))] * 3,
         ),
     ),
@@ -81,8 +81,8 @@ def test_nothing_raises_and_the_result_is_finite_and_within_limits(
 )
 def test_a_stream_is_stale_beyond_three_periods_and_the_links_latency(age: str, limit_us: int, stream: str) -> None:
     """Periods of 8, 5 and 4 ms, 10 ms of latency; the limit itself is still fresh."""
-    assert stale(dataclasses.replace(GOOD, **{age: limit_us}), LIMITS) == ""
-    assert stale(dataclasses.replace(GOOD, **{age: limit_us + 1}), LIMITS) == stream
+    assert stale(changed(GOOD, **{age: limit_us}), LIMITS) == ""
+    assert stale(changed(GOOD, **{age: limit_us + 1}), LIMITS) == stream
     assert stale(None, LIMITS) == "attitude"
 
 
@@ -127,9 +127,9 @@ def test_outside_the_envelope_or_tipped_over_it_brakes(changes: dict[str, object
 @pytest.mark.parametrize(
     "command",
     [
-        dataclasses.replace(HOVER, thrust_n=math.nan),
-        dataclasses.replace(HOVER, thrust_norm=math.inf),
-        dataclasses.replace(HOVER, rate_frd_radps=np.array([0.0, 0.0, math.nan])),
+        HOVER._replace(thrust_n=math.nan),
+        HOVER._replace(thrust_norm=math.inf),
+        HOVER._replace(rate_frd_radps=np.array([0.0, 0.0, math.nan])),
     ],
 )
 def test_a_command_that_is_not_finite_is_replaced_by_braking(command: Command) -> None:
@@ -171,10 +171,10 @@ def test_the_thrust_that_carries_is_learned_within_a_few_seconds() -> None:
     """Held at 1.4 weights and level, a first-order lag of 1 s: 1 - exp(-3) of the way after 3 s."""
     carried = MODEL.weight_n
     heavy = Command(0, 1.4 * MODEL.weight_n, 0.8, np.zeros(3))
-    level = dataclasses.replace(GOOD, q_ned_frd=quat_from_euler(0.0, 0.0, 1.0))
+    level = changed(GOOD, q_ned_frd=quat_from_euler(0.0, 0.0, 1.0))
     for _ in range(750):
         carried = carried_thrust(carried, heavy, level, 4000)
     share = (carried / MODEL.weight_n - 1.0) / 0.4
     assert share == pytest.approx(1.0 - math.exp(-3.0), abs=2e-3)
-    tilted = dataclasses.replace(GOOD, q_ned_frd=quat_from_euler(math.pi / 3, 0.0, 0.0))
+    tilted = changed(GOOD, q_ned_frd=quat_from_euler(math.pi / 3, 0.0, 0.0))
     assert carried_thrust(0.0, heavy, tilted, 1_000_000) == pytest.approx(0.7 * MODEL.weight_n)

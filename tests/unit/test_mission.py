@@ -103,7 +103,7 @@ def test_stop_takes_over_without_a_step_and_ends_hovering(t: float) -> None:
 
 def test_stop_from_a_measured_state_starts_there() -> None:
     zero = np.zeros(3)
-    state = FlatOutput(np.array([1.0, 2.0, -3.0]), np.array([2.0, 0.0, 1.0]), zero, zero, zero, 0.4)
+    state = FlatOutput.of(np.array([1.0, 2.0, -3.0]), np.array([2.0, 0.0, 1.0]), zero, zero, zero, 0.4)
     stopped = made("hover").stop(8.0, state)
     np.testing.assert_allclose(stopped.reference(8.0).pos_ned_m, state.pos_ned_m)
     np.testing.assert_allclose(stopped.reference(8.0).vel_ned_mps, state.vel_ned_mps)
@@ -112,7 +112,7 @@ def test_stop_from_a_measured_state_starts_there() -> None:
 
 def test_a_descent_is_stopped_above_the_ground() -> None:
     zero = np.zeros(3)
-    state = FlatOutput(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.5]), zero, zero, zero)
+    state = FlatOutput.of(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.5]), zero, zero, zero)
     stopped = made("hover").stop(8.0, state)
     lowest = max(stopped.reference(8.0 + s).pos_ned_m[2] for s in np.arange(0.0, 5.0, 0.02))
     assert lowest <= START[2] - 0.4 + 0.05

@@ -33,7 +33,7 @@ def measurement(t_us: int = 4000, **changes: object) -> Measurement:
     streams.imu(t_us, (0.0, 0.0, -9.80665), (0.0, 0.0, 0.0))
     seen = predict(streams, t_us)
     assert seen is not None
-    return dataclasses.replace(seen, **changes)  # type: ignore[arg-type]
+    return changed(seen, **changes)
 
 
 def tick(stack: Stack, seen: Measurement | None, setpoint: FlatOutput = SETPOINT) -> tuple[Command, str]:
@@ -55,7 +55,7 @@ def test_at_the_reference_the_command_is_hover() -> None:
 def test_errors_are_answered_in_the_right_direction_at_every_heading(yaw: float) -> None:
     """Below the reference: more thrust.  Beside it: the axis of the turn is across the way to the goal."""
     q = quat_from_euler(0.0, 0.0, yaw)
-    stack, goal = Stack(MODEL), dataclasses.replace(SETPOINT, yaw_rad=yaw)
+    stack, goal = Stack(MODEL), changed(SETPOINT, yaw_rad=yaw)
     low, _ = tick(stack, measurement(q_ned_frd=q, pos_ned_m=np.array([0.0, 0.0, -0.9])), goal)
     sinking, _ = tick(stack, measurement(q_ned_frd=q, vel_ned_mps=np.array([0.0, 0.0, 0.3])), goal)
     assert min(low.thrust_n, sinking.thrust_n) > 1.2 * 9.80665 + 0.1
@@ -73,7 +73,7 @@ def test_the_feedback_is_the_papers_for_small_errors() -> None:
     """Level, at rest, nominal's pole at (nearly) zero: f_FB and omega_FB of Section IV.A with Kbar turned by yaw."""
     gains = FeedbackGains(nominal=dataclasses.replace(FeedbackGains().nominal, pole_radps=(1e-6, 1e-6, 1e-6)))
     stack, yaw = Stack(MODEL, gains), 0.4
-    goal = dataclasses.replace(SETPOINT, yaw_rad=yaw)
+    goal = changed(SETPOINT, yaw_rad=yaw)
     euler, rate = np.array([0.01, -0.02, yaw + 0.015]), np.array([0.1, -0.2, 0.05])
     error = np.array([0.05, -0.03, 0.04])
     seen = measurement(
@@ -177,7 +177,7 @@ def test_whatever_is_missing_ends_in_the_guards_fallback_and_the_next_good_tick_
 
 def test_a_setpoint_that_is_not_finite_brakes_and_is_forgotten() -> None:
     stack = Stack(MODEL)
-    bad = dataclasses.replace(SETPOINT, pos_ned_m=np.full(3, np.nan))
+    bad = changed(SETPOINT, pos_ned_m=np.full(3, np.nan))
     state, _, record = stack.tick(stack.init(measurement(0)), measurement(), bad, 4000)
     assert record.guard == "brake: command not finite"
     _, command, record = stack.tick(state, measurement(8000), SETPOINT, 8000)
@@ -228,7 +228,7 @@ class _Halves:
     def step(
         self, state: object, seen: Measurement, command: Command, learned: F64, reference: FlatOutput
     ) -> tuple[object, Command]:
-        return state, dataclasses.replace(command, thrust_n=0.5 * command.thrust_n, thrust_norm=0.3)
+        return state, command._replace(thrust_n=0.5 * command.thrust_n, thrust_norm=0.3)
 
 
 def test_a_learner_and_a_filter_have_their_seams() -> None:
