@@ -77,10 +77,9 @@ def highres_imu(view: View) -> m.HighresImu:
     """Means over the last 4 ms of gyro and accelerometer, air data at their own pace."""
     sensors = view.vehicle.sensors
     view.sample_air()
-    ax, ay, az = sensors.mean_accel_frd_mps2.tolist()
-    gx, gy, gz = sensors.mean_gyro_frd_radps.tolist()
+    means = tuple(sensors.mean_imu.tolist())
     return m.HighresImu(
-        view.t_us, (ax, ay, az), (gx, gy, gz), view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
+        view.t_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
         view.fields_updated,
     )  # fmt: skip
 

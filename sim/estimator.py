@@ -63,7 +63,7 @@ class EstimatorModel:
     `state` (13,) is updated in place: position, velocity (NED), quaternion, acceleration over ground (NED).
     """
 
-    __slots__ = ("_model", "_next", "_noise", "_rng", "accuracy", "state")
+    __slots__ = ("_next", "_rng", "accuracy", "model", "noise", "state")
 
     def __init__(self, grade: EstimateGrade, rng: np.random.Generator, dt_s: float = 0.004) -> None:
         self._rng = rng
@@ -80,8 +80,8 @@ class EstimatorModel:
         model[_DRIVE] = sigma * np.sqrt(-np.expm1(-2.0 * dt_s / tau))
         model[_BIAS, :3] = rng.standard_normal(3) * np.asarray(grade.pos_bias_std_m)
         model[_ERROR] = sigma * rng.standard_normal(9)
-        self._model = model
-        self._noise = np.empty((_BLOCK, 9))
+        self.model = model
+        self.noise = np.empty((_BLOCK, 9))
         self._next = _BLOCK
         self.state = np.zeros(13)
         self.state[6] = 1.0
@@ -95,25 +95,27 @@ class EstimatorModel:
 
     def step(self, pos_ned_m: F64, vel_ned_mps: F64, q_ned_frd: F64, misalignment_q: F64, accel_frd_mps2: F64) -> None:
         """Next sample of the errors on top of the truth -> `state`; `accel` is the measured specific force."""
-        if self._next == _BLOCK:
-            self._rng.standard_normal(out=self._noise)
-            self._next = 0
-        _estimate(
-            pos_ned_m,
-            vel_ned_mps,
-            q_ned_frd,
-            misalignment_q,
-            accel_frd_mps2,
-            self._noise,
-            self._next,
-            self._model,
-            self.state,
+        row = self.noise_row()
+        estimate(
+            pos_ned_m, vel_ned_mps, q_ned_frd, misalignment_q, accel_frd_mps2, self.noise, row, self.model, self.state
         )
+        self.used()
+
+    def noise_row(self) -> int:
+        """Row of `noise` for the next sample."""
+        if self._next == _BLOCK:
+            self._rng.standard_normal(out=self.noise)
+            self._next = 0
+        return self._next
+
+    def used(self) -> None:
+        """That row has been used."""
         self._next += 1
 
 
 @njit
-def _estimate(pos: F64, vel: F64, q: F64, tilt: F64, accel: F64, noise: F64, row: int, model: F64, out: F64) -> None:
+def estimate(pos: F64, vel: F64, q: F64, tilt: F64, accel: F64, noise: F64, row: int, model: F64, out: F64) -> None:
+    """One sample of one vehicle: the errors in `model` move on, truth and errors give `out` (13,)."""
     error = model[_ERROR]
     for i in range(9):
         error[i] = model[_DECAY, i] * error[i] + model[_DRIVE, i] * noise[row, i]

@@ -7,8 +7,7 @@ a plant shows is a view into its rows and is updated in place by each step.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -48,8 +47,7 @@ _BLOCK = 256  # steps whose gust normals are drawn at once
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """A snapshot of a plant, for logs and scoring: plain numbers, SI units."""
 
     t_us: int
@@ -193,6 +191,7 @@ class NativePlant:
     """One vehicle; same vehicle, seed and commands give the same flight, bit for bit.
 
     It starts at rest on the ground at the origin, facing north; its state arrays may be written to between steps.
+    `params_row` and `state_row` are its rows as `step_row` takes them, for compiled loops round it.
     """
 
     def __init__(self, vehicle: Vehicle, *, seed: int, dt_us: int = 1000, ground: bool = True) -> None:
@@ -205,7 +204,9 @@ class NativePlant:
         self._params = parameter_row(vehicle, dt_us=dt_us, ground=ground)[None, :]
         self._state = state_rows(self._params, dt_us=dt_us)
         self._gusts = _Gusts(seed, self._state)
-        row = self._state[0]
+        row = self.state_row = self._state[0]
+        self.params_row = self._params[0]
+        self._shown = row[:S_RING]
         self._command = row[S_COMMAND : S_COMMAND + 4]
         self.pos_ned_m = row[S_POS : S_POS + 3]
         self.vel_ned_mps = row[S_VEL : S_VEL + 3]
@@ -245,9 +246,13 @@ class NativePlant:
             run_rows(self._state, self._params, _NO_NORMALS, steps)
             return
         while steps > 0:
-            normals = self._gusts.take(steps)
+            normals = self.take_normals(steps)
             run_rows(self._state, self._params, normals, len(normals))
             steps -= len(normals)
+
+    def take_normals(self, steps: int) -> F64:
+        """Normals for the gusts of the next 1 to `steps` steps, (n, 1, 5); (0, 1, 5) where there are no gusts."""
+        return self._gusts.take(steps) if self._gusty else _NO_NORMALS
 
     def evaluate(self) -> None:
         """Bring specific force and angular acceleration in line with a state that was written from outside."""
@@ -255,18 +260,18 @@ class NativePlant:
 
     def truth(self) -> Truth:
         """A snapshot."""
-        row = self._state[0, :S_RING].tolist()
+        row = tuple(self._shown.tolist())
         return Truth(
             self.t_us,
-            tuple(row[S_POS : S_POS + 3]),
-            tuple(row[S_VEL : S_VEL + 3]),
-            tuple(row[S_Q : S_Q + 4]),
-            tuple(row[S_RATE : S_RATE + 3]),
-            tuple(row[S_FORCE : S_FORCE + 3]),
-            tuple(row[S_ANGULAR : S_ANGULAR + 3]),
-            tuple(row[S_U : S_U + 4]),
-            tuple(row[S_THRUST : S_THRUST + 4]),
-            tuple(row[S_WIND : S_WIND + 3]),
+            row[S_POS : S_POS + 3],
+            row[S_VEL : S_VEL + 3],
+            row[S_Q : S_Q + 4],
+            row[S_RATE : S_RATE + 3],
+            row[S_FORCE : S_FORCE + 3],
+            row[S_ANGULAR : S_ANGULAR + 3],
+            row[S_U : S_U + 4],
+            row[S_THRUST : S_THRUST + 4],
+            row[S_WIND : S_WIND + 3],
             row[S_VOLTAGE],
             row[S_NORMAL] > 0.0,
         )

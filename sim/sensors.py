@@ -3,7 +3,7 @@
 The IMU's noise is white with the grade's density n: a sample's standard deviation is n sqrt(rate / 2).  Turn-on biases
 are constant in a flight and drawn from the seed; the autopilot's estimator takes all but a stated share of them out, so
 the samples here carry that share.  The effects `accelerometer_bias` and `gyro_bias` come on top, whole: measured =
-true + bias (a change in flight shows from the next 4 ms).
+true + bias.
 
 Every purpose has its own random generator, spawned from the seed: one sensor's use never changes another's noise.
 """
@@ -13,18 +13,22 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import add
 
 import numpy as np
 
 from flightstack.jit import njit
 from flightstack.types import F64, Tuple3
-from sim.estimator import Estimate, EstimatorModel
+from sim.estimator import Estimate, EstimatorModel, estimate
 from sim.grade import Grade
 from sim.plant import Plant
 
 ESTIMATE_EVERY_MS = 4
 _BLOCK = 1024
 _FIX_BLOCK = 64
+GYRO, _ACCEL, _SUM, _MEAN_GYRO, _MEAN_ACCEL, _COUNT = 0, 3, 6, 12, 15, 18
+"""Places in the IMU's numbers: last sample, sums, means over 4 ms, samples in the sums."""
+_IMU_SIZE = 19
 FIELD_NED_GAUSS = (0.2147, 0.0116, 0.4297)
 """Earth's magnetic field at Zurich (World Magnetic Model)."""
 HOME_ALTITUDE_M = 489.4
@@ -47,8 +51,8 @@ class Sensors:
     """Sensors of one vehicle.
 
     Updated in place by `step`: `gyro_frd_radps`, `accel_frd_mps2` (3,) the last IMU sample; `mean_gyro_frd_radps`,
-    `mean_accel_frd_mps2` (3,) their mean over the last 4 ms; every 4 ms `state` (13,): the estimate's position,
-    velocity, quaternion, acceleration.  `fix` is the last raw fix that has become known, `fix_count` their number.
+    `mean_accel_frd_mps2` (3,) their mean over the last 4 ms, both in `mean_imu` (6,); every 4 ms `state` (13,): the
+    estimate's position, velocity, quaternion, acceleration.  `fix_count` raw fixes have become known.
     """
 
     def __init__(self, grade: Grade, *, seed: int | np.random.SeedSequence) -> None:
@@ -67,20 +71,19 @@ class Sensors:
         self._imu_bias = left * bias_std * bias_rng.standard_normal(6)
         density = np.array([*imu.gyro_noise_radps_rthz, *imu.accel_noise_mps2_rthz])
         self._imu_std = density * math.sqrt(0.5 * 1000.0)
-        self._imu_noise = np.empty((_BLOCK, 6))
-        self._imu_next = _BLOCK
-        self._imu = np.zeros(24)
-        self._plant_bias = self._imu[18:24]
-        self.gyro_frd_radps = self._imu[0:3]
-        self.accel_frd_mps2 = self._imu[3:6]
-        self.mean_gyro_frd_radps = self._imu[12:15]
-        self.mean_accel_frd_mps2 = self._imu[15:18]
-        self._samples = 0
+        self.noise = np.empty((_BLOCK, 6))
+        self._next = _BLOCK
+        self.imu = np.zeros(_IMU_SIZE)
+        self.gyro_frd_radps = self.imu[GYRO : GYRO + 3]
+        self.accel_frd_mps2 = self.imu[_ACCEL : _ACCEL + 3]
+        self.mean_imu = self.imu[_MEAN_GYRO : _MEAN_ACCEL + 3]
+        self.mean_gyro_frd_radps = self.imu[_MEAN_GYRO : _MEAN_GYRO + 3]
+        self.mean_accel_frd_mps2 = self.imu[_MEAN_ACCEL : _MEAN_ACCEL + 3]
         self.estimator = EstimatorModel(grade.estimate, estimate_rng, 0.001 * ESTIMATE_EVERY_MS)
         self.state = self.estimator.state
-        self.fix: Fix | None = None
+        self._fix: tuple[int, list[float]] | None = None
         self.fix_count = 0
-        self._pending: deque[tuple[int, Fix]] = deque()
+        self._pending: deque[tuple[int, list[float]]] = deque()  # when taken, position and velocity
         fix = grade.fix
         self._fix_std = np.array([*fix.pos_std_m, *fix.vel_std_mps])
         self._fix_accuracy = (math.hypot(*fix.pos_std_m[:2]), fix.pos_std_m[2], math.hypot(*fix.vel_std_mps))
@@ -92,43 +95,63 @@ class Sensors:
 
     def step(self, plant: Plant) -> None:
         """Sample the plant's present state; call once a millisecond."""
-        if self._imu_next == _BLOCK:
-            self._imu_rng.standard_normal(out=self._imu_noise)
-            self._imu_noise *= self._imu_std
-            self._imu_noise += self._imu_bias
-            self._imu_next = 0
-        self._samples += 1
-        last = self._samples % ESTIMATE_EVERY_MS == 0
-        _imu_sample(
-            plant.rate_frd_radps, plant.specific_force_frd_mps2, self._imu_noise, self._imu_next, last, self._imu
+        estimator = self.estimator
+        sense(
+            plant.rate_frd_radps,
+            plant.specific_force_frd_mps2,
+            plant.pos_ned_m,
+            plant.vel_ned_mps,
+            plant.q_ned_frd,
+            plant.gyro_bias_frd_radps,
+            plant.accel_bias_frd_mps2,
+            plant.misalignment_q,
+            self.noise,
+            self.noise_row(),
+            self.imu,
+            estimator.noise,
+            estimator.noise_row(),
+            estimator.model,
+            estimator.state,
         )
-        self._imu_next += 1
-        if last:
-            self._sample_slow(plant)
+        self.sampled(plant, 1)
 
-    def _sample_slow(self, plant: Plant) -> None:
-        """The 4 ms part: biases that may change in flight, state estimate, raw fixes."""
+    def noise_row(self) -> int:
+        """Row of `noise` for the next sample; a block lasts for a whole number of estimates."""
+        if self._next == _BLOCK:
+            self._imu_rng.standard_normal(out=self.noise)
+            self.noise *= self._imu_std
+            self.noise += self._imu_bias
+            self._next = 0
+        return self._next
+
+    def sampled(self, plant: Plant, count: int) -> None:
+        """`count` samples have been taken, the last of them now; every 4 ms the raw fixes are looked at."""
+        self._next += count
+        if self._next % ESTIMATE_EVERY_MS:
+            return
+        self.estimator.used()
         self.t_us = plant.t_us
         self._pos_ned_m, self._q_ned_frd = plant.pos_ned_m, plant.q_ned_frd
-        self._plant_bias[:3] = plant.gyro_bias_frd_radps
-        self._plant_bias[3:] = plant.accel_bias_frd_mps2
-        self.estimator.step(
-            plant.pos_ned_m, plant.vel_ned_mps, plant.q_ned_frd, plant.misalignment_q, self.mean_accel_frd_mps2
-        )
         if self.t_us >= self._next_fix_us:
             self._next_fix_us += self._fix_period_us
-            self._pending.append((self.t_us + self._fix_delay_us, self._take_fix(plant)))
-        while self._pending and self._pending[0][0] <= self.t_us:
-            self.fix = self._pending.popleft()[1]
+            self._take_fix(plant)
+        while self._pending and self._pending[0][0] + self._fix_delay_us <= self.t_us:
+            self._fix = self._pending.popleft()
             self.fix_count += 1
 
-    def _take_fix(self, plant: Plant) -> Fix:
+    def _take_fix(self, plant: Plant) -> None:
         if not self._fix_noise:
             self._fix_noise = (self._fix_std * self._fix_rng.standard_normal((_FIX_BLOCK, 6))).tolist()
-        en, ee, ed, evn, eve, evd = self._fix_noise.pop()
-        n, e, d = plant.pos_ned_m.tolist()
-        vn, ve, vd = plant.vel_ned_mps.tolist()
-        return Fix(plant.t_us, (n + en, e + ee, d + ed), (vn + evn, ve + eve, vd + evd), *self._fix_accuracy)
+        truth = plant.pos_ned_m.tolist() + plant.vel_ned_mps.tolist()
+        self._pending.append((self.t_us, list(map(add, truth, self._fix_noise.pop()))))
+
+    @property
+    def fix(self) -> Fix | None:
+        """The last raw fix that has become known."""
+        if self._fix is None:
+            return None
+        t_us, (n, e, d, vn, ve, vd) = self._fix
+        return Fix(t_us, (n, e, d), (vn, ve, vd), *self._fix_accuracy)
 
     def estimate(self, rate_frd_radps: F64) -> Estimate:
         """Frozen copy of the last estimate; `rate_frd_radps` is the rate loop's filtered gyro."""
@@ -173,13 +196,34 @@ def _to_body(q: list[float], v: Tuple3) -> Tuple3:
 
 
 @njit
-def _imu_sample(rate: F64, force: F64, noise: F64, row: int, last: bool, out: F64) -> None:
-    """out: gyro, accel, their sums, their means, their effects' biases; `last` closes a mean."""
+def sense(
+    rate: F64,
+    force: F64,
+    pos: F64,
+    vel: F64,
+    q: F64,
+    gyro_bias: F64,
+    accel_bias: F64,
+    misalignment: F64,
+    noise: F64,
+    row: int,
+    imu: F64,
+    estimator_noise: F64,
+    estimator_row: int,
+    model: F64,
+    state: F64,
+) -> None:
+    """One millisecond of sensors: an IMU sample, and with every fourth the means and the next estimate."""
     for i in range(3):
-        out[i] = rate[i] + out[18 + i] + noise[row, i]
-        out[3 + i] = force[i] + out[21 + i] + noise[row, 3 + i]
+        imu[GYRO + i] = rate[i] + gyro_bias[i] + noise[row, i]
+        imu[_ACCEL + i] = force[i] + accel_bias[i] + noise[row, 3 + i]
     for i in range(6):
-        out[6 + i] += out[i]
-        if last:
-            out[12 + i] = out[6 + i] / ESTIMATE_EVERY_MS
-            out[6 + i] = 0.0
+        imu[_SUM + i] += imu[i]
+    imu[_COUNT] += 1.0
+    if imu[_COUNT] == ESTIMATE_EVERY_MS:
+        for i in range(6):
+            imu[_MEAN_GYRO + i] = imu[_SUM + i] / ESTIMATE_EVERY_MS
+            imu[_SUM + i] = 0.0
+        imu[_COUNT] = 0.0
+        mean_accel = imu[_MEAN_ACCEL : _MEAN_ACCEL + 3]
+        estimate(pos, vel, q, misalignment, mean_accel, estimator_noise, estimator_row, model, state)

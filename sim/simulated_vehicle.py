@@ -14,6 +14,7 @@ from sim.autopilot.flight_control import FlightControl, airframe_params
 from sim.autopilot.params import Params
 from sim.autopilot.setpoint import ControlSetpoint
 from sim.estimator import Estimate
+from sim.fused import FusedRun
 from sim.grade import Grade
 from sim.plant import NativePlant, Plant
 from sim.sensors import ESTIMATE_EVERY_MS, Fix, Sensors
@@ -34,6 +35,7 @@ class SimulatedVehicle:
         self.rate_setpoint_frd_radps: F64 = control.rate.rate_setpoint_frd_radps
         self.rate_frd_radps: F64 = control.rate.rate_frd_radps
         self.torque: F64 = control.rate.torque
+        self._run = FusedRun(plant, control.rate, sensors).run if isinstance(plant, NativePlant) else self._step_by_step
         self._ms = 0
         self._estimate: Estimate | None = None
         for _ in range(2 * ESTIMATE_EVERY_MS):  # the sensors have run before the first control step
@@ -68,17 +70,22 @@ class SimulatedVehicle:
 
     def advance(self, setpoint: ControlSetpoint, n_ms: int = ESTIMATE_EVERY_MS) -> None:
         """Fly `setpoint` for n_ms milliseconds."""
-        plant, sensors, control = self.plant, self.sensors, self.control
-        rate_step, plant_step, sensor_step = control.rate.step, plant.step, sensors.step
-        gyro, motors = sensors.gyro_frd_radps, control.motor_command
-        for _ in range(n_ms):
-            if self._ms % ESTIMATE_EVERY_MS == 0:
-                control.update(setpoint, sensors.state)
-            rate_step(gyro)
-            plant_step(motors)
-            sensor_step(plant)
-            self._ms += 1
+        while n_ms > 0:
+            phase = self._ms % ESTIMATE_EVERY_MS
+            if phase == 0:
+                self.control.update(setpoint, self.sensors.state)
+            steps = min(n_ms, ESTIMATE_EVERY_MS - phase)
+            self._run(steps)
+            self._ms += steps
+            n_ms -= steps
         self._estimate = None
+
+    def _step_by_step(self, steps: int) -> None:
+        """Rate loop, plant, sensors, `steps` times: how any plant flies."""
+        for _ in range(steps):
+            self.control.rate_step(self.sensors.gyro_frd_radps)
+            self.plant.step(self.motor_command)
+            self.sensors.step(self.plant)
 
 
 def simulated_vehicle(

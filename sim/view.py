@@ -112,12 +112,12 @@ class View:
         """Look again: once a tick, after the vehicle has moved."""
         vehicle = self.vehicle
         self.t_us = vehicle.plant.t_us
-        north, east, down, v_north, v_east, v_down, w, x, y, z, *_ = vehicle.sensors.state.tolist()
+        north, east, down, v_north, v_east, v_down, w, x, y, z, _, _, _ = vehicle.sensors.state.tolist()
         self.pos_ned_m = (north, east, down)
         self.vel_ned_mps = (v_north, v_east, v_down)
         self.q_ned_frd = (w, x, y, z)
-        rate = vehicle.rate_frd_radps.tolist()
-        self.rate_frd_radps = (rate[0], rate[1], rate[2])
+        p, q, r = vehicle.rate_frd_radps.tolist()
+        self.rate_frd_radps = (p, q, r)
 
     def refresh_slow(self) -> None:
         """Battery and rest: ten times a second."""

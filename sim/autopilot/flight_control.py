@@ -14,12 +14,15 @@ from flightstack.types import F64, Tuple3
 from flightstack.vehicle import Vehicle
 from sim.autopilot.attitude_control import AttitudeControl
 from sim.autopilot.guidance import Guidance
+from sim.autopilot.hover_thrust import HoverThrust
 from sim.autopilot.land_detector import LandDetector
 from sim.autopilot.params import Params
 from sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
 from sim.autopilot.setpoint import OFF, POSITION_KINDS, ControlKind, ControlSetpoint
 
 TICK_S = 0.004
+POSITION_TICKS = 2
+_OFF, _RATE, _ATTITUDE = ControlKind.OFF, ControlKind.RATE, ControlKind.ATTITUDE
 
 
 def airframe_params(vehicle: Vehicle) -> Params:
@@ -47,7 +50,8 @@ class FlightControl:
         self.params = params
         self.rate = RateControl(vehicle, params)
         self.attitude = AttitudeControl(params)
-        self.guidance = Guidance(params, 2.0 * TICK_S)
+        self.guidance = Guidance(params, POSITION_TICKS * TICK_S)
+        self.hover_thrust = HoverThrust(params, POSITION_TICKS * TICK_S)
         self.land_detector = LandDetector(params)
         self.motor_command = self.rate.motor_command
         self.setpoint: ControlSetpoint = OFF
@@ -85,23 +89,30 @@ class FlightControl:
         """Land detector, position and attitude loops: every 4 ms, before the next rate steps."""
         if self.params.version != self._version:
             self._version = self.params.version
-            for loop in (self.rate, self.attitude, self.guidance, self.land_detector):
+            for loop in (self.rate, self.attitude, self.guidance, self.hover_thrust, self.land_detector):
                 loop.configure(self.params)
         entered = setpoint.kind is not self.setpoint.kind
         self.setpoint = setpoint
-        self._detect_landing(state)
         kind = setpoint.kind
-        attitude = kind is ControlKind.ATTITUDE
-        self._armed_s = 0.0 if kind is ControlKind.OFF else self._armed_s + TICK_S
+        armed = kind is not _OFF
+        thrust = self.rate.thrust_setpoint
+        if not (armed and self.land_detector.lifted(thrust)):
+            self._detect_landing(state)
+        landed = self.land_detector.landed
+        if self._tick % POSITION_TICKS == 0:
+            self.hover_thrust.update(thrust, state, landed=landed)
+        attitude = kind is _ATTITUDE
+        self._armed_s = self._armed_s + TICK_S if armed else 0.0
         thrust = setpoint.thrust_norm
-        if kind in POSITION_KINDS:
+        if kind is not _RATE and kind in POSITION_KINDS:
             attitude = True
-            if entered or self._tick % 2 == 0:
+            if entered or self._tick % POSITION_TICKS == 0:
+                self.guidance.position.use_hover_thrust(self.hover_thrust.value)
                 self.guidance.step(setpoint, state, self.land_detector, self._armed_s)
             self.q_setpoint_ned_frd[:] = self.guidance.q_setpoint_ned_frd
             thrust = self.guidance.thrust
         else:
-            self.guidance.release(self.land_detector.landed)
+            self.guidance.release(landed)
             norm = math.hypot(*setpoint.q_ned_frd) if attitude else 0.0
             if norm > 1e-6:  # else: no attitude, keep the last one
                 self.q_setpoint_ned_frd[:] = setpoint.q_ned_frd
@@ -114,7 +125,7 @@ class FlightControl:
             rate = (roll, pitch, yaw)
         self._tick += 1
         held = self.land_detector.maybe_landed  # includes landed
-        self.rate.set_target(rate, thrust, armed=kind is not ControlKind.OFF, hold_integral=held)
+        self.rate.set_target(rate, thrust, armed=armed, hold_integral=held)
 
     def _detect_landing(self, state: F64) -> None:
         north, east, down = state[3:6].tolist()

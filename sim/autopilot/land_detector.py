@@ -56,6 +56,14 @@ class LandDetector:
         self._xy_max = params.get("LNDMC_XY_VEL_MAX")
         self._rate_max = math.radians(params.get("LNDMC_ROT_MAX"))
 
+    def lifted(self, thrust: float) -> bool:
+        """Whether an armed vehicle's thrust alone says that it flies: all stages end, whatever the rest."""
+        if not thrust >= self._low_thrust:  # also where it is NaN
+            return False
+        self.ground_contact = self.maybe_landed = self.landed = False
+        self._contact_s = self._maybe_s = self._landed_s = 0.0
+        return True
+
     def update(
         self,
         *,
@@ -72,11 +80,13 @@ class LandDetector:
             self._contact_s = self._maybe_s = self._landed_s = STAGE_S
             return
         thrust = thrust if math.isfinite(thrust) else 0.0
+        if self.lifted(thrust):
+            return
         north, east, down = vel_ned_mps
         z_max = LANDED_FACTOR * self._z_max if self.landed else self._z_max
         still = abs(down) < z_max and north * north + east * east < self._xy_max**2
         stuck = math.isnan(descent_setpoint_mps) or descent_setpoint_mps >= DESCENT_FACTOR * self._z_max
-        contact = still and stuck and thrust < self._low_thrust
+        contact = still and stuck
         self._contact_s = self._contact_s + dt_s if contact else 0.0
         self.ground_contact = contact and self._contact_s >= STAGE_S
         turning = max(map(abs, rate_frd_radps)) > self._rate_max

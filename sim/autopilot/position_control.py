@@ -3,10 +3,11 @@
     v_sp = P_pos (p_sp - p) + v_ff                    limited: horizontal speed, climb, descent
     a_sp = P (v_sp - v) + I - D v' + a_ff
     body z along (-a_x, -a_y, g), tilt limited        the vertical acceleration doesn't change the tilt
-    collective = hover (1 - a_z / g) / cos(tilt)      hover = MPC_THR_HOVER
+    collective = hover (1 - a_z / g) / cos(tilt)      hover = the hover thrust estimate, at first MPC_THR_HOVER
 
 A component of a setpoint that is NaN is unset.  The integrator takes up what the hover thrust and the attitude get
-wrong (payload, wind); it is held where thrust or tilt saturate, horizontally by back-calculation.
+wrong (payload, wind); it is held where thrust or tilt saturate, horizontally by back-calculation.  When the hover
+thrust changes under way, the vertical integral moves so that the thrust doesn't, as in PX4.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from sim.autopilot.rate_control import first_order_alpha
 _P_POS, _P, _I, _D, _HOVER, _THR_MIN, _THR_MAX, _MARGIN, _ALPHA_D, _DT = 0, 3, 6, 9, 12, 13, 14, 15, 16, 17
 _CONFIG_SIZE = 18
 # places in the state
-_INTEGRAL, _VEL_LAST, _VEL_DOT, _STARTED, _VEL_SP, _ACC_SP = 0, 3, 6, 9, 10, 13
-_STATE_SIZE = 16
+_INTEGRAL, _VEL_LAST, _VEL_DOT, _STARTED, _VEL_SP, _ACC_SP, _HOVER_LAST = 0, 3, 6, 9, 10, 13, 16
+_STATE_SIZE = 17
 _G = STANDARD_GRAVITY_MPS2
 
 
@@ -75,6 +76,10 @@ class PositionControl:
         c[_ALPHA_D] = first_order_alpha(params.get("MPC_VELD_LP"), self._dt_s)
         c[_DT] = self._dt_s
 
+    def use_hover_thrust(self, thrust: float) -> None:
+        """From the next step on: the collective thrust, 0..1, that carries the vehicle."""
+        self._config[_HOVER] = thrust
+
     def reset(self) -> None:
         """Forget integrals and the velocity's derivative: on entry, on the ground."""
         self._state[:] = 0.0
@@ -90,6 +95,10 @@ class PositionControl:
 def position_step(x: F64, sp: F64, limits: F64, c: F64, s: F64, q_out: F64, thrust_out: F64) -> None:
     """Cascade of one vehicle, in place."""
     dt = c[_DT]
+    if s[_STARTED] != 0.0 and s[_HOVER_LAST] != c[_HOVER]:
+        before = s[_ACC_SP + 2] - _G  # hover * (a - g) shall stay
+        s[_INTEGRAL + 2] += before * s[_HOVER_LAST] / c[_HOVER] - before
+    s[_HOVER_LAST] = c[_HOVER]
     for i in range(3):
         vel = x[3 + i]
         raw = (vel - s[_VEL_LAST + i]) / dt if s[_STARTED] != 0.0 else 0.0
