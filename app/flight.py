@@ -12,15 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from app import files
 from app.recorder import LogObserver
 from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
-from flightstack.types import F64, TickRecord
+from flightstack.types import F64, FlatOutput, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack.warmup import warm_up as warm_up_stack
 from logs.threaded import ThreadedLog
@@ -28,10 +26,11 @@ from logs.topics import Attachment
 from logs.writer import FlightLog, Recorder
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
-from mavlink_bridge.link import Link
+from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
-from mavlink_bridge.transport.udp import UdpSocket
+from mavlink_bridge.transport.udp import UdpSocket, connected_pair
 from sim.grade import Grade, load_grade
+from sim.plant import Truth
 from sim.server import Server
 from sim.shell import ONBOARD, Shell
 from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
@@ -121,19 +120,15 @@ class SimulatedFlight:
         self.setup = setup
         self._log = log
         self.vehicle: SimulatedVehicle = simulated_vehicle(setup.believed, setup.truth, setup.grade, seed=options.seed)
-        self._socket = UdpSocket.bind("127.0.0.1", 0)
-        near = UdpSocket.bind("127.0.0.1", 0, peer=self._socket.address)
-        self._socket.peer = near.address
-        self._socket.connect()
-        near.connect()
-        self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (near,))
+        self._ours, self._theirs = connected_pair()
+        self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
         observer = LogObserver(log, setup.scenario, setup.believed, truth=True, on_record=self._on_record)
         self.companion = Companion(Link(240, 191), setup.stack, setup.scenario, observer, CompanionConfig(arm=True))
         observer.companion = self.companion
         self.score = TrackingScore("truth")
         self._events = sorted(setup.scenario.events, key=lambda event: event.time_s)
-        self._true_start = np.zeros(3)
-        self._reference_ned_m: F64 | None = None
+        self._start_ned_m = self._true_start_ned_m = (0.0, 0.0, 0.0)
+        self._reference: FlatOutput | None = None
 
     @property
     def t_us(self) -> int:
@@ -151,30 +146,39 @@ class SimulatedFlight:
 
     def step(self) -> None:
         """4 ms of both ends."""
-        sent = self.shell.advance(TICK_MS)[ONBOARD]
-        companion, log, now_us = self.companion, self._log, self.t_us
-        arrived = self._socket.receive_exactly(sent, LOCKSTEP_TIMEOUT_S)
-        if len(arrived) != sent:
-            companion.stop(f"{sent - len(arrived)} datagrams were lost on loopback: this machine is too busy to fly")
-        for data in arrived:
+        companion, server, log = self.companion, self.shell.server, self._log
+        server.advance(TICK_MS)
+        now_us = self.vehicle.t_us
+        for data in self._carry(server.datagrams(ONBOARD, MAX_DATAGRAM), self._theirs, self._ours):
             log.mavlink("rx", now_us, data)
             companion.receive_datagram(data, now_us)
         engaged = companion.flight_start_us
         companion.step(now_us)
-        answers = companion.link.datagrams_to_send()
+        answers = companion.link.datagrams_to_send(MAX_DATAGRAM)
         for data in answers:
             log.mavlink("tx", now_us, data)
-            self._socket.send(data)
-        self.shell.receive_exactly(ONBOARD, len(answers), LOCKSTEP_TIMEOUT_S)
+        for data in self._carry(answers, self._ours, self._theirs):
+            server.receive(ONBOARD, data)
+        truth = self.vehicle.plant.truth()
         if engaged != companion.flight_start_us:
-            self._true_start = self.vehicle.plant.pos_ned_m.copy()
-        self._observe_truth(now_us)
+            self._true_start_ned_m, self._start_ned_m = truth.pos_ned_m, _tuple3(companion.start_ned_m)
+        self._observe(truth, now_us)
+
+    def _carry(self, datagrams: list[bytes], sender: UdpSocket, receiver: UdpSocket) -> list[bytes]:
+        """Send a tick's messages, packed into as few datagrams as hold them, and wait until they are there."""
+        for data in datagrams:
+            sender.send(data)
+        arrived = receiver.receive_exactly(len(datagrams), LOCKSTEP_TIMEOUT_S)
+        if lost := len(datagrams) - len(arrived):
+            self.companion.stop(f"{lost} datagrams were lost on loopback: this machine is too busy to fly")
+        return arrived
 
     def _on_record(self, record: TickRecord) -> None:
-        self._reference_ned_m = record.reference.pos_ned_m
+        self._reference = record.reference
 
-    def _observe_truth(self, now_us: int) -> None:
-        self._log.truth(now_us, self.vehicle.plant.truth())
+    def _observe(self, truth: Truth, now_us: int) -> None:
+        """Log the truth, let timed effects happen, and score while the scenario is tracked."""
+        self._log.truth(now_us, truth)
         companion = self.companion
         if companion.mission is None or companion.land_command_us >= 0:
             return
@@ -184,14 +188,23 @@ class SimulatedFlight:
             event = self._events.pop(0)
             self.vehicle.plant.set_effect(event.effect, dict(event.values))
             self._log.event(now_us, "effect", f"{event.effect} is now {dict(event.values)}")
-        if 0.0 <= track_s <= self.setup.scenario.duration_s and self._reference_ned_m is not None:
-            truth = self.vehicle.plant.pos_ned_m - self._true_start
-            self.score.add(track_s, truth, self._reference_ned_m - companion.start_ned_m)
+        if 0.0 <= track_s <= self.setup.scenario.duration_s and self._reference is not None:
+            flown = _relative(truth.pos_ned_m, self._true_start_ned_m)
+            self.score.add(track_s, flown, _relative(_tuple3(self._reference.pos_ned_m), self._start_ned_m))
 
     def close(self) -> None:
         """Close the sockets."""
-        self._socket.close()
+        self._ours.close()
         self.shell.close()
+
+
+def _tuple3(vector: F64) -> Tuple3:
+    north, east, down = vector.tolist()
+    return north, east, down
+
+
+def _relative(position: Tuple3, start: Tuple3) -> Tuple3:
+    return position[0] - start[0], position[1] - start[1], position[2] - start[2]
 
 
 def fly(
@@ -207,7 +220,9 @@ def fly(
     out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
     metadata = {"settings": setup.settings, "versions": files.versions()}
-    log = FlightLog.open(log_path, metadata=metadata, attachments=setup.attachments, overwrite=True)
+    log = FlightLog.open(
+        log_path, metadata=metadata, attachments=setup.attachments, overwrite=True, compressed=options.realtime
+    )
     recorder: Recorder = ThreadedLog(log) if options.realtime else log
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()

@@ -21,6 +21,8 @@ _TOPIC_OF: dict[type, str] = {
     m.ServoOutputRaw: "/vehicle/motors",
     m.SysStatus: "/vehicle/battery",
 }
+_LOCATION_PERIOD_US = 200_000
+"""GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
 
 
 class LogObserver:
@@ -43,6 +45,7 @@ class LogObserver:
         self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
         self._on_record = on_record
         self._placed = False
+        self._location_due_us = 0
 
     def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
         """A transition, a change of mode or phase, a text of the vehicle."""
@@ -69,7 +72,9 @@ class LogObserver:
             view = self.companion.view
             self._log.write("/vehicle/status", t_us, (view.mode_name, view.armed, view.on_ground))
         elif isinstance(message, m.GlobalPositionInt):
-            self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
+            if t_us >= self._location_due_us:
+                self._location_due_us = t_us + _LOCATION_PERIOD_US
+                self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
 
 
 def scene_of(scenario: Scenario, vehicle: Vehicle, start_ned_m: F64, *, truth: bool) -> Scene:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.scenario import Check
-from flightstack.types import F64
+from flightstack.types import F64, Tuple3
 
 
 @dataclass(slots=True)
@@ -20,7 +20,7 @@ class TrackingScore:
     times_s: list[float] = field(default_factory=list)
     distances_m: list[float] = field(default_factory=list)
 
-    def add(self, time_s: float, position_ned_m: F64, reference_ned_m: F64) -> None:
+    def add(self, time_s: float, position_ned_m: F64 | Tuple3, reference_ned_m: F64 | Tuple3) -> None:
         """One tick: time since the start of tracking, both positions relative to the place of arming."""
         self.times_s.append(time_s)
         self.distances_m.append(math.dist(position_ned_m, reference_ned_m))

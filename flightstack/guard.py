@@ -47,7 +47,7 @@ _NAMES = (
 
 def carried_thrust(before_n: float, command: Command, measurement: Measurement, dt_us: int) -> float:
     """The vertical part of the thrust sent, low-passed over a second: what keeps this vehicle up, whatever its mass."""
-    _, x, y, _ = measurement.q_ned_frd.tolist()
+    x, y = measurement.row[7:9].tolist()
     vertical = command.thrust_n * (1.0 - 2.0 * (x * x + y * y))
     share: float = min(max(dt_us / _CARRIED_TIME_CONSTANT_US, 0.0), 1.0)
     return before_n + share * (float(vertical) - before_n)
@@ -75,8 +75,11 @@ class Guard:
         self.limits = limits
         low, high = model.thrust_range_n(limits)
         self._bounds = np.array(
-            [low, high, *limits.rate_max_radps, limits.radius_m, limits.height_m, math.cos(limits.tilt_abort_rad)]
-        )
+            [
+                low, high, *limits.rate_max_radps, limits.radius_m, limits.height_m,
+                math.cos(limits.tilt_abort_rad), model.mass_kg,
+            ]
+        )  # fmt: skip
 
     def check(
         self, command: Command, measurement: Measurement | None, origin_ned_m: F64, carried_n: float, now_us: int
@@ -92,9 +95,8 @@ class Guard:
             code, thrust = _ATTITUDE, min(max(carried, float(self._bounds[0])), float(self._bounds[1]))
         else:
             code, thrust = _judge(
-                command.thrust_n, command.thrust_norm, command.rate_frd_radps, measurement.pos_ned_m,
-                measurement.vel_ned_mps, measurement.q_ned_frd, measurement.rate_frd_radps, origin_ned_m,
-                carried, self._bounds, self.model.mass_kg, lost != "", rate,
+                command.thrust_n, command.thrust_norm, command.rate_frd_radps, measurement.row, origin_ned_m, carried,
+                self._bounds, lost != "", rate,
             )  # fmt: skip
         if code == _PASS:
             return command, ""
@@ -111,13 +113,15 @@ def _finite(values: F64) -> bool:
 
 @njit
 def _judge(
-    thrust: float, thrust_norm: float, rate: F64, pos: F64, vel: F64, q: F64, body_rate: F64, origin: F64,
-    carried: float, bounds: F64, mass: float, lost: bool, out: F64,
+    thrust: float, thrust_norm: float, rate: F64, measured: F64, origin: F64, carried: float, bounds: F64, lost: bool,
+    out: F64,
 ) -> tuple[int, float]:  # fmt: skip
     """What is wrong (the worst first) and the thrust for it; body rates in `out` (3,).
 
-    `bounds` (8,): least and greatest thrust, rates (3), radius, height, cosine of the greatest tilt.
+    `measured` (20,): a Measurement's row.  `bounds` (9,): least and greatest thrust, rates (3), radius, height, cosine
+    of the greatest tilt, mass.
     """
+    pos, vel, q, body_rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     carried = min(max(carried, bounds[0]), bounds[1])
     norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if not (abs(norm - 1.0) < 1e-3 and _finite(body_rate)):
@@ -136,7 +140,7 @@ def _judge(
         code = _COMMAND
     if code != _PASS:
         cosine = _lean(q, vel, bounds, out)
-        wanted = carried + mass * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
+        wanted = carried + bounds[8] * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
         return code, min(max(wanted / max(cosine, 0.5), bounds[0]), bounds[1])
     clipped = min(max(thrust, bounds[0]), bounds[1])
     if clipped != thrust or not 0.0 <= thrust_norm <= 1.0:

@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack.scenario import Scenario
 from flightstack.trajectory import Boundary, Polynomial, Trajectory, hover, minimum_snap
-from flightstack.types import F64, FlatOutput
+from flightstack.types import F64, FlatOutput, changed
 
 _CLIMB_MPS = 1.2
 _YAW_RATE_RADPS = 0.7
@@ -34,12 +34,11 @@ _SHORTEST_BRAKE_S = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Leg:
-    """A part of the mission: from `start_s` on, `trajectory` at (t - start_s), moved by `offset_ned_m`."""
+    """A part of the mission: from `start_s` on, `trajectory` at (t - start_s)."""
 
     phase: str
     start_s: float
     trajectory: Trajectory
-    offset_ned_m: F64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,28 +57,23 @@ class Mission:
 
     def reference(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s` seconds since take-off began."""
-        leg = self.legs[0]
-        for candidate in self.legs:
-            if candidate.start_s > t_s:
-                break
-            leg = candidate
-        point = leg.trajectory.at(max(t_s - leg.start_s, 0.0))
-        point.pos_ned_m[:] += leg.offset_ned_m
-        return point
+        leg = self._leg(t_s)
+        return leg.trajectory.at(max(t_s - leg.start_s, 0.0))
 
     def phase(self, t_s: float) -> str:
         """One of takeoff, approach, track, done."""
-        name = self.legs[0].phase
-        for leg in self.legs:
-            if leg.start_s > t_s:
-                break
-            name = leg.phase
-        return name
+        return self._leg(t_s).phase
+
+    def _leg(self, t_s: float) -> _Leg:
+        for leg in reversed(self.legs):
+            if leg.start_s <= t_s:
+                return leg
+        return self.legs[0]
 
     def stop(self, t_s: float, state: FlatOutput | None = None) -> Mission:
         """The same mission, broken off at `t_s`: brake smoothly from `state` (default: the reference) and hover."""
         kept = tuple(leg for leg in self.legs if leg.start_s < t_s) or self.legs[:1]
-        brake = _Leg("done", t_s, _braking(state or self.reference(t_s), self.ground_down_m), np.zeros(3))
+        brake = _Leg("done", t_s, _braking(state or self.reference(t_s), self.ground_down_m))
         return replace(
             self,
             legs=(*kept, brake),
@@ -103,16 +97,17 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     ground = np.array([0.0, 0.0, 0.0, first.yaw_rad - turn])
     climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
     ready_s = climb_s + _SETTLE_S
-    legs = [_Leg("takeoff", 0.0, climb, start)]
+    legs = [_Leg("takeoff", 0.0, climb.moved(start))]
     run_up = _run_up(above, first)
     track_start_s = ready_s if run_up is None else ready_s + run_up.duration_s
     settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
-    legs.append(_Leg("approach", climb_s, settled, start))
+    legs.append(_Leg("approach", climb_s, settled.moved(start)))
     if run_up is not None:
-        legs.append(_Leg("approach", ready_s, run_up, start))
-    legs.append(_Leg("track", track_start_s, scenario.trajectory, start))
+        legs.append(_Leg("approach", ready_s, run_up.moved(start)))
+    legs.append(_Leg("track", track_start_s, scenario.trajectory.moved(start)))
     track_end_s = track_start_s + scenario.duration_s
-    legs.append(_Leg("done", track_end_s, _braking(scenario.trajectory.at(scenario.duration_s), 0.0), start))
+    braking = _braking(scenario.trajectory.at(scenario.duration_s), 0.0)
+    legs.append(_Leg("done", track_end_s, braking.moved(start)))
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
@@ -151,6 +146,6 @@ def _braking(state: FlatOutput, ground_down_m: float) -> Polynomial:
         duration = min(duration, max(_SHORTEST_BRAKE_S, 2.0 * (lowest - float(state.pos_ned_m[2])) / sinking))
     goal = state.pos_ned_m + 0.5 * duration * state.vel_ned_mps
     goal[2] = min(goal[2], lowest) if sinking > 0.0 else goal[2]
-    start = Boundary.of(replace(state, yaw_rate_radps=0.0))
+    start = Boundary.of(changed(state, yaw_rate_radps=0.0))
     points = np.stack([np.append(state.pos_ned_m, state.yaw_rad), np.append(goal, state.yaw_rad)])
     return minimum_snap(points, np.array([0.0, duration]), start=start)

@@ -9,6 +9,7 @@ age in the Measurement tells the guard.
 from __future__ import annotations
 
 import math
+from struct import Struct
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, T
 
 _AGE_MAX_S = 0.05
 _NEVER = -1
+_FOUR, _SIX, _SEVEN = (Struct(f"={count}d").pack_into for count in (4, 6, 7))
 
 
 class Streams:
@@ -26,44 +28,42 @@ class Streams:
     A sample older than the one held (reordered on the way) is not taken.
     """
 
-    __slots__ = ("_samples", "attitude_us", "imu_us", "motors_us", "position_us")
+    __slots__ = ("_bytes", "_samples", "attitude_us", "imu_us", "motors_us", "position_us")
 
     def __init__(self) -> None:
         self._samples = np.zeros(23)  # q 4, rates 3, position 3, velocity 3, gyro 3, specific force 3, motors 4
         self._samples[19:23] = math.nan
+        self._bytes = self._samples.data.cast("B")  # packing into it takes a third of a numpy assignment
         self.attitude_us = self.position_us = self.imu_us = self.motors_us = _NEVER
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION: attitude and body rates."""
         if t_us > self.attitude_us:
             self.attitude_us = t_us
-            self._samples[0:4] = q_ned_frd
-            self._samples[4:7] = rate_frd_radps
+            _SEVEN(self._bytes, 0, *q_ned_frd, *rate_frd_radps)
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED: position and velocity."""
         if t_us > self.position_us:
             self.position_us = t_us
-            self._samples[7:10] = pos_ned_m
-            self._samples[10:13] = vel_ned_mps
+            _SIX(self._bytes, 7 * 8, *pos_ned_m, *vel_ned_mps)
 
     def imu(self, t_us: int, accel_frd_mps2: Tuple3, rate_frd_radps: Tuple3) -> None:
         """HIGHRES_IMU: specific force and body rates."""
         if t_us > self.imu_us:
             self.imu_us = t_us
-            self._samples[13:16] = rate_frd_radps
-            self._samples[16:19] = accel_frd_mps2
+            _SIX(self._bytes, 13 * 8, *rate_frd_radps, *accel_frd_mps2)
 
     def motors(self, t_us: int, command: Tuple4) -> None:
         """SERVO_OUTPUT_RAW: normalised motor commands 0..1."""
         if t_us > self.motors_us:
             self.motors_us = t_us
-            self._samples[19:23] = command
+            _FOUR(self._bytes, 19 * 8, *command)
 
     @property
     def complete(self) -> bool:
         """Whether attitude, position and IMU have each been heard."""
-        return min(self.attitude_us, self.position_us, self.imu_us) >= 0
+        return self.attitude_us >= 0 and self.position_us >= 0 and self.imu_us >= 0
 
 
 def predict(streams: Streams, now_us: int) -> Measurement | None:
@@ -78,15 +78,12 @@ def predict(streams: Streams, now_us: int) -> Measurement | None:
     _predict(
         streams._samples, position_age * 1e-6, attitude_age * 1e-6, streams.imu_us > streams.attitude_us, out
     )  # the gyro counts where it is newer than the attitude's own rates
-    return Measurement(
-        now_us, out[0:3], out[3:6], out[6:10], out[10:13], out[13:16], out[16:20], position_age, attitude_age,
-        now_us - streams.imu_us,
-    )  # fmt: skip
+    return Measurement(now_us, out, position_age, attitude_age, now_us - streams.imu_us)
 
 
 @njit
 def _predict(samples: F64, position_age: float, attitude_age: float, gyro_newer: bool, out: F64) -> None:
-    """`samples` (23,) as in Streams; `out` (20,): position, velocity, q, rates, specific force, motors."""
+    """`samples` (23,) as in Streams; `out` (20,): a Measurement's row."""
     turn = np.empty(3)
     span = min(max(attitude_age, 0.0), _AGE_MAX_S)
     for i in range(3):

@@ -7,21 +7,18 @@ In flight nothing raises: what goes wrong ends as the guard's fallback, named in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.control.feedback import ControlState, FeedbackGains, FlatnessController, Proposal
+from flightstack.control.feedback import ControlState, FeedbackGains, FlatnessController
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
 from flightstack.seams import Learner, NoFilter, NoLearner, SafetyFilter
-from flightstack.types import F64, Command, FlatOutput, Measurement, TickRecord
-
-_UNKNOWN = np.full(3, np.nan)
+from flightstack.types import F64, Command, FlatOutput, Measurement, Proposal, TickRecord
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StackState:
+class StackState(NamedTuple):
     """Everything that one tick hands to the next."""
 
     control: ControlState
@@ -85,12 +82,8 @@ class Stack:
         carried = state.carried_n
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
-        record = TickRecord(
-            now_us, setpoint, proposal.nominal_acc_ned_mps2, proposal.nominal_jerk_ned_mps3, seen,
-            proposal.thrust_ff_n, proposal.thrust_fb_n, proposal.rate_ff_frd_radps, proposal.rate_fb_frd_radps,
-            proposal.attitude_error_rad, command, saturated, guard,
-        )  # fmt: skip
+        record = TickRecord(now_us, setpoint, seen, proposal, command, saturated, guard)
         return StackState(control, learner, filtered, seen, command, state.origin_ned_m, carried), command, record
 
 
-_NO_PROPOSAL = Proposal(np.nan, np.nan, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
+_NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))

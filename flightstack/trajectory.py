@@ -22,6 +22,8 @@ from flightstack.types import F64, FlatOutput, Tuple3
 
 _ORDER = 8
 _DERIVATIVES = 5
+_FLAT = 17
+"""Numbers of a FlatOutput."""
 
 
 class Trajectory(Protocol):
@@ -36,22 +38,17 @@ class Trajectory(Protocol):
         """Flat outputs at `t_s` seconds since the start; finite for every finite time."""
         ...
 
-
-def flat_output(table: F64) -> FlatOutput:
-    """A FlatOutput from a table (6, 3): position to snap row by row, then (yaw, yaw rate, unused)."""
-    return FlatOutput(
-        table[0], table[1], table[2], table[3], table[4], float(table[5, 0]), float(table[5, 1])
-    )  # positional: this runs in every tick
+    def moved(self, offset_ned_m: F64) -> Trajectory:
+        """The same with every position moved by `offset_ned_m` (3,)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sinusoid:
     """centre + amplitude * sin(rate * t + phase) on each axis, constant yaw."""
 
-    centre_ned_m: F64
-    amplitude_ned_m: F64
-    rate_radps: F64
-    phase_rad: F64
+    table: F64
+    """(4, 3): centre m, amplitude m, rate rad/s, phase rad; NED."""
     yaw_rad: float = 0.0
 
     @property
@@ -61,10 +58,15 @@ class Sinusoid:
 
     def at(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s`."""
-        table = np.empty((6, 3))
-        _sinusoid(t_s, self.centre_ned_m, self.amplitude_ned_m, self.rate_radps, self.phase_rad, table)
-        table[5, 0] = self.yaw_rad
-        return flat_output(table)
+        row = np.empty(_FLAT)
+        _sinusoid(t_s, self.table, self.yaw_rad, row)
+        return FlatOutput(row)
+
+    def moved(self, offset_ned_m: F64) -> Sinusoid:
+        """The same with every position moved by `offset_ned_m` (3,)."""
+        table = self.table.copy()
+        table[0] += offset_ned_m
+        return Sinusoid(table, self.yaw_rad)
 
 
 def sinusoid(
@@ -76,7 +78,9 @@ def sinusoid(
     yaw_rad: float = 0.0,
 ) -> Sinusoid:
     """A sinusoid per axis; the paper's tracking path is (0, 0, -1.5), (1.5, 1, 0.5), (0.6, 0.9, 0.6)."""
-    return Sinusoid(_vector(centre_ned_m), _vector(amplitude_ned_m), _vector(rate_radps), _vector(phase_rad), yaw_rad)
+    table = np.array([centre_ned_m, amplitude_ned_m, rate_radps, phase_rad], dtype=np.float64)
+    table.setflags(write=False)
+    return Sinusoid(table, yaw_rad)
 
 
 def hover(pos_ned_m: Tuple3, *, yaw_rad: float = 0.0) -> Sinusoid:
@@ -107,9 +111,15 @@ class Polynomial:
 
     def at(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s`."""
-        table = np.empty((6, 3))
-        _polynomial(t_s, self.knots_s, self.coefficients, table)
-        return flat_output(table)
+        row = np.empty(_FLAT)
+        _polynomial(t_s, self.knots_s, self.coefficients, row)
+        return FlatOutput(row)
+
+    def moved(self, offset_ned_m: F64) -> Polynomial:
+        """The same with every position moved by `offset_ned_m` (3,)."""
+        coefficients = self.coefficients.copy()
+        coefficients[:, :3, 0] += offset_ned_m
+        return Polynomial(self.knots_s, coefficients)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,33 +179,30 @@ def minimum_snap(
     return Polynomial(times - times[0], np.ascontiguousarray(solution.transpose(0, 2, 1)))
 
 
-def _vector(values: Tuple3) -> F64:
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
 def _basis(share: float, order: int) -> F64:
     """(8,) derivative of the powers of s at `share`, not yet divided by the span to the order."""
     return np.array([math.perm(n, order) * share ** (n - order) if n >= order else 0.0 for n in range(_ORDER)])
 
 
 @njit
-def _sinusoid(t: float, centre: F64, amplitude: F64, rate: F64, phase: F64, table: F64) -> None:
+def _sinusoid(t: float, table: F64, yaw: float, row: F64) -> None:
+    """`table` (4, 3) as in Sinusoid; `row` (17,) as in FlatOutput."""
     for i in range(3):
-        w = rate[i]
-        angle = w * t + phase[i]
-        s, c = amplitude[i] * math.sin(angle), amplitude[i] * math.cos(angle)
-        table[0, i] = centre[i] + s
-        table[1, i] = w * c
-        table[2, i] = -w * w * s
-        table[3, i] = -w * w * w * c
-        table[4, i] = w * w * w * w * s
-        table[5, i] = 0.0
+        w = table[2, i]
+        angle = w * t + table[3, i]
+        s, c = table[1, i] * math.sin(angle), table[1, i] * math.cos(angle)
+        row[i] = table[0, i] + s
+        row[3 + i] = w * c
+        row[6 + i] = -w * w * s
+        row[9 + i] = -w * w * w * c
+        row[12 + i] = w * w * w * w * s
+    row[15] = yaw
+    row[16] = 0.0
 
 
 @njit
-def _polynomial(t: float, knots: F64, coefficients: F64, table: F64) -> None:
+def _polynomial(t: float, knots: F64, coefficients: F64, row: F64) -> None:
+    """Knots and coefficients as in Polynomial; `row` (17,) as in FlatOutput."""
     count = len(knots) - 1
     within = min(max(t, knots[0]), knots[count])
     segment = min(max(np.searchsorted(knots, within, side="right") - 1, 0), count - 1)
@@ -213,11 +220,10 @@ def _polynomial(t: float, knots: F64, coefficients: F64, table: F64) -> None:
                         factor *= power - k
                     value = value * share + factor * coefficients[segment, axis, power]
             if axis < 3:
-                table[order, axis] = value * scale
+                row[3 * order + axis] = value * scale
             elif order < 2:
-                table[5, order] = value * scale
+                row[15 + order] = value * scale
             scale /= span
-    table[5, 2] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

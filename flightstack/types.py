@@ -1,13 +1,17 @@
-"""What crosses modules: frozen dataclasses with frame and unit in every name.
+"""What crosses modules: frozen records with frame and unit in every name.
 
 Frames are NED (world) and FRD (body); quaternions are Hamilton, scalar first, body to world (`q_ned_frd` turns an FRD
 vector into NED).  Time is integer microseconds of the vehicle's own clock (`t_us`, since its boot).
 Arrays are float64 and must not be written to by whoever receives them.
+
+What a tick makes anew is lean: numbers that belong together lie in one `row`, which compiled code reads and the log
+writes as it is; their names are `Part`s, views made when somebody asks.  Bundles of such records are named tuples.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +27,71 @@ class InputError(ValueError):
     """Bad input of a user: a file, a key, an argument.  Its text is one line that says what is wrong and what to do."""
 
 
+class _Record(Protocol):
+    @property
+    def row(self) -> F64: ...
+
+
+class Part:
+    """A named stretch of a record's row."""
+
+    __slots__ = ("place",)
+
+    def __init__(self, start: int, stop: int) -> None:
+        self.place = slice(start, stop)
+
+    @overload
+    def __get__(self, record: None, owner: type[Any]) -> Part: ...
+    @overload
+    def __get__(self, record: _Record, owner: type[Any]) -> F64: ...
+    def __get__(self, record: _Record | None, owner: type[Any]) -> Part | F64:
+        return self if record is None else record.row[self.place]
+
+
+class Element:
+    """A named number of a record's row."""
+
+    __slots__ = ("place",)
+
+    def __init__(self, place: int) -> None:
+        self.place = place
+
+    @overload
+    def __get__(self, record: None, owner: type[Any]) -> Element: ...
+    @overload
+    def __get__(self, record: _Record, owner: type[Any]) -> float: ...
+    def __get__(self, record: _Record | None, owner: type[Any]) -> Element | float:
+        return self if record is None else float(record.row[self.place])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FlatOutput:
     """One point of a reference: the flat outputs (position, yaw) and their time derivatives."""
 
-    pos_ned_m: F64
-    vel_ned_mps: F64
-    acc_ned_mps2: F64
-    jerk_ned_mps3: F64
-    snap_ned_mps4: F64
-    yaw_rad: float = 0.0
-    yaw_rate_radps: float = 0.0
+    row: F64
+    """(17,) the parts below in their order."""
+    pos_ned_m = Part(0, 3)
+    vel_ned_mps = Part(3, 6)
+    acc_ned_mps2 = Part(6, 9)
+    jerk_ned_mps3 = Part(9, 12)
+    snap_ned_mps4 = Part(12, 15)
+    yaw_rad = Element(15)
+    yaw_rate_radps = Element(16)
+
+    @classmethod
+    def of(
+        cls,
+        pos_ned_m: F64,
+        vel_ned_mps: F64,
+        acc_ned_mps2: F64,
+        jerk_ned_mps3: F64,
+        snap_ned_mps4: F64,
+        yaw_rad: float = 0.0,
+        yaw_rate_radps: float = 0.0,
+    ) -> FlatOutput:
+        """From its parts."""
+        yaw = (yaw_rad, yaw_rate_radps)
+        return cls(np.concatenate([pos_ned_m, vel_ned_mps, acc_ned_mps2, jerk_ned_mps3, snap_ned_mps4, yaw]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,20 +99,71 @@ class Measurement:
     """What the vehicle reports of itself, predicted to `t_us`; an age is `t_us` minus the stream's own sample time."""
 
     t_us: int
-    pos_ned_m: F64
-    vel_ned_mps: F64
-    q_ned_frd: F64
-    rate_frd_radps: F64
-    specific_force_frd_mps2: F64
-    motor_command: F64
-    """(4,) normalised commands last reported applied (0..1), NaN where the vehicle doesn't report them."""
+    row: F64
+    """(20,) the parts below in their order."""
     position_age_us: int
     attitude_age_us: int
     imu_age_us: int
+    pos_ned_m = Part(0, 3)
+    vel_ned_mps = Part(3, 6)
+    q_ned_frd = Part(6, 10)
+    rate_frd_radps = Part(10, 13)
+    specific_force_frd_mps2 = Part(13, 16)
+    motor_command = Part(16, 20)
+    """Normalised commands last reported applied (0..1), NaN where the vehicle doesn't report them."""
+
+    @classmethod
+    def of(
+        cls,
+        t_us: int,
+        pos_ned_m: F64,
+        vel_ned_mps: F64,
+        q_ned_frd: F64,
+        rate_frd_radps: F64,
+        specific_force_frd_mps2: F64,
+        motor_command: F64,
+        position_age_us: int,
+        attitude_age_us: int,
+        imu_age_us: int,
+    ) -> Measurement:
+        """From its parts."""
+        parts = [pos_ned_m, vel_ned_mps, q_ned_frd, rate_frd_radps, specific_force_frd_mps2, motor_command]
+        return cls(t_us, np.concatenate(parts), position_age_us, attitude_age_us, imu_age_us)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Command:
+class Proposal:
+    """What the controller wants, part by part, before limits and guard; body FRD unless named NED."""
+
+    thrust_n: float
+    """Feed-forward and feedback together."""
+    row: F64
+    """(20,) the parts below in their order."""
+    thrust_ff_n = Element(0)
+    thrust_fb_n = Element(1)
+    rate_ff_frd_radps = Part(2, 5)
+    rate_fb_frd_radps = Part(5, 8)
+    attitude_error_rad = Part(8, 11)
+    """Rotation vector from the measured to the wanted attitude."""
+    nominal_acc_ned_mps2 = Part(11, 14)
+    nominal_jerk_ned_mps3 = Part(14, 17)
+    rate_frd_radps = Part(17, 20)
+    """Feed-forward and feedback together."""
+
+
+R = TypeVar("R", FlatOutput, Measurement)
+
+
+def changed(record: R, **values: Any) -> R:
+    """The record with some of its parts or fields changed."""
+    row = record.row.copy()
+    own = {field.name: values.pop(field.name) for field in fields(record) if field.name in values}
+    for name, value in values.items():
+        row[getattr(type(record), name).place] = value
+    return replace(record, row=row, **own)
+
+
+class Command(NamedTuple):
     """What is sent: total thrust along body -z and body rates."""
 
     t_us: int
@@ -65,20 +174,14 @@ class Command:
     rate_frd_radps: F64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TickRecord:
+class TickRecord(NamedTuple):
     """Why the command is what it is: one tick of the stack, for the log."""
 
     t_us: int
     reference: FlatOutput
-    nominal_acc_ned_mps2: F64
-    nominal_jerk_ned_mps3: F64
     measurement: Measurement
-    thrust_ff_n: float
-    thrust_fb_n: float
-    rate_ff_frd_radps: F64
-    rate_fb_frd_radps: F64
-    attitude_error_rad: F64
+    proposal: Proposal
+    """NaN where the measurement was not fit for control."""
     command: Command
     thrust_saturated: bool
     guard: str

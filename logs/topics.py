@@ -117,13 +117,27 @@ _TICK_FIELDS = (
     Field("position_age_us", "int64", 0, "us", "age of the position sample", "measurement.position_age_us"),
     Field("attitude_age_us", "int64", 0, "us", "age of the attitude sample", "measurement.attitude_age_us"),
     Field("imu_age_us", "int64", 0, "us", "age of the IMU sample", "measurement.imu_age_us"),
-    _f64("nominal_acc_ned_mps2", 3, "m/s^2", "nominal acceleration that the command realises"),
-    _f64("nominal_jerk_ned_mps3", 3, "m/s^3", "nominal jerk that the command realises"),
-    _f64("thrust_ff_n", 0, "N", "feed-forward part of the thrust"),
-    _f64("thrust_fb_n", 0, "N", "feedback part of the thrust"),
-    _f64("rate_ff_frd_radps", 3, "rad/s", "feed-forward part of the body rates"),
-    _f64("rate_fb_frd_radps", 3, "rad/s", "feedback part of the body rates"),
-    _f64("attitude_error_rad", 3, "rad", "rotation vector from the measured to the wanted attitude"),
+    _f64(
+        "nominal_acc_ned_mps2",
+        3,
+        "m/s^2",
+        "nominal acceleration that the command realises",
+        "proposal.nominal_acc_ned_mps2",
+    ),
+    _f64(
+        "nominal_jerk_ned_mps3", 3, "m/s^3", "nominal jerk that the command realises", "proposal.nominal_jerk_ned_mps3"
+    ),
+    _f64("thrust_ff_n", 0, "N", "feed-forward part of the thrust", "proposal.thrust_ff_n"),
+    _f64("thrust_fb_n", 0, "N", "feedback part of the thrust", "proposal.thrust_fb_n"),
+    _f64("rate_ff_frd_radps", 3, "rad/s", "feed-forward part of the body rates", "proposal.rate_ff_frd_radps"),
+    _f64("rate_fb_frd_radps", 3, "rad/s", "feedback part of the body rates", "proposal.rate_fb_frd_radps"),
+    _f64(
+        "attitude_error_rad",
+        3,
+        "rad",
+        "rotation vector from the measured to the wanted attitude",
+        "proposal.attitude_error_rad",
+    ),
     Field("thrust_saturated", "bool", 0, "", "whether thrust was limited"),
     Field("guard", "string", 0, "", "what the guard did instead of the command; empty if nothing"),
 )
@@ -291,12 +305,12 @@ _STACK_TOPICS = (
 )
 
 _VIEW_TOPICS = (
-    Topic("/tf", Kind.VIEW, "foxglove.FrameTransforms", 50.0, "companion", "world (ENU) to body (FLU), as estimated"),
+    Topic("/tf", Kind.VIEW, "foxglove.FrameTransforms", 25.0, "companion", "world (ENU) to body (FLU), as estimated"),
     Topic(
-        "/truth/tf", Kind.VIEW, "foxglove.FrameTransforms", 50.0, "simulator", "world (ENU) to body_true (FLU), TRUTH"
+        "/truth/tf", Kind.VIEW, "foxglove.FrameTransforms", 25.0, "simulator", "world (ENU) to body_true (FLU), TRUTH"
     ),
-    Topic("/pose", Kind.VIEW, "foxglove.PoseInFrame", 50.0, "companion", "estimated pose"),
-    Topic("/truth/pose", Kind.VIEW, "foxglove.PoseInFrame", 50.0, "simulator", "true pose"),
+    Topic("/pose", Kind.VIEW, "foxglove.PoseInFrame", 25.0, "companion", "estimated pose"),
+    Topic("/truth/pose", Kind.VIEW, "foxglove.PoseInFrame", 25.0, "simulator", "true pose"),
     Topic("/path", Kind.VIEW, "foxglove.PosesInFrame", 1.0, "companion", "path flown so far, as estimated"),
     Topic("/truth/path", Kind.VIEW, "foxglove.PosesInFrame", 1.0, "simulator", "path flown so far, TRUTH"),
     Topic("/reference/path", Kind.VIEW, "foxglove.PosesInFrame", 0.0, "companion", "the whole reference path"),

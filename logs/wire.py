@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.types import Element, Part
 from logs.topics import Field, Topic
 
 Encoder = Callable[[Any], bytes]
@@ -140,12 +141,22 @@ def _block_dtype(field: Field) -> np.dtype[Any]:
     return np.dtype(_SCALARS[field.type].code)
 
 
+def _place_in_row(owner: object, name: str, field: Field) -> slice | None:
+    """Which bytes of its owner's row a field is, if it is a named part of one (`flightstack.types`)."""
+    part = getattr(type(owner), name, None)
+    if isinstance(part, Element) and field.size == 0 and field.type == "double":
+        return slice(8 * part.place, 8 * part.place + 8)
+    if isinstance(part, Part) and part.place.stop - part.place.start == field.size and field.type == "double":
+        return slice(8 * part.place.start, 8 * part.place.stop)
+    return None
+
+
 def _not_a_block(value: np.ndarray) -> bytes:
     raise TypeError(f"an array of {value.dtype} came where another type came before")
 
 
 class _Source:
-    """Python source of an encoder while it grows: runs of `struct.pack` and arrays that go in as they are."""
+    """Python source of an encoder while it grows: runs of `struct.pack` and bytes that go in as they are."""
 
     def __init__(self) -> None:
         self.names: dict[str, Any] = {"join": b"".join, "text": _text_field, "other": _not_a_block}
@@ -153,6 +164,8 @@ class _Source:
         self._parts: list[str] = []
         self._layout = "<"
         self._arguments: list[str] = []
+        self._fixed = b""
+        self._rows: dict[str, str] = {}
 
     def constant(self, value: object) -> str:
         name = f"c{len(self.names)}"
@@ -161,25 +174,51 @@ class _Source:
 
     def pack(self, layout: str, argument: str) -> None:
         """One more value, or several (`*...`), for the current run."""
+        self._end_fixed()
         self._layout += layout
         self._arguments.append(argument)
+
+    def fixed(self, data: bytes) -> None:
+        """Bytes that are the same in every message."""
+        self._fixed += data
+
+    def part(self, row: str, place: slice) -> None:
+        """Bytes of a row (an array of doubles) that is fetched once, whatever number of its parts is used."""
+        self._end_run()
+        name = self._rows.setdefault(row, f"row{len(self._rows)}")
+        self._parts.append(f"{name}[{place.start}:{place.stop}]")
+        self.size += place.stop - place.start
 
     def block(self, value: str, dtype: np.dtype[Any], size: int) -> None:
         self._end_run()
         self._parts.append(f"(v if (v := {value}).dtype is {self.constant(dtype)} else other(v))")
         self.size += size * dtype.itemsize
 
+    def _end_fixed(self) -> None:
+        """What is the same in every message becomes part of the current run."""
+        if self._fixed:
+            self._layout += f"{len(self._fixed)}s"
+            self._arguments.append(self.constant(self._fixed))
+            self._fixed = b""
+
     def _end_run(self) -> None:
+        if self._fixed and not self._arguments:
+            self._parts.append(self.constant(self._fixed))
+            self.size += len(self._fixed)
+            self._fixed = b""
+        self._end_fixed()
+        if not self._arguments:
+            return
         run = struct.Struct(self._layout)
         self._parts.append(f"{self.constant(run.pack)}({', '.join(self._arguments)})")
         self.size += run.size
         self._layout, self._arguments = "<", []
 
     def compile(self, tail: str) -> Encoder:
-        if self._arguments:
-            self._end_run()
+        self._end_run()
         parts = f"join(({', '.join(self._parts)},))" if len(self._parts) > 1 else "".join(self._parts) or "b''"
-        lines = ["def encode(r):", f"    data = {parts}", f"    if len(data) != {self.size}:"]
+        lines = ["def encode(r):", *(f"    {name} = {row}.tobytes()" for row, name in self._rows.items())]
+        lines += [f"    data = {parts}", f"    if len(data) != {self.size}:"]
         lines += ["        raise ValueError('an array is of another length than its field')", f"    return data{tail}"]
         exec("\n".join(lines), self.names)
         encoder: Encoder = self.names["encode"]
@@ -190,8 +229,8 @@ def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encode
     """An encoder for records like `sample`: a plain tuple in field order, or any object with the fields' attributes.
 
     Generated source, as `namedtuple` does it: every part is fetched in place, three times faster than a loop over the
-    fields.  With `blocks`, arrays of the field's own type go in as they are; the encoder raises where a later record's
-    aren't.  Without, any sequence of the right length will do.
+    fields.  With `blocks`, arrays of the field's own type and parts of rows go in as they are; the encoder raises where
+    a later record's aren't.  Without, any sequence of the right length will do.
     """
     by_place = type(sample) is tuple
     source = _Source()
@@ -203,10 +242,15 @@ def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encode
             prefix = source.constant(varint((place + 1) << 3 | _BYTES))
             tail += f" + (text({prefix}, {value}) if {value} else b'')"
             continue
-        prefix_bytes = _prefix(place + 1, field)
-        source.pack(f"{len(prefix_bytes)}s", source.constant(prefix_bytes))
+        source.fixed(_prefix(place + 1, field))
         code = _SCALARS[field.type].code
-        if not field.size:
+        owner, _, name = ("r." + path).rpartition(".")
+        stretch = None
+        if blocks and not by_place:
+            stretch = _place_in_row(_follow(sample, owner[2:]) if owner != "r" else sample, name, field)
+        if stretch is not None:
+            source.part(f"{owner}.row", stretch)
+        elif not field.size:
             source.pack(code, value)
         elif blocks and not by_place and _is_block(_follow(sample, path), field):
             source.block(value, _block_dtype(field), field.size)

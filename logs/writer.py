@@ -3,7 +3,7 @@
 Written by foxglove-sdk: on this project's messages it takes 1.3 us each, everything included, where `mcap.Writer` takes
 6, gives the same bytes for the same input, and touches the file only when told to flush (`chunk_size=None`), so that
 every write error shows up in one place.  LZ4 rather than zstd: half the time a message, a flush of 0.07 ms instead of
-0.4, for a file 8 % larger.  What the file promises:
+0.4, for a file 8 % larger; a simulation that runs as fast as it can does without.  What the file promises:
 
 * Metadata and attachments come first and are on disk before the first message.
 * A chunk is closed after 64 KiB or 0.2 s of the vehicle's time and handed to the operating system in one go, without
@@ -127,11 +127,11 @@ def _channel_metadata(topic: Topic) -> dict[str, str]:
     return about | {f"field.{field.name}": f"{field.unit or '-'}: {field.text}" for field in topic.fields}
 
 
-def _options() -> MCAPWriteOptions:
+def _options(compressed: bool) -> MCAPWriteOptions:
     return MCAPWriteOptions(
         chunk_size=None,
         disable_seeking=True,
-        compression=MCAPCompression.Lz4,
+        compression=MCAPCompression.Lz4 if compressed else None,
         compression_threads=0,
     )
 
@@ -139,7 +139,7 @@ def _options() -> MCAPWriteOptions:
 class FlightLog:
     """A log that is being written; `open` makes one.  Every method but `open` is safe in flight: it never raises."""
 
-    def __init__(self, path: Path, file: io.RawIOBase) -> None:
+    def __init__(self, path: Path, file: io.RawIOBase, *, compressed: bool = True) -> None:
         self.path = path
         self.failed: str | None = None
         """The first thing that went wrong, one line."""
@@ -148,7 +148,7 @@ class FlightLog:
         """Records that didn't fit their topic."""
         self._file = file
         self._context = foxglove.Context()
-        self._sink: MCAPWriter = _open_sink(file, self._context)
+        self._sink: MCAPWriter = _open_sink(file, self._context, compressed)
         self._channels: dict[str, _Channel] = {}
         self._silent = False
         self._closed = False
@@ -166,11 +166,13 @@ class FlightLog:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
         overwrite: bool = False,
+        compressed: bool = True,
     ) -> FlightLog:
         """Begin a log with what it is about; folders are made.
 
         `metadata`: name -> (key -> value), such as versions, git commit and seed.  InputError, one line, if the file
-        exists already (unless `overwrite`) or can't be written.
+        exists already (unless `overwrite`) or can't be written.  Not `compressed` it is 1.4 times as large and takes
+        two thirds of the time.
         """
         path = Path(path)
         try:
@@ -181,7 +183,7 @@ class FlightLog:
             if path.is_file():
                 raise InputError(f"log {path}: exists already; choose another name or remove it") from None
             raise InputError(f"log {path}: can't be written ({error.strerror}); choose another place") from None
-        log = cls(path, file)
+        log = cls(path, file, compressed=compressed)
         log._begin(metadata, attachments)
         if log.failed is not None:
             log.close()
@@ -336,6 +338,6 @@ def _number_of(severity: str) -> int:
     return SEVERITIES.index(severity) if severity in SEVERITIES else SEVERITIES.index("info")
 
 
-def _open_sink(file: io.RawIOBase, context: foxglove.Context) -> MCAPWriter:
+def _open_sink(file: io.RawIOBase, context: foxglove.Context, compressed: bool) -> MCAPWriter:
     raw: Any = file
-    return foxglove.open_mcap(raw, context=context, writer_options=_options())
+    return foxglove.open_mcap(raw, context=context, writer_options=_options(compressed))

@@ -34,6 +34,7 @@ from types import MappingProxyType
 class State(Enum):
     """Where the companion stands; see the module's text."""
 
+    __hash__ = object.__hash__  # members are single; Enum's own hash is Python code, and every tick asks for it
     DISCONNECTED = "disconnected"
     IDENTIFYING = "identifying"
     STANDBY = "standby"

@@ -130,15 +130,9 @@ class Link:
 
     def receive_datagram(self, data: bytes, now_us: int) -> None:
         """Take what arrived at `now_us`: one datagram, or any piece of a stream."""
-        if self._lean and len(data) >= _SHORTEST:  # nearly always: exactly one unsigned frame
-            magic, size, sequence, system, number = HEADER.unpack_from(data)
-            if magic == MAGIC_V2 and size == len(data) - _SHORTEST:  # the flags, its upper byte, are 0
-                crc = mcrf4xx(data[1:-2])
-                extra = _EXTRAS.get(number >> 8, -1)
-                if extra >= 0 and CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 == data[-2] | data[-1] << 8:
-                    self._take(data, HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
-                    return
-        self._search(self._framing.arrive(data), now_us)
+        at = self._take_plain(data, now_us) if self._lean else 0
+        if at < len(data):
+            self._search(self._framing.arrive(data[at:]), now_us)
 
     def next_event(self) -> Received | None:
         """The oldest message not yet handed out, None where there is none."""
@@ -162,6 +156,22 @@ class Link:
             return []
         outgoing, self._outgoing = self._outgoing, []
         return _packed(outgoing, min(max_bytes, MAX_DATAGRAM)) if max_bytes else outgoing
+
+    def _take_plain(self, data: bytes, now_us: int) -> int:
+        """Take good unsigned frames that follow one another (nearly always: all there is); where they end."""
+        at, have = 0, len(data)
+        while at + _SHORTEST <= have:
+            magic, size, sequence, system, number = _header(data, at)
+            end = at + _SHORTEST + size
+            extra = _EXTRAS.get(number >> 8)
+            if magic != MAGIC_V2 or size > 0xFF or end > have or extra is None:  # the size's upper byte: flags
+                break
+            crc = mcrf4xx(data[at + 1 : end - 2])
+            if CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 != data[end - 2] | data[end - 1] << 8:
+                break
+            self._take(data, at + HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
+            at = end
+        return at
 
     def _search(self, data: bytes, now_us: int) -> None:
         """Take every frame in `data`, whatever lies between them."""
@@ -237,6 +247,8 @@ class Link:
 
 def _packed(frames: list[bytes], max_bytes: int) -> list[bytes]:
     """The frames in order, joined as long as they fit."""
+    if sum(map(len, frames)) <= max_bytes:
+        return [b"".join(frames)]
     datagrams, size = [frames[:1]], len(frames[0])
     for frame in frames[1:]:
         size += len(frame)
@@ -248,3 +260,4 @@ def _packed(frames: list[bytes], max_bytes: int) -> list[bytes]:
 
 
 _new_received = tuple.__new__
+_header = HEADER.unpack_from

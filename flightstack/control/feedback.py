@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from flightstack.frames import matrix_to_quat, quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.trajectory import NominalGains, nominal_step
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Measurement, Proposal
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,33 +54,15 @@ class FeedbackGains:
     """Kbar, rad/s per metre: against Ka a stiffness of g Kbar / Ka = 0.15 1/s^2; small, because it has no damping."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlState:
+class ControlState(NamedTuple):
     """What the controller remembers: the nominal's correction (3,) NED m/s^2 and the time of the last step."""
 
     correction_ned_mps2: F64
     t_us: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
-    """What the controller wants, part by part, before limits and guard; vectors (3,), body FRD unless named NED."""
-
-    thrust_ff_n: float
-    thrust_fb_n: float
-    rate_ff_frd_radps: F64
-    rate_fb_frd_radps: F64
-    attitude_error_rad: F64
-    nominal_acc_ned_mps2: F64
-    nominal_jerk_ned_mps3: F64
-    rate_frd_radps: F64
-
-    @property
-    def thrust_n(self) -> float:
-        """Feed-forward and feedback together."""
-        return self.thrust_ff_n + self.thrust_fb_n
-
-
+_PROPOSAL = 20
+"""Numbers of a Proposal's row."""
 _DT_MAX_S = 0.05
 """A longer gap between two ticks counts as this long."""
 
@@ -103,17 +86,11 @@ class FlatnessController:
         self, state: ControlState, measurement: Measurement, reference: FlatOutput, learned: F64, now_us: int
     ) -> tuple[ControlState, Proposal]:
         """One step; `learned` (2, 3): unexplained acceleration and its rate, NED (zeros: nothing learned)."""
-        out = np.empty((7, 3))
+        row = np.empty(_PROPOSAL)
         correction = state.correction_ned_mps2.copy()
-        _step(
-            self._constants, correction, min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S),
-            reference.pos_ned_m, reference.vel_ned_mps, reference.acc_ned_mps2, reference.jerk_ned_mps3,
-            reference.snap_ned_mps4, reference.yaw_rad, reference.yaw_rate_radps,
-            measurement.pos_ned_m, measurement.vel_ned_mps, measurement.q_ned_frd, measurement.rate_frd_radps,
-            learned, out,
-        )  # fmt: skip
-        proposal = Proposal(float(out[0, 0]), float(out[0, 1]), out[1], out[2], out[3], out[4], out[5], out[6])
-        return ControlState(correction, now_us), proposal
+        dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
+        thrust = _step(self._constants, correction, dt, reference.row, measurement.row, learned, row)
+        return ControlState(correction, now_us), Proposal(thrust, row)
 
 
 def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
@@ -135,18 +112,20 @@ def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
 
 
 @njit
-def _step(
-    constants: F64, correction: F64, dt: float, pos_d: F64, vel_d: F64, acc_d: F64, jerk_d: F64, snap_d: F64,
-    yaw_d: float, yaw_rate_d: float, pos: F64, vel: F64, q: F64, rate: F64, learned: F64, out: F64,
-) -> None:  # fmt: skip
-    """Nominal, feed-forward and feedback; `out` (7, 3) is the Proposal row by row."""
-    acc, jerk = out[4], out[5]
+def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: F64, learned: F64, out: F64) -> float:
+    """Nominal, feed-forward and feedback: total thrust, the parts in `out`.
+
+    `reference` (17,), `measured` (20,), `out` (20,): rows of FlatOutput, Measurement, Proposal.
+    """
+    pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]
+    pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
+    acc, jerk, error = out[11:14], out[14:17], out[8:11]
     nominal_step(correction, constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
     mass, drag = constants[5, 0], constants[6]
     reachable = _reachable(acc, learned[0], vel_d, drag, mass, constants)
     flat = np.empty(17)
     _to_body(
-        vel_d, reachable, jerk, snap_d, yaw_d, yaw_rate_d, learned[0], learned[1], q, mass, drag,
+        vel_d, reachable, jerk, reference[12:15], reference[15], reference[16], learned[0], learned[1], q, mass, drag,
         STANDARD_GRAVITY_MPS2, flat,
     )  # fmt: skip
     r = quat_to_matrix(q)
@@ -155,14 +134,12 @@ def _step(
         for k in range(3):
             turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
     aligned = max(turn[2, 2], 0.0)  # thrust only counts along the present thrust axis
-    out[0, 0] = aligned * (flat[0] + constants[5, 1] * flat[1])
+    out[0] = aligned * (flat[0] + constants[5, 1] * flat[1])
     along_p = along_d = 0.0
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])
         along_d += r[i, 2] * (vel_d[i] - vel[i])
-    out[0, 1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d)
-    out[0, 2] = 0.0
-    error = out[3]
+    out[1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d)
     q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
     for i in range(3):
         error[i] = 2.0 * q_error[1 + i]
@@ -175,9 +152,10 @@ def _step(
         for k in range(3):
             wanted += turn[i, k] * flat[2 + k]
             lead += turn[i, k] * flat[5 + k]
-        out[1, i] = wanted + constants[5, 2] * lead
-        out[2, i] = constants[2, i] * error[i] + constants[3, 2] * (wanted - rate[i]) + drift[i]
-        out[6, i] = out[1, i] + out[2, i]
+        out[2 + i] = wanted + constants[5, 2] * lead
+        out[5 + i] = constants[2, i] * error[i] + constants[3, 2] * (wanted - rate[i]) + drift[i]
+        out[17 + i] = out[2 + i] + out[5 + i]
+    return out[0] + out[1]  # type: ignore[no-any-return]
 
 
 @njit

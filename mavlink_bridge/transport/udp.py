@@ -121,8 +121,9 @@ class UdpSocket:
         """The next `count` datagrams, waiting for them; fewer only where the time ran out.  For lockstep."""
         datagrams: list[bytes] = []
         deadline = -1.0
+        receive = self.receive
         while len(datagrams) < count:
-            data = self.receive()
+            data = receive()
             if data is not None:
                 datagrams.append(data)
                 continue
@@ -196,6 +197,16 @@ class UdpSocket:
             self.refused += 1
             return True
         return False
+
+
+def connected_pair() -> tuple[UdpSocket, UdpSocket]:
+    """Two sockets on free ports of loopback that speak with each other alone: both ends of a link in lockstep."""
+    one = UdpSocket.bind(LOOPBACK, 0)
+    other = UdpSocket.bind(LOOPBACK, 0, peer=one.address)
+    one.peer = other.address
+    one.connect()
+    other.connect()
+    return one, other
 
 
 def _why(error: Exception, host: str, port: int, peer: Address | None) -> str:

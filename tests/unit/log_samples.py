@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from flightstack.types import Command, FlatOutput, Measurement, TickRecord
+from flightstack.types import Command, FlatOutput, Measurement, Proposal, TickRecord
 from logs.topics import Field, Kind, Topic
 
 

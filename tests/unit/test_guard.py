@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limits, Model
-from flightstack.types import Command, Measurement
+from flightstack.types import Command, Measurement, changed
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 LIMITS = Limits(radius_m=10.0, height_m=8.0)

@@ -244,3 +244,13 @@ def test_a_link_must_have_a_system_and_a_component() -> None:
     for system, component in ((0, 1), (256, 1), (1, 0), (1, 256)):
         with pytest.raises(ValueError, match=r"1\.\.255"):
             Link(system, component)
+
+
+@pytest.mark.parametrize("broken", range(4))
+def test_a_broken_frame_among_others_in_one_datagram_costs_only_itself(broken: int) -> None:
+    sender, receiver = Link(1, 1), Link(2, 2)
+    frames = _sent(sender, *(HEARTBEAT._replace(custom_mode=k) for k in range(4)))
+    frames[broken] = frames[broken][:-1] + bytes([frames[broken][-1] ^ 0xFF])
+    received = _deliver(receiver, [b"".join(frames)])
+    assert [message.custom_mode for message in received] == [k for k in range(4) if k != broken]
+    assert _counters(receiver)["bad_crc"] == 1

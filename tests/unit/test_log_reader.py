@@ -255,7 +255,7 @@ def test_info_counts_messages_rates_and_events(tmp_path: Path) -> None:
     assert summary.messages == log.messages
     assert topics["/tick"].messages == 500
     assert topics["/tick"].rate_hz == pytest.approx(250.0)
-    assert topics["/pose"].rate_hz == pytest.approx(50.0)
+    assert topics["/pose"].rate_hz == pytest.approx(25.0, rel=0.02)  # the first one comes off the beat
     assert topics["/truth"].source == "simulator"
     units = {field.name: (field.unit, field.size) for field in topics["/tick"].fields}
     assert units["pos_ned_m"] == ("m", 3)

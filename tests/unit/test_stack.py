@@ -16,7 +16,7 @@ from flightstack.predictor import Streams, predict
 from flightstack.seams import NoFilter, NoLearner
 from flightstack.stack import Stack
 from flightstack.trajectory import figure8, hover
-from flightstack.types import F64, Command, FlatOutput, Measurement
+from flightstack.types import F64, Command, FlatOutput, Measurement, changed
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack.warmup import warm_up
 
@@ -82,14 +82,14 @@ def test_the_feedback_is_the_papers_for_small_errors() -> None:
     )  # fmt: skip
     _, _, record = stack.tick(stack.init(measurement(0)), seen, goal, 4000)
     force = -MODEL.mass_kg * (gains.thrust_p_ps2 * error[2] + gains.thrust_d_ps * -0.1)
-    assert record.thrust_fb_n == pytest.approx(force, abs=0.02)
+    assert record.proposal.thrust_fb_n == pytest.approx(force, abs=0.02)
     north, east = error[:2]
     right = -math.sin(yaw) * north + math.cos(yaw) * east
     forward = math.cos(yaw) * north + math.sin(yaw) * east
     gain = np.array([gains.attitude_p_ps, gains.attitude_p_ps, gains.yaw_p_ps])
     drift = gains.position_rate_radpms * np.array([right, -forward, 0.0])
     wanted = gain * (np.array([0.0, 0.0, yaw]) - euler) - gains.rate_p * rate + drift
-    np.testing.assert_allclose(record.rate_fb_frd_radps, wanted, atol=2e-3)
+    np.testing.assert_allclose(record.proposal.rate_fb_frd_radps, wanted, atol=2e-3)
 
 
 @pytest.mark.parametrize("vehicle", [QUAD, SIH], ids=["quad-x", "px4-sihsim-quadx"])
@@ -201,8 +201,8 @@ def test_tilt_stays_within_the_plan_for_any_error() -> None:
     for i in range(1, 100):
         seen = measurement(4000 * i, pos_ned_m=np.array([1e3, 1e3, -1.0]))
         state, _, record = stack.tick(state, seen, SETPOINT, 4000 * i)
-    assert np.linalg.norm(record.attitude_error_rad) <= 0.5 + 1e-6
-    assert np.linalg.norm(record.attitude_error_rad) > 0.4
+    assert np.linalg.norm(record.proposal.attitude_error_rad) <= 0.5 + 1e-6
+    assert np.linalg.norm(record.proposal.attitude_error_rad) > 0.4
 
 
 class _Known:
@@ -254,8 +254,8 @@ def test_known_lag_is_led() -> None:
     for model in (MODEL, quick):
         stack = Stack(model)
         records.append(stack.tick(stack.init(measurement(0)), seen, point, 4000)[2])
-    assert not np.allclose(records[0].rate_ff_frd_radps, records[1].rate_ff_frd_radps, atol=1e-4)
-    assert records[0].thrust_ff_n != pytest.approx(records[1].thrust_ff_n, abs=1e-5)
+    assert not np.allclose(records[0].proposal.rate_ff_frd_radps, records[1].proposal.rate_ff_frd_radps, atol=1e-4)
+    assert records[0].proposal.thrust_ff_n != pytest.approx(records[1].proposal.thrust_ff_n, abs=1e-5)
 
 
 def test_warming_up_leaves_no_trace() -> None:

@@ -1,0 +1,233 @@
+"""What the companion makes of its situation: the first event that matters, and the reason in words.
+
+Pure: `decide` looks and says; the changes of state stand in `handshake.TRANSITIONS`, what they bring in `companion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from mavlink_bridge import px4
+from mavlink_bridge.handshake import Event, State
+from mavlink_bridge.requests import CommandQueue
+from mavlink_bridge.vehicle_view import VehicleView
+
+SECOND_US = 1_000_000
+_ESTIMATOR_READY = 0x27
+"""ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
+_ESTIMATOR_POSITION = 0x18
+"""Horizontal position, relative or absolute: one of them is enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompanionConfig:
+    """How the companion behaves; times in seconds."""
+
+    arm: bool = False
+    """Leave to select OFFBOARD and to arm; without it the pilot does both."""
+    dry_run: bool = False
+    """Connect and check, send no setpoint."""
+    heartbeat_timeout_s: float = 10.0
+    identify_timeout_s: float = 5.0
+    ready_timeout_s: float = 30.0
+    arm_timeout_s: float = 10.0
+    link_loss_s: float = 3.0
+    """Heartbeats missing for so long: the link is lost (PX4 sends 1 Hz)."""
+    blind_s: float = 0.5
+    """No usable state for so long in flight: land and stop streaming (PX4's own failsafe follows)."""
+    stream_before_offboard_s: float = 0.5
+
+
+@dataclass(slots=True)
+class Situation:
+    """What a decision is made from."""
+
+    config: CompanionConfig
+    view: VehicleView
+    commands: CommandQueue
+    state: State = State.DISCONNECTED
+    entered_us: int = -1
+    """Local time at which the state was entered."""
+    system: int = 0
+    """The vehicle's system id; 0 before the first heartbeat."""
+    foreign_system: int = 0
+    """Another autopilot on the link; 0: none."""
+    stop_requested: str = ""
+    """Why the user wants to stop; empty: goes on."""
+    fresh: bool = False
+    """Attitude, position and IMU are there and not stale."""
+    last_good_us: int = -1
+    """Local time of the last fresh state in flight."""
+    mission_done: bool = False
+
+
+class Verdict(NamedTuple):
+    """What happened, and one line why where it ends the flight."""
+
+    event: Event
+    reason: str = ""
+
+
+def decide(now: Situation, now_us: int) -> Verdict | None:
+    """The first thing that matters in the present state; local time `now_us`."""
+    state = now.state
+    look = _LOOKS.get(state)
+    if look is None:
+        return None
+    if now.stop_requested and state is not State.LANDING:
+        return Verdict(Event.STOP, now.stop_requested)
+    if state is not State.DISCONNECTED and (lost := _link_lost(now, now_us)):
+        return Verdict(Event.LINK_LOST, lost)
+    if now.foreign_system and state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
+        return Verdict(
+            Event.FOREIGN,
+            f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing",
+        )
+    return look(now, now_us)
+
+
+def _disconnected(now: Situation, now_us: int) -> Verdict | None:
+    if now.system:
+        return Verdict(Event.HEARTBEAT)
+    timeout_s = now.config.heartbeat_timeout_s
+    if _in_state_s(now, now_us) > timeout_s:
+        return Verdict(
+            Event.TIMEOUT,
+            f"no heartbeat of an autopilot within {timeout_s:g} s: "
+            "check that the vehicle or simulator runs and sends to this address and port",
+        )
+    return None
+
+
+def _identifying(now: Situation, now_us: int) -> Verdict | None:
+    heartbeat = now.view.heartbeat
+    assert heartbeat is not None
+    if heartbeat.autopilot != px4.AUTOPILOT_PX4:
+        return Verdict(
+            Event.FOREIGN,
+            f"the autopilot of system {now.system} is no PX4 (MAV_AUTOPILOT {heartbeat.autopilot}, "
+            f"PX4 is {px4.AUTOPILOT_PX4}): this companion flies PX4 only",
+        )
+    if heartbeat.type != px4.TYPE_QUADROTOR:
+        return Verdict(
+            Event.FOREIGN,
+            f"the vehicle is no quadrotor (MAV_TYPE {heartbeat.type}): this companion flies quadrotors only",
+        )
+    if now.view.version is not None:
+        return Verdict(Event.IDENTIFIED)
+    if _in_state_s(now, now_us) > now.config.identify_timeout_s:
+        return Verdict(
+            Event.TIMEOUT, f"system {now.system} did not answer who it is (AUTOPILOT_VERSION): is the link two-way?"
+        )
+    return None
+
+
+def _standby(now: Situation, now_us: int) -> Verdict | None:
+    view, config = now.view, now.config
+    if view.armed and (config.arm or view.in_offboard or view.intends_offboard):
+        # Setpoints would make PX4 go back to OFFBOARD by itself, even out of a failsafe that has landed.
+        return Verdict(
+            Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
+        )
+    missing = _missing(now)
+    if not missing:
+        return Verdict(Event.READY)
+    if _in_state_s(now, now_us) > config.ready_timeout_s:
+        reason = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}"
+        return Verdict(Event.TIMEOUT, reason + _says(view, now_us, 10))
+    return None
+
+
+def _missing(now: Situation) -> list[str]:
+    """What stands between the vehicle and a flight, in words."""
+    missing = []
+    if not now.fresh:
+        missing.append("no fresh attitude, position and IMU streams")
+    flags = now.view.estimator_flags
+    if flags & _ESTIMATOR_READY != _ESTIMATOR_READY or not flags & _ESTIMATOR_POSITION:
+        missing.append(f"estimate not good (ESTIMATOR_STATUS flags {flags:#x})")
+    if now.view.landed_state == 0:
+        missing.append("landed state unknown")
+    return missing
+
+
+def _streaming(now: Situation, now_us: int) -> Verdict | None:
+    view, config = now.view, now.config
+    if view.armed and view.in_offboard:
+        return Verdict(Event.ENGAGED)
+    in_state_s = _in_state_s(now, now_us)
+    if not config.arm or in_state_s < config.stream_before_offboard_s:
+        return None
+    arm_request = now.commands.status(px4.Cmd.COMPONENT_ARM_DISARM)
+    if arm_request.accepted and view.mode_at_us > arm_request.answered_us and not view.in_offboard:
+        return Verdict(
+            Event.TOOK_OVER, f"the mode changed to {view.mode_name} while arming: leaving the vehicle to the pilot"
+        )
+    if in_state_s > config.stream_before_offboard_s + config.arm_timeout_s:
+        what = "arming" if view.in_offboard else "OFFBOARD mode"
+        command = px4.Cmd.COMPONENT_ARM_DISARM if view.in_offboard else px4.Cmd.DO_SET_MODE
+        return Verdict(Event.ARM_REFUSED, f"{what} refused: {_why_refused(now, command, now_us)}")
+    return None
+
+
+def _why_refused(now: Situation, command: px4.Cmd, now_us: int) -> str:
+    result = now.commands.status(command).result
+    answer = "no answer" if result is None else px4.describe_result(result)
+    return answer + (_says(now.view, now_us, 12) or " (the vehicle gave no reason)")
+
+
+def _offboard(now: Situation, now_us: int) -> Verdict | None:
+    view = now.view
+    if view.heartbeat_at_us > now.entered_us and not view.armed:
+        return Verdict(Event.TOOK_OVER, "the vehicle was disarmed by someone else")
+    if view.mode_at_us > now.entered_us and not view.in_offboard:
+        reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
+        return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
+    return Verdict(Event.MISSION_DONE) if now.mission_done else None
+
+
+def _landing(now: Situation, now_us: int) -> Verdict | None:
+    view = now.view
+    if view.heartbeat_at_us > now.entered_us and not view.armed:
+        return Verdict(Event.DISARMED)
+    settled = view.mode_at_us > now.entered_us + SECOND_US // 2
+    if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
+        return Verdict(
+            Event.TOOK_OVER, f"the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot"
+        )
+    return None
+
+
+def _link_lost(now: Situation, now_us: int) -> str:
+    """Why there is nothing left to fly with; empty where there is."""
+    silent_us = now_us - now.view.heartbeat_at_us
+    if silent_us > now.config.link_loss_s * SECOND_US:
+        return f"link lost: no heartbeat for {silent_us / SECOND_US:.1f} s"
+    if now.state is State.OFFBOARD and now.last_good_us >= 0:
+        blind_us = now_us - now.last_good_us
+        if blind_us > now.config.blind_s * SECOND_US:
+            return f"no usable state for {blind_us / SECOND_US:.1f} s: landing commanded, setpoints stopped"
+    return ""
+
+
+def _in_state_s(now: Situation, now_us: int) -> float:
+    return (now_us - now.entered_us) / SECOND_US
+
+
+def _says(view: VehicleView, now_us: int, window_s: int) -> str:
+    """The vehicle's own warnings of the last seconds, in brackets; empty where there are none."""
+    texts = "; ".join(dict.fromkeys(view.recent_texts(now_us, window_s * SECOND_US)))
+    return f" (vehicle says: {texts})" if texts else ""
+
+
+_LOOKS: dict[State, Callable[[Situation, int], Verdict | None]] = {
+    State.DISCONNECTED: _disconnected,
+    State.IDENTIFYING: _identifying,
+    State.STANDBY: _standby,
+    State.STREAMING: _streaming,
+    State.OFFBOARD: _offboard,
+    State.LANDING: _landing,
+}
+"""State -> what to look at; the final ones are not there."""
