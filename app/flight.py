@@ -7,6 +7,7 @@ machine, and the same seed gives the same log.  With `--realtime` the very same 
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from flightstack.model import Model
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
 from flightstack.types import F64, FlatOutput, TickRecord, Tuple3
-from flightstack.vehicle import Vehicle
+from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
 from logs.threaded import ThreadedLog
 from logs.topics import Attachment
@@ -83,10 +84,8 @@ def prepare(options: FlyOptions) -> Setup:
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
-    attached = [(scenario_file, "scenario.toml"), (vehicle_file, "vehicle.toml")]
     if options.truth is not None:
-        truth, truth_file = files.load_vehicle(options.truth)
-        attached.append((truth_file, "truth.toml"))
+        truth, _ = files.load_vehicle(options.truth)
     else:
         truth = scenario.truth_vehicle(believed)
     sensors = options.sensors or scenario.sensors
@@ -101,7 +100,12 @@ def prepare(options: FlyOptions) -> Setup:
         "pace": "realtime" if options.realtime else "lockstep",
         "duration_s": f"{scenario.duration_s:g}",
     }
-    attachments = tuple(Attachment(name, "application/toml", file.text.encode()) for file, name in attached)
+    attachments = (
+        Attachment("scenario.toml", "application/toml", scenario_file.text.encode()),
+        Attachment("vehicle.toml", "application/toml", vehicle_file.text.encode()),
+        Attachment("truth.toml", "application/toml", vehicle_to_toml(truth).encode()),
+        Attachment("settings.json", "application/json", json.dumps(settings, indent=1).encode()),
+    )
     stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
     return Setup(scenario, believed, truth, load_grade(sensors), stack, attachments, settings)
 
@@ -220,9 +224,7 @@ def fly(
     out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
     metadata = {"settings": setup.settings, "versions": files.versions()}
-    log = FlightLog.open(
-        log_path, metadata=metadata, attachments=setup.attachments, overwrite=True, compressed=options.realtime
-    )
+    log = FlightLog.open(log_path, metadata=metadata, attachments=setup.attachments, overwrite=True)
     recorder: Recorder = ThreadedLog(log) if options.realtime else log
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()

@@ -127,11 +127,11 @@ def _channel_metadata(topic: Topic) -> dict[str, str]:
     return about | {f"field.{field.name}": f"{field.unit or '-'}: {field.text}" for field in topic.fields}
 
 
-def _options(compressed: bool) -> MCAPWriteOptions:
+def _options() -> MCAPWriteOptions:
     return MCAPWriteOptions(
         chunk_size=None,
         disable_seeking=True,
-        compression=MCAPCompression.Lz4 if compressed else None,
+        compression=MCAPCompression.Lz4,
         compression_threads=0,
     )
 
@@ -139,7 +139,7 @@ def _options(compressed: bool) -> MCAPWriteOptions:
 class FlightLog:
     """A log that is being written; `open` makes one.  Every method but `open` is safe in flight: it never raises."""
 
-    def __init__(self, path: Path, file: io.RawIOBase, *, compressed: bool = True) -> None:
+    def __init__(self, path: Path, file: io.RawIOBase) -> None:
         self.path = path
         self.failed: str | None = None
         """The first thing that went wrong, one line."""
@@ -148,7 +148,7 @@ class FlightLog:
         """Records that didn't fit their topic."""
         self._file = file
         self._context = foxglove.Context()
-        self._sink: MCAPWriter = _open_sink(file, self._context, compressed)
+        self._sink: MCAPWriter = _open_sink(file, self._context)
         self._channels: dict[str, _Channel] = {}
         self._silent = False
         self._closed = False
@@ -166,24 +166,25 @@ class FlightLog:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
         overwrite: bool = False,
-        compressed: bool = True,
     ) -> FlightLog:
         """Begin a log with what it is about; folders are made.
 
         `metadata`: name -> (key -> value), such as versions, git commit and seed.  InputError, one line, if the file
-        exists already (unless `overwrite`) or can't be written.  Not `compressed` it is 1.4 times as large and takes
-        two thirds of the time.
+        exists already (unless `overwrite`) or can't be written.
         """
         path = Path(path)
         try:
             if not path.parent.is_dir():
                 path.parent.mkdir(parents=True)
             file = io.FileIO(path, "w" if overwrite else "x")
+        except FileExistsError:
+            reason = "exists already; choose another name or remove it"
+            if path.parent.is_file():
+                reason = f"can't be written ({path.parent} is a file); choose another place"
+            raise InputError(f"log {path}: {reason}") from None
         except OSError as error:
-            if path.is_file():
-                raise InputError(f"log {path}: exists already; choose another name or remove it") from None
             raise InputError(f"log {path}: can't be written ({error.strerror}); choose another place") from None
-        log = cls(path, file, compressed=compressed)
+        log = cls(path, file)
         log._begin(metadata, attachments)
         if log.failed is not None:
             log.close()
@@ -338,6 +339,6 @@ def _number_of(severity: str) -> int:
     return SEVERITIES.index(severity) if severity in SEVERITIES else SEVERITIES.index("info")
 
 
-def _open_sink(file: io.RawIOBase, context: foxglove.Context, compressed: bool) -> MCAPWriter:
+def _open_sink(file: io.RawIOBase, context: foxglove.Context) -> MCAPWriter:
     raw: Any = file
-    return foxglove.open_mcap(raw, context=context, writer_options=_options(compressed))
+    return foxglove.open_mcap(raw, context=context, writer_options=_options())

@@ -27,6 +27,8 @@ from mavlink_bridge.vehicle_view import VehicleView
 
 __all__ = ["Companion", "CompanionConfig", "Observer"]
 
+_REST_TICKS = 1_000
+"""Ticks over which the position at rest is averaged; on a longer wait the last 4 s or so count."""
 _TIMESYNC_PERIOD_US = 100_000
 _FULL_MASK_RATES = 128
 """SET_ATTITUDE_TARGET: ignore the attitude, take body rates and thrust.  Never the throttle-ignore bit (64)."""
@@ -65,6 +67,8 @@ class Companion:
         """Vehicle time of the latest step in which something was decided."""
         self.ticks = 0
         self._stack, self._scenario, self._observer, self._config = stack, scenario, observer, config
+        self._rest_ned_m: F64 = np.zeros(3)
+        self._rested = 0
         self.start_ned_m: F64 = np.zeros(3)
         """Estimated position where the flight began, (3,): the scenario's coordinates are relative to it."""
         self._commands = CommandQueue(link)
@@ -198,8 +202,10 @@ class Companion:
     def _engage(self, now_us: int, t_us: int) -> None:
         measurement = self._measurement
         assert measurement is not None  # STREAMING is not entered without one
-        self.mission = plan(self._scenario, measurement.pos_ned_m, _yaw(measurement.q_ned_frd))
         self.start_ned_m = measurement.pos_ned_m.copy()
+        if self._rested:  # at rest the mean says better where the vehicle stands than any one noisy sample
+            self.start_ned_m = self._rest_ned_m.copy()
+        self.mission = plan(self._scenario, self.start_ned_m, _yaw(measurement.q_ned_frd))
         self._stack_state = self._stack.init(measurement)
         self._now.last_good_us = now_us
         self.flight_start_us = t_us
@@ -245,7 +251,11 @@ class Companion:
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
             self._send_setpoint(Command(t_us, 0.0, 0.0, np.zeros(3)))
+            if measurement is not None and self.view.on_ground:
+                self._rested = min(self._rested + 1, _REST_TICKS)
+                self._rest_ned_m += (measurement.pos_ned_m - self._rest_ned_m) / self._rested
             return
+        self._rested = 0
         if self._stack_state is None or self._hold is None:
             self._stack_state = self._stack.init(measurement)
             self._hold = _hover_at(measurement)

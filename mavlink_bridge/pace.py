@@ -53,7 +53,6 @@ def undisturbed() -> Iterator[None]:
     """No garbage collection inside the loop, and other threads give the interpreter back within 20 us."""
     interval = sys.getswitchinterval()
     enabled = gc.isenabled()
-    gc.collect()
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)

@@ -24,11 +24,13 @@ STREAMS: tuple[tuple[type, int], ...] = (
     (m.AttitudeQuaternion, 4_000),  # PX4 tops out near 198 Hz
     (m.LocalPositionNed, 8_000),  # its source is 125 Hz
     (m.HighresImu, 4_000),  # near 246 Hz
-    (m.ServoOutputRaw, 8_000),
+    (m.ServoOutputRaw, 10_000),
     (m.CurrentMode, 100_000),  # a change of mode is seen within 0.1 s; HEARTBEAT takes up to 1 s
     (m.ExtendedSysState, 100_000),
     (m.EstimatorStatus, 200_000),
+    (m.GlobalPositionInt, 200_000),  # for the map only
     (m.Attitude, -1),  # the quaternion says the same
+    (m.Odometry, -1),  # position and attitude come on their own, faster
 )
 """The streams that the companion asks for: message, interval in us (-1: off)."""
 
