@@ -113,7 +113,7 @@ def prepare(options: FlyOptions) -> Setup:
 def compile_all(setup: Setup) -> None:
     """Call once whatever is compiled at its first call: a fresh machine takes its half minute here, not in flight."""
     messages.prepare()
-    warm_up_stack(setup.stack)
+    warm_up_stack(setup.stack, setup.scenario)
     warm_up_simulator(setup.truth, setup.grade)
 
 

@@ -81,7 +81,7 @@ def offboard(
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
     messages.prepare()
-    warm_up(stack)
+    warm_up(stack, scenario)
     address = parse_address(options.connect)
     transport = open_address(address)
     try:

@@ -7,21 +7,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from flightstack.mission import plan
 from flightstack.predictor import Streams, predict
+from flightstack.scenario import Scenario
 from flightstack.stack import Stack
-from flightstack.trajectory import Polynomial, hover
 
 
-def warm_up(stack: Stack) -> None:
-    """One prediction, one tick and one fallback with made-up samples; `stack` is as before."""
+def warm_up(stack: Stack, scenario: Scenario) -> None:
+    """One prediction, tick and fallback with made-up samples, and a look at each leg of the mission."""
     streams = Streams()
     streams.attitude(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.position(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.imu(0, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
     measurement = predict(streams, 1000)
     assert measurement is not None  # every stream was fed
-    Polynomial(np.array([0.0, 1.0]), np.zeros((1, 4, 8))).at(0.5)
-    setpoint = hover((0.0, 0.0, -1.0)).at(0.0)
+    mission = plan(scenario, np.zeros(3))
+    for time_s in (0.0, mission.takeoff_end_s, mission.track_start_s, mission.track_end_s):
+        setpoint = mission.reference(time_s + 0.1)
     state = stack.init(measurement)
     stack.tick(state, measurement, setpoint, 1000)
     stack.tick(state, predict(streams, 1_000_000), setpoint, 1_000_000)

@@ -9,11 +9,13 @@ from sim.server import Server
 from sim.simulated_vehicle import simulated_vehicle
 
 _SETTLE_MS = 200
+_LIFT_MS = 1000
 
 
 def warm_up(vehicle: Vehicle, grade: Grade) -> None:
-    """A moment of a throwaway vehicle's life: idle behind its server, then with every control loop running."""
+    """A throwaway vehicle's life: idle behind its server, then in the air with every control loop running."""
     throwaway = simulated_vehicle(vehicle, vehicle, grade, seed=0)
     Server(throwaway).advance(_SETTLE_MS)
-    for setpoint in (ControlSetpoint(ControlKind.RATE, thrust_norm=0.5), HOLD, LAND):
+    throwaway.advance(ControlSetpoint(ControlKind.RATE, thrust_norm=1.0), _LIFT_MS)  # some loops rest on the ground
+    for setpoint in (HOLD, LAND):
         throwaway.advance(setpoint, _SETTLE_MS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -141,3 +143,31 @@ def test_a_truth_file_replaces_the_scenarios_truth_and_the_controller_never_sees
     assert result.completed, result.reason
     assert result.tracking["rmse_m"] < 0.03
     assert b"mass_kg = 1.2" in (log.attachment("truth.toml") or b"")
+
+
+COMPILED_IN_FLIGHT = """
+import gc, sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from app import flight
+
+def known():
+    ours = [item for item in gc.get_objects() if isinstance(item, Dispatcher)]
+    return {f"{item.py_func.__module__}.{item.py_func.__name__}": len(item.signatures) for item in ours}
+
+prepared, before = flight.compile_all, {}
+flight.compile_all = lambda setup: (prepared(setup), before.update(known()))
+options = flight.FlyOptions(scenario=sys.argv[1], duration_s=2.0, out=Path(sys.argv[2]))
+assert flight.fly(options, stop_requested=lambda: "").completed
+assert before
+changed = [name for name, count in known().items() if count != before.get(name)]
+print([name for name in changed if name.startswith(("flightstack.", "sim."))])
+"""
+
+
+@pytest.mark.parametrize("scenario", ["paper-tracking", "minimum-snap"])
+def test_nothing_is_compiled_in_flight(scenario: str, tmp_path: Path) -> None:
+    """In a fresh process: every compiled function that the flight calls was called before its clock ran."""
+    command = [sys.executable, "-c", COMPILED_IN_FLIGHT, scenario, str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

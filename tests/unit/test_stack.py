@@ -261,7 +261,7 @@ def test_known_lag_is_led() -> None:
 def test_warming_up_leaves_no_trace() -> None:
     stack = Stack(MODEL)
     before, _ = tick(stack, measurement())
-    warm_up(stack)
+    warm_up(stack, load_scenario("figure8"))
     after, _ = tick(stack, measurement())
     np.testing.assert_array_equal(before.rate_frd_radps, after.rate_frd_radps)
     assert before.thrust_n == after.thrust_n
