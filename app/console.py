@@ -68,7 +68,7 @@ def show_result(result: FlightResult) -> None:
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
     if result.reason:
         yield "why", result.reason
-    pace = f"{result.wall_time_s:.1f} s, {result.flight_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
+    pace = f"{result.wall_time_s:.1f} s, {result.clock_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
     yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
     tracking = result.tracking
     if tracking["rmse_m"] is not None:

@@ -288,6 +288,7 @@ def _result(
         reason=companion.reason,
         flight_time_s=flown_us * 1e-6,
         wall_time_s=wall_s,
+        clock_time_s=flight.t_us * 1e-6,
         plant="native",
         tracking=tracking,
         loop=timing.summary() if timing is not None else NO_LOOP,

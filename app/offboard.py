@@ -197,6 +197,7 @@ def _result(
         reason=companion.reason,
         flight_time_s=flown_us * 1e-6,
         wall_time_s=wall_s,
+        clock_time_s=wall_s * companion.view.clock.rate,
         plant=None,
         tracking=tracking,
         loop=timing.summary(),

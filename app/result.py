@@ -88,7 +88,11 @@ class FlightResult:
     completed: bool
     reason: str
     flight_time_s: float
+    """From take-off to disarmed, by the vehicle's clock."""
     wall_time_s: float
+    """Of the whole run, connecting and checking included; the report is not."""
+    clock_time_s: float
+    """The same span by the vehicle's clock: simulated or, on a real vehicle, elapsed time."""
     plant: str | None
     tracking: dict[str, Any]
     loop: dict[str, Any]
@@ -125,7 +129,7 @@ class FlightResult:
             "reason": self.reason,
             "flight_time_s": self.flight_time_s,
             "wall_time_s": self.wall_time_s,
-            "realtime_factor": self.flight_time_s / self.wall_time_s if self.wall_time_s > 0 else None,
+            "realtime_factor": self.clock_time_s / self.wall_time_s if self.wall_time_s > 0 else None,
             "plant": self.plant,
             "controller": self.controller,
             "tracking": self.tracking,
