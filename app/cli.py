@@ -199,7 +199,12 @@ def sim(
 
     interrupts = Interrupts()
     options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration)
-    result = simulate(options, stop_requested=interrupts.requested, on_ready=lambda text: print(text, flush=True))
+    result = simulate(
+        options,
+        stop_requested=interrupts.requested,
+        on_ready=lambda text: print(text, flush=True),
+        on_wait=lambda text: print(text, file=sys.stderr, flush=True),
+    )
     console.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
     if json is not None:
         files.write_json(json, result)

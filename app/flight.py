@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app import files
+from app.compiled import ensure_compiled
 from app.recorder import LogObserver
 from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
@@ -110,8 +111,8 @@ def prepare(options: FlyOptions) -> Setup:
     return Setup(scenario, believed, truth, load_grade(sensors), stack, attachments, settings)
 
 
-def compile_all(setup: Setup) -> None:
-    """Call once whatever is compiled at its first call: a fresh machine takes its half minute here, not in flight."""
+def warm_up_all(setup: Setup) -> None:
+    """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
     warm_up_stack(setup.stack, setup.scenario)
     warm_up_simulator(setup.truth, setup.grade)
@@ -219,8 +220,8 @@ def fly(
 ) -> FlightResult:
     """Fly a scenario in the simulator; log and report lie where the result says."""
     setup = prepare(options)
-    on_progress(0.0, "compiling (once on a new machine)")
-    compile_all(setup)
+    ensure_compiled(lambda text: on_progress(0.0, text))
+    warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
     metadata = {"settings": setup.settings, "versions": files.versions()}

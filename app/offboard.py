@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app import files
+from app.compiled import ensure_compiled
 from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming, TrackingScore, judge
 from flightstack.model import Model
@@ -80,6 +81,7 @@ def offboard(
         scenario = scenario.with_duration(options.duration_s)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
+    ensure_compiled(lambda text: on_progress(0.0, text))
     messages.prepare()
     warm_up(stack, scenario)
     address = parse_address(options.connect)

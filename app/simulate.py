@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from app import files
+from app.compiled import ensure_compiled
 from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket
@@ -46,10 +47,12 @@ def simulate(
     *,
     stop_requested: Callable[[], str],
     on_ready: Callable[[str], None] = lambda text: None,
+    on_wait: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
     truth, _ = files.load_vehicle(options.vehicle)
     grade = load_grade(options.sensors)
+    ensure_compiled(on_wait)
     messages.prepare()
     warm_up(truth, grade)
     vehicle = simulated_vehicle(replace(truth, effects={}), truth, grade, seed=options.seed)

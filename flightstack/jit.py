@@ -37,7 +37,7 @@ def _source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder() -> Path:
+def _make_cache_folder() -> Path:
     """The folder for this state of the sources, made if need be; old ones are dropped."""
     name = f"numba-{_source_hash()}"
     for base in (Path.home() / ".cache" / "flightstack", Path(tempfile.gettempdir()) / "flightstack-cache"):
@@ -66,7 +66,12 @@ def _drop_old_folders(base: Path) -> None:
 
 
 if not _numba_config.CACHE_DIR:  # a user's own NUMBA_CACHE_DIR wins
-    _numba_config.CACHE_DIR = str(_cache_folder())
+    _numba_config.CACHE_DIR = str(_make_cache_folder())
+
+
+def cache_folder() -> Path:
+    """Where compiled functions of this state of the sources are kept."""
+    return Path(_numba_config.CACHE_DIR)
 
 
 def njit(function: F) -> F:

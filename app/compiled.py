@@ -1,0 +1,48 @@
+"""Filling the cache of compiled functions, once on a new machine and after each change of the compiled sources.
+
+It is done in a process of its own: a process that has run the compiler flies half as fast from then on (its heap is
+large and scattered), one that loads the same functions from the cache does not.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from flightstack.jit import cache_folder
+
+_ROOT = Path(__file__).resolve().parent.parent
+_MARKER = "flight-is-compiled"
+_SCENARIOS = ("paper-tracking", "minimum-snap")
+
+
+def ensure_compiled(say: Callable[[str], None]) -> None:
+    """Return when the cache holds what a flight needs; a failure only means that it is compiled later, in process."""
+    if (cache_folder() / _MARKER).exists():
+        return
+    say("compiling (once on a new machine)")
+    path = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH", ""))))
+    subprocess.run(
+        [sys.executable, "-m", "app.compiled"],
+        env={**os.environ, "PYTHONPATH": path},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+def main() -> None:
+    """Compile everything that a flight calls, then leave a mark in the cache."""
+    from app.flight import FlyOptions, prepare, warm_up_all
+
+    for scenario in _SCENARIOS:
+        warm_up_all(prepare(FlyOptions(scenario=scenario)))
+    (cache_folder() / _MARKER).touch()
+
+
+if __name__ == "__main__":
+    main()
