@@ -1,17 +1,37 @@
-"""Where the learner and the safety filter join the tick, and what stands there without them.
+"""Where controller, learner and safety filter join the tick, and what stands there without the latter two.
 
-Both keep their state explicit and outside: `init` gives it, every call returns the next one.
+All keep their state explicit and outside: `init` gives it, every call returns the next one.  A state that is handed in
+is used up: what holds much (a learner's store) is changed in place.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
-import numpy as np
+from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal
 
-from flightstack.types import F64, Command, FlatOutput, Measurement
+_NOTHING = Learned.nothing()
 
-_NOTHING = np.zeros((2, 3))
+
+class Controller(Protocol):
+    """Turns a measurement and a point of the reference into thrust and body rates.
+
+    Its state is `Any` to those outside: each controller has its own.
+    """
+
+    def init(self, now_us: int) -> Any:
+        """State before the first step."""
+        ...
+
+    def step(
+        self, state: Any, measurement: Measurement, reference: FlatOutput, learned: Learned, sent: Command, now_us: int
+    ) -> tuple[Any, Proposal]:
+        """One step; `sent` is the command of the tick before, as it went to the vehicle."""
+        ...
+
+    def healthy(self, state: Any) -> bool:
+        """Whether the state is fit to go on from; where it is not, the stack begins anew with `init`."""
+        ...
 
 
 class Learner(Protocol):
@@ -23,11 +43,10 @@ class Learner(Protocol):
         """State before the first sample."""
         ...
 
-    def step(self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput) -> tuple[object, F64]:
-        """Learn from a measurement and the command sent before it; predict for now.
-
-        The prediction (2, 3) is the unexplained acceleration and its time derivative, NED m/s^2 and m/s^3.
-        """
+    def step(
+        self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput
+    ) -> tuple[object, Learned]:
+        """Learn from a measurement and the command sent before it; predict for now."""
         ...
 
 
@@ -41,14 +60,14 @@ class SafetyFilter(Protocol):
         ...
 
     def step(
-        self, state: object, measurement: Measurement, command: Command, learned: F64, reference: FlatOutput
+        self, state: object, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
     ) -> tuple[object, Command]:
         """The safe command nearest to `command`."""
         ...
 
 
 class NoLearner:
-    """Nothing is learned: zeros."""
+    """Nothing is learned."""
 
     enabled = False
 
@@ -56,8 +75,10 @@ class NoLearner:
         """No state."""
         return None
 
-    def step(self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput) -> tuple[object, F64]:
-        """Zeros (2, 3)."""
+    def step(
+        self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput
+    ) -> tuple[object, Learned]:
+        """The model as believed."""
         return state, _NOTHING
 
 
@@ -71,7 +92,7 @@ class NoFilter:
         return None
 
     def step(
-        self, state: object, measurement: Measurement, command: Command, learned: F64, reference: FlatOutput
+        self, state: object, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
     ) -> tuple[object, Command]:
         """The command as it is."""
         return state, command

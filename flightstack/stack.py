@@ -7,21 +7,21 @@ In flight nothing raises: what goes wrong ends as the guard's fallback, named in
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from flightstack.control.feedback import ControlState, FeedbackGains, FlatnessController
+from flightstack.control.feedback import FlatnessController
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
-from flightstack.seams import Learner, NoFilter, NoLearner, SafetyFilter
-from flightstack.types import F64, Command, FlatOutput, Measurement, Proposal, TickRecord
+from flightstack.seams import Controller, Learner, NoFilter, NoLearner, SafetyFilter
+from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
 
 
 class StackState(NamedTuple):
     """Everything that one tick hands to the next."""
 
-    control: ControlState
+    control: Any
     learner: object
     filter: object
     measurement: Measurement
@@ -41,15 +41,15 @@ class Stack:
     def __init__(
         self,
         model: Model,
-        gains: FeedbackGains | None = None,
         limits: Limits | None = None,
         *,
+        controller: Controller | None = None,
         learner: Learner | None = None,
         safety_filter: SafetyFilter | None = None,
     ) -> None:
         self.model = model
         self.limits = limits or Limits()
-        self.controller = FlatnessController(model, gains, self.limits)
+        self.controller: Controller = controller or FlatnessController(model, limits=self.limits)
         self.learner: Learner = learner or NoLearner()
         self.filter: SafetyFilter = safety_filter or NoFilter()
         self.guard = Guard(model, self.limits)
@@ -70,20 +70,21 @@ class Stack:
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
         control, learner, filtered = state.control, state.learner, state.filter
-        proposal, wanted, saturated = _NO_PROPOSAL, state.sent, False
+        proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, state.sent, False
         if usable:
             learner, learned = self.learner.step(learner, seen, state.sent, setpoint)
-            control, proposal = self.controller.step(control, seen, setpoint, learned, now_us)
+            control, proposal = self.controller.step(control, seen, setpoint, learned, state.sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             filtered, wanted = self.filter.step(filtered, seen, wanted, learned, setpoint)
         command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us)
-        if guard and not np.isfinite(control.correction_ned_mps2).all():
+        if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         carried = state.carried_n
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
-        record = TickRecord(now_us, setpoint, seen, proposal, command, saturated, guard)
+        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard)
         return StackState(control, learner, filtered, seen, command, state.origin_ned_m, carried), command, record
 
 
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
+_NOT_LEARNING = Learned.nothing()

@@ -151,7 +151,61 @@ class Proposal:
     """Feed-forward and feedback together."""
 
 
-R = TypeVar("R", FlatOutput, Measurement)
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """What a learner knows at one tick: what to feed forward at the reference, and what it expects at the state.
+
+    The residual is the specific force that the model does not explain at the thrust that acted, body FRD.
+    """
+
+    row: F64
+    """(32,) the parts below in their order."""
+    acc_ned_mps2 = Part(0, 3)
+    """Unexplained acceleration at the reference, after gates and clips; thrust's own error is in `thrust_gain`."""
+    jerk_ned_mps3 = Part(3, 6)
+    """Its time derivative along the reference."""
+    thrust_gain = Element(6)
+    """Delivered over believed thrust per mass, 1 as believed; it scales every thrust that is asked for."""
+    confidence = Element(7)
+    """Share of the prior's variance at the reference that the data have removed, 0..1; 0 where nothing is used."""
+    stage = Element(8)
+    """-1 there is no learner, 0 nothing, 1 calculable, 2 valid, 3 used, 4 used but frozen."""
+    residual_frd_mps2 = Part(9, 12)
+    """Expected residual at the measured state; NaN without a learner."""
+    sigma_frd_mps2 = Part(12, 15)
+    """Its calibrated standard deviation (three of them are the bound); NaN without a learner."""
+    target_frd_mps2 = Part(15, 18)
+    """The residual as measured at this tick; NaN where there was no fit sample."""
+    thrust_gain_sigma = Element(18)
+    rate_residual_frd_radps = Part(19, 22)
+    """Expected body rates less those that the model of the rate loop says."""
+    rate_sigma_frd_radps = Part(22, 25)
+    applied_thrust_n = Element(25)
+    """Thrust that acted by the model: after latency and the rotors' lag."""
+    latency_s = Element(26)
+    """From sending a command to its first effect, as identified."""
+    points = Element(27)
+    """Points held."""
+    fed = Element(28)
+    """Samples taken so far."""
+    refused = Element(29)
+    """Samples refused so far."""
+    changes = Element(30)
+    """Sudden changes noticed so far."""
+    surprise = Element(31)
+    """Largest recent error of prediction, in its own standard deviations."""
+
+    @classmethod
+    def nothing(cls) -> Learned:
+        """Without a learner: the model as believed."""
+        row = np.zeros(32)
+        row[6], row[8] = 1.0, -1.0
+        row[9:25] = np.nan
+        row[31] = np.nan
+        return cls(row)
+
+
+R = TypeVar("R", FlatOutput, Measurement, Learned)
 
 
 def changed(record: R, **values: Any) -> R:
@@ -182,6 +236,7 @@ class TickRecord(NamedTuple):
     measurement: Measurement
     proposal: Proposal
     """NaN where the measurement was not fit for control."""
+    learned: Learned
     command: Command
     thrust_saturated: bool
     guard: str

@@ -142,6 +142,27 @@ _TICK_FIELDS = (
     Field("guard", "string", 0, "", "what the guard did instead of the command; empty if nothing"),
 )
 
+_LEARNER_FIELDS = (
+    _f64("acc_ned_mps2", 3, "m/s^2", "unexplained acceleration that is fed forward at the reference"),
+    _f64("jerk_ned_mps3", 3, "m/s^3", "its time derivative along the reference"),
+    _f64("thrust_gain", 0, "1", "delivered over believed thrust per mass"),
+    _f64("thrust_gain_sigma", 0, "1", "its standard deviation"),
+    _f64("confidence", 0, "1", "share of the prior's variance that the data have removed"),
+    _f64("stage", 0, "1", "0 nothing, 1 calculable, 2 valid, 3 used, 4 used but frozen"),
+    _f64("residual_frd_mps2", 3, "m/s^2", "expected unexplained specific force at the measured state"),
+    _f64("sigma_frd_mps2", 3, "m/s^2", "its calibrated standard deviation"),
+    _f64("target_frd_mps2", 3, "m/s^2", "unexplained specific force as measured, NaN without a sample"),
+    _f64("rate_residual_frd_radps", 3, "rad/s", "expected body rates less those of the rate loop's model"),
+    _f64("rate_sigma_frd_radps", 3, "rad/s", "its standard deviation"),
+    _f64("applied_thrust_n", 0, "N", "thrust that acted by the model, after latency and lag"),
+    _f64("latency_s", 0, "s", "from sending a command to its first effect, as identified"),
+    _f64("points", 0, "1", "points held"),
+    _f64("fed", 0, "1", "samples taken so far"),
+    _f64("refused", 0, "1", "samples refused so far"),
+    _f64("changes", 0, "1", "sudden changes noticed so far"),
+    _f64("surprise", 0, "1", "largest recent error of prediction, in its own standard deviations"),
+)
+
 _TRUTH_FIELDS = (
     _f64("pos_ned_m", 3, "m", "true position"),
     _f64("vel_ned_mps", 3, "m/s", "true velocity"),
@@ -279,6 +300,15 @@ _STACK_TOPICS = (
         "companion",
         "why the command is what it is: the stack's record of this tick",
         _TICK_FIELDS,
+    ),
+    Topic(
+        "/learner",
+        Kind.TABLE,
+        "flightstack.Learner",
+        250.0,
+        "companion",
+        "what the learner knows at this tick; absent where nothing learns",
+        _LEARNER_FIELDS,
     ),
     Topic(
         "/events",

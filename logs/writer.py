@@ -239,11 +239,13 @@ class FlightLog:
         self.write("/mavlink/rx" if direction == "rx" else "/mavlink/tx", t_us, data)
 
     def tick(self, record: TickRecord) -> None:
-        """One tick of the stack: /setpoint, /command, /tick and, at their own rates, the estimated pose and path."""
+        """One tick of the stack: /setpoint, /command, /tick, /learner and, at their own rates, the estimated pose."""
         t_us = record.t_us
         self.write("/setpoint", t_us, record.reference)
         self.write("/command", t_us, record.command)
         self.write("/tick", t_us, record)
+        if record.learned.stage >= 0.0:
+            self.write("/learner", t_us, record.learned)
         if self._trail.is_due(t_us):
             self._views(t_us, self._trail.poses, record.measurement)
 

@@ -32,7 +32,7 @@ from flightstack.frames import matrix_to_quat, quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.trajectory import NominalGains, nominal_step
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Measurement, Proposal
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Proposal
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +82,24 @@ class FlatnessController:
         """Nothing corrected yet."""
         return ControlState(np.zeros(3), now_us)
 
+    def healthy(self, state: ControlState) -> bool:
+        """Whether the correction is finite."""
+        return bool(np.isfinite(state.correction_ned_mps2).all())
+
     def step(
-        self, state: ControlState, measurement: Measurement, reference: FlatOutput, learned: F64, now_us: int
+        self,
+        state: ControlState,
+        measurement: Measurement,
+        reference: FlatOutput,
+        learned: Learned,
+        sent: Command,
+        now_us: int,
     ) -> tuple[ControlState, Proposal]:
-        """One step; `learned` (2, 3): unexplained acceleration and its rate, NED (zeros: nothing learned)."""
+        """One step; what is learned is fed forward, and every thrust is scaled by the learned thrust gain."""
         row = np.empty(_PROPOSAL)
         correction = state.correction_ned_mps2.copy()
         dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
-        thrust = _step(self._constants, correction, dt, reference.row, measurement.row, learned, row)
+        thrust = _step(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
         return ControlState(correction, now_us), Proposal(thrust, row)
 
 
@@ -115,18 +125,20 @@ def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
 def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: F64, learned: F64, out: F64) -> float:
     """Nominal, feed-forward and feedback: total thrust, the parts in `out`.
 
-    `reference` (17,), `measured` (20,), `out` (20,): rows of FlatOutput, Measurement, Proposal.
+    `reference` (17,), `measured` (20,), `learned` (32,), `out` (20,): rows of FlatOutput, Measurement, Learned,
+    Proposal.
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]
     pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     acc, jerk, error = out[11:14], out[14:17], out[8:11]
     nominal_step(correction, constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
-    mass, drag = constants[5, 0], constants[6]
-    reachable = _reachable(acc, learned[0], vel_d, drag, mass, constants)
+    mass, drag, gain = constants[5, 0], constants[6], learned[6]
+    learned_acc, learned_jerk = learned[0:3], learned[3:6]
+    reachable = _reachable(acc, learned_acc, vel_d, drag, mass, gain, constants)
     flat = np.empty(17)
     _to_body(
-        vel_d, reachable, jerk, reference[12:15], reference[15], reference[16], learned[0], learned[1], q, mass, drag,
-        STANDARD_GRAVITY_MPS2, flat,
+        vel_d, reachable, jerk, reference[12:15], reference[15], reference[16], learned_acc, learned_jerk, q, mass,
+        drag, STANDARD_GRAVITY_MPS2, flat,
     )  # fmt: skip
     r = quat_to_matrix(q)
     turn = np.empty((3, 3))  # desired body axes, seen from the present ones
@@ -134,12 +146,12 @@ def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: 
         for k in range(3):
             turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
     aligned = max(turn[2, 2], 0.0)  # thrust only counts along the present thrust axis
-    out[0] = aligned * (flat[0] + constants[5, 1] * flat[1])
+    out[0] = aligned * (flat[0] + constants[5, 1] * flat[1]) / gain
     along_p = along_d = 0.0
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])
         along_d += r[i, 2] * (vel_d[i] - vel[i])
-    out[1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d)
+    out[1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d) / gain
     q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
     for i in range(3):
         error[i] = 2.0 * q_error[1 + i]
@@ -159,10 +171,10 @@ def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: 
 
 
 @njit
-def _reachable(acc: F64, learned: F64, vel: F64, drag: F64, mass: float, constants: F64) -> F64:
+def _reachable(acc: F64, learned: F64, vel: F64, drag: F64, mass: float, gain: float, constants: F64) -> F64:
     """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
     d = 0.5 * (drag[0] + drag[1]) / mass
-    low, high, slope = constants[4, 1], constants[4, 2], constants[7, 0]
+    low, high, slope = gain * constants[4, 1], gain * constants[4, 2], constants[7, 0]
     north = learned[0] - acc[0] - d * vel[0]
     east = learned[1] - acc[1] - d * vel[1]
     wanted = learned[2] - acc[2] - d * vel[2] + STANDARD_GRAVITY_MPS2

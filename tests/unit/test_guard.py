@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from closed_loop import load_vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
+from shipped import load_vehicle
 
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.guard import Guard, carried_thrust, stale

@@ -27,6 +27,7 @@ def test_every_named_part_of_a_tick_reads_back_from_compressed_chunks(tmp_path: 
         ("/tick", record.measurement, "pos_ned_m vel_ned_mps q_ned_frd rate_frd_radps motor_command imu_age_us"),
         ("/tick", record.proposal, "thrust_ff_n thrust_fb_n rate_ff_frd_radps rate_fb_frd_radps attitude_error_rad"),
         ("/tick", record.proposal, "nominal_acc_ned_mps2 nominal_jerk_ned_mps3"),
+        ("/learner", record.learned, "acc_ned_mps2 thrust_gain residual_frd_mps2 sigma_frd_mps2 target_frd_mps2 fed"),
         ("/setpoint", record.reference, "pos_ned_m vel_ned_mps acc_ned_mps2 jerk_ned_mps3 snap_ned_mps4 yaw_rad"),
     ):
         for name in names.split():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from closed_loop import load_scenario
+from shipped import load_scenario
 
 from flightstack.mission import Mission, plan
 from flightstack.types import F64, FlatOutput

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop import load_vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
+from shipped import load_vehicle
 
 from flightstack.model import MC_RATE_D, MC_RATE_P, Limiter, Limits, Model, thrust_to_norm
 from flightstack.types import InputError

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from closed_loop import ROOT, load_scenario, load_vehicle
+from shipped import ROOT, load_scenario, load_vehicle
 
 from flightstack.region import Region
 from flightstack.scenario import parse_scenario, waypoints_scenario

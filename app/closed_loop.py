@@ -1,54 +1,58 @@
-"""Flights without a wire: the stack against the simulated vehicle, its streams sampled as PX4 sends them."""
+"""Flights without a wire: the stack against the simulated vehicle, its streams sampled as PX4 sends them.
+
+For tuning and for tests of the stack alone: some ten times faster than the same flight over MAVLink, without its log.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from flightstack.control.feedback import FeedbackGains
 from flightstack.mission import plan
-from flightstack.model import Model
+from flightstack.model import Limits, Model
 from flightstack.predictor import Streams, predict
-from flightstack.scenario import Scenario, parse_scenario
+from flightstack.scenario import Scenario
 from flightstack.stack import Stack
 from flightstack.types import F64, TickRecord
-from flightstack.vehicle import Vehicle, parse_vehicle
+from flightstack.vehicle import Vehicle
 from sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from sim.grade import load_grade
+from sim.plant import Truth
 from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 
-ROOT = Path(__file__).resolve().parents[2]
 TICK_MS = 4
 
 
-def load_scenario(name: str) -> Scenario:
-    path = ROOT / "scenarios" / f"{name}.toml"
-    return parse_scenario(path.read_text(), path.name)
-
-
-def load_vehicle(name: str) -> Vehicle:
-    path = ROOT / "vehicles" / f"{name}.toml"
-    return parse_vehicle(path.read_text(), path.name)
-
-
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Flight:
-    """What came of a flight; errors are of the true position."""
+    """What came of a flight."""
 
     errors_m: F64
+    """(n, 3) true position less the reference's, NED, for each tick of the track."""
     least_height_m: float
     guards: set[str]
     records: list[TickRecord]
+    """Every tick, from take-off on."""
+    truths: list[Truth]
+    """The simulator's truth at each of them."""
 
     @property
     def rmse_m(self) -> float:
+        """Root mean square of the 3-D error over the track."""
         return float(np.sqrt((self.errors_m**2).sum(axis=1).mean()))
 
     @property
+    def rmse_settled_m(self) -> float:
+        """The same over the track's second half."""
+        settled = self.errors_m[len(self.errors_m) // 2 :]
+        return float(np.sqrt((settled**2).sum(axis=1).mean()))
+
+    @property
     def max_m(self) -> float:
+        """Largest 3-D error of the track."""
         return float(np.sqrt((self.errors_m**2).sum(axis=1)).max())
 
 
@@ -84,13 +88,16 @@ def fly(
     *,
     seed: int = 0,
     grade: str = "mocap",
-    gains: FeedbackGains | None = None,
+    make_stack: Callable[[Model, Limits], Stack] = Stack,
     latency_ticks: int = 1,
     truth: Vehicle | None = None,
 ) -> Flight:
-    """Climb, run up and track, all from estimates; the true position is only scored."""
+    """Climb, run up and track, all from estimates; the true position is only scored.
+
+    Timed events happen as in `fly`.  `latency_ticks`: how late every sample is.
+    """
     limits = dataclasses.replace(scenario.limits, latency_max_us=10_000 + latency_ticks * TICK_MS * 1000)
-    stack = Stack(Model.from_vehicle(believed), gains, limits)
+    stack = make_stack(Model.from_vehicle(believed), limits)
     vehicle = simulated_vehicle(believed, truth or scenario.truth_vehicle(believed), load_grade(grade), seed=seed)
     wire = _Wire(latency_ticks)
     for _ in range(20 + latency_ticks):
@@ -100,15 +107,20 @@ def fly(
     assert first is not None
     mission = plan(scenario, first.pos_ned_m)
     state, start_us = stack.init(first), vehicle.t_us
-    errors, heights, records = [], [], []
+    events = sorted(scenario.events, key=lambda event: event.time_s)
+    errors, heights, records, truths = [], [], [], []
     while mission.phase(t := (vehicle.t_us - start_us) * 1e-6) != "done":
         reference = mission.reference(t)
         state, command, record = stack.tick(state, predict(wire.streams, vehicle.t_us), reference, vehicle.t_us)
         records.append(record)
+        truths.append(vehicle.plant.truth())
+        while events and events[0].time_s <= t - mission.track_start_s:
+            event = events.pop(0)
+            vehicle.plant.set_effect(event.effect, dict(event.values))
         if t >= mission.track_start_s:
             errors.append(vehicle.plant.pos_ned_m - reference.pos_ned_m)
             heights.append(-vehicle.plant.pos_ned_m[2])
         rates = (float(command.rate_frd_radps[0]), float(command.rate_frd_radps[1]), float(command.rate_frd_radps[2]))
         vehicle.advance(ControlSetpoint(ControlKind.RATE, rates, command.thrust_norm), TICK_MS)
         wire.sample(vehicle)
-    return Flight(np.array(errors), min(heights), {r.guard for r in records} - {""}, records)
+    return Flight(np.array(errors), min(heights), {r.guard for r in records} - {""}, records, truths)
