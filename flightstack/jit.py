@@ -76,5 +76,25 @@ def cache_folder() -> Path:
 
 def njit(function: F) -> F:
     """Compile `function` in nopython mode, IEEE arithmetic (no fastmath: same seed, same bytes), cached on disk."""
-    compiled: F = numba.njit(cache=True, error_model="numpy", forceinline=True)(function)
+    return _compiled(function, inline=True, relaxed=False)
+
+
+def njit_called(function: F) -> F:
+    """`njit` that callers call instead of copying it into themselves: for long functions with several callers."""
+    return _compiled(function, inline=False, relaxed=False)
+
+
+def njit_vector(function: F) -> F:
+    """`njit` for loops over many points: sums may be taken in another order and products fused into them.
+
+    That is what fills the machine's vector registers.  NaN and infinity keep their meaning.  The last bits may depend
+    on the kind of processor (not on the run: same machine and seed, same bytes).
+    """
+    return _compiled(function, inline=True, relaxed=True)
+
+
+def _compiled(function: F, inline: bool, relaxed: bool) -> F:
+    # Said outright: a function that leaves fastmath open takes it over from whichever caller compiles it first.
+    fastmath = {"reassoc", "contract", "nsz"} if relaxed else False
+    compiled: F = numba.njit(cache=True, error_model="numpy", forceinline=inline, fastmath=fastmath)(function)
     return compiled

@@ -28,6 +28,8 @@ _LEAST_HEIGHT_M = 0.4
 _LEAST_CLIMB_S = 1.5
 _ACC_MAX_MPS2 = 4.0
 _SPEED_MAX_MPS = 4.0
+_PEAKS_S = 60.0
+_PEAKS_POINTS = 601
 _BRAKE_MPS2 = 2.5
 _SHORTEST_BRAKE_S = 0.6
 
@@ -98,7 +100,7 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
     ready_s = climb_s + _SETTLE_S
     legs = [_Leg("takeoff", 0.0, climb.moved(start))]
-    run_up = _run_up(above, first)
+    run_up = _run_up(above, first, *_peaks(scenario))
     track_start_s = ready_s if run_up is None else ready_s + run_up.duration_s
     settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
     legs.append(_Leg("approach", climb_s, settled.moved(start)))
@@ -111,15 +113,22 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
-def _run_up(above: F64, first: FlatOutput) -> Polynomial | None:
+def _peaks(scenario: Scenario) -> tuple[float, float]:
+    """Greatest speed and acceleration of the track: what the run-up may use too, where the track is fast."""
+    points = [scenario.trajectory.at(t) for t in np.linspace(0.0, min(scenario.duration_s, _PEAKS_S), _PEAKS_POINTS)]
+    speed = max(float(np.linalg.norm(p.vel_ned_mps)) for p in points)
+    return speed, max(float(np.linalg.norm(p.acc_ned_mps2)) for p in points)
+
+
+def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> Polynomial | None:
     """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable; None: it is there."""
     goal = np.append(first.pos_ned_m, first.yaw_rad)
     end = Boundary.of(first)
     moving = max(float(np.abs(part).max()) for part in (end.velocity, end.acceleration, end.jerk))
     if moving < 1e-9 and np.allclose(goal, above, atol=1e-9):
         return None
-    speed_max = max(_SPEED_MAX_MPS, 1.2 * float(np.linalg.norm(first.vel_ned_mps)))
-    acc_max = max(_ACC_MAX_MPS2, 1.2 * float(np.linalg.norm(first.acc_ned_mps2)))
+    speed_max = max(_SPEED_MAX_MPS, 1.2 * speed_mps)
+    acc_max = max(_ACC_MAX_MPS2, acc_mps2)
     lowest = -_LEAST_HEIGHT_M + 1e-6
     duration = _RUN_UP_S
     while True:

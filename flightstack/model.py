@@ -80,6 +80,8 @@ class Model:
     """How late a command begins to act."""
     drag_kgps: Tuple3
     """Linear drag along the body axes: force = -D v_body."""
+    rotor_radius_m: float
+    """Scale of height for what a rotor does near the ground."""
     left_to_learner: tuple[str, ...]
     """Effects of the vehicle file that this model cannot express, in file order."""
 
@@ -105,6 +107,7 @@ class Model:
             rate_lag_s=_rate_lag_s(vehicle, 0.25 * max_thrust * (2.0 * factor * hover_norm + 1.0 - factor)),
             transport_delay_s=effects.get("transport_delay", {}).get("delay_s", 0.0),
             drag_kgps=(drag.get("d_x_kgps", 0.0), drag.get("d_y_kgps", 0.0), drag.get("d_z_kgps", 0.0)),
+            rotor_radius_m=vehicle.rotors.radius_m,
             left_to_learner=tuple(name for name in effects if name not in _EXPRESSED),
         )
 

@@ -29,7 +29,7 @@ _SENSORS = ("mocap", "gps")
 _DURATION_S = (1.0, 3600.0)
 _FAR_M = 1000.0
 _ENVELOPE_MARGIN_M = 5.0
-_LEAST_HEIGHT_M = 0.2
+_LEAST_HEIGHT_M = 0.15
 
 Effects = Mapping[str, Mapping[str, float]]
 

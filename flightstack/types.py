@@ -167,7 +167,7 @@ class Learned:
     thrust_gain = Element(6)
     """Delivered over believed thrust per mass, 1 as believed; it scales every thrust that is asked for."""
     confidence = Element(7)
-    """Share of the prior's variance at the reference that the data have removed, 0..1; 0 where nothing is used."""
+    """1 where the bound (three sigma) is nothing, 0 from 0.1 g on and where nothing is used."""
     stage = Element(8)
     """-1 there is no learner, 0 nothing, 1 calculable, 2 valid, 3 used, 4 used but frozen."""
     residual_frd_mps2 = Part(9, 12)

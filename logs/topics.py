@@ -147,7 +147,7 @@ _LEARNER_FIELDS = (
     _f64("jerk_ned_mps3", 3, "m/s^3", "its time derivative along the reference"),
     _f64("thrust_gain", 0, "1", "delivered over believed thrust per mass"),
     _f64("thrust_gain_sigma", 0, "1", "its standard deviation"),
-    _f64("confidence", 0, "1", "share of the prior's variance that the data have removed"),
+    _f64("confidence", 0, "1", "1 where the bound is nothing, 0 from 0.1 g on"),
     _f64("stage", 0, "1", "0 nothing, 1 calculable, 2 valid, 3 used, 4 used but frozen"),
     _f64("residual_frd_mps2", 3, "m/s^2", "expected unexplained specific force at the measured state"),
     _f64("sigma_frd_mps2", 3, "m/s^2", "its calibrated standard deviation"),

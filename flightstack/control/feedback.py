@@ -27,12 +27,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.flatness import _to_body
-from flightstack.frames import matrix_to_quat, quat_to_matrix
+from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reachable, together, vehicle_rows
+from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.trajectory import NominalGains, nominal_step
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Proposal
+from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,6 @@ class ControlState(NamedTuple):
     t_us: int
 
 
-_PROPOSAL = 20
-"""Numbers of a Proposal's row."""
 _DT_MAX_S = 0.05
 """A longer gap between two ticks counts as this long."""
 
@@ -96,7 +94,7 @@ class FlatnessController:
         now_us: int,
     ) -> tuple[ControlState, Proposal]:
         """One step; what is learned is fed forward, and every thrust is scaled by the learned thrust gain."""
-        row = np.empty(_PROPOSAL)
+        row = np.empty(PROPOSAL)
         correction = state.correction_ned_mps2.copy()
         dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
         thrust = _step(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
@@ -104,19 +102,14 @@ class FlatnessController:
 
 
 def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
-    """(6, 3) everything that does not change in flight, for one compiled call."""
-    low, high = model.thrust_range_n(limits)
-    nominal = gains.nominal
+    """(8, 3) everything that does not change in flight, for one compiled call."""
+    attitude = AttitudeGains(gains.attitude_p_ps, gains.yaw_p_ps, gains.rate_p)
     return np.array(
         [
-            nominal.pole_radps,
-            nominal.correction_max_mps2,
-            (gains.attitude_p_ps, gains.attitude_p_ps, gains.yaw_p_ps),
-            (gains.thrust_p_ps2, gains.thrust_d_ps, gains.rate_p),
-            (gains.position_rate_radpms, low / model.mass_kg, high / model.mass_kg),
-            (model.mass_kg, model.motor_lag_s + model.transport_delay_s, model.rate_lag_s + model.transport_delay_s),
-            model.drag_kgps,
-            (math.tan(limits.tilt_max_rad), 0.0, 0.0),
+            gains.nominal.pole_radps,
+            gains.nominal.correction_max_mps2,
+            (gains.thrust_p_ps2, gains.thrust_d_ps, gains.position_rate_radpms),
+            *vehicle_rows(model, limits, attitude),
         ]
     )
 
@@ -130,63 +123,21 @@ def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: 
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]
     pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
-    acc, jerk, error = out[11:14], out[14:17], out[8:11]
+    acc, jerk, vehicle, gain = out[11:14], out[14:17], constants[3:8], learned[6]
     nominal_step(correction, constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
-    mass, drag, gain = constants[5, 0], constants[6], learned[6]
-    learned_acc, learned_jerk = learned[0:3], learned[3:6]
-    reachable = _reachable(acc, learned_acc, vel_d, drag, mass, gain, constants)
-    flat = np.empty(17)
-    _to_body(
-        vel_d, reachable, jerk, reference[12:15], reference[15], reference[16], learned_acc, learned_jerk, q, mass,
-        drag, STANDARD_GRAVITY_MPS2, flat,
-    )  # fmt: skip
     r = quat_to_matrix(q)
-    turn = np.empty((3, 3))  # desired body axes, seen from the present ones
-    for i in range(3):
-        for k in range(3):
-            turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
-    aligned = max(turn[2, 2], 0.0)  # thrust only counts along the present thrust axis
-    out[0] = aligned * (flat[0] + constants[5, 1] * flat[1]) / gain
+    follow(vehicle, reachable(acc, learned[0:3], vel_d, gain, vehicle), jerk, reference, learned, gain, q, r, rate, out)
     along_p = along_d = 0.0
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])
         along_d += r[i, 2] * (vel_d[i] - vel[i])
-    out[1] = -mass * (constants[3, 0] * along_p + constants[3, 1] * along_d) / gain
-    q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
-    for i in range(3):
-        error[i] = 2.0 * q_error[1 + i]
+    out[1] = -vehicle[2, 0] * (constants[2, 0] * along_p + constants[2, 1] * along_d) / gain
     c, s = _heading(r)
     north, east = pos_d[0] - pos[0], pos_d[1] - pos[1]
-    kbar = constants[4, 0]
-    drift = (kbar * (c * east - s * north), -kbar * (c * north + s * east), 0.0)
-    for i in range(3):
-        wanted = lead = 0.0
-        for k in range(3):
-            wanted += turn[i, k] * flat[2 + k]
-            lead += turn[i, k] * flat[5 + k]
-        out[2 + i] = wanted + constants[5, 2] * lead
-        out[5 + i] = constants[2, i] * error[i] + constants[3, 2] * (wanted - rate[i]) + drift[i]
-        out[17 + i] = out[2 + i] + out[5 + i]
-    return out[0] + out[1]  # type: ignore[no-any-return]
-
-
-@njit
-def _reachable(acc: F64, learned: F64, vel: F64, drag: F64, mass: float, gain: float, constants: F64) -> F64:
-    """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
-    d = 0.5 * (drag[0] + drag[1]) / mass
-    low, high, slope = gain * constants[4, 1], gain * constants[4, 2], constants[7, 0]
-    north = learned[0] - acc[0] - d * vel[0]
-    east = learned[1] - acc[1] - d * vel[1]
-    wanted = learned[2] - acc[2] - d * vel[2] + STANDARD_GRAVITY_MPS2
-    down = min(max(wanted, low), high)
-    sideways = math.sqrt(north * north + east * east)
-    allowed = min(slope * down, math.sqrt(high * high - down * down))
-    share = 0.0 if sideways <= allowed else 1.0 - allowed / sideways
-    out = np.empty(3)
-    out[0] = acc[0] + share * north
-    out[1] = acc[1] + share * east
-    out[2] = acc[2] + wanted - down
-    return out
+    kbar = constants[2, 2]
+    out[5] += kbar * (c * east - s * north)
+    out[6] -= kbar * (c * north + s * east)
+    return together(out)
 
 
 @njit

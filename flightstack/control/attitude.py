@@ -1,0 +1,113 @@
+"""The inner part that every controller here shares: from a wanted acceleration to thrust and body rates.
+
+`reachable` cuts the acceleration to what the limits allow, `follow` turns it into the feed-forward of thrust and body
+rates (flatness, with what is learned and the believed drag) and the attitude's feedback
+
+    omega_FB = Ka e_R + Kr (omega_d - omega)
+
+e_R is twice the vector part of the quaternion from the present to the desired attitude, in body axes.  omega_FF is
+turned from the desired into the present body axes; thrust counts only along the present thrust axis.
+Known lags are led: thrust by the rotors' time constant times its rate of change, body rates by the rate loop's delay
+times the angular acceleration that the reference's snap asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.flatness import _to_body
+from flightstack.frames import matrix_to_quat
+from flightstack.jit import njit
+from flightstack.model import Limits, Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+PROPOSAL = 20
+"""Numbers of a Proposal's row."""
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeGains:
+    """Gains of omega_FB."""
+
+    attitude_p_ps: float = 6.5
+    """Ka of roll and pitch: 1 / (4 Ka) = 38 ms; with PX4's rate lag of 45-80 ms the attitude closes at zeta 0.9-0.7."""
+    yaw_p_ps: float = 2.0
+    """Ka of yaw, whose rate loop is four times slower (reaction torque only)."""
+    rate_p: float = 0.15
+    """Kr: adds to PX4's own rate feedback, hence small; more would only pass gyro noise on."""
+
+
+def vehicle_rows(model: Model, limits: Limits, gains: AttitudeGains) -> list[tuple[float, float, float]]:
+    """Five rows of three: all that `reachable` and `follow` need to know of the vehicle."""
+    low, high = model.thrust_range_n(limits)
+    return [
+        (gains.attitude_p_ps, gains.attitude_p_ps, gains.yaw_p_ps),
+        (gains.rate_p, low / model.mass_kg, high / model.mass_kg),
+        (model.mass_kg, model.motor_lag_s + model.transport_delay_s, model.rate_lag_s + model.transport_delay_s),
+        model.drag_kgps,
+        (math.tan(limits.tilt_max_rad), 0.0, 0.0),
+    ]
+
+
+@njit
+def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> F64:
+    """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
+    drag = vehicle[3]
+    d = 0.5 * (drag[0] + drag[1]) / vehicle[2, 0]
+    low, high, slope = gain * vehicle[1, 1], gain * vehicle[1, 2], vehicle[4, 0]
+    north = learned[0] - acc[0] - d * vel[0]
+    east = learned[1] - acc[1] - d * vel[1]
+    wanted = learned[2] - acc[2] - d * vel[2] + STANDARD_GRAVITY_MPS2
+    down = min(max(wanted, low), high)
+    sideways = math.sqrt(north * north + east * east)
+    allowed = min(slope * down, math.sqrt(high * high - down * down))
+    share = 0.0 if sideways <= allowed else 1.0 - allowed / sideways
+    out = np.empty(3)
+    out[0] = acc[0] + share * north
+    out[1] = acc[1] + share * east
+    out[2] = acc[2] + wanted - down
+    return out
+
+
+@njit
+def follow(
+    vehicle: F64, acc: F64, jerk: F64, reference: F64, learned: F64, gain: float, q: F64, r: F64, rate: F64, out: F64
+) -> None:
+    """Feed-forward and attitude feedback for `acc`, `jerk` (3,) and the reference's velocity, snap and yaw.
+
+    `vehicle` (5, 3) of `vehicle_rows`; `reference` (17,) and `learned` (32,): rows of FlatOutput and Learned; `gain`:
+    delivered over believed thrust; `q` (4,), `r` (3, 3), `rate` (3,): the present attitude and body rates.
+    Into `out` (20,), a Proposal's row: thrust_ff, rate_ff, rate_fb, attitude_error.
+    """
+    mass = vehicle[2, 0]
+    flat = np.empty(17)
+    _to_body(
+        reference[3:6], acc, jerk, reference[12:15], reference[15], reference[16], learned[0:3], learned[3:6], q, mass,
+        vehicle[3], STANDARD_GRAVITY_MPS2, flat,
+    )  # fmt: skip
+    turn = np.empty((3, 3))  # desired body axes, seen from the present ones
+    for i in range(3):
+        for k in range(3):
+            turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
+    aligned = max(turn[2, 2], 0.0)
+    out[0] = aligned * (flat[0] + vehicle[2, 1] * flat[1]) / gain
+    q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
+    for i in range(3):
+        out[8 + i] = 2.0 * q_error[1 + i]
+        wanted = lead = 0.0
+        for k in range(3):
+            wanted += turn[i, k] * flat[2 + k]
+            lead += turn[i, k] * flat[5 + k]
+        out[2 + i] = wanted + vehicle[2, 2] * lead
+        out[5 + i] = vehicle[0, i] * out[8 + i] + vehicle[1, 0] * (wanted - rate[i])
+
+
+@njit
+def together(out: F64) -> float:
+    """Body rates of feed-forward and feedback added up in a Proposal's row `out` (20,); their total thrust."""
+    for i in range(3):
+        out[17 + i] = out[2 + i] + out[5 + i]
+    return out[0] + out[1]  # type: ignore[no-any-return]

@@ -1,0 +1,280 @@
+"""The learner of the flight stack: recursive Gaussian processes on what the model leaves unexplained.
+
+Each tick: a sample (`sampler`), its error of prediction (`watch`), a step of the window that it belongs to; each full
+window is one point of each store (`store`).  Then two predictions: at the measured state (the bound), and at the
+reference (what the controller feeds forward, with its time derivative and the thrust's own gain).
+
+| stage        | condition                                                                                    |
+| ------------ | -------------------------------------------------------------------------------------------- |
+| 1 calculable | fit samples come: finite, new, in the air, upright, thrust above 0.3 weights, in range       |
+| 2 valid      | and both stores hold at least `valid_points` points, and the last window was no surprise     |
+| 3 used       | and has been so for `ramp_s`, over which what is fed forward grows from nothing to all of it |
+| 4 frozen     | was used, but no fit sample for `stale_s`: what was learned is kept and used, not changed    |
+
+A sudden change (a payload dropped) is an error of prediction whose short mean lies beyond `alarm_sigmas` of what it
+may be.  At once the bound is widened to hold it, the store collects points anew, and after `renew_points` of them the
+old ones are forgotten.
+
+In flight nothing raises: a sample that can't be used is refused and counted, and predictions are clipped to a physical
+range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.learning import sampler as s
+from flightstack.learning.priors import Prior, Priors, default_priors, state_only
+from flightstack.learning.sampler import Sampler
+from flightstack.learning.store import Relevance, Store
+from flightstack.learning.watch import LATERAL, VERTICAL, Watch
+from flightstack.model import Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
+
+
+@dataclass(frozen=True, slots=True)
+class LearnerConfig:
+    """Constants of a learner."""
+
+    priors: Priors = field(default_factory=default_priors)
+    capacity: int = 300
+    """Points of each store."""
+    window_ticks: int = 15
+    """Samples whose mean is one point: 60 ms at 250 Hz."""
+    relevance: Relevance = "oldest"
+    valid_points: int = 8
+    renew_points: int = 3
+    ramp_s: float = 0.4
+    stale_s: float = 0.5
+    alarm_sigmas: float = 6.0
+    unsure_mps2: float = 1.0
+    """Bound (three sigma) at which confidence is 0."""
+    residual_max_mps2: float = 0.8 * STANDARD_GRAVITY_MPS2
+    """Samples beyond are refused, and nothing beyond is fed forward."""
+    gain_range: tuple[float, float] = (0.4, 2.0)
+    floor_mps2: float = 0.005
+    """Least standard deviation of model error that no data remove."""
+    rate_floor_radps: float = 0.01
+
+
+_FORWARD_EVERY = 4
+
+
+class LearnerState:
+    """What a learner remembers; changed in place by its steps."""
+
+    __slots__ = (
+        "changes", "expected", "fed", "fit_us", "forward", "forward_us", "lateral", "memory", "posterior", "query",
+        "rate_mean", "rate_sigma", "rates", "refused", "row", "sample", "steps", "valid_us", "vertical", "watch",
+    )  # fmt: skip
+
+    def __init__(self, config: LearnerConfig, memory: F64) -> None:
+        def store(prior: Prior, inputs: int, outputs: int, floor: float) -> Store:
+            rule = config.relevance
+            return Store(
+                prior, inputs=inputs, outputs=outputs, capacity=config.capacity, floor=floor, relevance=rule
+            )  # fmt: skip
+
+        self.lateral = store(config.priors.lateral, s.D, 2, config.floor_mps2)
+        self.vertical = store(config.priors.vertical, s.D, 1, config.floor_mps2)
+        self.rates = store(config.priors.rates, 3, 3, config.rate_floor_radps)
+        self.memory = memory
+        self.watch = Watch(config.window_ticks, config.alarm_sigmas)
+        self.sample = np.zeros(s.SAMPLE)
+        self.query = np.zeros((2, s.D))
+        self.row = Learned.nothing().row
+        self.fit_us = self.valid_us = -1
+        self.fed = self.refused = self.changes = self.steps = 0
+        self.expected = np.zeros(3)
+        """Mean at the state, tilt axes."""
+        self.posterior = np.full(2, math.inf)
+        """Posterior variance at the state: lateral, vertical."""
+        self.forward = np.zeros((2, 4))
+        self.forward_us = 0
+        self.rate_mean = np.zeros(3)
+        self.rate_sigma = np.full(3, math.nan)
+
+    def variance(self) -> F64:
+        """(3,) calibrated variances at the state, tilt axes."""
+        lateral, vertical = self.posterior.tolist()
+        return np.array(
+            [self.lateral.bound(lateral, 0), self.lateral.bound(lateral, 1), self.vertical.bound(vertical, 0)]
+        )
+
+
+class GpLearner:
+    """The learner of one model; final, holds only constants."""
+
+    __slots__ = ("_sampler", "config", "model")
+    enabled = True
+
+    def __init__(
+        self, model: Model, config: LearnerConfig | None = None, *, inputs: Literal["full", "state"] = "full"
+    ) -> None:
+        self.model = model
+        self.config = config or LearnerConfig(priors=default_priors() if inputs == "full" else state_only())
+        self._sampler = Sampler(model)
+
+    def init(self) -> LearnerState:
+        """Nothing learned yet."""
+        return LearnerState(self.config, self._sampler.init())
+
+    def step(
+        self, state: LearnerState, measurement: Measurement, sent: Command, reference: FlatOutput
+    ) -> tuple[LearnerState, Learned]:
+        """Learn from this measurement; say what is known now."""
+        sample, config = state.sample, self.config
+        self._sampler.step(state.memory, measurement, sent, sample)
+        self._expect(state, both=state.steps == 0)
+        expected, variance = state.expected, state.variance()
+        fit = fits(sample, config.residual_max_mps2)
+        if fit:
+            if self._learn(state, expected, variance, measurement.t_us):
+                variance = state.variance()
+        else:
+            state.refused += 1
+            state.watch.reset()
+        stage, weight = self._stage(state, measurement.t_us, fit)
+        self._sampler.at_reference(state.memory, reference, state.row, state.query)
+        forward = self._forward(state, measurement.t_us)
+        row = np.empty(32)
+        limits = (config.residual_max_mps2, *config.gain_range)
+        _assemble(state.query, forward, weight, limits, sample, expected, variance, fit, row)
+        bound = 3.0 * math.sqrt(float(variance.max()))
+        row[7], row[8] = weight * max(0.0, 1.0 - bound / config.unsure_mps2), stage
+        row[19:22], row[22:25] = state.rate_mean, state.rate_sigma
+        row[27:32] = (
+            len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
+        )  # fmt: skip
+        state.row = row
+        state.steps += 1
+        return state, Learned(row)
+
+    def _expect(self, state: LearnerState, *, both: bool) -> None:
+        """Prediction at the state; the stores take turns, so that each is at most a tick old."""
+        x = state.sample[s.S_INPUT : s.S_INPUT + s.D]
+        if both or state.steps % 2 == 0:
+            state.expected[:2], state.posterior[0] = state.lateral.expect(x)
+        if both or state.steps % 2 == 1:
+            state.expected[2:], state.posterior[1] = state.vertical.expect(x)
+
+    def _learn(self, state: LearnerState, expected: F64, variance: F64, t_us: int) -> bool:
+        """A fit sample: into the window, against the alarm, and with a full window into the stores.
+
+        True where prediction or bound are other ones now.
+        """
+        state.fit_us = t_us
+        state.fed += 1
+        watch, sample = state.watch, state.sample
+        alarm = watch.step(sample, expected, variance)
+        changes = state.changes
+        if alarm and state.valid_us >= 0:
+            error = watch.error
+            if alarm & LATERAL and not state.lateral.renewing:
+                state.changes += 1
+                state.lateral.renew(error[:2], self.config.renew_points)
+                watch.reset()
+            if alarm & VERTICAL and not state.vertical.renewing:
+                state.changes += 1
+                state.vertical.renew(error[2:], self.config.renew_points)
+                watch.reset()
+        if watch.full:
+            mean, noise = watch.take(), watch.noise_var
+            state.lateral.hear(max(noise[0], noise[1]))
+            state.vertical.hear(noise[2])
+            x, y = mean[: s.D], mean[s.D : s.D + 3]
+            state.lateral.take(x, y[:2])
+            state.vertical.take(x, y[2:])
+            state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
+            rates = sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3]
+            state.rate_mean, spread = state.rates.expect(rates)
+            state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
+            self._expect(state, both=True)
+            return True
+        return state.changes > changes
+
+    def _stage(self, state: LearnerState, t_us: int, fit: bool) -> tuple[int, float]:
+        """Stage by the table above, and the share of what is learned that is fed forward."""
+        enough = min(len(state.lateral.gp), len(state.vertical.gp)) >= self.config.valid_points
+        if state.valid_us < 0:
+            if not enough:
+                return int(fit), 0.0
+            state.valid_us = t_us
+        weight = min((t_us - state.valid_us) / (1e6 * self.config.ramp_s), 1.0)
+        if t_us - state.fit_us > 1e6 * self.config.stale_s:
+            return 4, weight
+        return (3 if weight >= 1.0 else 2), weight
+
+    def _forward(self, state: LearnerState, t_us: int) -> F64:
+        """(2, 4) mean and rate at the reference: x, y, z at no thrust, and what one weight of thrust adds to z.
+
+        Worked out every fourth step, carried along its own rate in between: over 16 ms that is off by half the second
+        derivative times 1e-4 s^2.
+        """
+        out = state.forward.copy()
+        if state.steps % _FORWARD_EVERY:
+            out[0] += out[1] * (1e-6 * (t_us - state.forward_us))
+            return out
+        query, rate = state.query.copy()
+        near, near_rate = query[s.GROUND], rate[s.GROUND]
+        query[s.GROUND] = rate[s.GROUND] = 0.0
+        out[0, :2], out[1, :2] = state.lateral.gp.predict_along(query, rate)
+        out[0, 2:3], out[1, 2:3] = state.vertical.gp.predict_along(query, rate)
+        query[s.THRUST], query[s.GROUND], rate[s.GROUND] = 1.0, near, near_rate
+        out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
+        out[:, 3] -= out[:, 2]
+        state.forward, state.forward_us = out.copy(), t_us
+        return out
+
+
+@njit
+def fits(sample: F64, most: float) -> bool:
+    """Whether the sample may be learned from."""
+    inside = sample[s.S_OK] != 0.0
+    for i in range(3):
+        inside = inside and abs(sample[s.S_TARGET + i]) <= most
+    return bool(inside)
+
+
+@njit
+def _assemble(
+    query: F64, forward: F64, weight: float, limits: tuple[float, float, float], sample: F64, expected: F64,
+    variance: F64, fit: bool, row: F64,
+) -> None:  # fmt: skip
+    """A Learned row (32,) but for what is counted: feed-forward at the reference, residual at the state."""
+    most, gain_least, gain_most = limits
+    tilt, later = np.empty((3, 3)), np.empty((3, 3))
+    step = 1e-3
+    # A gain beyond its range is cut; what that takes from the force at the present thrust is left to the constant part.
+    gain = min(max(1.0 - weight * forward[0, 3] / STANDARD_GRAVITY_MPS2, gain_least), gain_most)
+    row[6] = gain
+    if weight > 0.0:
+        cut = forward[0, 3] - (1.0 - gain) * STANDARD_GRAVITY_MPS2 / weight
+        forward[0, 2] += cut * sample[s.S_INPUT + s.THRUST]
+    s.tilt_axes(query[0, s.AXIS_N], query[0, s.AXIS_E], tilt)
+    s.tilt_axes(query[0, s.AXIS_N] + step * query[1, s.AXIS_N], query[0, s.AXIS_E] + step * query[1, s.AXIS_E], later)
+    for i in range(3):
+        acc = rate = 0.0
+        for k in range(3):
+            acc += tilt[i, k] * forward[0, k]
+            rate += tilt[i, k] * forward[1, k] + (later[i, k] - tilt[i, k]) / step * forward[0, k]
+        inside = abs(acc) <= most
+        row[i] = weight * min(max(acc, -most), most)
+        row[3 + i] = weight * rate if inside else 0.0
+    c, sine = sample[s.S_HEADING], sample[s.S_HEADING + 1]
+    row[9] = c * expected[0] + sine * expected[1]
+    row[10] = c * expected[1] - sine * expected[0]
+    row[11] = expected[2]
+    row[12] = math.sqrt(c * c * variance[0] + sine * sine * variance[1])
+    row[13] = math.sqrt(c * c * variance[1] + sine * sine * variance[0])
+    row[14] = math.sqrt(variance[2])
+    for i in range(3):
+        row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
+    row[18] = row[14] / STANDARD_GRAVITY_MPS2
+    row[25] = sample[s.S_APPLIED]
+    row[26] = sample[s.S_LATENCY]

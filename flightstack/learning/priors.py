@@ -1,0 +1,69 @@
+"""What is believed of the unexplained part before any data: kernels and noise of each store.
+
+The lateral store has x and y on one factorisation, the vertical one z on its own, the rate store the three body-rate
+residuals.  Inputs are the sampler's columns; accelerations are m/s^2 in tilt axes, so that each kernel is a sum of
+named physics and a smooth remainder:
+
+    lateral     c + drag (linear in each velocity) + smooth(q')
+    vertical    c + climb drag + thrust (its own error) + thrust near the ground + smooth(q')
+
+A residual that is affine in thrust is where the paper's own experiment fails: its 1.4 times heavier vehicle misses
+0.286 T / m, which depends on the *input*; learned as a function of the state it is believed to be +0.4 g for every
+thrust.  `state_only` is that published form, kept as a baseline.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flightstack.gp import Constant, Kernel, Linear, SquaredExponential
+from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, V_D, V_E, V_N
+from flightstack.types import STANDARD_GRAVITY_MPS2
+
+_G = STANDARD_GRAVITY_MPS2
+_STATE = (V_N, V_E, V_D, AXIS_N, AXIS_E)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """One store's belief."""
+
+    kernel: Kernel
+    noise_var: float
+    """Of a window's mean, in the squared unit of the outputs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """All stores' beliefs."""
+
+    lateral: Prior
+    vertical: Prior
+    rates: Prior
+
+
+def _smooth(std: float) -> Kernel:
+    """A smooth function of q': changes over 4 m/s and half a unit of thrust direction (30 degrees)."""
+    return SquaredExponential(std * std, (4.0, 4.0, 4.0, 0.5, 0.5), columns=_STATE)
+
+
+def _drag(per_s: float, *columns: int) -> Kernel:
+    total: Kernel = Linear(per_s * per_s, columns[0])
+    for column in columns[1:]:
+        total = total + Linear(per_s * per_s, column)
+    return total
+
+
+def default_priors() -> Priors:
+    """For any multirotor of this house: forces up to some tenths of g, thrust within half, drag below 1 / s."""
+    lateral = Constant(1.0) + _drag(0.5, V_N, V_E, V_D) + _smooth(0.6)
+    thrust = Linear((0.4 * _G) ** 2, THRUST) + Linear((1.0 * _G) ** 2, GROUND)
+    vertical = Constant(0.3**2) + _drag(0.3, V_D) + thrust + _smooth(0.6)
+    rates = Constant(0.05**2) + SquaredExponential(0.1**2, (2.0, 2.0, 2.0), columns=(0, 1, 2))
+    return Priors(Prior(lateral, 0.03**2), Prior(vertical, 0.045**2), Prior(rates, 0.02**2))
+
+
+def state_only() -> Priors:
+    """The paper's form: a function of q' alone, nothing known of thrust, drag or the ground."""
+    smooth = SquaredExponential(4.0, (4.0, 4.0, 4.0, 0.5, 0.5), columns=_STATE)
+    return Priors(Prior(smooth, 0.03**2), Prior(smooth, 0.045**2), default_priors().rates)

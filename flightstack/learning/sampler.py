@@ -1,0 +1,319 @@
+"""From measurements and sent commands to samples: what the model did not explain, and where.
+
+A sample's target is the measured specific force less what the model says of it at the thrust that *acted*: the
+commands sent, delayed by the identified latency and by the rotors' lag, taken at the IMU's own sample time.  Nothing
+is differentiated.  (The paper uses x' of the state; on a vehicle that is a numerical derivative.)
+
+Tilt axes.  Inputs and targets are in the frame that the shortest rotation turns from the world's axes so that its down
+axis is the thrust axis: body axes with the heading taken out, identical to them at yaw 0.  There every effect
+that is symmetric about the thrust axis (drag, wind, a world force, thrust's own error) is a function of
+q' = (velocity, thrust direction) alone, whatever the heading.
+
+Latency.  A bank of candidate delays runs beside each other; each one's delayed and lagged thrust is regressed on the
+measured specific force along the thrust axis, both without what is slower than 0.1 s (what the state does to the force
+is slow), forgetting over some seconds.  The delay with the least residual wins once thrust has been excited enough and
+its lead is clear.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit
+from flightstack.model import Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement
+
+INPUTS = ("vel_n_mps", "vel_e_mps", "vel_d_mps", "thrust_axis_n", "thrust_axis_e", "thrust_weights", "ground_weights")
+"""Columns of a sample's input: velocity NED; the thrust axis' north and east parts; applied thrust over the believed
+weight (affine in it, the residual along z has the thrust's own error as its slope); the same times (R / 4h)^2, the
+leading term of every ground effect, with h the height above the place of take-off."""
+D = len(INPUTS)
+V_N, V_E, V_D, AXIS_N, AXIS_E, THRUST, GROUND = range(D)
+
+_CANDIDATES = 13
+_CANDIDATE_STEP_S = 0.004
+_RING = 32
+_FORGET_S = 4.0
+_SLOW_S = 0.1
+_EXCITED_MPS2 = 0.2
+"""Standard deviation that the fast part of applied thrust per mass must have before latencies are compared."""
+_LEAD = 0.9
+"""A candidate must leave less than this share of the present one's residual variance."""
+_GAP_MAX_S = 0.05
+_THRUST_LEAST_WEIGHTS = 0.3
+_AWAY_M = 0.1
+_FORCE_MAX_MPS2 = 40.0
+
+# What the sampler remembers, one row: scalars, then the ring of commands, then the bank.
+_M_IMU_S, _M_GROUND, _M_PICK, _M_HEAD, _M_STARTED = range(5)
+_M_START = 5
+_M_RATE = 8  # lagged rate commands
+_M_RING = 11  # time, norm, rates: 5 each
+_M_SLOW = _M_RING + 5 * _RING  # slow part of the force
+_M_BANK = _M_SLOW + 1  # lagged u, slow part of the thrust, then sums n, TT, TF, FF
+_BANK = 6
+_MEMORY = _M_BANK + _BANK * _CANDIDATES
+
+# What a sample is, one row.
+S_OK = 0
+S_INPUT = 1
+S_TARGET = S_INPUT + D
+S_RATE_INPUT = S_TARGET + 3
+S_RATE_TARGET = S_RATE_INPUT + 3
+S_APPLIED = S_RATE_TARGET + 3
+S_LATENCY = S_APPLIED + 1
+S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body axes
+S_TARGET_FRD = S_HEADING + 2
+S_HEIGHT = S_TARGET_FRD + 3
+SAMPLE = S_HEIGHT + 1
+
+
+class Sampler:
+    """Samples of one vehicle; final, holds only constants.  The state (`init`) is one row, changed in place."""
+
+    __slots__ = ("_constants",)
+
+    def __init__(self, model: Model) -> None:
+        self._constants = np.array(
+            [
+                model.mass_kg, model.max_thrust_n, model.thrust_model_factor, max(model.motor_lag_s, 1e-4),
+                max(model.rate_lag_s, 1e-4), *model.drag_kgps, model.rotor_radius_m, model.transport_delay_s,
+            ]
+        )  # fmt: skip
+
+    def init(self) -> F64:
+        """State before the first measurement."""
+        memory = np.zeros(_MEMORY)
+        memory[_M_IMU_S] = -1.0
+        memory[_M_RING:_M_BANK:5] = -1.0
+        memory[_M_PICK] = min(round(self._constants[9] / _CANDIDATE_STEP_S), _CANDIDATES - 1)
+        return memory
+
+    def step(self, memory: F64, measurement: Measurement, sent: Command, out: F64) -> None:
+        """One sample into `out` (SAMPLE,): OK is 0 where it is not fit to learn from."""
+        _sample(
+            self._constants, memory, measurement.row, sent.rate_frd_radps, sent.t_us * 1e-6, sent.thrust_norm,
+            measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6, out,
+        )  # fmt: skip
+
+    def at_reference(self, memory: F64, reference: FlatOutput, learned: F64, out: F64) -> None:
+        """The input at the reference and its time derivative into `out` (2, D), thrust columns 0 in the first.
+
+        `learned` (32,) is the last tick's Learned row: the thrust axis depends on what is fed forward, which depends
+        on the thrust axis; one fixed-point step a tick, from the tick before, follows it.  The thrust columns of
+        out[0] are 0 and (R / 4h)^2: per unit of thrust; those of out[1] are 0 and its derivative.
+        """
+        _at_reference(self._constants, memory, reference.row, learned, out)
+
+
+@njit
+def tilt_axes(axis_n: float, axis_e: float, out: F64) -> None:
+    """(3, 3) into `out`: tilt axes to NED for a thrust axis (down part positive); exact, no trigonometry."""
+    squared = axis_n * axis_n + axis_e * axis_e
+    down = math.sqrt(max(1.0 - squared, 0.0))
+    share = 1.0 / (1.0 + down)
+    out[0, 0] = 1.0 - share * axis_n * axis_n
+    out[0, 1] = -share * axis_n * axis_e
+    out[0, 2] = axis_n
+    out[1, 0] = out[0, 1]
+    out[1, 1] = 1.0 - share * axis_e * axis_e
+    out[1, 2] = axis_e
+    out[2, 0] = -axis_n
+    out[2, 1] = -axis_e
+    out[2, 2] = down
+
+
+@njit
+def _thrust(u: float, max_thrust: float, factor: float) -> float:
+    return max_thrust * (factor * u * u + (1.0 - factor) * u)
+
+
+@njit
+def _proximity(radius: float, height: float) -> float:
+    """(R / 4h)^2 with h at least R / 2, as in the ground effect's own definition."""
+    share = 0.25 * radius / max(height, 0.5 * radius)
+    return share * share
+
+
+@njit
+def _command_at(memory: F64, time: float) -> int:
+    """Place in the ring of the newest command sent at or before `time`; -1 if none."""
+    head = int(memory[_M_HEAD])
+    for back in range(_RING):
+        place = _M_RING + 5 * ((head - back) % _RING)
+        if memory[place] < 0.0:
+            return -1
+        if memory[place] <= time:
+            return place
+    return -1
+
+
+@njit
+def _advance(constants: F64, memory: F64, now: float, dt: float, force_z: float, learn: bool) -> None:
+    """Carry every candidate's rotors over `dt` to `now`, and its regression along."""
+    keep_u = math.exp(-dt / constants[3])
+    keep_rate = math.exp(-dt / constants[4])
+    forget = math.exp(-dt / _FORGET_S)
+    slow = 1.0 - math.exp(-dt / _SLOW_S)
+    middle = now - 0.5 * dt
+    pick = int(memory[_M_PICK])
+    memory[_M_SLOW] += slow * (force_z - memory[_M_SLOW])
+    force = force_z - memory[_M_SLOW]
+    for k in range(_CANDIDATES):
+        b = _M_BANK + _BANK * k
+        place = _command_at(memory, middle - k * _CANDIDATE_STEP_S)
+        u = memory[place + 1] if place >= 0 else 0.0
+        memory[b] = u + keep_u * (memory[b] - u)
+        if k == pick:
+            for i in range(3):
+                rate = memory[place + 2 + i] if place >= 0 else 0.0
+                memory[_M_RATE + i] = rate + keep_rate * (memory[_M_RATE + i] - rate)
+        thrust = _thrust(memory[b], constants[1], constants[2]) / constants[0]
+        memory[b + 1] += slow * (thrust - memory[b + 1])
+        thrust -= memory[b + 1]
+        for j in range(2, _BANK):
+            memory[b + j] *= forget
+        if learn:
+            memory[b + 2] += 1.0
+            memory[b + 3] += thrust * thrust
+            memory[b + 4] += thrust * force
+            memory[b + 5] += force * force
+
+
+@njit
+def _left(memory: F64, k: int) -> tuple[float, float]:
+    """Residual variance of candidate `k`'s regression, and the variance of its thrust."""
+    b = _M_BANK + _BANK * k
+    n, tt = memory[b + 2], memory[b + 3]
+    if n < 50.0 or tt <= 0.0:
+        return math.inf, 0.0
+    return (memory[b + 5] - memory[b + 4] * memory[b + 4] / tt) / n, tt / n
+
+
+@njit
+def _choose_latency(memory: F64) -> None:
+    present, excited = _left(memory, int(memory[_M_PICK]))
+    if not excited > _EXCITED_MPS2 * _EXCITED_MPS2:
+        return
+    best, least = -1, _LEAD * present
+    for k in range(_CANDIDATES):
+        left, _ = _left(memory, k)
+        if left < least:
+            best, least = k, left
+    if best >= 0:
+        memory[_M_PICK] = best
+
+
+@njit
+def _remember(memory: F64, t_sent: float, norm: float, rate: F64) -> None:
+    head = int(memory[_M_HEAD])
+    if memory[_M_RING + 5 * head] >= t_sent:
+        return
+    head = (head + 1) % _RING
+    memory[_M_HEAD] = head
+    place = _M_RING + 5 * head
+    memory[place] = t_sent
+    memory[place + 1] = norm
+    for i in range(3):
+        memory[place + 2 + i] = rate[i]
+
+
+@njit
+def _sample(
+    constants: F64, memory: F64, measured: F64, sent_rate: F64, t_sent: float, norm: float, now: float, imu_age: float,
+    out: F64,
+) -> None:  # fmt: skip
+    """`measured` (20,): a Measurement's row; the rest as in `Sampler.step`."""
+    out[:] = 0.0
+    finite = math.isfinite(norm)
+    for i in range(16):
+        finite = finite and math.isfinite(measured[i])
+    for i in range(3):
+        finite = finite and math.isfinite(sent_rate[i])
+    if not finite:
+        return
+    pos, vel, q, rate, force = measured[0:3], measured[3:6], measured[6:10], measured[10:13], measured[13:16]
+    if memory[_M_STARTED] == 0.0:
+        memory[_M_STARTED] = 1.0
+        memory[_M_GROUND] = pos[2]
+        memory[_M_START : _M_START + 3] = pos
+    _remember(memory, t_sent, norm, sent_rate)
+    imu_time = now - imu_age
+    dt = imu_time - memory[_M_IMU_S]
+    fresh = 0.0 < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
+    away = 0.0
+    size = 0.0
+    for i in range(3):
+        away += (pos[i] - memory[_M_START + i]) ** 2
+        size += force[i] * force[i]
+    flying = away > _AWAY_M * _AWAY_M and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
+    if dt > 0.0:
+        _advance(constants, memory, imu_time, min(dt, _GAP_MAX_S), force[2], flying and fresh)
+        memory[_M_IMU_S] = imu_time
+        if flying and fresh:
+            _choose_latency(memory)
+    mass = constants[0]
+    pick = int(memory[_M_PICK])
+    thrust = _thrust(memory[_M_BANK + _BANK * pick], constants[1], constants[2])
+    weights = thrust / (mass * STANDARD_GRAVITY_MPS2)
+    r = quat_to_matrix(q)
+    height = memory[_M_GROUND] - pos[2]
+    x = out[S_INPUT : S_INPUT + D]
+    x[V_N], x[V_E], x[V_D] = vel[0], vel[1], vel[2]
+    x[AXIS_N], x[AXIS_E] = r[0, 2], r[1, 2]
+    x[THRUST] = weights
+    x[GROUND] = weights * _proximity(constants[8], height)
+    tilt = np.empty((3, 3))
+    tilt_axes(r[0, 2], r[1, 2], tilt)
+    # body x axis in tilt axes: the heading that was taken out
+    c = tilt[0, 0] * r[0, 0] + tilt[1, 0] * r[1, 0] + tilt[2, 0] * r[2, 0]
+    s = tilt[0, 1] * r[0, 0] + tilt[1, 1] * r[1, 0] + tilt[2, 1] * r[2, 0]
+    residual = out[S_TARGET_FRD : S_TARGET_FRD + 3]
+    for i in range(3):
+        along = r[0, i] * vel[0] + r[1, i] * vel[1] + r[2, i] * vel[2]
+        residual[i] = force[i] + constants[5 + i] * along / mass
+    residual[2] += thrust / mass
+    out[S_TARGET] = c * residual[0] - s * residual[1]
+    out[S_TARGET + 1] = s * residual[0] + c * residual[1]
+    out[S_TARGET + 2] = residual[2]
+    for i in range(3):
+        out[S_RATE_INPUT + i] = memory[_M_RATE + i]
+        out[S_RATE_TARGET + i] = rate[i] - memory[_M_RATE + i]
+    out[S_APPLIED] = thrust
+    out[S_LATENCY] = pick * _CANDIDATE_STEP_S
+    out[S_HEADING], out[S_HEADING + 1] = c, s
+    out[S_HEIGHT] = height
+    upright = r[2, 2] > 0.0
+    out[S_OK] = 1.0 if fresh and flying and upright and weights > _THRUST_LEAST_WEIGHTS else 0.0
+
+
+@njit
+def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out: F64) -> None:
+    """As `Sampler.at_reference` says; `reference` (17,), `learned` (32,), `out` (2, D)."""
+    drag = 0.5 * (constants[5] + constants[6]) / constants[0]
+    t = np.empty(3)
+    rate = np.empty(3)
+    for i in range(3):
+        t[i] = learned[i] - reference[6 + i] - drag * reference[3 + i]
+        rate[i] = learned[3 + i] - reference[9 + i] - drag * reference[6 + i]
+    t[2] += STANDARD_GRAVITY_MPS2
+    size = math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+    if size < 1.0:
+        t[0], t[1], t[2], size = 0.0, 0.0, 1.0, 1.0
+        rate[:] = 0.0
+    along = (t[0] * rate[0] + t[1] * rate[1] + t[2] * rate[2]) / size
+    for i in range(3):
+        out[0, V_N + i] = reference[3 + i]
+        out[1, V_N + i] = reference[6 + i]
+    for i in range(2):
+        out[0, AXIS_N + i] = t[i] / size
+        out[1, AXIS_N + i] = (rate[i] - along * t[i] / size) / size
+    height = memory[_M_GROUND] - reference[2]
+    near = _proximity(constants[8], height)
+    out[0, THRUST] = 0.0
+    out[1, THRUST] = 0.0
+    out[0, GROUND] = near
+    out[1, GROUND] = 2.0 * near * reference[5] / height if height > 0.5 * constants[8] else 0.0

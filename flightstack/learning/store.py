@@ -1,0 +1,136 @@
+"""A store: the points of one Gaussian process, what replaces what, and how far its bound can be trusted.
+
+Windows of samples become points; their noise is measured (`hear`).  When the store is full the oldest point leaves
+(`relevance` names another rule).  Each new point first tests the prediction made without it, which calibrates
+the bound:
+
+    sigma^2 = INFLATION^2 (posterior variance + excess)
+    excess  = max(floor^2, mean over the last windows of (error^2 - posterior variance - noise))
+
+so that model error which the kernel does not know (gusts, lags) widens the bound, and an error beyond it at once.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from flightstack.gp import RecursiveGP, least_relevant
+from flightstack.learning.priors import Prior
+from flightstack.types import F64
+
+Relevance = Literal["oldest", "kernel"]
+
+INFLATION = 1.1
+"""What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
+(docs/learning.md says which), whose seeds no reported coverage uses."""
+_MEMORY_WINDOWS = 100
+_RENEW_SHARE = 0.5
+"""A noticed change widens sigma to this share of it: three of them hold it with room."""
+_NOISE_FACTOR = 2.0
+_NOISE_EVERY = 50
+_NOISE_LEAST = 1e-4
+_BOUND_SIGMAS = 3.0
+_ORIGIN = np.zeros(16)
+
+
+class Store:
+    """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
+
+    __slots__ = (
+        "_age", "_calm", "_fresh", "_heard", "_next", "_wanted", "excess", "floor", "gp", "outputs", "relevance",
+    )  # fmt: skip
+
+    def __init__(
+        self, prior: Prior, *, inputs: int, outputs: int, capacity: int, floor: float, relevance: Relevance = "oldest"
+    ) -> None:
+        self.outputs, self.relevance = outputs, relevance
+        self.gp = RecursiveGP(prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity)
+        self.floor = floor * floor
+        self.excess = np.full(outputs, self.floor)
+        self._age = np.zeros(capacity, dtype=np.int64)
+        self._next = 0
+        self._heard = -_NOISE_EVERY
+        self._wanted = 0
+        self._fresh: list[tuple[F64, F64]] = []
+        self._calm = self.excess.copy()
+
+    @property
+    def renewing(self) -> bool:
+        """A change was noticed and the points that will replace the old ones are still being collected."""
+        return self._wanted > 0
+
+    def expect(self, x: F64) -> tuple[F64, float]:
+        """Mean (P,) and posterior variance at `x` (D,)."""
+        mean, variance = self.gp.predict(x)
+        return mean, float(variance[0])
+
+    def bound(self, variance: float, i: int) -> float:
+        """Calibrated variance of output `i` for a posterior variance."""
+        return INFLATION * INFLATION * (variance + float(self.excess[i]))
+
+    def renew(self, error: F64, points: int) -> None:
+        """What was learned is no longer so, by `error` (P,): widen the bound now, forget after `points` new points."""
+        self._wanted = points
+        self._fresh.clear()
+        np.maximum(self.excess, (_RENEW_SHARE * error) ** 2, out=self.excess)
+
+    def hear(self, noise_var: float) -> None:
+        """Take over a window's noise as measured, where it is far from what the points were taken with.
+
+        Never below 1e-4 of the prior's variance, where the recursion would lose digits.  Rebuilding costs a
+        factorisation, so a store with many points does it rarely.
+        """
+        noise_var = max(noise_var, _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[: self.gp.input_dim]))
+        ratio = noise_var / self.gp.noise_var
+        if 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or self._next < self._heard + _NOISE_EVERY:
+            return
+        self._heard = self._next
+        before = self.gp
+        self.gp = RecursiveGP(
+            before.kernel, noise_var, input_dim=before.input_dim, output_dim=self.outputs, capacity=before.capacity
+        )
+        if len(before):
+            self.gp.add(before.x, before.y)
+
+    def take(self, x: F64, y: F64) -> None:
+        """A new point: test the prediction with it, then learn it."""
+        if self.renewing:
+            self._fresh.append((x.copy(), y.copy()))
+            if len(self._fresh) < self._wanted:
+                return
+            self._wanted = 0
+            self.gp.clear()
+            self.excess[:] = self._calm
+            for point in self._fresh:
+                self._add(*point)
+            return
+        if len(self.gp):
+            mean, variance = self.expect(x)
+            self._calibrate(y - mean, variance)
+        self._add(x, y)
+
+    def _add(self, x: F64, y: F64) -> None:
+        if len(self.gp) >= self.gp.capacity:
+            self._drop(x)
+        if self.gp.add(x, y):
+            self._age[len(self.gp) - 1] = self._next
+            self._next += 1
+
+    def _calibrate(self, error: F64, variance: float) -> None:
+        """The rule of the header; `_calm` is the same without single errors beyond the bound, which may be a change."""
+        known = variance + self.gp.noise_var
+        for i in range(self.outputs):
+            squared = float(error[i]) ** 2
+            most = _BOUND_SIGMAS**2 * (known + float(self._calm[i]))
+            for held, value in ((self.excess, squared), (self._calm, min(squared, most))):
+                held[i] = max(held[i] + (value - known - held[i]) / _MEMORY_WINDOWS, self.floor)
+            if squared > _BOUND_SIGMAS**2 * (known + float(self.excess[i])):
+                self.excess[i] = squared / _BOUND_SIGMAS**2 - known
+
+    def _drop(self, query: F64) -> None:
+        held = len(self.gp)
+        index = least_relevant(self.gp, query) if self.relevance == "kernel" else int(np.argmin(self._age[:held]))
+        self.gp.remove(index)
+        self._age[index] = self._age[held - 1]  # the last point moved into the slot
