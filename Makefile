@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -16,6 +16,7 @@ help:
 	@echo "make format       rewrite the sources in the house format"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
+	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml
@@ -52,6 +53,9 @@ bench-plant: $(BIN)/.installed-bench
 
 bench-flight: $(BIN)/.installed
 	$(BIN)/python benchmarks/flight.py
+
+bench-gp: $(BIN)/.installed-bench
+	$(BIN)/python benchmarks/gp.py
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -7,15 +7,18 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: a second BLAS thread beside a busy core costs 100 ms
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import inspect
 import signal
 import sys
 from collections.abc import Callable
 from enum import StrEnum
+from functools import wraps
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -46,12 +49,6 @@ class PlantName(StrEnum):
     native = "native"
 
 
-class ControllerName(StrEnum):
-    """Controllers that can fly."""
-
-    flatness = "flatness"
-
-
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
 WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `waypoints` (.toml or .csv).")]
 VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
@@ -60,9 +57,43 @@ LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to 
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
-ControllerOption = Annotated[ControllerName, typer.Option(help="Controller.")]
-NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner (none yet).")]
+ControllerOption = Annotated[str, typer.Option(help="Controller: one of those named below.", metavar="NAME")]
+NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
+LearnedOption = Annotated[Path | None, typer.Option(help="File of hyper-parameters for the learner to begin with.")]
 NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter (none yet).")]
+
+
+class FlightCommand(TyperCommand):
+    """A verb that flies: its help ends with what its options may name, looked up only then."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Name the controllers."""
+        from app.controllers import CONTROLLERS
+
+        with formatter.section("Controllers"):
+            formatter.write_dl([(name, row.words) for name, row in CONTROLLERS.items()])
+
+
+def _flight_options(
+    vehicle: VehicleOption = None,
+    duration: DurationOption = None,
+    controller: ControllerOption = "flatness",
+    no_learning: NoLearningOption = False,
+    learned: LearnedOption = None,
+    no_filter: NoFilterOption = False,
+    log: LogOption = None,
+    out: OutOption = None,
+) -> dict[str, Any]:
+    """The options that every verb that flies has, as `FlightOptions` names them."""
+    return {
+        "vehicle": vehicle,
+        "duration_s": duration,
+        "controller": controller,
+        "learning": not no_learning,
+        "learned": learned,
+        "log": log,
+        "out": out,
+    }
 
 
 class Interrupts:
@@ -83,13 +114,13 @@ class Interrupts:
         return self.reason
 
 
-def _finish_flight(run: Callable[[Interrupts, Any], Any], title: str, json_file: Path | None) -> None:
+def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None) -> None:
     """Fly, show, write the JSON, and end with the right code."""
     from app import console, files
 
     interrupts = Interrupts()
-    with console.progress(title) as show:
-        result = run(interrupts, show)
+    with console.progress(f"flying {options.scenario}") as show:
+        result = fly(options, stop_requested=interrupts.requested, on_progress=show)
     console.show_result(result)
     if json_file is not None:
         files.write_json(json_file, result.as_json())
@@ -100,80 +131,74 @@ def _finish_flight(run: Callable[[Interrupts, Any], Any], title: str, json_file:
         raise typer.Exit(FAILED)
 
 
-@app.command()
+def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:
+    """Make a function that gives (what flies, its options) a verb, whose options `_flight_options` join as `common`."""
+    own = inspect.signature(verb, eval_str=True).parameters
+    shared = inspect.signature(_flight_options, eval_str=True).parameters
+    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=JsonOption)
+    offered = [option for name, option in own.items() if name != "common"] + [*shared.values(), json]
+
+    @wraps(verb)
+    def run(**given: Any) -> None:
+        json_file = given.pop("json")
+        common = _flight_options(**{name: given.pop(name) for name in shared})
+        _finish_flight(*verb(**given, common=common), json_file)
+
+    run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in offered}
+    return app.command(cls=FlightCommand)(run)
+
+
+@_flies
 def fly(
     scenario: ScenarioArgument = "paper-tracking",
     waypoints: WaypointsArgument = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False,
     plant: Annotated[PlantName, typer.Option(help="Physics.")] = PlantName.native,
     sensors: Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")] = None,
-    vehicle: VehicleOption = None,
     truth: Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")] = None,
     seed: SeedOption = 0,
-    duration: DurationOption = None,
-    controller: ControllerOption = ControllerName.flatness,
-    no_learning: NoLearningOption = False,
-    no_filter: NoFilterOption = False,
-    log: LogOption = None,
-    out: OutOption = None,
-    json: JsonOption = None,
-) -> None:
+    *,
+    common: dict[str, Any],
+) -> tuple[Callable[..., Any], Any]:
     """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
     from app.flight import FlyOptions
     from app.flight import fly as run
 
-    options = FlyOptions(
+    return run, FlyOptions(
         scenario=scenario,
         waypoints=waypoints,
-        vehicle=vehicle,
         truth=truth,
         sensors=sensors.value if sensors else None,
         seed=seed,
-        duration_s=duration,
         realtime=realtime,
-        log=log,
-        out=out,
-    )
-    _finish_flight(
-        lambda stop, show: run(options, stop_requested=stop.requested, on_progress=show), f"flying {scenario}", json
+        **common,
     )
 
 
-@app.command()
+@_flies
 def offboard(
     connect: Annotated[str, typer.Option(help="udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE:BAUD.")],
     scenario: Annotated[str, typer.Option(help="A shipped scenario, a .toml file, or `waypoints`.")] = "hover",
     waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
-    vehicle: VehicleOption = None,
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
-    duration: DurationOption = None,
-    controller: ControllerOption = ControllerName.flatness,
-    no_learning: NoLearningOption = False,
-    no_filter: NoFilterOption = False,
-    log: LogOption = None,
-    out: OutOption = None,
-    json: JsonOption = None,
-) -> None:
+    *,
+    common: dict[str, Any],
+) -> tuple[Callable[..., Any], Any]:
     """Fly a scenario on a PX4: a real one, or `flightstack sim` in another process."""
     from app.offboard import OffboardOptions
     from app.offboard import offboard as run
 
-    options = OffboardOptions(
+    return run, OffboardOptions(
         connect=connect,
         scenario=scenario,
         waypoints=waypoints,
-        vehicle=vehicle,
         arm=arm,
         dry_run=dry_run,
         heartbeat_timeout_s=timeout,
-        duration_s=duration,
-        log=log,
-        out=out,
-    )
-    _finish_flight(
-        lambda stop, show: run(options, stop_requested=stop.requested, on_progress=show), f"flying {scenario}", json
+        **common,
     )
 
 
@@ -227,6 +252,25 @@ def scenarios(json: JsonOption = None) -> None:
         keys = ("name", "duration", "sensors", "description")
         listed = [dict(zip(keys, row, strict=True)) for row in rows]
         files.write_json(json, {"schema": "flightstack.scenarios/1", "scenarios": listed})
+
+
+@app.command()
+def learn(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of flights (.mcap), with or without learning.")],
+    vehicle: Annotated[str | None, typer.Option(help="Believed vehicle (default: the one in the first log).")] = None,
+    out: Annotated[Path, typer.Option(help="File to write, for `--learned`.")] = Path("learned.json"),
+    json: JsonOption = None,
+) -> None:
+    """Fit the learner's hyper-parameters to recorded flights."""
+    from app import console, files
+    from app.learn import learn as run
+
+    stored = run(logs, vehicle, out)
+    console.output.print(f"fitted to {stored.windows} points of vehicle {stored.vehicle}: {out}", soft_wrap=True)
+    if json is not None:
+        hashes = {"vehicle_hash": stored.vehicle_hash, "data_hash": stored.data_hash}
+        result = {"schema": "flightstack.learn/1", "learned": str(out), "vehicle": stored.vehicle}
+        files.write_json(json, result | hashes | {"windows": stored.windows})
 
 
 @log_app.command("info")

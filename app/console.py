@@ -77,7 +77,8 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
-    yield "learning, barrier filter", "not part of this flight"
+    yield "learning", _learning(result.gp)
+    yield "barrier filter", "not part of this flight"
     lateness = result.loop["lateness_us"]
     if lateness["p50"] is not None:
         yield (
@@ -87,6 +88,22 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         )
     for check in result.checks:
         yield "check", f"{'[green]kept[/]' if check['passed'] else '[red]FAILED[/]'}: {check['words']}"
+
+
+def _learning(gp: dict[str, Any]) -> str:
+    """Points, thrust gain, coverage and step time, as far as they are known."""
+    if not gp["enabled"]:
+        return "off"
+    parts = []
+    if gp["points"] is not None:
+        parts.append(f"{gp['points']} points of {gp['fed']} samples")
+    if gp["thrust_gain"] is not None:
+        parts.append(f"thrust {gp['thrust_gain']:.3f} of the believed")
+    if gp["coverage_3sigma"] is not None:
+        parts.append(f"truth within 3 sigma {100 * gp['coverage_3sigma']:.2f} %")
+    if gp["step_us"]["p50"] is not None:
+        parts.append(f"step {gp['step_us']['p50']:.0f} us (p99 {gp['step_us']['p99']:.0f} us)")
+    return ", ".join(parts) or "nothing learned"
 
 
 def _length(metres: float | None) -> str:

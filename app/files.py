@@ -98,9 +98,14 @@ def new_run_folder(scenario: str, seed: int | None) -> Path:
 
 def write_json(path: Path, data: object) -> None:
     """Write a JSON result; InputError where that can't be done."""
+    write_text(path, json.dumps(data, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, its folder too; InputError where that can't be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; choose another place for the result") from None
 

@@ -7,20 +7,16 @@ machine, and the same seed gives the same log.  With `--realtime` the very same 
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from app import files
 from app.compiled import ensure_compiled
+from app.preparation import FlightOptions, Prepared, prepare_flight, settings_file, text_file
 from app.recorder import LogObserver
-from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
-from flightstack.model import Model
-from flightstack.scenario import Scenario
-from flightstack.stack import Stack
-from flightstack.types import F64, FlatOutput, TickRecord, Tuple3
+from app.result import FlightResult, LoopTiming
+from app.score import FlightScore
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
 from logs.threaded import ThreadedLog
@@ -39,82 +35,67 @@ from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from sim.streams import LinkKind
 from sim.warmup import warm_up as warm_up_simulator
 
+PLANT = "native"
 TICK_MS = 4
 LOCKSTEP_TIMEOUT_S = 2.0
 FLIGHT_TIME_LIMIT_S = 180.0
 """Simulated time that a flight may take beyond its scenario before it counts as stuck."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlyOptions:
-    """What `fly` was asked for; names as given on the command line."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlyOptions(FlightOptions):
+    """What `fly` was asked for."""
 
     scenario: str = "paper-tracking"
-    waypoints: str | None = None
-    vehicle: str | None = None
     truth: str | None = None
     sensors: str | None = None
     seed: int = 0
-    duration_s: float | None = None
     realtime: bool = False
-    log: Path | None = None
-    out: Path | None = None
 
     @property
     def as_written(self) -> bool:
-        """The scenario is flown as its file says, so that its checks mean what they say."""
-        return all(given is None for given in (self.vehicle, self.truth, self.sensors, self.duration_s))
+        """The flight is the one that the scenario's checks were written for."""
+        return self.stack_as_written and self.truth is None and self.sensors is None
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The files of a flight, read and checked."""
+    """A flight and the vehicle that flies it."""
 
-    scenario: Scenario
-    believed: Vehicle
+    flight: Prepared
     truth: Vehicle
     grade: Grade
-    stack: Stack
-    attachments: tuple[Attachment, ...]
     settings: dict[str, str]
+    attachments: tuple[Attachment, ...]
 
 
 def prepare(options: FlyOptions) -> Setup:
     """Read and check everything before anything moves; InputError with one line where something is wrong."""
-    scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
-    if options.duration_s is not None:
-        scenario = scenario.with_duration(options.duration_s)
-    believed, vehicle_file = files.load_vehicle(options.vehicle)
+    flight = prepare_flight(options)
     if options.truth is not None:
         truth, _ = files.load_vehicle(options.truth)
     else:
-        truth = scenario.truth_vehicle(believed)
-    sensors = options.sensors or scenario.sensors
-    settings = {
-        "scenario": scenario.name,
-        "vehicle": believed.name,
+        truth = flight.scenario.truth_vehicle(flight.believed)
+    sensors = options.sensors or flight.scenario.sensors
+    settings = flight.settings | {
         "truth": truth.name,
         "seed": str(options.seed),
         "sensors": sensors,
-        "plant": "native",
-        "controller": "flatness",
+        "plant": PLANT,
         "pace": "realtime" if options.realtime else "lockstep",
-        "duration_s": f"{scenario.duration_s:g}",
     }
     attachments = (
-        Attachment("scenario.toml", "application/toml", scenario_file.text.encode()),
-        Attachment("vehicle.toml", "application/toml", vehicle_file.text.encode()),
-        Attachment("truth.toml", "application/toml", vehicle_to_toml(truth).encode()),
-        Attachment("settings.json", "application/json", json.dumps(settings, indent=1).encode()),
+        *flight.attachments,
+        text_file("truth.toml", vehicle_to_toml(truth)),
+        settings_file(settings),
     )
-    stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
-    return Setup(scenario, believed, truth, load_grade(sensors), stack, attachments, settings)
+    return Setup(flight, truth, load_grade(sensors), settings, attachments)
 
 
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
-    warm_up_stack(setup.stack, setup.scenario)
+    warm_up_stack(setup.flight.stack, setup.flight.scenario)
     warm_up_simulator(setup.truth, setup.grade)
 
 
@@ -122,18 +103,20 @@ class SimulatedFlight:
     """One flight in the simulator; `run` flies it to its end."""
 
     def __init__(self, setup: Setup, options: FlyOptions, log: Recorder) -> None:
-        self.setup = setup
+        prepared = setup.flight
+        self.scenario = prepared.scenario
         self._log = log
-        self.vehicle: SimulatedVehicle = simulated_vehicle(setup.believed, setup.truth, setup.grade, seed=options.seed)
+        self.vehicle: SimulatedVehicle = simulated_vehicle(
+            prepared.believed, setup.truth, setup.grade, seed=options.seed
+        )
         self._ours, self._theirs = connected_pair()
         self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
-        observer = LogObserver(log, setup.scenario, setup.believed, truth=True, on_record=self._on_record)
-        self.companion = Companion(Link(240, 191), setup.stack, setup.scenario, observer, CompanionConfig(arm=True))
-        observer.companion = self.companion
-        self.score = TrackingScore("truth")
-        self._events = sorted(setup.scenario.events, key=lambda event: event.time_s)
-        self._start_ned_m = self._true_start_ned_m = (0.0, 0.0, 0.0)
-        self._reference: FlatOutput | None = None
+        self.score = FlightScore(prepared, of="truth")
+        observer = LogObserver(log, self.scenario, prepared.believed, truth=True, on_record=self.score.on_record)
+        self.companion = Companion(Link(240, 191), prepared.stack, self.scenario, observer, CompanionConfig(arm=True))
+        observer.companion = self.score.companion = self.companion
+        self._events = sorted(self.scenario.events, key=lambda event: event.time_s)
+        self._true_start_ned_m = (0.0, 0.0, 0.0)
 
     @property
     def t_us(self) -> int:
@@ -166,7 +149,7 @@ class SimulatedFlight:
             server.receive(ONBOARD, data)
         truth = self.vehicle.plant.truth()
         if engaged != companion.flight_start_us:
-            self._true_start_ned_m, self._start_ned_m = truth.pos_ned_m, _tuple3(companion.start_ned_m)
+            self._true_start_ned_m = truth.pos_ned_m
         self._observe(truth, now_us)
 
     def _carry(self, datagrams: list[bytes], sender: UdpSocket, receiver: UdpSocket) -> list[bytes]:
@@ -178,38 +161,22 @@ class SimulatedFlight:
             self.companion.stop(f"{lost} datagrams were lost on loopback: this machine is too busy to fly")
         return arrived
 
-    def _on_record(self, record: TickRecord) -> None:
-        self._reference = record.reference
-
     def _observe(self, truth: Truth, now_us: int) -> None:
         """Log the truth, let timed effects happen, and score while the scenario is tracked."""
         self._log.truth(now_us, truth)
-        companion = self.companion
-        if companion.mission is None or companion.land_command_us >= 0:
+        track_s = self.score.track_s(now_us)
+        if track_s is None:
             return
-        mission_s = (now_us - companion.flight_start_us) * 1e-6
-        track_s = mission_s - companion.mission.track_start_s
         while self._events and self._events[0].time_s <= track_s:
             event = self._events.pop(0)
             self.vehicle.plant.set_effect(event.effect, dict(event.values))
             self._log.event(now_us, "effect", f"{event.effect} is now {dict(event.values)}")
-        if 0.0 <= track_s <= self.setup.scenario.duration_s and self._reference is not None:
-            flown = _relative(truth.pos_ned_m, self._true_start_ned_m)
-            self.score.add(track_s, flown, _relative(_tuple3(self._reference.pos_ned_m), self._start_ned_m))
+        self.score.add(track_s, truth.pos_ned_m, self._true_start_ned_m, truth)
 
     def close(self) -> None:
         """Close the sockets."""
         self._ours.close()
         self.shell.close()
-
-
-def _tuple3(vector: F64) -> Tuple3:
-    north, east, down = vector.tolist()
-    return north, east, down
-
-
-def _relative(position: Tuple3, start: Tuple3) -> Tuple3:
-    return position[0] - start[0], position[1] - start[1], position[2] - start[2]
 
 
 def fly(
@@ -222,7 +189,7 @@ def fly(
     setup = prepare(options)
     ensure_compiled(lambda text: on_progress(0.0, text))
     warm_up_all(setup)
-    out = options.out or files.new_run_folder(setup.scenario.name, options.seed)
+    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
     metadata = {"settings": setup.settings, "versions": files.versions()}
     log = FlightLog.open(log_path, metadata=metadata, attachments=setup.attachments, overwrite=True)
@@ -239,7 +206,16 @@ def fly(
     finally:
         recorder.close()
     wall_s = time.perf_counter() - started
-    result = _result(flight, options, log, wall_s, timing)
+    result = flight.score.result(
+        log,
+        wall_s=wall_s,
+        clock_s=flight.t_us * 1e-6,
+        timing=timing,
+        completed=flight.companion.completed,
+        checked=options.as_written,
+        seed=options.seed,
+        plant=PLANT,
+    )
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 
@@ -253,7 +229,7 @@ def _run(
 ) -> None:
     companion = flight.companion
     pace = Pace(TICK_MS * 1000) if timing is not None else None
-    limit_us = int((flight.setup.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
+    limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
     ticks = 0
     while not companion.done:
         if pace is not None and timing is not None:
@@ -273,28 +249,3 @@ def _run(
             break
     for _ in range(50):  # what the last words (Hold) do is in the log too
         flight.step()
-
-
-def _result(
-    flight: SimulatedFlight, options: FlyOptions, log: FlightLog, wall_s: float, timing: LoopTiming | None
-) -> FlightResult:
-    companion = flight.companion
-    flown_us = max(0, flight.t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
-    tracking = flight.score.summary()
-    result = FlightResult(
-        scenario=flight.setup.scenario.name,
-        seed=options.seed,
-        log=str(log.path),
-        completed=companion.completed,
-        reason=companion.reason,
-        flight_time_s=flown_us * 1e-6,
-        wall_time_s=wall_s,
-        clock_time_s=flight.t_us * 1e-6,
-        plant="native",
-        tracking=tracking,
-        loop=timing.summary() if timing is not None else NO_LOOP,
-        log_problem=log.failed or "",
-    )
-    if options.as_written:
-        result.checks = [judge(check, result.as_json()) for check in flight.setup.scenario.checks]
-    return result

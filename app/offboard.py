@@ -5,20 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from app import files
 from app.compiled import ensure_compiled
+from app.preparation import FlightOptions, prepare_flight, settings_file
 from app.recorder import LogObserver
-from app.result import FlightResult, LoopTiming, TrackingScore, judge
-from flightstack.model import Model
-from flightstack.scenario import Scenario
-from flightstack.stack import Stack
-from flightstack.types import TickRecord
-from flightstack.vehicle import Vehicle
+from app.result import FlightResult, LoopTiming
+from app.score import FlightScore
 from flightstack.warmup import warm_up
 from logs.threaded import ThreadedLog
-from logs.topics import Attachment
 from logs.writer import FlightLog, Recorder
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
@@ -34,39 +29,20 @@ _LAST_WORDS_S = 0.3
 """After the end the link stays open for so long, for the last command and its answer."""
 
 
-@dataclass(frozen=True, slots=True)
-class OffboardOptions:
-    """What `offboard` was asked for; names as given on the command line."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OffboardOptions(FlightOptions):
+    """What `offboard` was asked for."""
 
     connect: str
     scenario: str = "hover"
-    waypoints: str | None = None
-    vehicle: str | None = None
     arm: bool = False
     dry_run: bool = False
     heartbeat_timeout_s: float = 10.0
-    duration_s: float | None = None
-    log: Path | None = None
-    out: Path | None = None
 
-
-class EstimateScore:
-    """Tracking scored on the vehicle's own estimate: there is no truth on a real vehicle."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self.score = TrackingScore("estimate")
-        self.companion: Companion | None = None
-        self._scenario = scenario
-
-    def on_record(self, record: TickRecord) -> None:
-        """One tick."""
-        companion = self.companion
-        if companion is None or companion.mission is None or companion.land_command_us >= 0:
-            return
-        track_s = (record.t_us - companion.flight_start_us) * 1e-6 - companion.mission.track_start_s
-        if 0.0 <= track_s <= self._scenario.duration_s:
-            position = record.measurement.pos_ned_m - companion.start_ned_m
-            self.score.add(track_s, position, self._scenario.trajectory.at(track_s).pos_ned_m)
+    @property
+    def as_written(self) -> bool:
+        """The flight is the one that the scenario's checks were written for."""
+        return self.stack_as_written and not self.dry_run
 
 
 def offboard(
@@ -76,11 +52,8 @@ def offboard(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
-    scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
-    if options.duration_s is not None:
-        scenario = scenario.with_duration(options.duration_s)
-    believed, vehicle_file = files.load_vehicle(options.vehicle)
-    stack = Stack(Model.from_vehicle(believed), limits=scenario.limits)
+    prepared = prepare_flight(options)
+    scenario, stack = prepared.scenario, prepared.stack
     ensure_compiled(lambda text: on_progress(0.0, text))
     messages.prepare()
     warm_up(stack, scenario)
@@ -89,27 +62,21 @@ def offboard(
     try:
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
-        settings = {
-            "scenario": scenario.name,
-            "vehicle": believed.name,
+        settings = prepared.settings | {
             "connect": options.connect,
             "arm": str(options.arm),
             "dry_run": str(options.dry_run),
             "pace": "realtime",
-            "duration_s": f"{scenario.duration_s:g}",
         }
         log = FlightLog.open(
             log_path,
             metadata={"settings": settings, "versions": files.versions()},
-            attachments=[
-                Attachment("scenario.toml", "application/toml", scenario_file.text.encode()),
-                Attachment("vehicle.toml", "application/toml", vehicle_file.text.encode()),
-            ],
+            attachments=(*prepared.attachments, settings_file(settings)),
             overwrite=True,
         )
         recorder = ThreadedLog(log)
-        score = EstimateScore(scenario)
-        observer = LogObserver(recorder, scenario, believed, truth=False, on_record=score.on_record)
+        score = FlightScore(prepared, of="estimate")
+        observer = LogObserver(recorder, scenario, prepared.believed, truth=False, on_record=score.on_record)
         companion = Companion(
             Link(240, 191, framing=framing_for(address)),
             stack,
@@ -128,7 +95,14 @@ def offboard(
     finally:
         transport.close()
     wall_s = time.perf_counter() - started
-    result = _result(companion, scenario, believed, score, timing, log, wall_s, options)
+    result = score.result(
+        log,
+        wall_s=wall_s,
+        clock_s=wall_s * companion.view.clock.rate,
+        timing=timing,
+        completed=companion.completed or (options.dry_run and companion.state is State.STREAMING),
+        checked=options.as_written,
+    )
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 
@@ -177,34 +151,3 @@ def _progress(companion: Companion, t_us: int) -> float:
     if companion.mission is None:
         return 0.0
     return min(1.0, (t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)
-
-
-def _result(
-    companion: Companion,
-    scenario: Scenario,
-    believed: Vehicle,
-    score: EstimateScore,
-    timing: LoopTiming,
-    log: FlightLog,
-    wall_s: float,
-    options: OffboardOptions,
-) -> FlightResult:
-    flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
-    tracking = score.score.summary()
-    result = FlightResult(
-        scenario=scenario.name,
-        seed=None,
-        log=str(log.path),
-        completed=companion.completed or (options.dry_run and companion.state is State.STREAMING),
-        reason=companion.reason,
-        flight_time_s=flown_us * 1e-6,
-        wall_time_s=wall_s,
-        clock_time_s=wall_s * companion.view.clock.rate,
-        plant=None,
-        tracking=tracking,
-        loop=timing.summary(),
-        log_problem=log.failed or "",
-    )
-    if options.vehicle is None and options.duration_s is None and not options.dry_run:
-        result.checks = [judge(check, result.as_json()) for check in scenario.checks]
-    return result

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
+from flightstack.calibration import STAGES
 from flightstack.scenario import Scenario
-from flightstack.types import F64, TickRecord
+from flightstack.types import F64, Learned, TickRecord
 from flightstack.vehicle import Vehicle
 from logs.scene import Region, Scene
 from logs.writer import Recorder
@@ -23,6 +25,46 @@ _TOPIC_OF: dict[type, str] = {
 }
 _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
+_STAGE_PERIOD_US = 100_000
+_SURPRISING_TICKS = 8
+"""Ticks over which the error is averaged that says on which axis a change lies."""
+
+
+class LearnerEvents:
+    """Tells each new stage of the learner and each sudden change that it noticed, once.
+
+    A stage that comes and goes is told at most every 0.1 s.
+    """
+
+    def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
+        self._tell = tell
+        self._stage = self._changes = 0.0
+        self._stage_due_us = 0
+        self._recent: deque[F64] = deque(maxlen=_SURPRISING_TICKS)
+
+    def on_learned(self, t_us: int, learned: Learned) -> None:
+        """What is known at one tick."""
+        stage, changes = learned.stage, learned.changes
+        if stage < 0.0:
+            return
+        self._recent.append(learned.row)
+        if stage != self._stage and t_us >= self._stage_due_us:
+            self._stage, self._stage_due_us = stage, t_us + _STAGE_PERIOD_US
+            self._tell(t_us, "learner", f"learner: {STAGES[int(stage)]}", "info")
+        if changes > self._changes:
+            self._tell(t_us, "learner", f"learner: sudden change noticed{self._where(learned)}", "warning")
+        self._changes = changes
+
+    def _where(self, learned: Learned) -> str:
+        """The body axis along which the last samples surprised most, and the learner's own measure of it."""
+        recent = np.array(self._recent)
+        errors = recent[:, Learned.target_frd_mps2.place] - recent[:, Learned.residual_frd_mps2.place]
+        errors = errors[np.isfinite(errors).all(axis=1)]
+        sigma = recent[0, Learned.sigma_frd_mps2.place]  # from before the bound was widened
+        words = ""
+        if len(errors):
+            words = f" on {'xyz'[int(np.argmax(np.abs(errors.mean(axis=0) / sigma)))]}"
+        return words + (f" ({learned.surprise:.1f} sigma)" if np.isfinite(learned.surprise) else "")
 
 
 class LogObserver:
@@ -44,6 +86,7 @@ class LogObserver:
         self._log = log
         self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
         self._on_record = on_record
+        self._learner_events = LearnerEvents(log.event)
         self._placed = False
         self._location_due_us = 0
 
@@ -58,6 +101,7 @@ class LogObserver:
             scene = scene_of(self._scenario, self._vehicle, self.companion.start_ned_m, truth=self._truth)
             self._log.scene(record.t_us, scene)
         self._log.tick(record)
+        self._learner_events.on_learned(record.t_us, record.learned)
         if self._on_record is not None:
             self._on_record(record)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from flightstack.scenario import Check
-from flightstack.types import F64, Tuple3
+from flightstack.types import Tuple3
 
 
 @dataclass(slots=True)
@@ -20,7 +21,7 @@ class TrackingScore:
     times_s: list[float] = field(default_factory=list)
     distances_m: list[float] = field(default_factory=list)
 
-    def add(self, time_s: float, position_ned_m: F64 | Tuple3, reference_ned_m: F64 | Tuple3) -> None:
+    def add(self, time_s: float, position_ned_m: Tuple3, reference_ned_m: Tuple3) -> None:
         """One tick: time since the start of tracking, both positions relative to the place of arming."""
         self.times_s.append(time_s)
         self.distances_m.append(math.dist(position_ned_m, reference_ned_m))
@@ -52,7 +53,7 @@ class LoopTiming:
         return {"rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed}
 
 
-def percentiles(values: list[int]) -> dict[str, float | None]:
+def percentiles(values: Sequence[float]) -> dict[str, float | None]:
     """p50, p99 and maximum; null where there is nothing."""
     if not values:
         return {"p50": None, "p99": None, "max": None}
@@ -74,7 +75,15 @@ NO_GP: dict[str, Any] = {
     "fed": None,
     "step_us": {"p50": None, "p99": None, "max": None},
     "coverage_3sigma": None,
+    "coverage_3sigma_axes": None,
+    "coverage_simultaneous": None,
+    "conformal": None,
+    "thrust_gain": None,
+    "latency_s": None,
+    "refused": None,
+    "changes": None,
 }
+"""Every field of a learner, null; `conformal` is quantile_sigma, coverage_heldout, alpha."""
 NO_QP: dict[str, Any] = {"solve_us": {"p50": None, "p99": None, "max": None}, "infeasible": None}
 
 
@@ -94,13 +103,13 @@ class FlightResult:
     clock_time_s: float
     """The same span by the vehicle's clock: simulated or, on a real vehicle, elapsed time."""
     plant: str | None
+    controller: str
     tracking: dict[str, Any]
+    gp: dict[str, Any]
     loop: dict[str, Any]
     report: str | None = None
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
-    controller: str = "flatness"
-    interrupted: bool = False
     checks: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -134,7 +143,7 @@ class FlightResult:
             "controller": self.controller,
             "tracking": self.tracking,
             "barrier": NO_BARRIER,
-            "gp": NO_GP,
+            "gp": self.gp,
             "qp": NO_QP,
             "loop": self.loop,
             "checks": self.checks,

@@ -39,13 +39,11 @@ class Learner(Protocol):
 
     enabled: bool
 
-    def init(self) -> object:
+    def init(self) -> Any:
         """State before the first sample."""
         ...
 
-    def step(
-        self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput
-    ) -> tuple[object, Learned]:
+    def step(self, state: Any, measurement: Measurement, sent: Command, reference: FlatOutput) -> tuple[Any, Learned]:
         """Learn from a measurement and the command sent before it; predict for now."""
         ...
 
@@ -55,13 +53,13 @@ class SafetyFilter(Protocol):
 
     enabled: bool
 
-    def init(self) -> object:
+    def init(self) -> Any:
         """State before the first command."""
         ...
 
     def step(
-        self, state: object, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
-    ) -> tuple[object, Command]:
+        self, state: Any, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
+    ) -> tuple[Any, Command]:
         """The safe command nearest to `command`."""
         ...
 

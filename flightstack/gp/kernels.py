@@ -268,9 +268,9 @@ def kernel_from_dict(data: object, where: str = "kernel") -> Kernel:
     if not isinstance(data, Mapping):
         raise InputError(f"{where} = {data!r} must be a table")
     name = data.get("kernel")
-    if name not in _FIELDS:
+    if not isinstance(name, str) or name not in _FIELDS:
         raise InputError(f"{where}.kernel = {name!r} is not known; known are {', '.join(_FIELDS)}")
-    fields = _FIELDS[str(name)]
+    fields = _FIELDS[name]
     only(data, ("kernel", *fields), where)
     missing = [field for field in fields if field not in data and field != "columns"]
     if missing:
@@ -279,7 +279,7 @@ def kernel_from_dict(data: object, where: str = "kernel") -> Kernel:
         left, right = (kernel_from_dict(data[side], f"{where}.{side}") for side in fields)
         return Sum(left, right) if name == "sum" else Product(left, right)
     try:
-        return _LEAVES[str(name)](*(data.get(field) for field in fields))
+        return _LEAVES[name](*(data.get(field) for field in fields))
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
@@ -333,7 +333,10 @@ def _check_stationary(kernel: SquaredExponential | Matern, name: str) -> None:
         _set(kernel, "lengthscales", _positive(scales, f"{name}: lengthscales"))
     if kernel.columns is None:
         return
-    columns = tuple(_column(column, f"{name}: columns") for column in kernel.columns)
+    listed: object = kernel.columns
+    if not isinstance(listed, Sequence | np.ndarray) or isinstance(listed, str):
+        raise InputError(f"{name}: columns = {listed!r} is not allowed; give a list of column numbers")
+    columns = tuple(_column(column, f"{name}: columns") for column in listed)
     if not columns or len(set(columns)) != len(columns):
         raise InputError(f"{name}: columns = {columns} is not allowed; name each column once, at least one")
     if isinstance(kernel.lengthscales, tuple) and len(kernel.lengthscales) != len(columns):

@@ -45,8 +45,8 @@ def rebuild(squares: F64, rows: F64, state: I64, real: F64) -> None:
 
 @njit_called
 def _invert(squares: F64, rows: F64, state: I64, real: F64, jitter: float) -> bool:
-    """inverse = (K + (noise + jitter) I)^-1; False where a pivot tells that the matrix isn't positive definite."""
-    size, whole, noise = state[store.HIGH], store.whole_blocks(state[store.HIGH]), real[store.NOISE] + jitter
+    """A = (K + (noise + jitter) I)^-1; False where a pivot tells that the matrix isn't positive definite."""
+    size, whole = state[store.HIGH], store.whole_blocks(state[store.HIGH])
     ints, floats, points = store.kernel_of(rows, state, real)
     rows[store.W : store.C + 2] = 0.0
     state[store.PENDING] = 0
@@ -55,7 +55,7 @@ def _invert(squares: F64, rows: F64, state: I64, real: F64, jitter: float) -> bo
     for i in range(size):
         query = np.ascontiguousarray(points[:, i])
         program.row(ints, floats, points, size, query, query, work, k, k, False)
-        k[i] += noise
+        k[i] += store.noise_at(real, rows[store.PRIOR, i]) + jitter
         k[size:] = 0.0
         write_column(gram, whole, i, k)
     squares[store.INVERSE] = -gram
@@ -63,7 +63,7 @@ def _invert(squares: F64, rows: F64, state: I64, real: F64, jitter: float) -> bo
         store.make_room(squares, rows, state)
         store.column_of(squares, rows, state[store.PENDING], place, size)
         pivot = -rows[store.COLUMN, place]
-        if not pivot > _LEAST_PIVOT * noise:
+        if not pivot > _LEAST_PIVOT * (store.noise_at(real, rows[store.PRIOR, place]) + jitter):
             return False
         _eliminate(squares, rows, state, place, pivot)
     store.apply(squares, rows, state)

@@ -143,7 +143,7 @@ class RecursiveGP:
 
         The last point takes the index of the one that left.  Several indices mean the points as they stand before.
         """
-        if type(index) is not int and not isinstance(index, np.integer):
+        if not isinstance(index, (int, np.integer)):
             for each in sorted({int(i) for i in index}, reverse=True):
                 self.remove(each)
             return

@@ -43,6 +43,9 @@ QUERY = 8
 """From here on: query (D), its rate (D), the query whose product is known (D), value (P), mean (P), variance or the
 mean's rate (P), the kernel's floats."""
 
+LEAST_NOISE = 1e-10
+"""Noise below this share of the prior variance counts as this share: below it a double's digits do not suffice."""
+
 
 def rows_needed(inputs: int, outputs: int) -> int:
     """Rows of `rows`."""
@@ -76,7 +79,7 @@ def put(squares: F64, rows: F64, state: I64, real: F64, place: int) -> None:
     state[CLOCK] += 1
     state[ORDER + state[CAPACITY] + place] = state[CLOCK]
     state[KNOWN] = 0
-    rows[K, place] = real[PRIOR_HERE] + real[NOISE]
+    rows[K, place] = real[PRIOR_HERE] + noise_at(real, real[PRIOR_HERE])
     write_column(squares[GRAM], whole_blocks(state[HIGH]), place, rows[K])
     rows[K, place] = 0.0
     rows[PRODUCT, place] = 0.0
@@ -155,6 +158,16 @@ def blank_pending(rows: F64, state: I64) -> None:
         rows[C + 1] = 0.0
     elif state[PENDING] == 0:
         rows[W : C + 2] = 0.0
+
+
+@njit
+def noise_at(real: F64, prior: float) -> float:
+    """The noise on the diagonal where the prior variance is `prior`: as given, or the least that can be inverted."""
+    least = LEAST_NOISE * prior
+    if real[NOISE] < least:
+        real[JITTER] = max(real[JITTER], least - real[NOISE])
+        return least
+    return float(real[NOISE])
 
 
 @njit

@@ -102,10 +102,11 @@ def _insert(squares: F64, rows: F64, state: I64, real: F64) -> None:
     store.put(squares, rows, state, real, place)
     size, u, at = state[store.HIGH], rows[store.PRODUCT], state[store.PENDING]
     # from the same A as u, not the better variance: so the new row of A's inverse is exact, and old errors heal
-    pivot = real[store.PRIOR_HERE] + real[store.NOISE] - store.dot(rows[store.K], u, size)
-    if not pivot > _LEAST_PIVOT * real[store.NOISE]:
+    noise = store.noise_at(real, real[store.PRIOR_HERE])
+    pivot = real[store.PRIOR_HERE] + noise - store.dot(rows[store.K], u, size)
+    if not pivot > _LEAST_PIVOT * noise:
         state[store.ALARM] = 1
-        pivot = real[store.NOISE]
+        pivot = noise
     for values in range(store.POINTS + d, store.POINTS + d + outputs):
         weights = rows[values + outputs]
         error = rows[values, place] - store.dot(rows[store.K], weights, size)
@@ -138,9 +139,10 @@ def leave(squares: F64, rows: F64, state: I64, real: F64, index: int) -> None:
     column, at = rows[store.COLUMN], state[store.PENDING]
     store.column_of(squares, rows, at, place, size)
     pivot = column[place]
-    if not 0.0 < pivot * _LEAST_PIVOT * real[store.NOISE] < 1.0:
+    noise = store.noise_at(real, rows[store.PRIOR, place])
+    if not 0.0 < pivot * _LEAST_PIVOT * noise < 1.0:
         state[store.ALARM] = 1
-        pivot = 1.0 / real[store.NOISE]
+        pivot = 1.0 / noise
     column[place] = 0.0
     store.clear_place(squares, rows, place, size)
     rows[store.K, place] = 0.0
@@ -230,7 +232,8 @@ def _variance(gram: F64, rows: F64, state: I64, real: F64) -> float:
     variance = prior - spent
     state[store.UNCHECKED] += 1
     residual[:size] = 0.0
-    if real[store.NOISE] < _SMALL_NOISE * prior or state[store.UNCHECKED] >= _CHECK_STEPS:
+    doubtful = real[store.NOISE] < _SMALL_NOISE * prior or not variance >= least
+    if doubtful or state[store.UNCHECKED] >= _CHECK_STEPS:
         state[store.UNCHECKED] = 0
         multiply(gram, store.whole_blocks(size), v, residual)
         for i in range(size):
@@ -246,7 +249,7 @@ def _variance(gram: F64, rows: F64, state: I64, real: F64) -> float:
         if not variance >= least * (1.0 - 1e-6):
             state[store.CLIPPED] += 1
         variance = least
-    return variance
+    return float(variance)
 
 
 @njit_called

@@ -56,8 +56,10 @@ class LearnerConfig:
     """Bound (three sigma) at which confidence is 0."""
     residual_max_mps2: float = 0.8 * STANDARD_GRAVITY_MPS2
     """Samples beyond are refused, and nothing beyond is fed forward."""
+    jerk_max_mps3: float = 20.0
+    """Nothing beyond is fed forward."""
     gain_range: tuple[float, float] = (0.4, 2.0)
-    floor_mps2: float = 0.005
+    floor_mps2: float = 0.003
     """Least standard deviation of model error that no data remove."""
     rate_floor_radps: float = 0.01
 
@@ -69,8 +71,8 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "changes", "expected", "fed", "fit_us", "forward", "forward_us", "lateral", "memory", "posterior", "query",
-        "rate_mean", "rate_sigma", "rates", "refused", "row", "sample", "steps", "valid_us", "vertical", "watch",
+        "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory", "posterior",
+        "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us", "vertical", "watch",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -87,7 +89,8 @@ class LearnerState:
         self.watch = Watch(config.window_ticks, config.alarm_sigmas)
         self.sample = np.zeros(s.SAMPLE)
         self.query = np.zeros((2, s.D))
-        self.row = Learned.nothing().row
+        self.fed_forward = np.zeros(6)
+        """Acceleration and jerk fed forward, as the next tick's fixed-point step takes them."""
         self.fit_us = self.valid_us = -1
         self.fed = self.refused = self.changes = self.steps = 0
         self.expected = np.zeros(3)
@@ -140,7 +143,7 @@ class GpLearner:
             state.refused += 1
             state.watch.reset()
         stage, weight = self._stage(state, measurement.t_us, fit)
-        self._sampler.at_reference(state.memory, reference, state.row, state.query)
+        self._sampler.at_reference(state.memory, reference, state.fed_forward, state.query)
         forward = self._forward(state, measurement.t_us)
         row = np.empty(32)
         limits = (config.residual_max_mps2, *config.gain_range)
@@ -151,7 +154,7 @@ class GpLearner:
         row[27:32] = (
             len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
         )  # fmt: skip
-        state.row = row
+        _relax(row, config.jerk_max_mps3, state.fed_forward)
         state.steps += 1
         return state, Learned(row)
 
@@ -233,6 +236,21 @@ class GpLearner:
 
 
 @njit
+def _relax(row: F64, jerk_max: float, fed_forward: F64) -> None:
+    """Clip the row's jerk, and move `fed_forward` (6,) half way to the row's: what the thrust axis is worked out with.
+
+    Acceleration fed forward depends on the thrust axis and the axis on it; half steps make the fixed point attractive
+    even where it depends so steeply that whole ones would run away.  What is not finite is nothing.
+    """
+    for i in range(6):
+        if not math.isfinite(row[i]):
+            row[i] = 0.0
+        if i >= 3:
+            row[i] = min(max(row[i], -jerk_max), jerk_max)
+        fed_forward[i] += 0.5 * (row[i] - fed_forward[i])
+
+
+@njit
 def fits(sample: F64, most: float) -> bool:
     """Whether the sample may be learned from."""
     inside = sample[s.S_OK] != 0.0
@@ -248,6 +266,8 @@ def _assemble(
 ) -> None:  # fmt: skip
     """A Learned row (32,) but for what is counted: feed-forward at the reference, residual at the state."""
     most, gain_least, gain_most = limits
+    if not np.isfinite(forward).all():
+        forward[:] = 0.0
     tilt, later = np.empty((3, 3)), np.empty((3, 3))
     step = 1e-3
     # A gain beyond its range is cut; what that takes from the force at the present thrust is left to the constant part.

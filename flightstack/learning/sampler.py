@@ -102,8 +102,8 @@ class Sampler:
     def at_reference(self, memory: F64, reference: FlatOutput, learned: F64, out: F64) -> None:
         """The input at the reference and its time derivative into `out` (2, D), thrust columns 0 in the first.
 
-        `learned` (32,) is the last tick's Learned row: the thrust axis depends on what is fed forward, which depends
-        on the thrust axis; one fixed-point step a tick, from the tick before, follows it.  The thrust columns of
+        `learned` (6,): acceleration and jerk fed forward so far.  The thrust axis depends on them, and they on the
+        thrust axis; one fixed-point step a tick, from the tick before, follows it.  The thrust columns of
         out[0] are 0 and (R / 4h)^2: per unit of thrust; those of out[1] are 0 and its derivative.
         """
         _at_reference(self._constants, memory, reference.row, learned, out)
@@ -292,7 +292,7 @@ def _sample(
 
 @njit
 def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out: F64) -> None:
-    """As `Sampler.at_reference` says; `reference` (17,), `learned` (32,), `out` (2, D)."""
+    """As `Sampler.at_reference` says; `reference` (17,), `learned` (6,), `out` (2, D)."""
     drag = 0.5 * (constants[5] + constants[6]) / constants[0]
     t = np.empty(3)
     rate = np.empty(3)

@@ -22,10 +22,10 @@ from flightstack.types import F64
 
 Relevance = Literal["oldest", "kernel"]
 
-INFLATION = 1.1
+INFLATION = 1.05
 """What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
 (docs/learning.md says which), whose seeds no reported coverage uses."""
-_MEMORY_WINDOWS = 100
+_MEMORY_WINDOWS = 250
 _RENEW_SHARE = 0.5
 """A noticed change widens sigma to this share of it: three of them hold it with room."""
 _NOISE_FACTOR = 2.0

@@ -59,14 +59,65 @@ const flight = (() => {
     ctx.restore();
   }
 
-  // Over the curves: limit lines with their names, event marks.
+  // Along the bottom: what was the case when, in words where they fit.
+  function drawStrip(u, spec) {
+    const { ctx, bbox } = u;
+    const dpr = devicePixelRatio || 1;
+    const height = 15 * dpr, top = bbox.top + bbox.height - height, right = bbox.left + bbox.width;
+    ctx.save();
+    ctx.font = FONT.replace("11px", 11 * dpr + "px");
+    ctx.textAlign = "left";
+    for (const [from, to, label, role] of spec.strip) {
+      const a = Math.max(u.valToPos(from, "x", true), bbox.left);
+      const b = Math.min(u.valToPos(to, "x", true), right);
+      if (b <= a) continue;
+      ctx.fillStyle = colour(role);
+      ctx.fillRect(a, top, b - a, height);
+      if (ctx.measureText(label).width + 8 * dpr > b - a) continue;
+      ctx.fillStyle = colour("ink");
+      ctx.fillText(label, a + 4 * dpr, top + 11.5 * dpr);
+    }
+    ctx.restore();
+  }
+
+  // Moments with a word: vertical lines, named once where the words would collide.
+  function drawMarks(u, spec) {
+    const { ctx, bbox } = u;
+    const dpr = devicePixelRatio || 1;
+    let free = bbox.left;
+    ctx.font = FONT.replace("11px", 11 * dpr + "px");
+    ctx.textAlign = "left";
+    for (const [t, label] of spec.marks) {
+      const x = u.valToPos(t, "x", true);
+      if (x < bbox.left || x > bbox.left + bbox.width) continue;
+      ctx.strokeStyle = ctx.fillStyle = colour("limit");
+      ctx.lineWidth = dpr;
+      ctx.setLineDash([3 * dpr, 3 * dpr]);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      if (x < free) continue;
+      ctx.lineJoin = "round";
+      ctx.lineWidth = 3 * dpr;
+      ctx.strokeStyle = colour("card");
+      ctx.strokeText(label, x + 4 * dpr, bbox.top + 11 * dpr);
+      ctx.fillText(label, x + 4 * dpr, bbox.top + 11 * dpr);
+      free = x + ctx.measureText(label).width + 12 * dpr;
+    }
+  }
+
+  // Over the curves: limit lines with their names, marks, event triangles.
   function drawOver(u, spec) {
+    drawStrip(u, spec);
     const { ctx, bbox } = u;
     const dpr = devicePixelRatio || 1;
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top - 8 * dpr, bbox.width, bbox.height + 9 * dpr);
     ctx.clip();
+    drawMarks(u, spec);
     ctx.font = FONT.replace("11px", 11 * dpr + "px");
     ctx.textAlign = "right";
     for (const { value, label, role } of spec.lines) {
@@ -103,9 +154,10 @@ const flight = (() => {
   }
 
   function verticalRange(spec) {
-    const values = spec.lines.map((line) => line.value);
+    const values = [...spec.lines.map((line) => line.value), ...spec.scale];
     return (u, low, high) => {
       if (low == null || high == null) return [0, 1];
+      if (spec.cut) [low, high] = spec.cut;
       low = Math.min(low, ...values);
       high = Math.max(high, ...values);
       if (spec.floor != null) low = Math.min(spec.floor, low);
@@ -129,18 +181,28 @@ const flight = (() => {
   }
 
   function series(spec) {
-    const unit = spec.unit === "of full scale" ? "" : spec.unit === "°" ? "°" : " " + spec.unit;
+    const unit = spec.curves.length > 3 || spec.unit.length > 6 ? "" : spec.unit === "°" ? "°" : " " + spec.unit;
+    const shown = (v) => (v == null ? "" : fixed(v, spec.decimals) + unit);
     return spec.curves.map((curve) => ({
       label: curve.label,
-      stroke: () => colour(curve.role),
-      width: curve.wide ? 3 : 1.25,
+      class: "u-" + (curve.edge || "line"),
+      auto: !curve.edge,
+      stroke: () => colour(curve.role) + (curve.edge ? "80" : ""),
+      width: curve.edge ? 0.5 : curve.wide ? 3 : 1.25,
       alpha: curve.wide ? 0.75 : 1,
       points: { show: false },
       pxAlign: 0,
-      value: (u, v) => (v == null ? "" : fixed(v, spec.decimals) + unit),
+      value: (u, v, i, at) => shown(curve.edge === "upper" && v != null ? (v - u.data[i + 1][at]) / 2 : v),
     }));
   }
 
+  // An upper edge and the lower one after it enclose a band.
+  function bands(spec) {
+    const uppers = spec.curves.map((curve, i) => (curve.edge === "upper" ? i : -1)).filter((i) => i >= 0);
+    return uppers.map((i) => ({ series: [i + 1, i + 2], fill: () => colour(spec.curves[i].role) + "38" }));
+  }
+
+  const markerWidth = (curve) => (curve && curve.edge ? 9 : curve && curve.wide ? 4 : 2);
   const heightOf = (holder) => (holder.closest(".column") ? 245 : 170);
 
   function makeChart(holder, spec) {
@@ -153,7 +215,8 @@ const flight = (() => {
       scales: { x: { time: false }, y: { range: verticalRange(spec) } },
       axes: axes(spec),
       series: [{ label: "time" }, ...series(spec)],
-      legend: { markers: { width: (u, i) => (spec.curves[i - 1] && spec.curves[i - 1].wide ? 4 : 2) } },
+      bands: bands(spec),
+      legend: { markers: { width: (u, i) => markerWidth(spec.curves[i - 1]) } },
       cursor: {
         y: false, points: { size: 6 }, drag: { x: true, y: false },
         bind: { dblclick: () => () => (showWhole(), null) },

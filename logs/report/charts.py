@@ -1,106 +1,17 @@
-"""The page's panels: which signals of a flight are drawn together, in which unit and role.
-
-Roles carry the colours (`page.css`): `command` what was wanted, `measured` what the vehicle reported, `truth` what
-really was, `limit`, and `one`..`four` for components.  The page's script draws what it is told and decides nothing.
-"""
+"""The page's panels: which signals of a flight are drawn together, in which unit and role."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from logs.report import signals
 from logs.report.flight import FlightReport, Region, Samples
+from logs.report.panel import Curve, Line, Panel, components, known
 
-POINTS = 4000
-"""Display points of a curve over time; the log holds every sample."""
 PATH_POINTS = 2000
 """Display points of a curve in space."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """One line (n, 1) of a panel."""
-
-    label: str
-    role: str
-    samples: Samples
-    wide: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A horizontal line with a name: a limit, or a level to compare with."""
-
-    value: float
-    label: str
-    role: str = "limit"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Panel:
-    """A chart over time.  Without curves it says "not recorded"."""
-
-    key: str
-    title: str
-    unit: str
-    decimals: int
-    curves: tuple[Curve, ...]
-    lines: tuple[Line, ...] = ()
-    shaded_s: tuple[tuple[float, float], ...] = ()
-    """Spans in which the vehicle was at a limit."""
-    floor: float | None = None
-    """The scale starts here (distances and motor commands at 0)."""
-    note: str = ""
-    third: bool = False
-    """Whether it takes a third of the page's width instead of half."""
-    points: int = field(default=POINTS)
-
-    @property
-    def recorded(self) -> int:
-        """Samples behind the densest curve."""
-        return max((len(curve.samples.t_s) for curve in self.curves), default=0)
-
-    def payload(self) -> dict[str, object]:
-        """What the script draws; all curves share one time column."""
-        joined = signals.decimate(_join(self.curves), self.points)
-        return {
-            "key": self.key,
-            "unit": self.unit,
-            "decimals": self.decimals,
-            "floor": self.floor,
-            "lines": [{"value": line.value, "label": line.label, "role": line.role} for line in self.lines],
-            "shaded": [list(span) for span in self.shaded_s],
-            "t": signals.encode(joined.t_s),
-            "curves": [
-                {
-                    "label": curve.label,
-                    "role": curve.role,
-                    "wide": curve.wide,
-                    "y": signals.encode(joined.values[:, column]),
-                }
-                for column, curve in enumerate(self.curves)
-            ],
-        }
-
-
-def _join(curves: Sequence[Curve]) -> Samples:
-    """All curves on the times of the densest one."""
-    base = max(curves, key=lambda curve: len(curve.samples.t_s)).samples
-    columns = []
-    for curve in curves:
-        same = curve.samples.t_s is base.t_s or np.array_equal(curve.samples.t_s, base.t_s)
-        # A slow signal is a line between its samples; it must not vanish between them.
-        gap = max(signals.MAX_GAP_S, 3.0 * _period(curve.samples))
-        columns.append(curve.samples.values if same else signals.resample(curve.samples, base.t_s, gap))
-    return Samples(base.t_s, np.concatenate(columns, axis=1))
-
-
-def _period(signal: Samples) -> float:
-    return float(np.median(np.diff(signal.t_s))) if len(signal.t_s) > 1 else 0.0
 
 
 def panels(flight: FlightReport) -> tuple[Panel, ...]:
@@ -113,30 +24,6 @@ def panels(flight: FlightReport) -> tuple[Panel, ...]:
         _tilt(flight),
         *_estimate_error(flight),
     )
-
-
-def _curves(*candidates: tuple[str, str, Samples | None]) -> tuple[Curve, ...]:
-    """Curves of those signals (label, role, signal) that were recorded; the estimate is drawn wide, below the truth."""
-    return tuple(
-        Curve(label, role, signal, wide=role == "measured") for label, role, signal in candidates if signal is not None
-    )
-
-
-def _components(signal: Samples | None, labels: Sequence[str]) -> tuple[Curve, ...]:
-    if signal is None:
-        return ()
-    roles = ("one", "two", "three", "four")
-    return tuple(
-        Curve(label, roles[i], Samples(signal.t_s, signal.values[:, i : i + 1])) for i, label in enumerate(labels)
-    )
-
-
-def _scaled(signal: Samples | None, factor: float) -> Samples | None:
-    return None if signal is None else Samples(signal.t_s, signal.values * factor)
-
-
-def _column(signal: Samples | None, column: int) -> Samples | None:
-    return None if signal is None else Samples(signal.t_s, signal.values[:, column : column + 1])
 
 
 def length_unit(signal: Samples) -> tuple[str, float, int]:
@@ -169,11 +56,11 @@ def _tracking(flight: FlightReport) -> tuple[Panel, Panel]:
             *keys[0],
             unit,
             decimals,
-            _curves((f"distance of the {of} from the reference", of if of == "truth" else "measured", _norm(scaled))),
+            known((f"distance of the {of} from the reference", of if of == "truth" else "measured", _norm(scaled))),
             lines=rmse_line,
             floor=0.0,
         ),
-        Panel(*keys[1], unit, decimals, _components(scaled, ("north", "east", "down"))),
+        Panel(*keys[1], unit, decimals, components(scaled, ("north", "east", "down"))),
     )
 
 
@@ -217,7 +104,7 @@ def _motors(flight: FlightReport) -> Panel:
         "Motor commands",
         "of full scale",
         3,
-        _components(motors, labels),
+        components(motors, labels),
         lines=(Line(1.0, "full"),),
         floor=0.0,
     )
@@ -227,10 +114,10 @@ def _rates(flight: FlightReport) -> tuple[Panel, ...]:
     out = []
     degrees = 180.0 / math.pi
     for axis, name in enumerate(("Roll", "Pitch", "Yaw")):
-        curves = _curves(
-            ("commanded", "command", _scaled(_column(flight.rate_command_frd_radps, axis), degrees)),
-            ("measured", "measured", _scaled(_column(flight.rate_measured_frd_radps, axis), degrees)),
-            ("truth", "truth", _scaled(_column(flight.rate_truth_frd_radps, axis), degrees)),
+        curves = known(
+            ("commanded", "command", signals.scaled(signals.column(flight.rate_command_frd_radps, axis), degrees)),
+            ("measured", "measured", signals.scaled(signals.column(flight.rate_measured_frd_radps, axis), degrees)),
+            ("truth", "truth", signals.scaled(signals.column(flight.rate_truth_frd_radps, axis), degrees)),
         )
         lines: tuple[Line, ...] = ()
         note = ""
@@ -247,7 +134,7 @@ def _rates(flight: FlightReport) -> tuple[Panel, ...]:
 
 def _tilt(flight: FlightReport) -> Panel:
     estimate, truth = flight.estimate_q_ned_frd, flight.truth_q_ned_frd
-    curves = _curves(
+    curves = known(
         ("estimate", "measured", None if estimate is None else signals.tilt_deg(estimate)),
         ("truth", "truth", None if truth is None else signals.tilt_deg(truth)),
     )
@@ -260,11 +147,11 @@ def _estimate_error(flight: FlightReport) -> tuple[Panel, Panel]:
     error = flight.estimate_error_ned_m
     if error is not None and np.isfinite(error.values).any():
         unit, factor, decimals = length_unit(error)
-        position = _components(_scaled(error, factor), ("north", "east", "down"))
+        position = components(signals.scaled(error, factor), ("north", "east", "down"))
     attitude: tuple[Curve, ...] = ()
     if flight.estimate_q_ned_frd is not None and flight.truth_q_ned_frd is not None:
         angle = signals.rotation_between_deg(flight.estimate_q_ned_frd, flight.truth_q_ned_frd)
-        attitude = _curves(("angle between estimate and truth", "truth", angle))
+        attitude = known(("angle between estimate and truth", "truth", angle))
     return (
         Panel("estimate-position", "Estimate against truth, position", unit, decimals, position, third=True),
         Panel("estimate-attitude", "Estimate against truth, attitude", "°", 2, attitude, floor=0.0, third=True),

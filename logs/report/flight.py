@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.calibration import Conformal
 from flightstack.types import F64, Tuple3
 
 
@@ -78,6 +79,46 @@ class CheckResult:
     passed: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Learning:
+    """What the learner said, tick by tick, and what was so; residual specific forces in body axes, m/s^2."""
+
+    residual_frd_mps2: Samples
+    """(n, 3) expected."""
+    bound_frd_mps2: Samples
+    """(n, 3) half the width of what it stands for: three standard deviations."""
+    stage: Samples
+    """(n, 1) 0..4, as `flightstack.calibration.STAGES`."""
+    target_frd_mps2: Samples | None = None
+    """(n, 3) as measured; NaN at ticks without a sample."""
+    truth_frd_mps2: Samples | None = None
+    """(n, 3) the true one, in the air."""
+    thrust_gain: Samples | None = None
+    """(n, 1) delivered over believed thrust per mass."""
+    thrust_gain_bound: Samples | None = None
+    """(n, 1) three of its standard deviations."""
+    confidence: Samples | None = None
+    """(n, 1) share of the prior's variance that the data have removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearnerOutcome:
+    """What the result says of the learner (its `gp`); `None` where it is not said."""
+
+    enabled: bool
+    points: int | None = None
+    fed: int | None = None
+    step_p50_us: float | None = None
+    step_p99_us: float | None = None
+    coverage: float | None = None
+    """Share of ticks and axes in which the true residual lay within three sigma."""
+    coverage_axes: tuple[float | None, ...] = ()
+    coverage_simultaneous: float | None = None
+    conformal: Conformal | None = None
+    thrust_gain: float | None = None
+    changes: int | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """The flight's result (`flightstack.flight/1`) as the report needs it; `None` where it is not said."""
@@ -98,9 +139,7 @@ class Outcome:
     barrier_min_h: float | None = None
     barrier_violations: int | None = None
     barrier_interventions: int | None = None
-    learner_enabled: bool | None = None
-    learner_points: int | None = None
-    learner_coverage: float | None = None
+    learner: LearnerOutcome | None = None
     lockstep: bool | None = None
     """True where the simulator's clock was the clock, so that lateness has no meaning."""
     checks: tuple[CheckResult, ...] = ()
@@ -144,6 +183,7 @@ class FlightReport:
     rate_limit_frd_radps: Tuple3 | None = None
     motors: Samples | None = None
     """(n, 4) normalised commands, 0..1."""
+    learning: Learning | None = None
     timing: Timing | None = None
     settings: tuple[tuple[str, str], ...] = ()
     """Name and value: vehicle, scenario, seed, versions, git commit."""
@@ -162,7 +202,7 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
     """The result's JSON object as an `Outcome`; whatever is missing or of the wrong kind is unknown, never an error."""
     if result is None:
         return Outcome()
-    barrier, learner, loop = _part(result, "barrier"), _part(result, "gp"), _part(result, "loop")
+    barrier, loop = _part(result, "barrier"), _part(result, "loop")
     tracking = _part(result, "tracking")
     completed = _flag(result.get("completed"))
     lateness = _part(loop, "lateness_us") if loop else {}
@@ -184,11 +224,31 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
         barrier_min_h=min_h if min_h is not None else _number(barrier.get("min_h_estimate")),
         barrier_violations=_whole(barrier.get("violations")),
         barrier_interventions=_whole(barrier.get("interventions")),
-        learner_enabled=_flag(learner.get("enabled")),
-        learner_points=_whole(learner.get("points")),
-        learner_coverage=_number(learner.get("coverage_3sigma")),
+        learner=_learner(_part(result, "gp")),
         lockstep=_number(lateness.get("p50")) is None if loop else None,
         checks=_checks(result.get("checks")),
+    )
+
+
+def _learner(gp: Mapping[str, object]) -> LearnerOutcome | None:
+    enabled = _flag(gp.get("enabled"))
+    if enabled is None:
+        return None
+    step, conformal, axes = _part(gp, "step_us"), _part(gp, "conformal"), gp.get("coverage_3sigma_axes")
+    checked = [_number(conformal.get(key)) for key in ("quantile_sigma", "coverage_heldout", "alpha")]
+    figures = [value for value in checked if value is not None]
+    return LearnerOutcome(
+        enabled=enabled,
+        points=_whole(gp.get("points")),
+        fed=_whole(gp.get("fed")),
+        step_p50_us=_number(step.get("p50")),
+        step_p99_us=_number(step.get("p99")),
+        coverage=_number(gp.get("coverage_3sigma")),
+        coverage_axes=tuple(_number(share) for share in axes) if isinstance(axes, list | tuple) else (),
+        coverage_simultaneous=_number(gp.get("coverage_simultaneous")),
+        conformal=Conformal(*figures) if len(figures) == len(checked) else None,
+        thrust_gain=_number(gp.get("thrust_gain")),
+        changes=_whole(gp.get("changes")),
     )
 
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from flightstack.calibration import BOUND_SIGMAS, true_residual_frd_mps2
 from flightstack.model import Model
 from flightstack.scenario import Scenario, parse_scenario
 from flightstack.types import F64, InputError
@@ -22,6 +23,7 @@ from logs.report import signals
 from logs.report.flight import (
     FlightEvent,
     FlightReport,
+    Learning,
     Outcome,
     Phase,
     Region,
@@ -62,7 +64,9 @@ def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightRepo
         timing=timing,
         settings=_settings(log),
     )
-    return _with_limits(_with_positions(report, source), log)
+    model = _model(log)
+    report = replace(report, learning=_learning(source, model))
+    return _with_limits(_with_positions(report, source), log, model)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,7 +232,44 @@ def _scenario(log: Log) -> Scenario | None:
         return None  # a log of another version; the rest of the report stands
 
 
-def _with_limits(report: FlightReport, log: Log) -> FlightReport:
+def _model(log: Log) -> Model | None:
+    text = log.attachment("vehicle.toml")
+    try:
+        vehicle = None if text is None else parse_vehicle(text.decode("utf-8", errors="replace"), "vehicle.toml")
+        return None if vehicle is None else Model.from_vehicle(vehicle)
+    except (InputError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _learning(source: _Source, model: Model | None) -> Learning | None:
+    """What the learner said, and by the truth and the model what it should have said."""
+    names = ("residual_frd_mps2", "sigma_frd_mps2", "stage")
+    residual, sigma, stage = (source.signal("/learner", name) for name in names)
+    if residual is None or sigma is None or stage is None:
+        return None
+    return Learning(
+        residual_frd_mps2=residual,
+        bound_frd_mps2=signals.scaled(sigma, BOUND_SIGMAS),
+        stage=stage,
+        target_frd_mps2=source.signal("/learner", "target_frd_mps2"),
+        truth_frd_mps2=_true_residual(source, model),
+        thrust_gain=source.signal("/learner", "thrust_gain"),
+        thrust_gain_bound=signals.scaled(source.signal("/learner", "thrust_gain_sigma"), BOUND_SIGMAS),
+        confidence=source.signal("/learner", "confidence"),
+    )
+
+
+def _true_residual(source: _Source, model: Model | None) -> Samples | None:
+    table = source.table("/truth")
+    parts = ("specific_force_frd_mps2", "motor_u", "vel_ned_mps", "q_ned_frd")
+    if model is None or table is None or not {*parts, "on_ground"} <= table.columns.keys():
+        return None
+    residual = true_residual_frd_mps2(model, *(np.asarray(table[part], dtype=np.float64) for part in parts))
+    residual[np.asarray(table["on_ground"], dtype=bool)] = np.nan  # there the ground carries
+    return samples(source.seconds(table.t_us), residual)
+
+
+def _with_limits(report: FlightReport, log: Log, model: Model | None) -> FlightReport:
     """The report with the limits and the region that the log's own scenario and vehicle files give."""
     scenario = _scenario(log)
     if scenario is None:
@@ -237,14 +278,7 @@ def _with_limits(report: FlightReport, log: Log) -> FlightReport:
     region = None
     if given is not None:
         region = Region("ellipsoid" if given.kind == "ellipsoid" else "box", given.centre_ned_m, given.semi_axes_m)
-    thrust = None
-    text = log.attachment("vehicle.toml")
-    if text is not None:
-        try:
-            vehicle = parse_vehicle(text.decode("utf-8", errors="replace"), "vehicle.toml")
-            thrust = Model.from_vehicle(vehicle).thrust_range_n(scenario.limits)
-        except (InputError, ValueError, KeyError, TypeError):
-            thrust = None
+    thrust = None if model is None else model.thrust_range_n(scenario.limits)
     return replace(report, region=region, thrust_limits_n=thrust, rate_limit_frd_radps=scenario.limits.rate_max_radps)
 
 

@@ -8,10 +8,11 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from logs.report import words
-from logs.report.charts import PATH_POINTS, POINTS, Panel, panels, path_payload
+from logs.report import learning, words
+from logs.report.charts import PATH_POINTS, panels, path_payload
 from logs.report.flight import FlightReport
 from logs.report.histogram import lateness_svg
+from logs.report.panel import POINTS, Panel
 
 EVENTS_SHOWN = 500
 _MISSING = '<p class="missing">not recorded</p>'
@@ -27,14 +28,15 @@ def write_report(flight: FlightReport, path: Path | str) -> Path:
 
 def render_report(flight: FlightReport) -> str:
     """The whole page: headline, key figures, path in space, signals over time, events, timing, settings."""
-    flight = words.with_measured_figures(flight)
+    flight = learning.with_measured_honesty(words.with_measured_figures(flight))
     drawn = panels(flight)
+    learned = learning.panels(flight, drawn[0])
     path = path_payload(flight)
     state, verdict = words.verdict(flight)
     data = {
         "phases": [[phase.name, phase.start_s, phase.end_s] for phase in flight.phases],
         "events": [[event.t_s, event.severity, event.text] for event in flight.events[:EVENTS_SHOWN]],
-        "panels": [panel.payload() for panel in drawn if panel.curves],
+        "panels": [panel.payload() for panel in (*drawn, *learned) if panel.curves],
         "path": path,
     }
     return _fill(
@@ -46,11 +48,12 @@ def render_report(flight: FlightReport) -> str:
             "verdict": verdict,
             "headline": escape(words.headline(flight)),
             "subtitle": _subtitle(flight),
-            "figures": _figures(flight),
+            "figures": _figures(words.figures(flight)),
             "checks": _checks(flight),
             "path": _path(flight, path),
             "phases": _phases(flight),
             "tracking": "".join(_panel(panel) for panel in drawn if panel.key.startswith("error-")),
+            "learning": _learning(flight, learned),
             "panels": "".join(_panel(panel) for panel in drawn if not panel.key.startswith("error-")),
             "events": _events(flight),
             "timing": _timing(flight),
@@ -90,11 +93,19 @@ def _subtitle(flight: FlightReport) -> str:
     return escape(" · ".join(parts))
 
 
-def _figures(flight: FlightReport) -> str:
+def _learning(flight: FlightReport, learned: tuple[Panel, ...]) -> str:
+    if not learned:
+        return ""
+    figures = f'<dl class="figures">{_figures(learning.figures(flight))}</dl>'
+    grid = "".join(_panel(panel) for panel in learned)
+    return f'<section id="learning"><h2 class="part">Learning</h2>{figures}<div class="grid">{grid}</div></section>'
+
+
+def _figures(figures: tuple[words.Figure, ...]) -> str:
     return "".join(
         f'<div class="figure {figure.state}"><dt>{escape(figure.label)}</dt><dd>{escape(figure.value)}</dd>'
         f"<p>{escape(figure.note)}</p></div>"
-        for figure in words.figures(flight)
+        for figure in figures
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,35 @@ def resample(signal: Samples, t_s: F64, max_gap_s: float = MAX_GAP_S) -> F64:
 def difference(signal: Samples, minus: Samples) -> Samples:
     """`signal - minus`, (n, k), at the times of `signal`."""
     return Samples(signal.t_s, signal.values - resample(minus, signal.t_s))
+
+
+@overload
+def column(signal: Samples, number: int) -> Samples: ...
+@overload
+def column(signal: Samples | None, number: int) -> Samples | None: ...
+def column(signal: Samples | None, number: int) -> Samples | None:
+    """One column, (n, 1), of a signal; nothing stays nothing."""
+    return None if signal is None else Samples(signal.t_s, signal.values[:, number : number + 1])
+
+
+@overload
+def scaled(signal: Samples, factor: float) -> Samples: ...
+@overload
+def scaled(signal: Samples | None, factor: float) -> Samples | None: ...
+def scaled(signal: Samples | None, factor: float) -> Samples | None:
+    """The signal times a number; nothing stays nothing."""
+    return None if signal is None else Samples(signal.t_s, signal.values * factor)
+
+
+def mean_over(signal: Samples, period_s: float) -> Samples:
+    """Means of the finite values in consecutive stretches of `period_s`; a stretch without any is NaN."""
+    stretch = ((signal.t_s - signal.t_s[0]) / period_s).astype(np.intp)
+    known = np.isfinite(signal.values)
+    first = np.flatnonzero(np.diff(stretch, prepend=-1))
+    with np.errstate(invalid="ignore"):
+        sums = np.add.reduceat(np.where(known, signal.values, 0.0), first, axis=0)
+        means = sums / np.add.reduceat(known, first, axis=0, dtype=np.intp)
+    return Samples(signal.t_s[0] + (stretch[first] + 0.5) * period_s, means)
 
 
 def norm(signal: Samples) -> Samples:
@@ -147,5 +177,7 @@ def within(signal: Samples, start_s: float, end_s: float) -> F64:
 
 
 def encode(values: F64) -> str:
-    """Little-endian float32 in base64: an array as the page's script reads it."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
+    """Little-endian float32 in base64: an array as the page's script reads it; what float32 can't hold is unknown."""
+    with np.errstate(invalid="ignore"):
+        fits = np.abs(values) <= np.finfo(np.float32).max
+    return base64.b64encode(np.where(fits, values, np.nan).astype("<f4").tobytes()).decode("ascii")

@@ -147,7 +147,7 @@ def _speed(flight: FlightReport) -> Figure:
     factor = outcome.realtime_factor
     if outcome.lockstep is False or (flight.timing is not None and outcome.lockstep is None):
         timing = flight.timing
-        note = "" if timing is None else f"late {microseconds(timing.p99_us)} p99, missed {_count(timing.missed)}"
+        note = "" if timing is None else f"late {microseconds(timing.p99_us)} p99, missed {count(timing.missed)}"
         return Figure("Speed", "real time", note)
     if factor is None:
         return Figure("Speed", "–", "not recorded")
@@ -162,21 +162,27 @@ def _barrier(flight: FlightReport) -> Figure:
         return Figure("Barrier filter", "off", "", "off")
     violations = outcome.barrier_violations
     state = "plain" if violations is None else "bad" if violations else "good"
-    value = f"{_count(violations)} violations"
+    value = f"{count(violations)} violations"
     least = "" if outcome.barrier_min_h is None else f"least h {outcome.barrier_min_h:.3f}, "
-    return Figure("Barrier filter", value, f"{least}{_count(outcome.barrier_interventions)} interventions", state)
+    return Figure("Barrier filter", value, f"{least}{count(outcome.barrier_interventions)} interventions", state)
 
 
 def _learner(flight: FlightReport) -> Figure:
-    outcome = flight.outcome
-    if outcome.learner_enabled is None:
+    learner = flight.outcome.learner
+    if learner is None:
         return Figure("Learner", "–", "not recorded")
-    if not outcome.learner_enabled:
+    if not learner.enabled:
         return Figure("Learner", "off", "", "off")
-    coverage = outcome.learner_coverage
-    note = "" if coverage is None else f"{100.0 * coverage:.1f} % within 3 sigma"
-    return Figure("Learner", f"{_count(outcome.learner_points)} points", note)
+    note = "" if learner.coverage is None else f"{share(learner.coverage)} within 3 sigma"
+    return Figure("Learner", f"{count(learner.points)} points", note)
 
 
-def _count(value: int | None) -> str:
+def share(value: float) -> str:
+    """A share near 1 in per cent, with as many decimals as it takes not to claim a whole that isn't."""
+    decimals = 1 if value <= 0.999 or value == 1.0 else 2
+    return f"{math.floor(10.0 ** (decimals + 2) * value + 1e-6) / 10.0**decimals:.{decimals}f} %"
+
+
+def count(value: int | None) -> str:
+    """A number, or a dash."""
     return "–" if value is None else str(value)

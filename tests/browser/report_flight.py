@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.report import FlightEvent, FlightReport, Outcome, Phase, Region, Samples, Timing
+from logs.report import FlightEvent, FlightReport, Learning, Outcome, Phase, Region, Samples, Timing
 
 HOSTILE = "</script><script>window.onerror('injected')</script><img src=x onerror=alert(1)>"
 
@@ -25,7 +25,11 @@ def circle_flight() -> FlightReport:
     return FlightReport(
         Outcome("circle", True, flight_time_s=20.0, rmse_m=0.05, max_m=0.05, tracking_of="truth", lockstep=False),
         phases=(Phase("takeoff", 0.0, 3.0), Phase("track", 3.0, 17.0), Phase("landing", 17.0, 20.0)),
-        events=(FlightEvent(0.1, "mode", "OFFBOARD"), FlightEvent(12.0, "vehicle says", HOSTILE, "warning")),
+        events=(
+            FlightEvent(0.1, "mode", "OFFBOARD"),
+            FlightEvent(12.0, "vehicle says", HOSTILE, "warning"),
+            FlightEvent(13.0, "learner", "learner: sudden change noticed on z (8.2 sigma)", "warning"),
+        ),
         region=Region("ellipsoid", (0.0, -1.0, -1.5), (1.5, 1.5, 1.5)),
         reference_ned_m=over_time(wanted),
         estimate_ned_m=over_time(truth + 0.005),
@@ -43,6 +47,16 @@ def circle_flight() -> FlightReport:
         rate_truth_frd_radps=over_time(rates),
         rate_limit_frd_radps=(0.1, 3.0, 3.0),
         motors=over_time(np.repeat(thrust / 24.0, 4)),
+        learning=Learning(
+            over_time(np.stack([0.1 * np.sin(t), 0.0 * t, 3.9 + 0.1 * np.cos(t)], axis=1)),
+            over_time(np.full((len(t), 3), 0.3)),
+            over_time(np.minimum(t // 1.0, 3.0)),
+            over_time(np.stack([0.0 * t, 0.0 * t, 3.9 + 0.0 * t], axis=1)),
+            over_time(np.stack([0.0 * t, 0.0 * t, 3.9 + 0.0 * t], axis=1)),
+            over_time(np.full(len(t), 0.714)),
+            over_time(np.full(len(t), 0.01)),
+            over_time(1.0 - np.exp(-t)),
+        ),
         timing=Timing(250.0, 3.0, 90.0, 5000.0, 1, np.array([3.0, 3.0, 4.0, 90.0, 5000.0])),
         settings=(("seed", "0"),),
     )

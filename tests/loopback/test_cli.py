@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from app import cli
+from app.controllers import CONTROLLERS
 from logs.reader import read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,11 +67,18 @@ def _start_sim(tmp_path: Path, *arguments: object) -> tuple[subprocess.Popen[str
     return sim, port
 
 
+GP_FIELDS = {
+    "enabled", "points", "fed", "step_us", "coverage_3sigma", "coverage_3sigma_axes", "coverage_simultaneous",
+    "conformal", "thrust_gain", "latency_s", "refused", "changes",
+}  # fmt: skip
+
+
 def test_fly_writes_the_contracts_json_and_says_where_everything_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert _run("fly", "hover", "--duration", 3, "--seed", 5, "--out", out, "--json", tmp_path / "r.json") == 0
+    arguments = ("--duration", 3, "--seed", 5, "--no-learning", "--out", out, "--json", tmp_path / "r.json")
+    assert _run("fly", "hover", *arguments) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["schema"] == "flightstack.flight/1"
     assert set(result) >= {
@@ -80,8 +88,9 @@ def test_fly_writes_the_contracts_json_and_says_where_everything_is(
     assert (result["scenario"], result["seed"], result["completed"]) == ("hover", 5, True)
     assert set(result["tracking"]) == {"of", "rmse_m", "max_m", "rmse_settled_m"}
     assert result["barrier"] == dict.fromkeys(result["barrier"]) | {"enabled": False}
-    assert result["gp"]["enabled"] is False
-    assert result["gp"]["points"] is None
+    assert result["gp"] == dict.fromkeys(GP_FIELDS) | {
+        "enabled": False, "step_us": {"p50": None, "p99": None, "max": None},
+    }  # fmt: skip
     assert result["loop"] == {
         "rate_hz": None, "lateness_us": {"p50": None, "p99": None, "max": None}, "missed": None,
     }  # fmt: skip
@@ -90,6 +99,44 @@ def test_fly_writes_the_contracts_json_and_says_where_everything_is(
     printed = capsys.readouterr().out
     assert "completed" in printed
     assert "flight.mcap" in printed.replace("\n", "")
+    log = read(out / "flight.mcap")
+    assert "/learner" not in log.tables
+    assert log.metadata["settings"]["learning"] == "off"
+
+
+def test_learning_is_on_unless_it_is_switched_off_and_says_what_it_reached(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run("fly", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json") == 0
+    gp = json.loads((tmp_path / "r.json").read_text())["gp"]
+    assert set(gp) == GP_FIELDS
+    assert gp["enabled"] is True
+    assert 0 < gp["points"] < gp["fed"]
+    assert gp["step_us"]["max"] >= gp["step_us"]["p99"] >= gp["step_us"]["p50"] > 0.0
+    assert 0.9 < gp["coverage_3sigma"] <= 1.0
+    printed = capsys.readouterr().out
+    assert f"{gp['points']} points of" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize("verb", ["fly", "offboard"])
+def test_help_names_every_controller_and_the_options_that_all_flights_have(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(verb, "--help") == 0
+    printed = capsys.readouterr().out
+    for name in CONTROLLERS:
+        assert f"\n  {name} " in printed
+    for option in ("vehicle", "duration", "controller", "no-learning", "learned", "no-filter", "log", "out", "json"):
+        assert f"  --{option} " in printed
+
+
+def test_a_named_controller_flies_and_is_named_in_result_and_log(tmp_path: Path) -> None:
+    arguments = ("--controller", "pd", "--duration", 1, "--out", tmp_path, "--json", tmp_path / "r.json")
+    assert _run("fly", "hover", *arguments) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["controller"] == "pd"
+    assert result["gp"]["enabled"] is False
+    assert read(tmp_path / "flight.mcap").metadata["settings"]["controller"] == "pd"
 
 
 def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,6 +147,18 @@ def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFix
     assert json.loads((tmp_path / "i.json").read_text())["complete"] is True
 
 
+def test_hyper_parameters_fitted_to_a_flight_begin_the_next_one(tmp_path: Path) -> None:
+    first, learned = tmp_path / "first", tmp_path / "kept" / "learned.json"
+    assert _run("fly", "hover", "--duration", 5, "--no-learning", "--out", first) == 0
+    assert _run("learn", first / "flight.mcap", "--out", learned, "--json", tmp_path / "l.json") == 0
+    result = json.loads((tmp_path / "l.json").read_text())
+    assert result["schema"] == "flightstack.learn/1"
+    assert result["windows"] >= 100
+    assert len(result["data_hash"]) == len(result["vehicle_hash"]) == 64
+    assert _run("fly", "hover", "--duration", 2, "--learned", learned, "--out", tmp_path) == 0
+    assert read(tmp_path / "flight.mcap").attachment("learned.json") == learned.read_bytes()
+
+
 def test_scenarios_lists_the_contracts_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert _run("scenarios") == 0
     printed = capsys.readouterr().out
@@ -107,7 +166,9 @@ def test_scenarios_lists_the_contracts_names(capsys: pytest.CaptureFixture[str])
         assert name in printed
 
 
-@pytest.mark.parametrize("verb", [(), ("fly",), ("sim",), ("offboard",), ("scenarios",), ("log",), ("log", "info")])
+@pytest.mark.parametrize(
+    "verb", [(), ("fly",), ("sim",), ("offboard",), ("learn",), ("scenarios",), ("log",), ("log", "info")]
+)
 def test_every_verb_has_help(verb: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert _run(*verb, "--help") == 0
     assert "Usage" in capsys.readouterr().out
@@ -152,9 +213,13 @@ def test_a_bad_vehicle_file_is_one_line_that_names_the_key(
         (("fly", "hover", "extra.csv"), "waypoints"),
         (("fly", "waypoints"), "waypoints"),
         (("fly", "hover", "--wings"), "--wings"),
+        (("fly", "hover", "--controller", "bang-bang"), "bang-bang"),
+        (("fly", "hover", "--learned", "absent.json"), "absent.json"),
+        (("offboard", "--connect", "udpin:127.0.0.1:0", "--controller", "bang-bang"), "bang-bang"),
         (("offboard", "--connect", "tcp:1.2.3.4:5"), "tcp"),
         (("offboard",), "--connect"),
         (("log", "info", "absent.mcap"), "absent.mcap"),
+        (("learn", "absent.mcap"), "absent.mcap"),
         (("explode",), "explode"),
     ],
 )
@@ -221,6 +286,9 @@ def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
         assert result["tracking"]["of"] == "estimate"
         assert result["tracking"]["rmse_m"] < 0.3
         assert result["loop"]["rate_hz"] == 250
+        assert result["gp"]["enabled"] is True
+        assert result["gp"]["fed"] > 500
+        assert result["gp"]["coverage_3sigma"] is None  # nobody knows the truth
         log = read(tmp_path / "flight.mcap")
         assert log.complete
         assert -log.tables["/vehicle/local_position"]["pos_ned_m"][:, 2].min() > 1.0

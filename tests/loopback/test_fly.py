@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import files
+from app import files, preparation
 from app.flight import FlyOptions, fly
 from app.result import FlightResult
-from flightstack.control.feedback import FeedbackGains
+from flightstack.control.feedback import FeedbackGains, FlatnessController
+from flightstack.seams import NoLearner
+from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
 from logs.reader import Log, read
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
@@ -74,7 +76,7 @@ def test_the_papers_wrong_model_shows_as_a_steady_droop_that_the_gains_explain(t
 
     With poles at p the nominal's stiffness is p^2 / 3, and the feedback adds K_p / m: both are read from the gains.
     """
-    result, log = _fly(tmp_path, "paper-tracking", duration_s=20.0)
+    result, log = _fly(tmp_path, "paper-tracking", duration_s=20.0, learning=False)
     assert result.completed, result.reason
     truth, reference = log.tables["/truth"], log.tables["/setpoint"]
     t_us = reference.t_us[(reference.t_us > reference.t_us[-1] - 15_000_000)]
@@ -104,6 +106,63 @@ def test_the_companion_sees_the_truth_only_through_its_sensors(tmp_path: Path) -
     at = np.interp(seen["t_boot_us"], truth.t_us, truth["pos_ned_m"][:, 0])
     error = seen["pos_ned_m"][:, 0] - at
     assert 0.002 < float(np.std(error)) < 0.01  # mocap grade: 5 mm
+
+
+class Claims(NoLearner):
+    """Says that the vehicle has 1.4 times the believed mass, and wrongly that a force of 1 N/kg pushes it forward."""
+
+    enabled = True
+
+    def step(
+        self, state: object, measurement: Measurement, sent: Command, reference: FlatOutput
+    ) -> tuple[object, Learned]:
+        residual = (1.0, 0.0, sent.thrust_n / 1.2 * (1.0 - 1.0 / 1.4))
+        return state, changed(
+            Learned.nothing(), stage=3.0, thrust_gain=1.0 / 1.4, residual_frd_mps2=residual,
+            sigma_frd_mps2=(0.1, 0.1, 0.1), target_frd_mps2=residual, fed=5.0,
+        )  # fmt: skip
+
+
+def test_coverage_is_scored_on_the_truth_and_what_is_learned_is_used_and_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hover with 1.4 times the mass: the claim of z is right, of y too, of x always ten sigma beside."""
+    monkeypatch.setattr(preparation, "build", lambda name, model, limits, learning: (
+        FlatnessController(model, limits=limits), Claims()))  # fmt: skip
+    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    (tmp_path / "heavy.toml").write_text(text + "\n[truth]\nmass_ratio = 1.4\n")
+    result, log = _fly(tmp_path, str(tmp_path / "heavy.toml"), duration_s=4.0)
+    assert result.passed, result.failure()
+    assert result.tracking["rmse_m"] < 0.03  # without the gain it droops by 0.2 m and more
+    assert result.gp["coverage_3sigma_axes"] == pytest.approx([0.0, 1.0, 1.0], abs=0.01)
+    assert result.gp["coverage_3sigma"] == pytest.approx(2 / 3, abs=0.01)
+    assert result.gp["coverage_simultaneous"] == 0.0
+    assert result.gp["step_us"]["p50"] > 0.0
+    learner = log.tables["/learner"]
+    assert set(learner["fed"]) == {5.0}
+    assert "step_us" not in learner.columns
+    told = [text for name, text in zip(log.tables["/events"]["name"], log.tables["/events"]["text"], strict=True)
+            if name == "learner"]  # fmt: skip
+    assert told == ["learner: used"]
+    assert 'id="learning"' in (tmp_path / "report.html").read_text()
+
+
+def test_a_payload_taken_up_in_flight_is_noticed_and_said_in_the_log(tmp_path: Path) -> None:
+    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = text[: text.index("[[checks]]")] + (
+        '[[events]]\ntime_s = 2.0\neffect = "payload"\nvalues = { mass_kg = 0.4 }\n'
+    )
+    (tmp_path / "load.toml").write_text(text)
+    result, log = _fly(tmp_path, str(tmp_path / "load.toml"), duration_s=6.0)
+    assert result.completed, result.reason
+    events = log.tables["/events"]
+    (at_us,) = (int(t) for t, name in zip(events.t_us, events["name"], strict=True) if name == "effect")
+    told = {str(text): int(t) for t, text in zip(events.t_us, events["text"], strict=True) if "sudden" in text}
+    assert told, "no change was noticed"
+    first = min(told, key=lambda text: told[text])
+    assert first.startswith("learner: sudden change noticed on z (")
+    assert 0 < told[first] - at_us < 300_000
+    assert result.gp["changes"] == len(told)
 
 
 def test_ctrl_c_lands_and_closes_the_log(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import re
@@ -142,3 +143,8 @@ def test_json_in_a_script_can_neither_end_it_nor_open_a_comment() -> None:
     text = safe_json({"a": ["</script>", "<!--", "]]>", "\u2028", "&lt;"]})
     assert not set("<>&\u2028") & set(text)
     assert json.loads(text) == {"a": ["</script>", "<!--", "]]>", "\u2028", "&lt;"]}
+
+
+def test_what_a_float32_cannot_hold_is_unknown_on_the_page() -> None:
+    raw = base64.b64decode(signals.encode(np.array([1.5, 1e300, -math.inf, math.nan, -3.0])))
+    np.testing.assert_array_equal(np.frombuffer(raw, "<f4"), [1.5, math.nan, math.nan, math.nan, -3.0])

@@ -1,0 +1,108 @@
+"""What a flight is judged by, gathered tick by tick while the scenario is tracked, and the result made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.calibration import gp_summary
+from app.preparation import Prepared
+from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
+from flightstack.types import F64, Learned, TickRecord, Tuple3
+from logs.writer import FlightLog
+from mavlink_bridge.companion import Companion
+
+if TYPE_CHECKING:
+    from sim.plant import Truth
+
+
+Position = F64 | Tuple3
+
+
+class FlightScore:
+    """The score of one flight; `companion` is set once it exists."""
+
+    def __init__(self, prepared: Prepared, *, of: str) -> None:
+        self.prepared = prepared
+        self.tracking = TrackingScore(of)
+        self.companion: Companion | None = None
+        self._record: TickRecord | None = None
+        self._by_estimate = of == "estimate"
+        self._learning = prepared.stack.learner.enabled
+        self._last_learned: Learned | None = None
+        self._learned_rows: list[F64] = []
+        self._truths: list[Truth] = []
+
+    def on_record(self, record: TickRecord) -> None:
+        """A tick of the stack; of an estimated flight it is scored at once."""
+        self._record = record
+        if self._learning and record.learned.stage >= 0.0:
+            self._last_learned = record.learned
+        if self._by_estimate and self.companion is not None:
+            self.add(self.track_s(record.t_us), record.measurement.pos_ned_m, self.companion.start_ned_m)
+
+    def track_s(self, t_us: int) -> float | None:
+        """Time since the track began, negative before; None without a mission and from the command to land on."""
+        companion = self.companion
+        if companion is None or companion.mission is None or companion.land_command_us >= 0:
+            return None
+        return (t_us - companion.flight_start_us) * 1e-6 - companion.mission.track_start_s
+
+    def add(
+        self, track_s: float | None, pos_ned_m: Position, start_ned_m: Position, truth: Truth | None = None
+    ) -> None:
+        """Score the last tick where it is one of the track: position, and where the flight began, in one frame."""
+        record, companion = self._record, self.companion
+        if record is None or companion is None or track_s is None:
+            return
+        if not 0.0 <= track_s <= self.prepared.scenario.duration_s:
+            return
+        reference = _relative(record.reference.pos_ned_m, companion.start_ned_m)
+        self.tracking.add(track_s, _relative(pos_ned_m, start_ned_m), reference)
+        if self._learning:
+            self._learned_rows.append(record.learned.row)
+            if truth is not None:
+                self._truths.append(truth)
+
+    def result(
+        self,
+        log: FlightLog,
+        *,
+        wall_s: float,
+        clock_s: float,
+        timing: LoopTiming | None,
+        completed: bool,
+        checked: bool,
+        seed: int | None = None,
+        plant: str | None = None,
+    ) -> FlightResult:
+        """The flight's result; with `checked` it is held against the scenario's checks."""
+        companion, prepared = self.companion, self.prepared
+        assert companion is not None
+        flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
+        stack = prepared.stack
+        result = FlightResult(
+            scenario=prepared.scenario.name,
+            seed=seed,
+            log=str(log.path),
+            completed=completed,
+            reason=companion.reason,
+            flight_time_s=flown_us * 1e-6,
+            wall_time_s=wall_s,
+            clock_time_s=clock_s,
+            plant=plant,
+            controller=prepared.settings["controller"],
+            tracking=self.tracking.summary(),
+            gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
+            loop=timing.summary() if timing is not None else NO_LOOP,
+            log_problem=log.failed or "",
+        )
+        if checked:
+            result.checks = [judge(check, result.as_json()) for check in prepared.scenario.checks]
+        return result
+
+
+def _relative(position_ned_m: Position, start_ned_m: Position) -> Tuple3:
+    """A position seen from where the flight began."""
+    north, east, down = position_ned_m
+    start_n, start_e, start_d = start_ned_m
+    return float(north - start_n), float(east - start_e), float(down - start_d)

@@ -1,0 +1,101 @@
+"""From options to the stack that flies: which controller, which learner, with which hyper-parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from shipped import ROOT, load_vehicle
+
+from app.calibration import TimedLearner
+from app.controllers import CONTROLLERS
+from app.flight import FlyOptions
+from app.offboard import OffboardOptions
+from app.preparation import Prepared, prepare_flight
+from flightstack.learning.learner import GpLearner
+from flightstack.learning.priors import Prior, default_priors
+from flightstack.learning.stored import Stored, to_json, vehicle_hash
+from flightstack.types import InputError
+
+
+def prepared(**options: Any) -> Prepared:
+    return prepare_flight(FlyOptions(scenario="hover", **options))
+
+
+def attached(flight: Prepared) -> dict[str, str]:
+    return {item.name: item.data.decode() for item in flight.attachments}
+
+
+def stored_file(tmp_path: Path, vehicle: str = "quad-x", noise_var: float = 0.123) -> Path:
+    """Hyper-parameters of a vehicle, told from the default ones by their noise."""
+    believed = load_vehicle(vehicle)
+    priors = default_priors()
+    priors = dataclasses.replace(priors, vertical=Prior(priors.vertical.kernel, noise_var))
+    path = tmp_path / "learned.json"
+    path.write_text(to_json(Stored(priors, believed.name, vehicle_hash(believed), "0" * 64, 100)))
+    return path
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_of_the_table_can_be_named_and_its_name_is_in_the_settings(name: str) -> None:
+    flight = prepared(controller=name)
+    assert flight.settings["controller"] == name
+    assert flight.settings["learning"] == ("on" if flight.stack.learner.enabled else "off")
+    assert not prepared(controller=name, learning=False).stack.learner.enabled
+
+
+def test_learning_is_on_and_its_steps_are_timed() -> None:
+    learner = prepared().stack.learner
+    assert isinstance(learner, TimedLearner)
+    assert isinstance(learner._learner, GpLearner)
+
+
+def test_an_unknown_controller_is_one_line_that_names_those_there_are() -> None:
+    with pytest.raises(InputError, match=r"bang-bang.*flatness") as error:
+        prepared(controller="bang-bang")
+    assert "\n" not in str(error.value)
+
+
+def test_stored_hyper_parameters_are_what_the_learner_begins_with_and_are_in_the_log(tmp_path: Path) -> None:
+    path = stored_file(tmp_path)
+    flight = prepared(learned=path)
+    learner: Any = flight.stack.learner
+    assert learner._learner.config.priors.vertical.noise_var == 0.123
+    assert flight.settings["learned"] == str(path)
+    assert json.loads(attached(flight)["learned.json"])["schema"] == "flightstack.learned/1"
+
+
+def test_hyper_parameters_of_another_vehicle_are_refused(tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    other.write_text(text.replace("mass_kg = 1.2", "mass_kg = 1.3", 1))
+    with pytest.raises(InputError, match=r"learned\.json"):
+        prepared(learned=stored_file(tmp_path), vehicle=str(other))
+
+
+@pytest.mark.parametrize("switched", [{"learning": False}, {"controller": "pid"}])
+def test_stored_hyper_parameters_without_a_learner_to_take_them_are_a_mistake(
+    tmp_path: Path, switched: dict[str, Any]
+) -> None:
+    with pytest.raises(InputError, match="--learned"):
+        prepared(learned=stored_file(tmp_path), **switched)
+
+
+@pytest.mark.parametrize(
+    "given", [{"vehicle": "x"}, {"duration_s": 1.0}, {"controller": "pd"}, {"learning": False}, {"learned": Path("x")}]
+)
+def test_a_scenarios_checks_are_asked_of_the_flight_that_they_were_written_for_only(given: dict[str, Any]) -> None:
+    assert FlyOptions().as_written
+    assert OffboardOptions(connect="").as_written
+    assert not FlyOptions(**given).as_written
+    assert not OffboardOptions(connect="", **given).as_written
+
+
+def test_truth_sensors_and_a_dry_run_make_it_another_flight_too_and_a_seed_does_not() -> None:
+    assert FlyOptions(seed=7, realtime=True, out=Path("x")).as_written
+    assert not FlyOptions(truth="quad-x").as_written
+    assert not FlyOptions(sensors="gps").as_written
+    assert not OffboardOptions(connect="", dry_run=True).as_written
