@@ -73,13 +73,11 @@ def _invert(squares: F64, rows: F64, state: I64, real: F64, jitter: float) -> bo
 @njit
 def _eliminate(squares: F64, rows: F64, state: I64, place: int, pivot: float) -> None:
     """One step of the elimination; COLUMN holds the pivot's column."""
-    size, at, column = state[store.HIGH], state[store.PENDING], rows[store.COLUMN]
+    size, column = state[store.HIGH], rows[store.COLUMN]
     column[place] = 0.0
     store.clear_place(squares, rows, place, size)
+    store.queue(rows, state, column, 1.0 / pivot)
     for i in range(size):
-        rows[store.W + at, i] = column[i]
-        rows[store.C + at, i] = column[i] / pivot
         column[i] = -column[i] / pivot
     column[place] = 1.0 / pivot
     write_column(squares[store.INVERSE], store.whole_blocks(size), place, column)
-    state[store.PENDING] += 1

@@ -199,3 +199,22 @@ def add_multiple(x: F64, y: F64, factor: float, size: int) -> None:
     """Add a multiple of y to x, over the first `size` elements."""
     for i in range(size):
         x[i] += factor * y[i]
+
+
+@njit_vector
+def total(x: F64, size: int) -> float:
+    """The sum of the first `size` elements."""
+    result = 0.0
+    for i in range(size):
+        result += x[i]
+    return result
+
+
+@njit_vector
+def queue(rows: F64, state: I64, vector: F64, factor: float) -> None:
+    """To A is to be added: factor vector vector', once there is a pass; there must be room."""
+    w, c = rows[W + state[PENDING]], rows[C + state[PENDING]]
+    for i in range(state[HIGH]):
+        w[i] = vector[i]
+        c[i] = factor * vector[i]
+    state[PENDING] += 1

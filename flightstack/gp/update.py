@@ -49,7 +49,8 @@ def predict(squares: F64, rows: F64, state: I64, real: F64) -> bool:
     first, mean = store.POINTS + d, store.QUERY + 3 * d + outputs
     for p in range(outputs):
         real[mean + p] = store.dot(rows[store.PRODUCT], rows[first + p], size)
-        real[mean + p] += store.dot(rows[store.RESIDUAL], rows[first + outputs + p], size)
+        if state[store.UNCHECKED] == 0:
+            real[mean + p] += store.dot(rows[store.RESIDUAL], rows[first + outputs + p], size)
         real[mean + outputs + p] = real[store.VARIANCE]
     return True
 
@@ -100,7 +101,7 @@ def _insert(squares: F64, rows: F64, state: I64, real: F64) -> None:
     d, outputs = state[store.INPUTS], state[store.OUTPUTS]
     place = state[store.ORDER + state[store.COUNT]]
     store.put(squares, rows, state, real, place)
-    size, u, at = state[store.HIGH], rows[store.PRODUCT], state[store.PENDING]
+    size, u = state[store.HIGH], rows[store.PRODUCT]
     # from the same A as u, not the better variance: so the new row of A's inverse is exact, and old errors heal
     noise = store.noise_at(real, real[store.PRIOR_HERE])
     pivot = real[store.PRIOR_HERE] + noise - store.dot(rows[store.K], u, size)
@@ -113,10 +114,7 @@ def _insert(squares: F64, rows: F64, state: I64, real: F64) -> None:
         store.add_multiple(weights, u, -error / pivot, size)
         weights[place] = error / pivot
     u[place] = -1.0
-    for i in range(size):
-        rows[store.W + at, i] = u[i]
-        rows[store.C + at, i] = u[i] / pivot
-    state[store.PENDING] += 1
+    store.queue(rows, state, u, 1.0 / pivot)
     state[store.STEPS] += 1
 
 
@@ -136,8 +134,8 @@ def leave(squares: F64, rows: F64, state: I64, real: F64, index: int) -> None:
     state[store.ORDER + index] = state[store.ORDER + last]
     state[store.ORDER + last] = place
     state[store.COUNT] = last
-    column, at = rows[store.COLUMN], state[store.PENDING]
-    store.column_of(squares, rows, at, place, size)
+    column = rows[store.COLUMN]
+    store.column_of(squares, rows, state[store.PENDING], place, size)
     pivot = column[place]
     noise = store.noise_at(real, rows[store.PRIOR, place])
     if not 0.0 < pivot * _LEAST_PIVOT * noise < 1.0:
@@ -157,10 +155,7 @@ def leave(squares: F64, rows: F64, state: I64, real: F64, index: int) -> None:
         store.add_multiple(rows[store.PRODUCT], column, -share / pivot, size)
         rows[store.PRODUCT, place] = 0.0
         rows[store.RESIDUAL, place] = 0.0
-    for i in range(size):
-        rows[store.W + at, i] = column[i]
-        rows[store.C + at, i] = -column[i] / pivot
-    state[store.PENDING] += 1
+    store.queue(rows, state, column, -1.0 / pivot)
 
 
 @njit
@@ -224,14 +219,10 @@ def _variance(gram: F64, rows: F64, state: I64, real: F64) -> float:
     """
     k, v, residual = rows[store.K], rows[store.PRODUCT], rows[store.RESIDUAL]
     size, prior = state[store.HIGH], real[store.PRIOR_HERE]
-    spent, total = store.dot(k, v, size), 0.0
-    for i in range(size):
-        total += rows[store.PRIOR, i]
     # n noisy looks at other points tell no more of this one than n looks at it, each as strong as theirs
-    least = prior * real[store.NOISE] / (real[store.NOISE] + total)
-    variance = prior - spent
+    least = prior * real[store.NOISE] / (real[store.NOISE] + store.total(rows[store.PRIOR], size))
+    variance = prior - store.dot(k, v, size)
     state[store.UNCHECKED] += 1
-    residual[:size] = 0.0
     doubtful = real[store.NOISE] < _SMALL_NOISE * prior or not variance >= least
     if doubtful or state[store.UNCHECKED] >= _CHECK_STEPS:
         state[store.UNCHECKED] = 0

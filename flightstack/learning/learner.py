@@ -71,8 +71,9 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory", "posterior",
-        "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us", "vertical", "watch",
+        "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory",
+        "posterior", "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us",
+        "vertical", "watch",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
