@@ -88,21 +88,16 @@ def fit(
     if not fit_noise:
         limits[-1] = start[-1]
     start = np.clip(start, limits[:, 0], limits[:, 1])
-    evaluations = 0
+    seen: list[float] = []
 
     def objective(theta: F64) -> tuple[float, F64]:
-        nonlocal evaluations
-        evaluations += 1
-        try:
-            value, slopes = log_marginal_likelihood(kernel.with_theta(theta[:-1]), math.exp(theta[-1]), points, values)
-        except np.linalg.LinAlgError:
-            return _HOPELESS, np.zeros_like(theta)
+        value, slopes = _value_and_slopes(kernel, theta, points, values)
+        seen.append(value)
         return -value, -slopes
 
-    before = -objective(start)[0]
-    rng = np.random.default_rng(seed)
-    best, best_theta, converged = -before, start, False
-    for theta in [start, *rng.uniform(limits[:, 0], limits[:, 1], (restarts, len(start)))]:
+    best, best_theta, converged = objective(start)[0], start, False
+    draws = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (restarts, len(start)))
+    for theta in [start, *draws]:
         found = minimize(
             objective, theta, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": max_iterations}
         )
@@ -114,11 +109,19 @@ def fit(
         kernel.with_theta(best_theta[:-1]),
         math.exp(best_theta[-1]),
         -best,
-        before,
-        evaluations,
+        seen[0],
+        len(seen),
         converged,
         tuple(np.flatnonzero(on_bound).tolist()),
     )
+
+
+def _value_and_slopes(kernel: Kernel, theta: F64, x: F64, y: F64) -> tuple[float, F64]:
+    """The likelihood at theta, the noise last; hopeless and flat where the matrix can't be factored."""
+    try:
+        return log_marginal_likelihood(kernel.with_theta(theta[:-1]), math.exp(theta[-1]), x, y)
+    except np.linalg.LinAlgError:
+        return -_HOPELESS, np.zeros_like(theta)
 
 
 def _checked_data(x: F64, y: F64) -> tuple[F64, F64]:
