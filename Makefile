@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp campaign-learning campaign-learning-quick clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -17,6 +17,7 @@ help:
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
+	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml
@@ -32,6 +33,10 @@ $(BIN)/.installed-dev: $(BIN)/.installed
 
 $(BIN)/.installed-bench: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	@touch $@
+
+$(BIN)/.installed-campaign: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
 	@touch $@
 
 fly: $(BIN)/.installed
@@ -56,6 +61,12 @@ bench-flight: $(BIN)/.installed
 
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py
+
+campaign-learning: $(BIN)/.installed-campaign
+	$(BIN)/python -m benchmarks.learning
+
+campaign-learning-quick: $(BIN)/.installed-campaign
+	$(BIN)/python -m benchmarks.learning --quick
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

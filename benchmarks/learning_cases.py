@@ -31,8 +31,10 @@ PILOTS: dict[str, Pilot] = {
     "px4": Pilot("PX4's own position control", "px4", learning=False),
     "state-gp": Pilot("the paper's learner: state only, no thrust gain", "state-gp"),
 }
-BASELINES = ("none", "pd", "pid", "indi", "dob", "px4", "state-gp")
-"""What learning is compared with; the best of them counts."""
+FIXED = ("none", "pd", "pid", "indi", "dob", "px4")
+"""Controllers that learn nothing: what a user would otherwise take."""
+BASELINES = (*FIXED, "state-gp")
+"""All that learning is compared with."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.calibration import BOUND_SIGMAS
 from flightstack.types import F64, Learned
+
+Flags = NDArray[np.bool_]
 
 LEARNED_SHARE = 0.1
 """Of the jump: what may be left of it, as a mean over 0.1 s, once the change counts as learned."""
@@ -52,12 +55,12 @@ def change_summary(event_s: float, times_s: F64, rows: F64, truth: F64, distance
     }
 
 
-def _first(times_s: F64, condition: F64, event_s: float) -> float | None:
+def _first(times_s: F64, condition: Flags, event_s: float) -> float | None:
     """When it first holds."""
     return float(times_s[condition][0] - event_s) if condition.any() else None
 
 
-def _for_good(times_s: F64, watched: F64, wrong: F64, event_s: float) -> float | None:
+def _for_good(times_s: F64, watched: Flags, wrong: Flags, event_s: float) -> float | None:
     """When it stops being wrong for the rest of the time watched."""
     bad = times_s[watched & wrong]
     if not len(bad):

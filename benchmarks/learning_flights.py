@@ -12,16 +12,19 @@ from typing import Any
 
 import numpy as np
 
+from app.calibration import TimedLearner
 from app.controllers import build
 from app.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, SimulatedFlight, prepare, warm_up_all
+from app.result import percentiles
 from benchmarks.learning_cases import CASES, PILOTS, Flight
 from benchmarks.learning_change import change_summary
 from benchmarks.oracle import Oracle
 from flightstack.calibration import BOUND_SIGMAS, true_residual_frd_mps2
 from flightstack.model import Model
 from flightstack.stack import Stack
-from flightstack.types import F64, Command, Learned, Measurement, TickRecord
+from flightstack.types import F64, Learned, TickRecord
 from logs import scene as viewer
+from mavlink_bridge.pace import undisturbed
 from sim.plant import NativePlant, Truth
 
 TRACE_HZ = 10
@@ -72,18 +75,28 @@ class Tape:
 class Track:
     """Every tick of the track."""
 
+    before: list[TickRecord]
+    """Ticks of the take-off and the run-up, for what must see a flight from its beginning."""
     times_s: list[float]
     records: list[TickRecord]
     truths: list[Truth]
+
+    def take(self, flight: SimulatedFlight, tape: Tape) -> None:
+        """The tick that was just flown, where it belongs to the flight up to the track's end."""
+        time_s = flight.score.track_s(flight.t_us)
+        if time_s is None or time_s > flight.scenario.duration_s or tape.record is None:
+            return
+        if time_s < 0.0:
+            self.before.append(tape.record)
+        elif tape.last_truth is not None:
+            self.times_s.append(time_s)
+            self.records.append(tape.record)
+            self.truths.append(tape.last_truth)
 
     @property
     def learned(self) -> F64:
         """(n, 32) rows of Learned."""
         return np.array([record.learned.row for record in self.records]).reshape(-1, len(Learned.nothing().row))
-
-    def ticks(self) -> list[tuple[Measurement, Command]]:
-        """Each measurement with the command sent before it, as a learner is given them."""
-        return [(now.measurement, before.command) for before, now in zip(self.records, self.records[1:], strict=False)]
 
     def true_residual(self, model: Model) -> F64:
         """(n, 3) what the model does not explain of the true specific force, body FRD, m/s^2."""
@@ -118,22 +131,17 @@ def fly_track(options: FlyOptions, *, exact: bool = False) -> tuple[SimulatedFli
         stack = Stack(model, limits, controller=controller, learner=oracle)
         setup = dataclasses.replace(setup, flight=dataclasses.replace(prepared, stack=stack))
     warm_up_all(setup)
-    tape, track = Tape(), Track([], [], [])
+    tape, track = Tape(), Track([], [], [], [])
     flight = SimulatedFlight(setup, options, tape)
     if oracle is not None:
         assert isinstance(flight.vehicle.plant, NativePlant)
         oracle.watch(flight.vehicle.plant)
     limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
     try:
-        while not flight.companion.done and flight.t_us <= limit_us:
-            flight.step()
-            time_s = flight.score.track_s(flight.t_us)
-            if time_s is None or not 0.0 <= time_s <= flight.scenario.duration_s:
-                continue
-            if tape.record is not None and tape.last_truth is not None:
-                track.times_s.append(time_s)
-                track.records.append(tape.record)
-                track.truths.append(tape.last_truth)
+        with undisturbed():
+            while not flight.companion.done and flight.t_us <= limit_us:
+                flight.step()
+                track.take(flight, tape)
     finally:
         flight.close()
     return flight, setup, track
@@ -169,6 +177,8 @@ def _learned_summary(flown: SimulatedFlight, setup: Setup, track: Track) -> dict
         "refused": round(last.refused),
         "changes": round(last.changes),
         "latency_s": last.latency_s,
+        "thrust_gain": last.thrust_gain,
+        "step_us": _step_us(setup),
         "covered": {
             "ticks": int(known.sum()),
             "axes": inside.sum(axis=0).tolist(),
@@ -184,6 +194,12 @@ def _learned_summary(flown: SimulatedFlight, setup: Setup, track: Track) -> dict
             events[0].time_s, np.asarray(track.times_s), rows, truth, positions[: len(rows)]
         )
     return summary
+
+
+def _step_us(setup: Setup) -> dict[str, float | None]:
+    """Wall time of a learner's steps, the flight's own machine and neighbours included."""
+    learner = setup.flight.stack.learner
+    return percentiles([ns * 1e-3 for ns in learner.step_ns] if isinstance(learner, TimedLearner) else [])
 
 
 def _decimated(distances_m: F64) -> list[float]:

@@ -52,6 +52,9 @@ class FeedbackGains:
     """Kr: adds to PX4's own rate feedback, hence small; more would only pass gyro noise on."""
     position_rate_radpms: float = 0.1
     """Kbar, rad/s per metre: against Ka a stiffness of g Kbar / Ka = 0.15 1/s^2; small, because it has no damping."""
+    confident_share: float = 1.0
+    """Gain schedule: the share of poles and Kd, and its square of Kp, left at full confidence in what is learned.
+    1 keeps the gains fixed; what less costs: docs/decisions/0006."""
 
 
 class ControlState(NamedTuple):
@@ -102,7 +105,7 @@ class FlatnessController:
 
 
 def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
-    """(8, 3) everything that does not change in flight, for one compiled call."""
+    """(9, 3) everything that does not change in flight, for one compiled call."""
     attitude = AttitudeGains(gains.attitude_p_ps, gains.yaw_p_ps, gains.rate_p)
     return np.array(
         [
@@ -110,6 +113,7 @@ def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
             gains.nominal.correction_max_mps2,
             (gains.thrust_p_ps2, gains.thrust_d_ps, gains.position_rate_radpms),
             *vehicle_rows(model, limits, attitude),
+            (gains.confident_share, 0.0, 0.0),
         ]
     )
 
@@ -124,14 +128,16 @@ def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: 
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]
     pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     acc, jerk, vehicle, gain = out[11:14], out[14:17], constants[3:8], learned[6]
-    nominal_step(correction, constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
+    scale = 1.0 - (1.0 - constants[8, 0]) * learned[7]
+    nominal_step(correction, scale * constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
     r = quat_to_matrix(q)
     follow(vehicle, reachable(acc, learned[0:3], vel_d, gain, vehicle), jerk, reference, learned, gain, q, r, rate, out)
     along_p = along_d = 0.0
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])
         along_d += r[i, 2] * (vel_d[i] - vel[i])
-    out[1] = -vehicle[2, 0] * (constants[2, 0] * along_p + constants[2, 1] * along_d) / gain
+    force = scale * scale * constants[2, 0] * along_p + scale * constants[2, 1] * along_d
+    out[1] = -vehicle[2, 0] * force / gain
     c, s = _heading(r)
     north, east = pos_d[0] - pos[0], pos_d[1] - pos[1]
     kbar = constants[2, 2]

@@ -268,3 +268,18 @@ def test_warming_up_leaves_no_trace() -> None:
     after, _ = tick(stack, measurement())
     np.testing.assert_array_equal(before.rate_frd_radps, after.rate_frd_radps)
     assert before.thrust_n == after.thrust_n
+
+
+def test_confidence_lowers_the_gains_by_the_schedules_share() -> None:
+    """Half the share at full confidence: Kp falls to a quarter, Kd to a half; without confidence nothing changes."""
+    point = changed(SETPOINT, pos_ned_m=SETPOINT.pos_ned_m)
+    seen = measurement(4000, pos_ned_m=SETPOINT.pos_ned_m - [0.0, 0.0, 0.1], vel_ned_mps=np.array([0.0, 0.0, 0.2]))
+    still = dataclasses.replace(FeedbackGains().nominal, pole_radps=(1e-6, 1e-6, 1e-6))
+    gains = FeedbackGains(nominal=still, confident_share=0.5)
+    controller = FlatnessController(MODEL, gains)
+    sent = Command(0, MODEL.weight_n, MODEL.hover_norm, np.zeros(3))
+    for confidence, p, d in ((0.0, 1.0, 1.0), (1.0, 0.25, 0.5)):
+        learned = changed(Learned.nothing(), confidence=confidence)
+        _, proposal = controller.step(controller.init(0), seen, point, learned, sent, 4000)
+        force = -MODEL.mass_kg * (p * gains.thrust_p_ps2 * 0.1 + d * gains.thrust_d_ps * -0.2)
+        assert proposal.thrust_fb_n == pytest.approx(force, rel=1e-6)
