@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp campaign-learning campaign-learning-quick clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp campaign-learning campaign-learning-quick tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -17,6 +17,7 @@ help:
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
+	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make clean        remove the environment and all caches"
 
@@ -61,6 +62,9 @@ bench-flight: $(BIN)/.installed
 
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py
+
+tune: $(BIN)/.installed
+	$(BIN)/python benchmarks/tune.py
 
 campaign-learning: $(BIN)/.installed-campaign
 	$(BIN)/python -m benchmarks.learning

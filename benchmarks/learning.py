@@ -51,7 +51,16 @@ def run(job: Job) -> Any:
         if kind == "study":
             return []
         lost = {"completed": False, "reason": repr(error), "rmse_m": None, "max_m": None, "rmse_settled_m": None}
-        return {"case": name, "pilot": pilot, "seed": seed, **lost, "track_s": None, "trace_m": [], "wall_s": 0.0}
+        return {
+            "case": name,
+            "pilot": pilot,
+            "seed": seed,
+            **lost,
+            "track_s": None,
+            "trace_m": [],
+            "trace_from_s": 0.0,
+            "wall_s": 0.0,
+        }
 
 
 def jobs_of(*, quick: bool) -> list[Job]:
@@ -98,9 +107,10 @@ def gather(journal: Path, jobs: list[Job], wall_s: float) -> dict[str, Any]:
     for pilot in PILOTS:
         shown = [row for row in of(rows, _TRACED, pilot) if row["completed"]]
         if shown and pilot in ("learning", "none", "exact"):
-            traces[f"{_TRACED}/{pilot}"] = trace(shown).round(4).tolist()
+            traces[f"{_TRACED}/{pilot}"] = trace(shown)
     for row in rows:
         row.pop("trace_m", None)
+        row.pop("trace_from_s", None)
         if row["seed"] != FIRST_SEED and "change" in row:
             row["change"].pop("shown", None)
     return {

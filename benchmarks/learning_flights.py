@@ -6,6 +6,7 @@ Nothing is written to disk: the flight's log goes to a tape that keeps what the 
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -80,18 +81,22 @@ class Track:
     times_s: list[float]
     records: list[TickRecord]
     truths: list[Truth]
+    distances_m: list[float]
+    """From the reference, all ticks, `before` and `records`; with sensors of mocap grade the start is known to 1 mm."""
 
     def take(self, flight: SimulatedFlight, tape: Tape) -> None:
         """The tick that was just flown, where it belongs to the flight up to the track's end."""
         time_s = flight.score.track_s(flight.t_us)
-        if time_s is None or time_s > flight.scenario.duration_s or tape.record is None:
+        record, truth = tape.record, tape.last_truth
+        if time_s is None or time_s > flight.scenario.duration_s or record is None or truth is None:
             return
+        self.distances_m.append(math.dist(truth.pos_ned_m, record.reference.pos_ned_m))
         if time_s < 0.0:
-            self.before.append(tape.record)
-        elif tape.last_truth is not None:
+            self.before.append(record)
+        else:
             self.times_s.append(time_s)
-            self.records.append(tape.record)
-            self.truths.append(tape.last_truth)
+            self.records.append(record)
+            self.truths.append(truth)
 
     @property
     def learned(self) -> F64:
@@ -131,7 +136,7 @@ def fly_track(options: FlyOptions, *, exact: bool = False) -> tuple[SimulatedFli
         stack = Stack(model, limits, controller=controller, learner=oracle)
         setup = dataclasses.replace(setup, flight=dataclasses.replace(prepared, stack=stack))
     warm_up_all(setup)
-    tape, track = Tape(), Track([], [], [], [])
+    tape, track = Tape(), Track([], [], [], [], [])
     flight = SimulatedFlight(setup, options, tape)
     if oracle is not None:
         assert isinstance(flight.vehicle.plant, NativePlant)
@@ -160,7 +165,9 @@ def fly_scored(flight: Flight) -> dict[str, Any]:
     row["saturated"] = float(np.mean([record.thrust_saturated for record in track.records])) if track.records else None
     if setup.flight.stack.learner.enabled and not pilot.exact and track.records:
         row |= _learned_summary(flown, setup, track)
-    row["trace_m"] = _decimated(np.asarray(flown.score.tracking.distances_m))
+    first = len(track.before) % _TICKS_PER_TRACE
+    row["trace_m"] = _decimated(np.asarray(track.distances_m[first:]))
+    row["trace_from_s"] = -(len(track.before) // _TICKS_PER_TRACE) / TRACE_HZ
     row["wall_s"] = time.perf_counter() - began
     return row
 

@@ -48,18 +48,22 @@ def tracking(results: dict[str, Any]) -> Figure | None:
         return None
     figure, axes = plt.subplots(figsize=(8.0, 3.6), layout="constrained")
     for pilot in ("none", "learning", "exact"):
-        low, middle, high = 100.0 * np.array(traces[f"paper-tracking/{pilot}"])
-        time_s = (np.arange(len(middle)) + 0.5) / 10.0
+        trace = traces[f"paper-tracking/{pilot}"]
+        low, middle, high = (100.0 * np.array(trace[name]) for name in ("least_m", "median_m", "greatest_m"))
+        time_s = trace["from_s"] + (np.arange(len(middle)) + 0.5) / 10.0
         axes.fill_between(time_s, low, high, color=_COLOURS[pilot], alpha=0.2, linewidth=0.0)
         style = ":" if pilot == "exact" else "-"
         axes.plot(time_s, middle, style, color=_COLOURS[pilot], linewidth=1.3, label=_SHOWN_NAMES[pilot])
     axes.set_yscale("log")
     axes.set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
     axes.minorticks_off()
-    axes.set(xlabel="time on the path, s", ylabel="distance from the reference, cm", xlim=(0.0, None))
+    axes.axvline(0.0, color="black", linewidth=0.8)
+    axes.annotate("take-off | path", (0.0, 60.0), xytext=(0, 4), textcoords="offset points", fontsize=8, ha="center")
+    axes.set(xlabel="time on the path, s", ylabel="distance from the reference, cm", ylim=(0.3, 60.0))
+    axes.set_xlim(time_s[0], time_s[-1])
     count = len(of(results["flights"], "paper-tracking", "learning"))
-    axes.set_title(f"Tracking error on the paper's path: median and range of {count} seeds", fontsize=10)
-    axes.legend(loc="center right", fontsize=9)
+    axes.set_title(f"Tracking error on the paper's path: median and range of {count} flights", fontsize=10, pad=18)
+    axes.legend(loc="center", bbox_to_anchor=(0.5, 0.66), ncols=3, fontsize=9)
     axes.grid(**_GRID)
     return figure
 
@@ -97,7 +101,7 @@ def _dots(axes: Axes, place: int, centimetres: np.ndarray, colour: str) -> None:
     axes.plot([middle, middle], [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
     right = middle < 25.0
     axes.annotate(
-        f"{middle:.2g}" if middle < 9.95 else f"{middle:.0f}",
+        f"{middle:.1f}" if middle < 9.95 else f"{middle:.0f}",
         (float(shown.max() if right else shown.min()), place),
         xytext=(5 if right else -5, 0),
         textcoords="offset points",
@@ -159,7 +163,7 @@ def inputs(results: dict[str, Any]) -> Figure | None:
     worlds = [world for world in WORLDS if any(row["world"] == world for row in rows)]
     if not worlds:
         return None
-    figure, panels = plt.subplots(1, len(worlds), figsize=(4.2 * len(worlds), 3.5), layout="constrained")
+    figure, panels = plt.subplots(1, len(worlds), figsize=(4.2 * len(worlds), 3.7), layout="constrained")
     styles = {"q'": ("o-", _COLOURS["learning"]), "q": ("s-", _COLOURS["none"])}
     for axes, world in zip(np.atleast_1d(panels), worlds, strict=True):
         here = [row for row in rows if row["world"] == world]
@@ -171,10 +175,12 @@ def inputs(results: dict[str, Any]) -> Figure | None:
         sizes = [np.median([row["residual_mps2"] for row in here if row["displacement_m"] == d]) for d in far]
         axes.plot(far, sizes, ":", color="black", linewidth=1.0, label="the residual itself")
         axes.set_yscale("log")
-        axes.set(xlabel="displaced by, m", ylabel="rms error of prediction, m/s²")
+        axes.set_yticks([0.03, 0.1, 0.3, 1.0, 3.0], ["0.03", "0.1", "0.3", "1", "3"])
+        axes.minorticks_off()
+        axes.set(xlabel="path displaced after training by, m", ylabel="rms error of prediction, m/s²", ylim=(0.02, 4.0))
         axes.set_title({"air": "drag, lift and wind", "ground": "ground effect, path raised"}[world], fontsize=10)
-        axes.legend(fontsize=8)
         axes.grid(**_GRID)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 
@@ -189,8 +195,9 @@ def iteration(results: dict[str, Any]) -> Figure | None:
     axes.plot(points, [row["p99_us"] for row in rows], "^--", color=_COLOURS["learning"], alpha=0.6, label="99 %")
     axes.axhline(1e6 * PAPER_S, color="black", linestyle=":", label="the paper: below 20 ms")
     axes.set_yscale("log")
-    axes.set(xlabel="points held", ylabel="one iteration, µs", ylim=(1.0, 5e4))
-    axes.legend(fontsize=9, loc="center right")
+    axes.set_yticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
+    axes.set(xlabel="points held", ylabel="one iteration, µs", xlim=(0.0, None), ylim=(1.0, 5e4))
+    axes.legend(fontsize=9, loc="center", bbox_to_anchor=(0.5, 0.66))
     axes.grid(**_GRID)
     return figure
 

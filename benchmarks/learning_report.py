@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import learning_words as text
-from benchmarks.learning_bars import Bar, bars, inputs_ratio
+from benchmarks.learning_bars import Bar, bars, inputs_ratio, spread
 from benchmarks.learning_cases import CASES, FIRST_SEED, FIXED, PILOTS
 from benchmarks.learning_inputs import WORLDS
 from benchmarks.learning_stats import covered, of, paired, shares, values
@@ -76,7 +76,8 @@ def _error(rows: Sequence[dict[str, Any]], key: str = "rmse_settled_m") -> str:
     lost = f", {failed} of {len(found)} lost" if failed else ""
     if not len(whole):
         return "all lost"
-    return f"{_cm(float(np.median(whole)))} ({_cm(float(whole.min()))} to {_cm(float(whole.max()))}){lost}"
+    middle, low, high = (_cm(float(value)) for value in (np.median(whole), whole.min(), whole.max()))
+    return f"{middle} ({low} to {high}){lost}" if len(whole) > 1 else f"{middle}{lost}"
 
 
 def _cm(value: float) -> str:
@@ -92,8 +93,8 @@ def _controllers(results: dict[str, Any]) -> str:
         cells = [_error(of(rows, case, pilot)) for case in cases]
         if any(cells):
             body.append(f"| **{pilot}**: {about.words} | " + " | ".join(cells) + " |")
-    counts = [str(len(of(rows, case, "learning"))) for case in cases]
-    body.append("| seeds | " + " | ".join(counts) + " |")
+    counts = [sorted({len(f) for pilot in PILOTS if (f := of(rows, case, pilot))}) for case in cases]
+    body.append("| seeds | " + " | ".join(" or ".join(map(str, count)) for count in counts) + " |")
     tasks = [f"* `{case}`: {CASES[case].words}" for case in cases]
     return "\n".join(["## Every controller, every task", *tasks, "", *head, *body])
 
@@ -106,8 +107,7 @@ def _excess(results: dict[str, Any]) -> str:
             if found is None:
                 continue
             three = [f"{100.0 * value:.2f}" for value in (found.floor_m, found.best_m, found.learning_m)]
-            removed = found.removed
-            share = f"{removed.median:.2f} [{removed.low:.2f}, {removed.high:.2f}]"
+            share = spread(found.removed, digits=2)
             lines.append(f"| {case} | {found.best} | " + " | ".join(three) + f" | {share} |")
     if not lines:
         return ""
@@ -131,7 +131,7 @@ def _others(results: dict[str, Any]) -> str:
         if not any(cells):
             continue
         ratio = paired(rows, case, "learning", "none")
-        share = "" if ratio is None else f"{ratio.median:.3f} [{ratio.low:.3f}, {ratio.high:.3f}]"
+        share = "" if ratio is None else spread(ratio)
         lines.append(f"| {CASES[case].words} | " + " | ".join(cells) + f" | {share} |")
     if not lines:
         return ""

@@ -109,8 +109,11 @@ def covered(rows: Iterable[Row]) -> Covered | None:
     return Covered(ticks, float(axes.mean()), (north, east, down), sum(c["all"] for c in counts) / ticks)
 
 
-def trace(rows: Sequence[Row]) -> F64:
-    """(3, n) least, median and greatest error over the flights, every tenth of a second, m."""
-    shortest = min(len(r["trace_m"]) for r in rows)
-    table = np.array([r["trace_m"][:shortest] for r in rows])
-    return np.array([table.min(axis=0), np.median(table, axis=0), table.max(axis=0)])
+def trace(rows: Sequence[Row]) -> dict[str, Any]:
+    """Least, median and greatest error over the flights, m, every tenth of a second from `from_s` of the track on."""
+    from_s = max(float(r["trace_from_s"]) for r in rows)
+    cut = [r["trace_m"][round(10.0 * (from_s - r["trace_from_s"])) :] for r in rows]
+    shortest = min(len(part) for part in cut)
+    table = np.array([part[:shortest] for part in cut])
+    ends = {"least_m": table.min(axis=0), "median_m": np.median(table, axis=0), "greatest_m": table.max(axis=0)}
+    return {"from_s": from_s} | {name: part.round(4).tolist() for name, part in ends.items()}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-HEAD = """Errors are distances of the true position from the reference; *settled* is the second half of the track.
-Square brackets hold 95 % intervals of a median over seeds (bootstrap)."""
+HEAD = """Errors are distances of the true position from the reference; *settled* is the second half of the track (of
+`payload-drop`: from the drop on). Square brackets hold 95 % intervals of a median over seeds (bootstrap)."""
 
 FLOOR = """The floor is the same flight, same seed, fed with the exact model. Against the best controller that learns
 nothing, and against the paper's own learner. A share over 1 means: better than fed with the exact model, which is no
@@ -20,8 +20,8 @@ INPUTS = """q = (position, velocity, thrust direction), q' = q without position:
 hyper-parameters of greatest marginal likelihood for either, tried on other flights of the same path, displaced."""
 
 INPUTS_LESSON = """Where forces do not depend on position, position as an input only misleads away from the data. Where
-they do depend on height, q' alone fails, and what helps is the height's physics (nearness of the ground), which carries
-over, not the position."""
+they depend on height, q' alone fails; q does better near the data and fails beyond; the physics of height (nearness of
+the ground, the learner's own seventh input) carries over."""
 
 METHOD = """## How it was measured
 * Every flight is `flightstack fly`'s own: simulator and companion in one process, every message through UDP, lockstep;

@@ -159,7 +159,7 @@ def _stage(learning: Learning) -> Panel:
     return Panel(
         "confidence",
         "Confidence and stage",
-        "share of what was unknown",
+        "1 where the bound is nothing, 0 from 0.1 g",
         2,
         curves,
         floor=0.0,
