@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
 
 from app import files
+from flightstack.control.attitude import AttitudeGains
 from flightstack.control.feedback import FlatnessController
-from flightstack.control.gains import Tuned, parse_gains
+from flightstack.control.gains import FlatnessGains, Tuned, parse_gains
 from flightstack.control.indi import IndiController
-from flightstack.control.observer import DisturbanceObserver
-from flightstack.control.pid import PidController
-from flightstack.control.px4_position import Px4Controller
+from flightstack.control.observer import DisturbanceObserver, ObserverGains
+from flightstack.control.pid import PidController, PidGains
+from flightstack.control.px4_position import Px4Controller, Px4Gains
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.seams import Controller, Learner, NoLearner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 
-Build = Callable[..., tuple[Controller, Learner]]
-"""(model, limits, *groups of gains) -> controller and learner."""
+Built = tuple[Controller, Learner]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,35 +30,31 @@ class Row:
     """What it is, for --help and docs."""
     gains: str
     """Its table in controllers/gains.toml."""
-    build: Build
+    build: Callable[..., Built]
+    """(model, limits, *groups of gains) -> controller and learner."""
 
 
-def _flatness(model: Model, limits: Limits, attitude: Any, gains: Any) -> tuple[Controller, Learner]:
-    return FlatnessController(model, gains.with_attitude(attitude), limits), _gp(model, "full")
+def _flatness(model: Model, limits: Limits, attitude: AttitudeGains, gains: FlatnessGains) -> Built:
+    return FlatnessController(model, gains.with_attitude(attitude), limits), GpLearner(model)
 
 
-def _state_gp(model: Model, limits: Limits, attitude: Any, gains: Any) -> tuple[Controller, Learner]:
-    return FlatnessController(model, gains.with_attitude(attitude), limits), _gp(model, "state")
+def _state_gp(model: Model, limits: Limits, attitude: AttitudeGains, gains: FlatnessGains) -> Built:
+    return FlatnessController(model, gains.with_attitude(attitude), limits), GpLearner(model, inputs="state")
 
 
-def _gp(model: Model, inputs: Literal["full", "state"]) -> Learner:
-    return GpLearner(model, inputs=inputs)
+def _dob(model: Model, limits: Limits, attitude: AttitudeGains, gains: FlatnessGains, observer: ObserverGains) -> Built:
+    return FlatnessController(model, gains.with_attitude(attitude), limits), DisturbanceObserver(model, observer)
 
 
-def _pid(model: Model, limits: Limits, attitude: Any, gains: Any) -> tuple[Controller, Learner]:
+def _pid(model: Model, limits: Limits, attitude: AttitudeGains, gains: PidGains) -> Built:
     return PidController(model, limits, attitude, gains), NoLearner()
 
 
-def _indi(model: Model, limits: Limits, attitude: Any, gains: Any, increments: Any) -> tuple[Controller, Learner]:
+def _indi(model: Model, limits: Limits, attitude: AttitudeGains, gains: PidGains, increments: ObserverGains) -> Built:
     return IndiController(model, limits, attitude, gains, increments), NoLearner()
 
 
-def _dob(model: Model, limits: Limits, attitude: Any, gains: Any, observer: Any) -> tuple[Controller, Learner]:
-    controller = FlatnessController(model, gains.with_attitude(attitude), limits)
-    return controller, DisturbanceObserver(model, observer)
-
-
-def _px4(model: Model, limits: Limits, attitude: Any, gains: Any) -> tuple[Controller, Learner]:
+def _px4(model: Model, limits: Limits, attitude: AttitudeGains, gains: Px4Gains) -> Built:
     return Px4Controller(model, limits, attitude, gains), NoLearner()
 
 
@@ -85,7 +80,7 @@ def load_gains() -> Mapping[str, Tuned]:
 
 def build(
     name: str, model: Model, limits: Limits, *, learning: bool = True, gains: Mapping[str, Tuned] | None = None
-) -> tuple[Controller, Learner]:
+) -> Built:
     """The controller of a name and its learner (none where `learning` is off); InputError for an unknown name."""
     if name not in CONTROLLERS:
         raise InputError(f"no controller named {name!r}: use one of {', '.join(CONTROLLERS)}")

@@ -36,14 +36,15 @@ _FILTER_RADPS = 2.0 * math.pi * 10.0
 
 @dataclass(frozen=True, slots=True)
 class PidGains:
-    """Gains of the law above, horizontal and down; an integral of 0 makes it PD."""
+    """The law's gains, horizontal and down, as a bandwidth w: Kp = w^2, Kd = 2 damping w, Ki = integral w^3."""
 
-    position_xy_ps2: float = 8.0
-    velocity_xy_ps: float = 5.0
-    integral_xy_ps3: float = 6.0
-    position_z_ps2: float = 12.0
-    velocity_z_ps: float = 6.5
-    integral_z_ps3: float = 10.0
+    bandwidth_xy_radps: float = 2.8
+    damping_xy: float = 0.9
+    integral_xy: float = 0.25
+    """0 makes the law PD; a third is what three equal poles would have."""
+    bandwidth_z_radps: float = 3.5
+    damping_z: float = 0.9
+    integral_z: float = 0.25
 
 
 class Remembered(NamedTuple):
@@ -91,11 +92,12 @@ class PidController:
 
 def pid_constants(model: Model, limits: Limits, attitude: AttitudeGains, gains: PidGains) -> F64:
     """(9, 3) everything that does not change in flight."""
+    w, wz = gains.bandwidth_xy_radps, gains.bandwidth_z_radps
     return np.array(
         [
-            (gains.position_xy_ps2, gains.position_xy_ps2, gains.position_z_ps2),
-            (gains.velocity_xy_ps, gains.velocity_xy_ps, gains.velocity_z_ps),
-            (gains.integral_xy_ps3, gains.integral_xy_ps3, gains.integral_z_ps3),
+            (w * w, w * w, wz * wz),
+            (2.0 * gains.damping_xy * w, 2.0 * gains.damping_xy * w, 2.0 * gains.damping_z * wz),
+            (gains.integral_xy * w**3, gains.integral_xy * w**3, gains.integral_z * wz**3),
             CORRECTION_MAX_MPS2,
             *vehicle_rows(model, limits, attitude),
         ]
