@@ -18,6 +18,8 @@ class Pilot:
     learning: bool = True
     exact: bool = False
     """Fed with the truth's own residual (`benchmarks/oracle.py`) instead of a learner's."""
+    confident_share: float = 1.0
+    """Gain schedule: share of the gains left at full confidence."""
 
 
 PILOTS: dict[str, Pilot] = {
@@ -30,7 +32,11 @@ PILOTS: dict[str, Pilot] = {
     "dob": Pilot("flatness control, disturbance observer", "dob"),
     "px4": Pilot("PX4's own position control", "px4", learning=False),
     "state-gp": Pilot("the paper's learner: state only, no thrust gain", "state-gp"),
+    "lower-gains": Pilot("learning; 0.7 of the gains left at full confidence", confident_share=0.7),
+    "half-gains": Pilot("learning; half the gains left at full confidence", confident_share=0.5),
 }
+SCHEDULED = ("lower-gains", "half-gains")
+"""The gain schedule, measured apart."""
 FIXED = ("none", "pd", "pid", "indi", "dob", "px4")
 """Controllers that learn nothing: what a user would otherwise take."""
 BASELINES = (*FIXED, "state-gp")
@@ -111,6 +117,9 @@ PLANS = (
     Plan("figure8", ("learning", "none"), 12, 1),
     Plan("hover", ("learning", "none"), 12, 1),
     Plan("right-model", ("none",), 6, 1),
+    Plan("paper-tracking", SCHEDULED, 4, 0),
+    Plan("rotor-drag", SCHEDULED, 4, 0),
+    Plan("figure8", SCHEDULED, 4, 0),
     Plan("paper-tracking-gps", ("learning", "none"), 4, 0),
     Plan("rotor-drag-gps", ("learning", "none"), 4, 0),
 )

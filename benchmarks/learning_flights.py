@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 
 from app.calibration import TimedLearner
-from app.controllers import build
 from app.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, SimulatedFlight, prepare, warm_up_all
 from app.result import percentiles
-from benchmarks.learning_cases import CASES, PILOTS, Flight
+from benchmarks.learning_cases import CASES, PILOTS, Flight, Pilot
 from benchmarks.learning_change import change_summary
 from benchmarks.oracle import Oracle
 from flightstack.calibration import BOUND_SIGMAS, true_residual_frd_mps2
+from flightstack.control.feedback import FlatnessController
 from flightstack.model import Model
+from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import F64, Learned, TickRecord
 from logs import scene as viewer
@@ -124,17 +125,15 @@ def options_of(flight: Flight) -> FlyOptions:
     )
 
 
-def fly_track(options: FlyOptions, *, exact: bool = False) -> tuple[SimulatedFlight, Setup, Track]:
+def fly_track(options: FlyOptions, pilot: Pilot | None = None) -> tuple[SimulatedFlight, Setup, Track]:
     """Fly to the end over UDP on loopback; every tick of the track."""
     setup = prepare(options)
     oracle = None
-    if exact:
-        prepared = setup.flight
-        model, limits = prepared.stack.model, prepared.stack.limits
-        controller, _ = build(options.controller, model, limits, learning=False)
-        oracle = Oracle(model, setup.truth)
-        stack = Stack(model, limits, controller=controller, learner=oracle)
-        setup = dataclasses.replace(setup, flight=dataclasses.replace(prepared, stack=stack))
+    if pilot is not None and pilot.exact:
+        oracle = Oracle(setup.flight.stack.model, setup.truth)
+        setup = _with_parts(setup, learner=oracle)
+    elif pilot is not None and pilot.confident_share != 1.0:
+        setup = _with_parts(setup, confident_share=pilot.confident_share)
     warm_up_all(setup)
     tape, track = Tape(), Track([], [], [], [], [])
     flight = SimulatedFlight(setup, options, tape)
@@ -152,11 +151,22 @@ def fly_track(options: FlyOptions, *, exact: bool = False) -> tuple[SimulatedFli
     return flight, setup, track
 
 
+def _with_parts(setup: Setup, *, learner: Learner | None = None, confident_share: float = 1.0) -> Setup:
+    """The same flight with another learner, or its flatness controller with a gain schedule."""
+    prepared = setup.flight
+    before = prepared.stack
+    assert isinstance(before.controller, FlatnessController)
+    gains = dataclasses.replace(before.controller.gains, confident_share=confident_share)
+    controller = FlatnessController(before.model, gains, before.limits)
+    stack = Stack(before.model, before.limits, controller=controller, learner=learner or before.learner)
+    return dataclasses.replace(setup, flight=dataclasses.replace(prepared, stack=stack))
+
+
 def fly_scored(flight: Flight) -> dict[str, Any]:
     """One row of the results."""
     pilot = PILOTS[flight.pilot]
     began = time.perf_counter()
-    flown, setup, track = fly_track(options_of(flight), exact=pilot.exact)
+    flown, setup, track = fly_track(options_of(flight), pilot)
     row: dict[str, Any] = dataclasses.asdict(flight)
     row |= {"completed": flown.companion.completed, "reason": flown.companion.reason}
     row |= {name: value for name, value in flown.score.tracking.summary().items() if name != "of"}

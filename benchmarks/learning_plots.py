@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.learning_bars import COVERAGE_BAR
-from benchmarks.learning_cases import CASES, PILOTS
+from benchmarks.learning_cases import CASES, PILOTS, SCHEDULED
 from benchmarks.learning_inputs import WORLDS
 from benchmarks.learning_stats import covered, of, values
 from benchmarks.learning_timing import PAPER_S
@@ -58,11 +58,11 @@ def tracking(results: dict[str, Any]) -> Figure | None:
     axes.set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
     axes.minorticks_off()
     axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.annotate("take-off | path", (0.0, 60.0), xytext=(0, 4), textcoords="offset points", fontsize=8, ha="center")
+    axes.annotate("take-off, run-up", (0.0, 0.33), xytext=(-4, 0), textcoords="offset points", fontsize=8, ha="right")
     axes.set(xlabel="time on the path, s", ylabel="distance from the reference, cm", ylim=(0.3, 60.0))
     axes.set_xlim(time_s[0], time_s[-1])
     count = len(of(results["flights"], "paper-tracking", "learning"))
-    axes.set_title(f"Tracking error on the paper's path: median and range of {count} flights", fontsize=10, pad=18)
+    axes.set_title(f"Tracking error on the paper's path: median and range over {count} seeds", fontsize=10)
     axes.legend(loc="center", bbox_to_anchor=(0.5, 0.66), ncols=3, fontsize=9)
     axes.grid(**_GRID)
     return figure
@@ -75,7 +75,7 @@ def compared(results: dict[str, Any]) -> Figure | None:
     if not cases:
         return None
     figure, panels = plt.subplots(1, len(cases), figsize=(2.5 * len(cases), 3.6), sharey=True, layout="constrained")
-    pilots = list(PILOTS)
+    pilots = [pilot for pilot in PILOTS if pilot not in SCHEDULED]
     for axes, case in zip(np.atleast_1d(panels), cases, strict=True):
         for place, pilot in enumerate(pilots):
             _dots(axes, place, 100.0 * values(of(flights, case, pilot)), _COLOURS.get(pilot, _OTHER))

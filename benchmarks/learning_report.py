@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks import learning_words as text
 from benchmarks.learning_bars import Bar, bars, inputs_ratio, spread
-from benchmarks.learning_cases import CASES, FIRST_SEED, FIXED, PILOTS
+from benchmarks.learning_cases import CASES, FIRST_SEED, FIXED, PILOTS, SCHEDULED
 from benchmarks.learning_inputs import WORLDS
 from benchmarks.learning_stats import covered, of, paired, shares, values
 
@@ -28,7 +28,8 @@ _CAPTIONS = {
 def report(results: dict[str, Any], figures: Sequence[str], command: str) -> str:
     """The whole page, markdown."""
     parts = [_head(results, command), _summary(bars(results)), _figure("tracking", figures), _controllers(results)]
-    parts += [_figure("compared", figures), _excess(results), _others(results), _change(results)]
+    parts += [_figure("compared", figures), _excess(results), _others(results), _schedule(results)]
+    parts += [_change(results)]
     parts += [_figure("payload-drop", figures), _coverage(results), _figure("coverage", figures)]
     parts += [_inputs(results), _figure("inputs", figures), _timing(results), _figure("iteration", figures)]
     parts.append(text.METHOD.format(first=FIRST_SEED))
@@ -90,6 +91,8 @@ def _controllers(results: dict[str, Any]) -> str:
     head = ["| settled rms error, cm: median (range) | " + " | ".join(cases) + " |", "| --- |" + " --- |" * len(cases)]
     body = []
     for pilot, about in PILOTS.items():
+        if pilot in SCHEDULED:
+            continue
         cells = [_error(of(rows, case, pilot)) for case in cases]
         if any(cells):
             body.append(f"| **{pilot}**: {about.words} | " + " | ".join(cells) + " |")
@@ -107,7 +110,7 @@ def _excess(results: dict[str, Any]) -> str:
             if found is None:
                 continue
             three = [f"{100.0 * value:.2f}" for value in (found.floor_m, found.best_m, found.learning_m)]
-            share = spread(found.removed, digits=2)
+            share = spread(found.removed, digits=2) if found.clear else "no excess"
             lines.append(f"| {case} | {found.best} | " + " | ".join(three) + f" | {share} |")
     if not lines:
         return ""
@@ -138,6 +141,22 @@ def _others(results: dict[str, Any]) -> str:
     head = "| settled rms error, cm | learning | without | exact model | learning / without |"
     return "\n".join(
         ["## Nothing to learn, and worse sensors", text.OTHERS, "", head, "| --- |" + " --- |" * 4, *lines]
+    )
+
+
+def _schedule(results: dict[str, Any]) -> str:
+    rows = results["flights"]
+    cases = [case for case in CASES if of(rows, case, SCHEDULED[0])]
+    if not cases:
+        return ""
+    seeds = {case: {r["seed"] for r in of(rows, case, SCHEDULED[0])} for case in cases}
+    lines = []
+    for pilot in ("learning", *SCHEDULED, "none"):
+        cells = [_error([r for r in of(rows, case, pilot) if r["seed"] in seeds[case]]) for case in cases]
+        lines.append(f"| {PILOTS[pilot].words} | " + " | ".join(cells) + " |")
+    head = "| settled rms error, cm: median (range) | " + " | ".join(cases) + " |"
+    return "\n".join(
+        ["## The gain schedule, apart", text.SCHEDULE, "", head, "| --- |" + " --- |" * len(cases), *lines]
     )
 
 

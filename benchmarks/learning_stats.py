@@ -12,6 +12,10 @@ from benchmarks.learning_cases import BASELINES, FIXED
 from flightstack.types import F64
 
 Row = dict[str, Any]
+DEMANDED = 0.40
+"""Share of a baseline's excess over the floor that learning must remove."""
+CLEAR = 1.02
+"""Over the floor: below it a baseline counts as being at the floor."""
 _RESAMPLES = 10_000
 _SEED = 2018
 
@@ -35,6 +39,13 @@ class Shares:
     best_m: float
     learning_m: float
     removed: Interval
+    beyond_m: Interval
+    """How far learning's error lies beyond the baseline's less DEMANDED of its excess, seed by seed: kept where not."""
+
+    @property
+    def clear(self) -> bool:
+        """The baseline leaves enough over the floor for a share of it to mean something."""
+        return self.best_m > CLEAR * self.floor_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +105,12 @@ def shares(rows: Sequence[Row], case: str, among: Sequence[str] = FIXED) -> Shar
     by_seed = [{r["seed"]: r for r in of(rows, case, name)} for name in (best, "exact", "learning")]
     seeds = sorted(set.intersection(*(set(pilot) for pilot in by_seed)))
     left, floor, learning = (values([pilot[s] for s in seeds]) for pilot in by_seed)
-    removed = interval((left - learning) / (left - floor))
-    return Shares(best, float(np.median(floor)), float(np.median(left)), float(np.median(learning)), removed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        removed = interval(np.nan_to_num((left - learning) / (left - floor)))
+    beyond = interval(learning - (left - DEMANDED * (left - floor)))
+    return Shares(
+        best, float(np.median(floor)), float(np.median(left)), float(np.median(learning)), removed, beyond
+    )  # fmt: skip
 
 
 def covered(rows: Iterable[Row]) -> Covered | None:

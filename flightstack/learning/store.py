@@ -7,16 +7,20 @@ the bound:
     sigma^2 = INFLATION^2 (posterior variance + excess)
     excess  = max(floor^2, mean over the last windows of (error^2 - posterior variance - noise))
 
-so that model error which the kernel does not know (gusts, lags) widens the bound, and an error beyond it at once.
+Model error which the kernel does not know (gusts, lags) so widens the bound, and an error beyond it does at once.
+
+Beside this *tracking set*, which follows the flight, every point since the last noticed change is pooled; from the
+pool `certificate_set` chooses those that a certificate may rest on: fixed by whoever asks, never forgotten in flight.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal
 
 import numpy as np
 
-from flightstack.gp import RecursiveGP, least_relevant
+from flightstack.gp import RecursiveGP, cover, least_relevant
 from flightstack.learning.priors import Prior
 from flightstack.types import F64
 
@@ -31,6 +35,8 @@ _RENEW_SHARE = 0.5
 _NOISE_FACTOR = 2.0
 _NOISE_EVERY = 50
 _NOISE_LEAST = 1e-4
+_POOL = 2000
+"""Two minutes of windows."""
 _BOUND_SIGMAS = 3.0
 _ORIGIN = np.zeros(16)
 
@@ -39,7 +45,8 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_calm", "_fresh", "_heard", "_next", "_wanted", "excess", "floor", "gp", "outputs", "relevance",
+        "_age", "_calm", "_fresh", "_heard", "_next", "_pool", "_wanted", "excess", "floor", "gp", "outputs",
+        "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -55,6 +62,7 @@ class Store:
         self._wanted = 0
         self._fresh: list[tuple[F64, F64]] = []
         self._calm = self.excess.copy()
+        self._pool: deque[tuple[F64, F64]] = deque(maxlen=_POOL)
 
     @property
     def renewing(self) -> bool:
@@ -102,6 +110,7 @@ class Store:
                 return
             self._wanted = 0
             self.gp.clear()
+            self._pool.clear()
             self.excess[:] = self._calm
             for point in self._fresh:
                 self._add(*point)
@@ -111,12 +120,33 @@ class Store:
             self._calibrate(y - mean, variance)
         self._add(x, y)
 
+    def certificate_set(self, queries: F64, points: int) -> RecursiveGP:
+        """A process of its own over the pooled points that make the largest variance over `queries` (M, D) small.
+
+        At most `points` of them, chosen greedily; not for a tick (a pool of 1,000 takes a second).
+        """
+        held = list(self._pool)
+        count = min(points, len(held))
+        gp = RecursiveGP(
+            self.gp.kernel,
+            self.gp.noise_var,
+            input_dim=self.gp.input_dim,
+            output_dim=self.outputs,
+            capacity=max(count, 1),
+        )
+        if count:
+            places = np.array([x for x, _ in held])
+            for index in cover(self.gp.kernel, self.gp.noise_var, places, queries, count):
+                gp.add(*held[index])
+        return gp
+
     def _add(self, x: F64, y: F64) -> None:
         if len(self.gp) >= self.gp.capacity:
             self._drop(x)
         if self.gp.add(x, y):
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
+            self._pool.append((x.copy(), y.copy()))
 
     def _calibrate(self, error: F64, variance: float) -> None:
         """The rule of the header; `_calm` is the same without single errors beyond the bound, which may be a change."""
