@@ -30,8 +30,9 @@ the ground, the learner's own seventh input) carries over."""
 
 METHOD = """## How it was measured
 * Every flight is `flightstack fly`'s own: simulator and companion in one process, every message through UDP, lockstep;
-  its log is kept in memory. Gains are the same fixed ones with and without learning. Seeds begin at {first}: gains were
-  tuned on seeds 1000 to 1005 (`controllers/gains.toml`), the learner's constants on seeds below {first}; every learner
+  its log is kept in memory. Gains are the same fixed ones with and without learning. Seeds begin at {first}: gains are
+  those of `controllers/gains.toml`, which says how far each was tuned (most stand where the search begins, so the
+  baselines can still gain), on seeds 1000 to 1005, the learner's constants on seeds below {first}; every learner
   begins each flight with nothing learned.
 * *exact* (`benchmarks/oracle.py`) feeds forward what the truth's own equations add to the believed model at the
   reference, with its time derivative and the true thrust gain, through the same seam as the learner.
