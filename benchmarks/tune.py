@@ -3,7 +3,7 @@
     python benchmarks/tune.py                              all controllers, into controllers/gains.toml
     python benchmarks/tune.py --only pid indi --out x.toml
 
-Procedure `tune/1`, the same for each controller:
+Procedure `tune/2`, the same for each controller:
 
 Figure of merit: the mean of the true rms errors over the second halves of three flights without a wire, sensors of
 mocap grade: `paper-tracking` for 24 s with its wrong mass and force; `figure8` for 16 s on px4-sihsim-quadx, whose
@@ -11,17 +11,18 @@ linear drag of 1 kg/s is not believed; `figure8` for 16 s on quad-x with a right
 quarter of its weight for half a second, once along each axis (else nothing would ask for damping).
 Constraint: the same flights with every command 20 ms late, which nobody is told, and rotors 1.25 times as slow: no
 guard acts, no error grows beyond twice its own, nor, with sensors of gps grade on px4-sihsim-quadx, beyond 1 m.
-Search: from the defaults of the gains' records, in the logarithm of every gain that is not 0 (yaw's is left alone: no
-flight turns).  First all gains are raised by a quarter, then one after the other is changed: the next step of one that
-helped is 1.7 times as long, of one that did not half as long and the other way; what a round has changed is then tried
-once more as a whole.  64 evaluations; a candidate is given up as soon as its sum exceeds the best.
+Search: in the logarithm of every gain that is not 0 (yaw's is left alone: no flight turns), an evolution strategy of
+one parent and one child: a random half of the gains moves, a move that helped is tried again 1.5 times as long, and the
+step length follows the rule of one success in five.  64 evaluations; a candidate is given up as soon as its sum exceeds
+the best.  It begins at the defaults of the gains' records; `pid` and `indi` begin where `pd` ended, their
+own share halved until the constraint holds.
 Seeds of the flights are 1000 to 1005: none that a test, a benchmark or a campaign uses.
 
 No learner flies in tuning: `dob` is the flatness controller with an observer in the learner's place, and its gains are
 the flatness controller's too, with learning and without (tuned with nothing in that place they would only fight the
 tuning set's droop).  `state-gp` flies with them as well.
-Source of the search: R. Hooke, T. A. Jeeves, "Direct Search Solution of Numerical and Statistical Problems", 1961, with
-the step lengths of H. H. Rosenbrock, "An Automatic Method for Finding the Greatest or Least Value of a Function", 1960.
+Source of the search: I. Rechenberg, "Evolutionsstrategie", 1973; the factors of the step length are those of S. Kern et
+al., "Learning probability distributions in continuous evolutionary algorithms", 2004.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
 from datetime import date
 from pathlib import Path
@@ -51,20 +53,22 @@ from flightstack.types import F64, Command, FlatOutput, Measurement, TickRecord
 from flightstack.vehicle import Vehicle, with_effects
 
 ROOT = Path(__file__).resolve().parents[1]
-VERSION = "tune/1"
+VERSION = "tune/2"
 EVALUATIONS = 64
 FIRST_SEED = 1000
+SEARCH_SEED = 7
 LATE_TICKS = 5
 """20 ms of 4 ms ticks."""
 SLOWER_ROTORS = 1.25
 GROWTH_MAX = 2.0
 GPS_MAX_M = 1.0
 SEARCHED = [name for name in GAINS if name != "flatness"]
+AFTER_PD = ("pid", "indi")
 SLOWEST = 1
 """The case of the vehicle with the slowest rotors."""
 _LEFT_ALONE = ("yaw_p_ps",)
-_STEP = 0.25
-_FURTHER, _BACK = 1.7, -0.5
+_STEP, _FURTHER = 0.25, 1.5
+_SUCCESS, _FAILURE = math.exp(1.0 / 3.0), math.exp(-1.0 / 12.0)
 
 Make = Callable[[Model, Limits], Stack]
 
@@ -161,15 +165,17 @@ def maker(name: str, groups: tuple[Group, ...]) -> Make:
     return make
 
 
-def start(name: str) -> tuple[Group, ...]:
-    """The records' defaults; no integral for PD laws."""
-    groups = tuple(kind() for kind in GAINS[name])
-    if name in ("pd", "indi"):
-        groups = tuple(
-            replace(group, integral_xy=0.0, integral_z=0.0) if isinstance(group, PidGains) else group
-            for group in groups
-        )
-    return groups
+def start(name: str, tuned: Mapping[str, Tuned]) -> tuple[Group, ...]:
+    """Where the search begins: the records' defaults, or what was found for the same law with less in it."""
+    less = {type(group): group for group in tuned["pd"].groups} if name in AFTER_PD else {}
+    groups = (less.get(kind, kind()) for kind in GAINS[name])
+    return tuple(_with_integral(group, name) if isinstance(group, PidGains) else group for group in groups)
+
+
+def _with_integral(gains: PidGains, name: str) -> PidGains:
+    """PidGains with integral shares for `pid` alone."""
+    usual = PidGains() if name == "pid" else PidGains(integral_xy=0.0, integral_z=0.0)
+    return replace(gains, integral_xy=usual.integral_xy, integral_z=usual.integral_z)
 
 
 def scaled(groups: tuple[Group, ...], logarithms: F64) -> tuple[Group, ...]:
@@ -185,22 +191,30 @@ def _tuned(group: Group) -> list[str]:
     return [f.name for f in fields(group) if f.name not in _LEFT_ALONE and getattr(group, f.name) != 0.0]
 
 
+def _beyond_pd(group: Group) -> list[str]:
+    return [f.name for f in fields(group) if f.name.startswith(("integral_", "cutoff_"))]
+
+
 class Search:
     """What has been tried and what was best, in the logarithm of the gains."""
 
-    def __init__(self, name: str, cases: list[Case], evaluations: int) -> None:
+    def __init__(self, name: str, first: tuple[Group, ...], cases: list[Case], evaluations: int) -> None:
         self.name, self.cases, self.left = name, cases, evaluations - 1
-        self.first = start(name)
-        self.place: F64 = np.zeros(sum(len(_tuned(group)) for group in self.first))
-        errors = evaluate(cases, maker(name, self.first))
-        if not robust(cases, maker(name, self.first), errors):
-            raise SystemExit(f"error: {name}: its defaults break the constraint; start from calmer ones")
+        self.place: F64 = np.zeros(sum(len(_tuned(group)) for group in first))
+        self.first, errors = self._inside(first)
         self.best = sum(errors)
+
+    def _inside(self, first: tuple[Group, ...]) -> tuple[tuple[Group, ...], list[float]]:
+        """The start, what `pd` lacks halved until the constraint holds."""
+        for _ in range(6):
+            errors = evaluate(self.cases, maker(self.name, first))
+            if robust(self.cases, maker(self.name, first), errors):
+                return first, errors
+            first = tuple(replace(g, **{key: 0.5 * getattr(g, key) for key in _beyond_pd(g)}) for g in first)
+        raise SystemExit(f"error: {self.name}: it starts outside the constraint; start from calmer gains")
 
     def helps(self, move: F64) -> bool:
         """Try a move from the best place; it is the new best place if it helped."""
-        if self.left <= 0:
-            return False
         self.left -= 1
         make = maker(self.name, scaled(self.first, self.place + move))
         errors = evaluate(self.cases, make, self.best)
@@ -211,33 +225,36 @@ class Search:
         print(f"  {self.name}: {words} cm, {self.left} left, {np.round(self.place, 2)}", flush=True)
         return True
 
-    def run(self) -> None:
-        """One gain after the other, then all that a round has changed once more, until nothing is left."""
-        steps = np.full(len(self.place), _STEP)
-        self.helps(steps)
+    def run(self, rng: np.random.Generator) -> None:
+        """Random moves of some of the gains; one that helped is repeated and lengthened until it helps no more."""
+        size, move = _STEP, np.full(len(self.place), _STEP)
         while self.left > 0:
-            before = self.place
-            for i in range(len(steps)):
-                helped = self.helps(np.where(np.arange(len(steps)) == i, steps, 0.0))
-                steps[i] *= _FURTHER if helped else _BACK
-            if np.count_nonzero(self.place - before) > 1:
-                self.helps(self.place - before)
+            if self.helps(move):
+                size *= _SUCCESS
+                while self.left > 0 and self.helps(move := _FURTHER * move):
+                    pass
+            else:
+                size *= _FAILURE
+            some = rng.random(len(move)) < 0.5
+            move = size * rng.standard_normal(len(move)) * (some if some.any() else 1.0)
 
 
-def tune(name: str, cases: list[Case], evaluations: int) -> Tuned:
+def tune(name: str, first: tuple[Group, ...], evaluations: int) -> Tuned:
     """Search and say where the gains come from."""
-    began = time.perf_counter()
-    search = Search(name, cases, evaluations)
+    began, cases = time.perf_counter(), tuning_set()
+    search = Search(name, first, cases, evaluations)
     before = search.best / len(cases)
-    search.run()
-    groups, best = scaled(search.first, search.place), search.best / len(cases)
-    origin = f"{VERSION}, {evaluations} evaluations, {date.today().isoformat()}; began at {before:.4f} m"
+    search.run(np.random.default_rng(SEARCH_SEED))
+    best = search.best / len(cases)
     print(f"{name:9s} {100 * before:.2f} -> {100 * best:.2f} cm in {time.perf_counter() - began:.0f} s", flush=True)
-    return Tuned(origin, round(best, 6), groups)
+    origin = f"{VERSION}, {evaluations} evaluations, {date.today().isoformat()}; began at {before:.4f} m"
+    return Tuned(origin, round(best, 6), scaled(first, search.place))
 
 
 HEADING = """The gains of every controller, found by `make tune` (its procedure: benchmarks/tune.py).
 score_m: mean over the tuning set of the settled rms error, without the Gaussian process."""
+
+AS_DOB = "as dob: the same controller, tuned with the observer in the learner's place"
 
 
 def main() -> None:
@@ -246,13 +263,16 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=SEARCHED, default=SEARCHED, help="these tables only")
     parser.add_argument("--evaluations", type=int, default=EVALUATIONS)
     parser.add_argument("--out", type=Path, default=ROOT / "controllers" / "gains.toml")
+    parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
-    cases = tuning_set()
-    kept: Mapping[str, Tuned] = controllers.load_gains() if len(options.only) < len(SEARCHED) else {}
-    found = {name: tune(name, cases, options.evaluations) if name in options.only else kept[name] for name in SEARCHED}
-    origin = "as dob: the same controller, tuned with the observer in the learner's place"
-    tuned = {"flatness": Tuned(origin, found["dob"].score_m, found["dob"].groups[:2])} | found
-    options.out.write_text(gains_to_toml(tuned, HEADING), encoding="utf-8")
+    tuned: dict[str, Tuned] = dict(controllers.load_gains())
+    with ProcessPoolExecutor(options.processes) as pool:
+        for later in (False, True):
+            names = [name for name in options.only if (name in AFTER_PD) == later]
+            firsts = [start(name, tuned) for name in names]
+            tuned |= zip(names, pool.map(tune, names, firsts, [options.evaluations] * len(names)), strict=True)
+            tuned["flatness"] = Tuned(AS_DOB, tuned["dob"].score_m, tuned["dob"].groups[:2])
+            options.out.write_text(gains_to_toml(tuned, HEADING), encoding="utf-8")
 
 
 if __name__ == "__main__":

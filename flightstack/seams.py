@@ -1,4 +1,4 @@
-"""Where controller, learner and safety filter join the tick, and what stands there without the latter two.
+"""Where controller, learner, certifier and safety filter join the tick, and what stands there without the others.
 
 All keep their state explicit and outside: `init` gives it, every call returns the next one.  A state that is handed in
 is used up: what holds much (a learner's store) is changed in place.
@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal
+from flightstack.barrier.records import Certificate
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal
 
 _NOTHING = Learned.nothing()
+_UNFILTERED = Filtered.nothing()
 
 
 class Controller(Protocol):
@@ -53,14 +55,35 @@ class SafetyFilter(Protocol):
 
     enabled: bool
 
-    def init(self) -> Any:
-        """State before the first command."""
+    def init(self, origin_ned_m: F64) -> Any:
+        """State before the first command; regions are relative to the origin, (3,)."""
+        ...
+
+    def adopt(self, state: Any, certificate: Certificate) -> Any:
+        """From now on keep to this certificate."""
         ...
 
     def step(
-        self, state: Any, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
-    ) -> tuple[Any, Command]:
-        """The safe command nearest to `command`."""
+        self, state: Any, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[Any, Command, Filtered]:
+        """The safe command nearest to `command`; `sent` is the command of the tick before, as it went out."""
+        ...
+
+
+class Certifier(Protocol):
+    """Certifies in flight what has been learned."""
+
+    enabled: bool
+
+    def init(self) -> Any:
+        """State before the first tick."""
+        ...
+
+    def step(
+        self, state: Any, learner: Any, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[Any, Certificate | None]:
+        """A certificate to keep to from this tick on, or None; `learner` is the learner's state, `filtered` what the
+        filter said at the tick before."""
         ...
 
 
@@ -85,12 +108,32 @@ class NoFilter:
 
     enabled = False
 
+    def init(self, origin_ned_m: F64) -> object:
+        """No state."""
+        return None
+
+    def adopt(self, state: object, certificate: Certificate) -> object:
+        """Nothing keeps to it."""
+        return state
+
+    def step(
+        self, state: object, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[object, Command, Filtered]:
+        """The command as it is."""
+        return state, command, _UNFILTERED
+
+
+class NoCertifier:
+    """Nothing is certified in flight."""
+
+    enabled = False
+
     def init(self) -> object:
         """No state."""
         return None
 
     def step(
-        self, state: object, measurement: Measurement, command: Command, learned: Learned, reference: FlatOutput
-    ) -> tuple[object, Command]:
-        """The command as it is."""
-        return state, command
+        self, state: object, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, None]:
+        """No certificate."""
+        return state, None

@@ -1,4 +1,4 @@
-"""The whole flight stack in order: learn -> control -> limit -> filter -> guard, and a record of why.
+"""The whole flight stack in order: learn -> certify -> control -> limit -> filter -> guard, and a record of why.
 
 One pure function, `Stack.tick`: no clock, no socket, no hidden state, the same for a real vehicle and a simulated one.
 Before it the streams are predicted to `now_us` (`flightstack.predictor`), after it the command goes to the link.
@@ -14,8 +14,8 @@ import numpy as np
 from flightstack.control.feedback import FlatnessController
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
-from flightstack.seams import Controller, Learner, NoFilter, NoLearner, SafetyFilter
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
 
 
 class StackState(NamedTuple):
@@ -23,7 +23,10 @@ class StackState(NamedTuple):
 
     control: Any
     learner: object
+    certifier: object
     filter: object
+    filtered: Filtered
+    """What the filter said last."""
     measurement: Measurement
     """The last one that was there."""
     sent: Command
@@ -36,7 +39,7 @@ class StackState(NamedTuple):
 class Stack:
     """The flight stack of one believed vehicle; final, holds only constants."""
 
-    __slots__ = ("controller", "filter", "guard", "learner", "limiter", "limits", "model")
+    __slots__ = ("certifier", "controller", "filter", "guard", "learner", "limiter", "limits", "model")
 
     def __init__(
         self,
@@ -45,12 +48,14 @@ class Stack:
         *,
         controller: Controller | None = None,
         learner: Learner | None = None,
+        certifier: Certifier | None = None,
         safety_filter: SafetyFilter | None = None,
     ) -> None:
         self.model = model
         self.limits = limits or Limits()
         self.controller: Controller = controller or FlatnessController(model, limits=self.limits)
         self.learner: Learner = learner or NoLearner()
+        self.certifier: Certifier = certifier or NoCertifier()
         self.filter: SafetyFilter = safety_filter or NoFilter()
         self.guard = Guard(model, self.limits)
         self.limiter = Limiter(model, self.limits)
@@ -61,7 +66,11 @@ class Stack:
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
         control = self.controller.init(measurement.t_us)
         origin = measurement.pos_ned_m.copy()
-        return StackState(control, self.learner.init(), self.filter.init(), measurement, sent, origin, weight)
+        filtered = self.filter.init(origin)
+        certifier = self.certifier.init()
+        return StackState(
+            control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight
+        )
 
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
@@ -69,22 +78,28 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, filtered = state.control, state.learner, state.filter
+        control, learner, certifier, safe = state.control, state.learner, state.certifier, state.filter
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, state.sent, False
+        filtered = _UNFILTERED
         if usable:
             learner, learned = self.learner.step(learner, seen, state.sent, setpoint)
+            certifier, certificate = self.certifier.step(certifier, learner, seen, learned, state.filtered)
+            if certificate is not None:
+                safe = self.filter.adopt(safe, certificate)
             control, proposal = self.controller.step(control, seen, setpoint, learned, state.sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
-            filtered, wanted = self.filter.step(filtered, seen, wanted, learned, setpoint)
+            safe, wanted, filtered = self.filter.step(safe, seen, wanted, state.sent, learned)
         command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         carried = state.carried_n
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
-        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard)
-        return StackState(control, learner, filtered, seen, command, state.origin_ned_m, carried), command, record
+        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
+        after = StackState(control, learner, certifier, safe, filtered, seen, command, state.origin_ned_m, carried)
+        return after, command, record
 
 
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
+_UNFILTERED = Filtered.nothing()

@@ -177,6 +177,7 @@ class Learned:
     target_frd_mps2 = Part(15, 18)
     """The residual as measured at this tick; NaN where there was no fit sample."""
     thrust_gain_sigma = Element(18)
+    """The vertical bound's share of gravity: the uncertainty of the gain if all of z's were its."""
     rate_residual_frd_radps = Part(19, 22)
     """Expected body rates less those that the model of the rate loop says."""
     rate_sigma_frd_radps = Part(22, 25)
@@ -205,7 +206,56 @@ class Learned:
         return cls(row)
 
 
-R = TypeVar("R", FlatOutput, Measurement, Learned)
+@dataclass(frozen=True, slots=True, eq=False)
+class Filtered:
+    """What the safety filter did with a command, and by what margins; what does not apply is NaN."""
+
+    row: F64
+    """(33,) the parts below in their order; axes are north, east, down."""
+    h = Element(0)
+    """Least barrier value of the predicted state: at least 0 inside the certified region."""
+    h_state = Element(1)
+    """The same at the measured position and velocity."""
+    status = Element(2)
+    """-1 there is no filter, 0 nothing is certified, 1 not engaged yet, 2 passed, 3 changed, 4 fallback: infeasible,
+    5 fallback: not solved, 6 fallback: the certificate was falsified."""
+    margin_ps = Element(3)
+    """Least margin of the barrier condition at the acceleration that is sent, 1/s."""
+    iterations = Element(4)
+    """Of the QP's solver."""
+    residual = Element(5)
+    """Largest violation of a row of the QP by its solution, m/s^2."""
+    version = Element(6)
+    """Of the certificate."""
+    intervened = Element(7)
+    """1 where the command was changed."""
+    wanted_acc_ned_mps2 = Part(8, 11)
+    """What the controller's command steers towards."""
+    safe_acc_ned_mps2 = Part(11, 14)
+    """What the sent command steers towards."""
+    low_ned_mps2 = Part(14, 17)
+    """Least acceleration that the barriers allow."""
+    high_ned_mps2 = Part(17, 20)
+    margins_ned_ps = Part(20, 23)
+    """Margin of each axis' condition at its best command, 1/s."""
+    error_ned_m = Part(23, 26)
+    """Predicted distance from the region's centre, as the barriers take it."""
+    rate_ned_mps = Part(26, 29)
+    """Its rate."""
+    bound_ned_mps2 = Part(29, 32)
+    """How far the acceleration may be off, as the certificate says."""
+    wanted_thrust_n = Element(32)
+    """The thrust asked for before filtering."""
+
+    @classmethod
+    def nothing(cls) -> Filtered:
+        """Without a filter."""
+        row = np.full(33, np.nan)
+        row[2], row[7] = -1.0, 0.0
+        return cls(row)
+
+
+R = TypeVar("R", FlatOutput, Measurement, Learned, Filtered)
 
 
 def changed(record: R, **values: Any) -> R:
@@ -241,3 +291,4 @@ class TickRecord(NamedTuple):
     thrust_saturated: bool
     guard: str
     """Empty where the guard let the command pass, else the name of what it did instead."""
+    filtered: Filtered = Filtered.nothing()

@@ -17,7 +17,7 @@ from flightstack.predictor import Streams, predict
 from flightstack.seams import NoFilter, NoLearner
 from flightstack.stack import Stack
 from flightstack.trajectory import figure8, hover
-from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
+from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, changed
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack.warmup import warm_up
 
@@ -220,17 +220,36 @@ class _Known:
 
 
 class _Halves:
-    """A filter that halves the thrust."""
+    """A filter that halves the thrust once it has a certificate, which comes with the first point learned."""
 
     enabled = True
 
-    def init(self) -> object:
+    def init(self, origin_ned_m: np.ndarray) -> object:
         return None
 
+    def adopt(self, state: object, certificate: object) -> object:
+        return certificate
+
     def step(
-        self, state: object, seen: Measurement, command: Command, learned: Learned, reference: FlatOutput
-    ) -> tuple[object, Command]:
-        return state, command._replace(thrust_n=0.5 * command.thrust_n, thrust_norm=0.3)
+        self, state: object, seen: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[object, Command, Filtered]:
+        assert sent.t_us < command.t_us
+        said = changed(Filtered.nothing(), status=0.0)
+        if state != "certificate":
+            return state, command, said
+        return state, command._replace(thrust_n=0.5 * command.thrust_n, thrust_norm=0.3), changed(said, status=3.0)
+
+
+class _Certifies:
+    enabled = True
+
+    def init(self) -> object:
+        return 0
+
+    def step(
+        self, state: object, learner: object, seen: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, object]:
+        return filtered.status, ("certificate" if learner == 1 else None)
 
 
 def test_a_learner_and_a_filter_have_their_seams() -> None:
@@ -239,9 +258,12 @@ def test_a_learner_and_a_filter_have_their_seams() -> None:
     carried = 1.2 * (9.80665 + 2.0) / 0.8
     assert command.thrust_n == pytest.approx(carried), "2 m/s^2 downwards are carried too, by thrust that gives 80 %"
     assert state.learner == 1
-    command, guard = tick(Stack(MODEL, safety_filter=_Halves()), measurement())
-    assert command.thrust_n == pytest.approx(0.5 * MODEL.weight_n)
-    assert guard == ""
+    guarded = Stack(MODEL, learner=_Known(), certifier=_Certifies(), safety_filter=_Halves())
+    state, command, record = guarded.tick(guarded.init(measurement(0)), measurement(), SETPOINT, 4000)
+    assert command.thrust_n == pytest.approx(0.5 * carried)
+    assert (record.guard, record.filtered.status, state.certifier) == ("", 3.0, -1.0)
+    state, _, record = guarded.tick(state, measurement(8000), SETPOINT, 8000)
+    assert (record.filtered.status, state.certifier) == (3.0, 3.0), "the certifier hears what the filter said"
     assert not NoLearner.enabled
     assert not NoFilter.enabled
 

@@ -1,0 +1,117 @@
+"""The one condition that certificate and filter share: what a commanded acceleration must do to h until the next tick.
+
+State z = (e, v) as `response` predicts it, so that z' = (v, u + d): u the commanded acceleration, held for `dt`; d what
+it may miss, |d| <= E(u).  E is convex in u where thrust enters affinely (a standard deviation is), so the chord between
+its values at the ends of the range bounds it.  For a piece h with gradient (he, hv) and curvature at most K,
+
+    h(z(dt)) >= h + dt q0(u) - dt (|hv| + |he| dt / 2 + kappa) E(u)
+    q0(u)     = he w + hv u - dt / 2 (Kee w^2 + 2 Kev w u + Kvv u^2),   w = v + u dt / 2
+    kappa     = dt ((Kee dt / 2 + |Kev|) (|v| + U dt / 2) + (|Kev| dt / 2 + Kvv) U)
+                + dt / 2 (Kvv + |Kev| dt + Kee dt^2 / 4) E_max,         U = max |u|, E_max = max E
+
+and the condition is
+
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + gamma (h - eta) - b >= 0
+
+eta: by how much h of the estimated state may be above h of the true one; b (1/s): what else may be wrong in q, of
+estimate, delay and lag.  q is concave in u, so the commands that meet it are an interval, in closed form.
+
+Where q >= 0 holds, h - eta falls by at most the share gamma dt each tick: the true h never becomes negative.
+The published form is dt = 0, E = k sigma, eta = b = 0.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.barrier.shapes import K_EE, K_EV, K_VV, piece_at
+from flightstack.jit import njit
+from flightstack.types import F64
+
+
+class Setting(NamedTuple):
+    """The constants of one axis' condition."""
+
+    gamma_ps: float
+    """Class-K gain."""
+    eta: float
+    """Doubt about h itself."""
+    rate_ps: float
+    """b: doubt about q in 1/s."""
+    dt_s: float
+    """Longest time between two commands."""
+
+
+class Reach(NamedTuple):
+    """What the command can do at one speed: the range of mean acceleration and the doubt at both ends, m/s^2."""
+
+    u_low: float
+    u_high: float
+    error_low: float
+    error_high: float
+
+
+@njit
+def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
+    """q(u) = A u^2 + B u + C of one piece's row at (e, v); A <= 0."""
+    h, he, hv = piece_at(row, e, v)
+    gamma, eta, rate, dt = setting
+    u_low, u_high, error_low, error_high = reach
+    kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
+    most = max(abs(u_low), abs(u_high))
+    worst = max(error_low, error_high)
+    kappa = dt * ((kee * half + abs(kev)) * (abs(v) + most * half) + (abs(kev) * half + kvv) * most)
+    kappa += half * (kvv + abs(kev) * dt + kee * half * half) * worst
+    doubt = abs(hv) + abs(he) * half + kappa
+    span = u_high - u_low
+    slope = (error_high - error_low) / span if span > 0.0 else 0.0
+    start = error_low - slope * u_low if span > 0.0 else worst
+    a = -half * (kee * half * half + 2.0 * kev * half + kvv)
+    b = he * half + hv - half * (2.0 * kee * v * half + 2.0 * kev * v) - doubt * slope
+    c = he * v - half * kee * v * v - doubt * start + gamma * (h - eta) - rate
+    return a, b, c
+
+
+@njit
+def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
+    """Least and greatest command in reach that meets the condition of every piece, and the margin q of the best one.
+
+    `rows` (n, ROW).  A negative margin: there is none, and both ends are the best command of the worst piece.
+    """
+    low, high = reach[0], reach[1]
+    margin, best = np.inf, low
+    for i in range(rows.shape[0]):
+        a, b, c = coefficients(rows[i], e, v, setting, reach)
+        top = high if b >= 0.0 else low
+        if a < -1e-12:
+            top = min(max(-0.5 * b / a, reach[0]), reach[1])
+        q = (a * top + b) * top + c
+        if q < margin:
+            margin, best = q, top
+        if q < 0.0:
+            continue
+        left, right = _roots(a, b, c, reach[0], reach[1])
+        low, high = max(low, left), min(high, right)
+    if margin < 0.0:
+        return best, best, margin
+    if low > high:  # each piece has commands of its own, but none is common
+        middle = 0.5 * (low + high)
+        return middle, middle, high - low
+    return low, high, margin
+
+
+@njit
+def _roots(a: float, b: float, c: float, low: float, high: float) -> tuple[float, float]:
+    """The part of [low, high] where a u^2 + b u + c >= 0, a <= 0; known not to be empty."""
+    if a > -1e-12:
+        if b > 1e-12:
+            return max(low, -c / b), high
+        if b < -1e-12:
+            return low, min(high, -c / b)
+        return low, high
+    root = np.sqrt(max(b * b - 4.0 * a * c, 0.0))
+    far = -0.5 * (b + root) if b >= 0.0 else -0.5 * (b - root)  # the root without cancellation
+    one, two = far / a, (c / far if far != 0.0 else 0.0)
+    return max(low, min(one, two)), min(high, max(one, two))

@@ -1,0 +1,141 @@
+"""What a certificate says, as data: for each axis a barrier, what the command can do there, and every margin by name.
+
+Axes are north, east, down (0, 1, 2), relative to the region's centre.  Each stands for itself: its commanded
+acceleration comes from a box that the thrust budget holds for all at once (`Budget`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flightstack.barrier.condition import Reach, Setting
+from flightstack.barrier.shapes import Barrier
+from flightstack.types import F64, Tuple3
+
+AXES = ("north", "east", "down")
+MARGINS = (
+    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
+    "estimate_error",
+)  # fmt: skip
+"""Every margin that a ledger names, in its order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """How one axis' acceleration a follows its command u: a + c1 a' + c2 a'' = u, `delay_s` late.
+
+    With p_ = p + c1 v + c2 a and v_ = v + c1 a + c2 a', z = (p_, v_) is a double integrator driven by u alone; p and v
+    are p_ and v_ seen through the same low pass of gain 1, hence weighted means of them: what is convex and holds z
+    holds (p, v).  `delay_s` is bridged with the commands already sent.
+    """
+
+    c1_s: float
+    c2_s2: float
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Authority:
+    """What the command of one axis can do at each speed: mean acceleration and how far the true one may be off.
+
+    Nodes along v, linear between them.  The mean is offset - gain * F for the vertical axis, F the specific thrust
+    (believed newton per believed kilogram) along down, and offset + the wanted acceleration for lateral ones
+    (gain 0), whose range is the budget's.
+    """
+
+    v_mps: F64
+    """(n,) increasing; at a speed beyond them nothing is certified."""
+    offset_mps2: F64
+    """(n,) mean acceleration without thrust (down: gravity and residual; lateral: residual)."""
+    gain: F64
+    """(n,) delivered over believed specific thrust; 0 on lateral axes."""
+    u_low_mps2: F64
+    """(n,) least mean acceleration that the budget gives."""
+    u_high_mps2: F64
+    error_low_mps2: F64
+    """(n,) bound of |true - mean| at u_low, anywhere between the node's neighbours."""
+    error_high_mps2: F64
+
+    def reach(self, v_mps: float) -> Reach:
+        """At a speed: the narrower range and the larger doubt of the two nodes around it."""
+        i = min(max(int(np.searchsorted(self.v_mps, v_mps)) - 1, 0), len(self.v_mps) - 2)
+        low, high = max(self.u_low_mps2[i : i + 2]), min(self.u_high_mps2[i : i + 2])
+        return Reach(
+            float(low), float(high), float(max(self.error_low_mps2[i : i + 2])),
+            float(max(self.error_high_mps2[i : i + 2])),
+        )  # fmt: skip
+
+    @property
+    def table(self) -> F64:
+        """(7, n) the columns in their order, for compiled code."""
+        return np.stack(
+            [
+                self.v_mps, self.offset_mps2, self.gain, self.u_low_mps2, self.u_high_mps2, self.error_low_mps2,
+                self.error_high_mps2,
+            ]
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """One line of the ledger."""
+
+    name: str
+    """One of MARGINS."""
+    mps2: float
+    """What it takes from the acceleration at hand, on this axis, at worst."""
+    because: str
+    """The figures it comes from, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The thrust that all axes share: what the filter may ask for, as specific thrust (believed newton per kilogram).
+
+    The box |north|, |east| <= lateral_mps2, down in [low, high] (upward thrust counted positive) lies in the set of
+    thrust vectors that the limits of thrust and tilt allow at every learned gain within its bound.
+    """
+
+    lateral_mps2: float
+    low_mps2: float
+    high_mps2: float
+    thrust_max_mps2: float
+    """Greatest length of the thrust vector."""
+    tilt_max_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCertificate:
+    """One axis."""
+
+    axis: int
+    barrier: Barrier
+    setting: Setting
+    response: Response
+    authority: Authority
+    margins: tuple[Margin, ...]
+    cells: F64
+    """(m, 6) e_low, e_high, v_low, v_high, u, q: in each box the command u meets the condition by at least q (1/s).
+    Together they cover the region h >= -eta."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """A region that the filter keeps the vehicle in; `axes` need not be all three."""
+
+    mode: str
+    """sound or as-published."""
+    centre_ned_m: Tuple3
+    """Relative to the start."""
+    axes: tuple[AxisCertificate, ...]
+    budget: Budget
+    delta: float
+    """Chance that a bound of the ledger fails."""
+    k_sigma: float
+    """Sigmas of the bound that delta asks for."""
+    knowledge: dict[str, object] = field(default_factory=dict)
+    """What the bounds rest on: kernels, points, noise, hashes; plain JSON."""
+    version: int = 0
+    """Counted up by each that replaces another in flight."""
