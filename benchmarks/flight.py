@@ -23,7 +23,14 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-SCENARIOS = ("hover", "figure8", "minimum-snap", "paper-tracking")
+FLIGHTS = (
+    ("hover", True),
+    ("figure8", True),
+    ("minimum-snap", True),
+    ("paper-tracking", True),
+    ("paper-tracking", False),
+)
+"""Scenario, and whether it learns."""
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -32,18 +39,19 @@ def lockstep(seeds: int) -> list[dict[str, Any]]:
     from app.flight import FlyOptions, fly
 
     rows = []
-    for scenario in SCENARIOS:
+    for scenario, learning in FLIGHTS:
         for sensors in ("mocap", "gps"):
             flights = []
             for seed in range(seeds):
                 with tempfile.TemporaryDirectory() as folder:
-                    options = FlyOptions(scenario=scenario, sensors=sensors, seed=seed, out=Path(folder))
+                    out = Path(folder)
+                    options = FlyOptions(scenario=scenario, sensors=sensors, seed=seed, learning=learning, out=out)
                     flights.append(fly(options, stop_requested=lambda: "").as_json())
             factors = [flight["realtime_factor"] for flight in flights]
             errors = [flight["tracking"]["rmse_m"] for flight in flights]
             rows.append(
                 {
-                    "scenario": scenario,
+                    "scenario": scenario if learning else f"{scenario}, no learning",
                     "sensors": sensors,
                     "completed": sum(flight["completed"] for flight in flights),
                     "flights": seeds,

@@ -50,6 +50,15 @@ def paper(*, learns: bool) -> Flight:
     return fly(scenario, QUAD, seed=5, make_stack=learning if learns else Stack)
 
 
+def test_the_applied_thrust_is_the_rotors_own() -> None:
+    """Commands, latency and lag give the thrust that acted, a tick late as the streams are; it varies 20 times more."""
+    flight = fly(load_scenario("figure8").with_duration(8.0), QUAD, seed=3, make_stack=learning)
+    acted = np.array([sum(truth.rotor_thrust_n) for truth in flight.truths])[500:-1] / MODEL.mass_kg
+    applied = rows(flight)[501:, Learned.applied_thrust_n.place] / MODEL.mass_kg
+    assert acted.std() > 0.3
+    assert np.sqrt(np.mean((applied - acted) ** 2)) < 0.02
+
+
 def test_on_the_papers_flight_the_error_falls_to_a_tenth_and_below() -> None:
     with_it, without = paper(learns=True), paper(learns=False)
     assert without.rmse_settled_m > 0.3
