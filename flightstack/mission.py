@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack.scenario import Scenario
 from flightstack.trajectory import Boundary, Polynomial, Trajectory, hover, minimum_snap
-from flightstack.types import F64, FlatOutput, changed
+from flightstack.types import F64, FlatOutput, InputError, changed
 
 _CLIMB_MPS = 1.2
 _YAW_RATE_RADPS = 0.7
@@ -23,7 +23,7 @@ _REST_TO_REST_PEAK = 2.1875  # peak speed of the rest-to-rest segment, in mean s
 _SETTLE_S = 1.5
 _RUN_UP_S = 3.0
 _RUN_UP_STEP = 1.15
-_RUN_UP_MAX_S = 120.0
+_RUN_UP_MAX_S = 60.0
 _LEAST_HEIGHT_M = 0.4
 _LEAST_CLIMB_S = 1.5
 _ACC_MAX_MPS2 = 4.0
@@ -100,7 +100,7 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
     ready_s = climb_s + _SETTLE_S
     legs = [_Leg("takeoff", 0.0, climb.moved(start))]
-    run_up = _run_up(above, first, *_peaks(scenario))
+    run_up, _ = _run_up(above, first, *_peaks(scenario))
     track_start_s = ready_s if run_up is None else ready_s + run_up.duration_s
     settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
     legs.append(_Leg("approach", climb_s, settled.moved(start)))
@@ -120,29 +120,45 @@ def _peaks(scenario: Scenario) -> tuple[float, float]:
     return speed, max(float(np.linalg.norm(p.acc_ned_mps2)) for p in points)
 
 
-def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> Polynomial | None:
-    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable; None: it is there."""
+def require_run_up(scenario: Scenario) -> None:
+    """InputError in one line where no run-up reaches the trajectory's first state in the air and within limits."""
+    first = scenario.trajectory.at(0.0)
+    above = np.array([0.0, 0.0, min(first.pos_ned_m[2], -_LEAST_HEIGHT_M), first.yaw_rad])
+    if not _run_up(above, first, *_peaks(scenario))[1]:
+        speed, height = float(np.linalg.norm(first.vel_ned_mps)), -float(first.pos_ned_m[2])
+        raise InputError(
+            f"scenario {scenario.name}: no run-up reaches its start ({speed:.3g} m/s at a height of {height:.3g} m) "
+            "without touching the ground or its limits; begin higher or slower"
+        )
+
+
+def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> tuple[Polynomial | None, bool]:
+    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable; None: it is there.
+
+    False beside it: none is comfortable, and this is the shortest.
+    """
     goal = np.append(first.pos_ned_m, first.yaw_rad)
     end = Boundary.of(first)
     moving = max(float(np.abs(part).max()) for part in (end.velocity, end.acceleration, end.jerk))
     if moving < 1e-9 and np.allclose(goal, above, atol=1e-9):
-        return None
+        return None, True
     speed_max = max(_SPEED_MAX_MPS, 1.2 * speed_mps)
     acc_max = max(_ACC_MAX_MPS2, acc_mps2)
-    lowest = -_LEAST_HEIGHT_M + 1e-6
-    duration = _RUN_UP_S
-    while True:
+    lowest = max(-_LEAST_HEIGHT_M + 1e-6, first.pos_ned_m[2])
+    shortest, duration = None, _RUN_UP_S
+    while duration <= _RUN_UP_MAX_S:
         path = minimum_snap(np.stack([above, goal]), np.array([0.0, duration]), end=end)
         points = [path.at(t) for t in np.linspace(0.0, duration, 61)]
-        comfortable = all(
+        if all(
             float(np.linalg.norm(p.vel_ned_mps)) <= speed_max
             and float(np.linalg.norm(p.acc_ned_mps2)) <= acc_max
-            and p.pos_ned_m[2] <= max(lowest, first.pos_ned_m[2])
+            and p.pos_ned_m[2] <= lowest
             for p in points
-        )
-        if comfortable or duration > _RUN_UP_MAX_S:
-            return path
+        ):
+            return path, True
+        shortest = shortest or path
         duration *= _RUN_UP_STEP
+    return shortest, False
 
 
 def _braking(state: FlatOutput, ground_down_m: float) -> Polynomial:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from shipped import load_scenario
 
-from flightstack.mission import Mission, plan
-from flightstack.types import F64, FlatOutput
+from flightstack.mission import Mission, plan, require_run_up
+from flightstack.types import F64, FlatOutput, InputError
 
 NAMES = ["hover", "figure8", "minimum-snap", "paper-tracking", "paper-barrier"]
 START = np.array([0.3, -0.7, -0.18])
@@ -116,3 +117,25 @@ def test_a_descent_is_stopped_above_the_ground() -> None:
     stopped = made("hover").stop(8.0, state)
     lowest = max(stopped.reference(8.0 + s).pos_ned_m[2] for s in np.arange(0.0, 5.0, 0.02))
     assert lowest <= START[2] - 0.4 + 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class _StraightUp:
+    """Climbing at `speed_mps` from a height on."""
+
+    height_m: float
+    speed_mps: float
+
+    def at(self, t_s: float) -> FlatOutput:
+        still = np.zeros(3)
+        up = np.array([0.0, 0.0, -self.speed_mps])
+        return FlatOutput.of(np.array([0.0, 0.0, -self.height_m]) + up * t_s, up, still, still, still)
+
+
+def test_a_start_that_no_run_up_reaches_is_refused_before_the_flight() -> None:
+    """To climb at 4 m/s at half a metre one would have to come out of the ground; from 20 m there is room below."""
+    hover = load_scenario("hover")
+    low, high = (dataclasses.replace(hover, trajectory=_StraightUp(height, 4.0)) for height in (0.5, 20.0))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"no run-up reaches its start \(4 m/s at a height of 0.5 m\)"):
+        require_run_up(low)
+    require_run_up(high)
