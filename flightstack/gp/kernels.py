@@ -208,10 +208,9 @@ class Matern(Kernel):
         return {"kernel": "matern", "nu": self.nu, **_stationary_dict(self)}
 
 
-@final
 @dataclass(frozen=True, slots=True)
-class Sum(Kernel):
-    """A sum of two independent functions."""
+class _Pair(Kernel):
+    """Two kernels, joined."""
 
     left: Kernel
     right: Kernel
@@ -221,7 +220,13 @@ class Sum(Kernel):
         yield from self.right._values()
 
     def _with(self, values: Iterator[float]) -> Kernel:
-        return Sum(self.left._with(values), self.right._with(values))
+        return type(self)(self.left._with(values), self.right._with(values))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Sum(_Pair):
+    """A sum of two independent functions."""
 
     def _terms(self, input_dim: int, start: int) -> tuple[Term, ...]:
         return self.left._terms(input_dim, start) + self.right._terms(input_dim, start + self.left.size)
@@ -233,18 +238,8 @@ class Sum(Kernel):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Product(Kernel):
+class Product(_Pair):
     """The product of two kernels."""
-
-    left: Kernel
-    right: Kernel
-
-    def _values(self) -> Iterator[float]:
-        yield from self.left._values()
-        yield from self.right._values()
-
-    def _with(self, values: Iterator[float]) -> Kernel:
-        return Product(self.left._with(values), self.right._with(values))
 
     def _terms(self, input_dim: int, start: int) -> tuple[Term, ...]:
         right = self.right._terms(input_dim, start + self.left.size)
