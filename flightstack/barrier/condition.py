@@ -1,13 +1,16 @@
 """The one condition that certificate and filter share: what a commanded acceleration must do to h until the next tick.
 
-State z = (e, v) as `response` predicts it, so that z' = (v, u + d): u the commanded acceleration, held for `dt`; d what
-it may miss, |d| <= E(u).  E is convex in u where thrust enters affinely (a standard deviation is), so the chord between
-its values at the ends of the range bounds it.  For a piece h with gradient (he, hv) and curvature at most K,
+State z = (e, v) as `response` predicts it, so that z' = (v, u + d): u the commanded acceleration, held until the next
+command, `dt` later at most; d what it may miss, |d| <= E(u).  E is convex in u where thrust enters affinely (a standard
+deviation is), so the chord between its values at the ends of the range bounds it.  For a piece h with gradient (he, hv)
+and curvature at most K, at every time t from 0 to dt,
 
-    h(z(dt)) >= h + dt q0(u) - dt (|hv| + |he| dt / 2 + kappa) E(u)
-    q0(u)     = he w + hv u - dt / 2 (Kee w^2 + 2 Kev w u + Kvv u^2),   w = v + u dt / 2
-    kappa     = dt ((Kee dt / 2 + |Kev|) (|v| + U dt / 2) + (|Kev| dt / 2 + Kvv) U)
-                + dt / 2 (Kvv + |Kev| dt + Kee dt^2 / 4) E_max,         U = max |u|, E_max = max E
+    h(z(t)) >= h + t q0(u) - t (|hv| + |he| dt / 2 + kappa) E(u)
+    q0(u)    = he v + hv u + c(u) - dt / 2 (Kee v^2 + 2 Kev v u + (Kvv + |Kev| dt + Kee dt^2 / 4) u^2)
+               - dt^2 / 2 Kee |v| U
+    c(u)     = chord of min(0, he u dt / 2) between the ends of the range: the next command may come early
+    kappa    = dt ((Kee dt / 2 + |Kev|) (|v| + U dt / 2) + (|Kev| dt / 2 + Kvv) U)
+               + dt / 2 (Kvv + |Kev| dt + Kee dt^2 / 4) E_max,         U = max |u|, E_max = max E
 
 and the condition is
 
@@ -16,8 +19,8 @@ and the condition is
 eta: by how much h of the estimated state may be above h of the true one; b (1/s): what else may be wrong in q, of
 estimate, delay and lag.  q is concave in u, so the commands that meet it are an interval, in closed form.
 
-Where q >= 0 holds, h - eta falls by at most the share gamma dt each tick: the true h never becomes negative.
-The published form is dt = 0, E = k sigma, eta = b = 0.
+Where q >= 0 holds, h - eta falls by at most the share gamma t in a time t: the true h never becomes negative, neither
+between two commands nor where they come early.  The published form is dt = 0, E = k sigma, eta = b = 0.
 """
 
 from __future__ import annotations
@@ -68,9 +71,12 @@ def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -
     span = u_high - u_low
     slope = (error_high - error_low) / span if span > 0.0 else 0.0
     start = error_low - slope * u_low if span > 0.0 else worst
-    a = -half * (kee * half * half + 2.0 * kev * half + kvv)
-    b = he * half + hv - half * (2.0 * kee * v * half + 2.0 * kev * v) - doubt * slope
-    c = he * v - half * kee * v * v - doubt * start + gamma * (h - eta) - rate
+    swing_low, swing_high = min(0.0, he * half * u_low), min(0.0, he * half * u_high)
+    swing = (swing_high - swing_low) / span if span > 0.0 else 0.0
+    a = -half * (kvv + abs(kev) * dt + kee * half * half)
+    b = hv - dt * kev * v + swing - doubt * slope
+    c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start + gamma * (h - eta) - rate
+    c += swing_low - swing * u_low
     return a, b, c
 
 

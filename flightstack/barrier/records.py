@@ -59,13 +59,21 @@ class Authority:
     error_high_mps2: F64
 
     def reach(self, v_mps: float) -> Reach:
-        """At a speed: the narrower range and the larger doubt of the two nodes around it."""
+        """At a speed: the narrower range of the two nodes around it, and a doubt that holds at its ends.
+
+        The larger doubts hold at the ends of the wider range.  Convex, it may be larger at an end drawn inwards: up to
+        the chord there.
+        """
         i = min(max(int(np.searchsorted(self.v_mps, v_mps)) - 1, 0), len(self.v_mps) - 2)
-        low, high = max(self.u_low_mps2[i : i + 2]), min(self.u_high_mps2[i : i + 2])
-        return Reach(
-            float(low), float(high), float(max(self.error_low_mps2[i : i + 2])),
-            float(max(self.error_high_mps2[i : i + 2])),
-        )  # fmt: skip
+        lows, highs = self.u_low_mps2[i : i + 2], self.u_high_mps2[i : i + 2]
+        low, high = float(max(lows)), float(min(highs))
+        at_low, at_high = float(max(self.error_low_mps2[i : i + 2])), float(max(self.error_high_mps2[i : i + 2]))
+        rise, inward_low, inward_high = at_high - at_low, low - float(min(lows)), float(max(highs)) - high
+        if rise > 0.0 and inward_low > 0.0:
+            at_low += rise * inward_low / (high - low + inward_low) if high > low else rise
+        elif rise < 0.0 and inward_high > 0.0:
+            at_high -= rise * inward_high / (high - low + inward_high) if high > low else rise
+        return Reach(low, high, at_low, at_high)
 
     @property
     def table(self) -> F64:
