@@ -7,11 +7,12 @@ stay in, timed events and checks in words.  Pure text; coordinates are relative 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flightstack.barrier.initial import InitialKnowledge
 from flightstack.checked import load_toml, number, only, table, vector, words
 from flightstack.effect_specs import check_effect
 from flightstack.model import Limits
@@ -23,7 +24,8 @@ from flightstack.waypoints import Waypoints, check_waypoints, waypoint_trajector
 
 SCHEMA = "flightstack.scenario/1"
 _KEYS = (
-    "name", "description", "duration_s", "sensors", "trajectory", "limits", "truth", "region", "events", "checks",
+    "name", "description", "duration_s", "sensors", "trajectory", "limits", "truth", "region", "knowledge", "events",
+    "checks",
 )  # fmt: skip
 _SENSORS = ("mocap", "gps")
 _DURATION_S = (1.0, 3600.0)
@@ -83,6 +85,8 @@ class Scenario:
     region: Region | None
     events: tuple[TimedEvent, ...]
     checks: tuple[Check, ...]
+    knowledge: InitialKnowledge | None = None
+    """What is known of the true vehicle before take-off; None: nothing is claimed."""
 
     def truth_vehicle(self, believed: Vehicle) -> Vehicle:
         """The vehicle that really flies: the believed one, heavier or lighter, with the truth's force and effects."""
@@ -122,6 +126,7 @@ def parse_scenario(text: str, source: str) -> Scenario:
         region=_region(table(data, "region", source), source) if "region" in data else None,
         events=tuple(_event(item, f"{source}: event {i}") for i, item in enumerate(_tables(data, "events", source), 1)),
         checks=tuple(_check(item, f"{source}: check {i}") for i, item in enumerate(_tables(data, "checks", source), 1)),
+        knowledge=_knowledge(table(data, "knowledge", source), source) if "knowledge" in data else None,
     )
 
 
@@ -255,6 +260,18 @@ def _region(data: Mapping[str, object], source: str) -> Region:
         semi_axes_m=vector(data.get("semi_axes_m"), f"{where}.semi_axes_m", 0.01, _FAR_M),
         semi_axes_mps=vector(data.get("semi_axes_mps"), f"{where}.semi_axes_mps", 0.01, _FAR_M),
     )
+
+
+def _knowledge(data: Mapping[str, object], source: str) -> InitialKnowledge:
+    where = f"{source}: knowledge"
+    only(data, ("mass_ratio", "force_weights"), where)
+    ratio = data.get("mass_ratio")
+    if not isinstance(ratio, Sequence) or isinstance(ratio, str) or len(ratio) != 2:
+        raise InputError(f"{where}.mass_ratio = {ratio!r} must be a list of 2 numbers, least and greatest")
+    least, greatest = (number(each, f"{where}.mass_ratio", 0.2, 5.0) for each in ratio)
+    if least > greatest:
+        raise InputError(f"{where}.mass_ratio = {ratio!r} must begin with the least")
+    return InitialKnowledge((least, greatest), number(data.get("force_weights"), f"{where}.force_weights", 0.0, 1.0))
 
 
 def _tables(data: Mapping[str, object], key: str, source: str) -> list[Mapping[str, object]]:

@@ -1,0 +1,346 @@
+"""From what is known to what a certificate may count on: each axis' `Authority`, the shared `Budget`, and k_sigma.
+
+Two sources, both intervals of true acceleration: the knowledge before take-off (`initial`), which needs no data, and
+the learner's Gaussian processes (`posterior`), mean +- k sigma.  Where both speak, both are true, and the narrower
+counts; where they contradict each other, their hull does.
+
+**The thrust.**  Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with
+|b_n|, |b_e| <= beta and a down part from low to high (`queries.budget`).  All that is certified holds for them.
+
+**The queries.**  Along axis i the speeds v_i are the nodes; the other inputs vary over their ranges.  With signs
+s1..s4 in {-1, 1} (outermost first), V_j(s) the least or greatest speed of axis j, near(+1) the greatest nearness to
+the ground, near(-1) the least, b_d = sqrt(1 - b_n^2 - b_e^2) and f = b F / b_d:
+
+    down     b = (s1 beta, s2 beta),      v = (V_n(s3), V_e(s4), node)     end low: F = high, end high: F = low
+    north    b = (+-beta, s1 beta),       v = (node, V_e(s3), V_d(s4))     end low: +beta, end high: -beta;
+    east     b = (s1 beta, +-beta),       v = (V_n(s3), node, V_d(s4))         F = high where s2 = 1, else low
+
+near(s1 s2 s3 s4) in each: the half of the 2^5 corners in which no pair of factors is confounded.  To these come two
+*centre* queries, near(-1) first, then near(+1), with the signs' b and speeds 0 (or the range's nearest), F of a
+lateral one the thrust of hover.  On the `slice` there are only these.  Corners are representative: between them the
+processes are taken to be no further off than there.
+
+**The bound.**  For each query and end [lo, hi] = mean -+ k sigma of the acceleration along the axis, cut with the
+initial interval (of -f - drag v) there.  A lateral one is taken without what thrust explains: + gain_d(v_d) f_i, gain_d
+linear between the vertical nodes.  The node's interval is the hull over its queries, for lateral axes over both ends.
+Half its width and its middle give
+
+    down     u_low, u_high: the middles; gain = (u_high - u_low) / (high - low), offset = u_high + gain low
+    lateral  offset: the middle; u_low, u_high = offset -+ W, W = min(gain_d) beta F0, F0 = max(hover, (low + high) / 2)
+             the thrust that the filter steers with: where thrust differs from it, the filter leans further or less
+
+    error at a node = max over it and its neighbours of (half width + |its middle - this one's|) + k bend + widen
+
+so the bound holds also where the vehicle's speed is a node's spacing from the one that the filter counts with.  `bend`
+is the prior's standard deviation of the middle of a gap between two nodes, given as deviation from their mean (a
+second difference: constants, drag and thrust, linear in v, have none); a gap is a small part of any length scale, so
+between two nodes the deviation is a parabola with its greatest value there.
+
+**The kernels** are the learner's, but for the size of the smooth remainder, of which nothing is known but what the
+flight shows: of the sizes (standard deviation) prior / 2^i, i = 0..5, the largest whose likelihood of the points is
+within a factor of 7 (exp 1.92) of the best one's, so an upper confidence bound of 97.5 %.  Everything named (drag,
+thrust, ground) keeps its prior.  Source of bounds by sets of hyper-parameters: A. Capone, A. Lederer, S. Hirche,
+"Gaussian process uniform error bounds with unknown hyperparameters for safety-critical applications", ICML 2022.
+
+**k_sigma.**  Each bound is two-sided and Gaussian; the union over all of them (`statements`: queries and gaps) fails
+with probability delta_n at most: k = Phi^-1(1 - delta_n / (2 statements)), delta_n = 6 delta / (pi n)^2 for the n-th
+certificate, n from 1, so that all that are ever issued fail with delta at most.
+
+`as_json` holds all that these sentences use; `sha256` is over x, then y of the lateral store, then of the vertical one
+(little-endian doubles, row by row).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
+from flightstack.barrier.posterior import Accelerations
+from flightstack.barrier.queries import Envelope, Steering, budget, lean, queries, statements
+from flightstack.barrier.records import Authority, Budget
+from flightstack.learning.learner import LearnerState
+from flightstack.learning.sampler import V_N
+from flightstack.model import Limits, Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+__all__ = [
+    "Envelope", "InitialKnowledge", "Knowledge", "budget", "confidence", "require_authority",
+    "vertical_authority_weights",
+]  # fmt: skip
+
+_G = STANDARD_GRAVITY_MPS2
+_CHUNK = 64
+"""Queries evaluated at one go: about a millisecond with 300 points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """Bounds of the true acceleration, axis by axis."""
+
+    authorities: Mapping[int, Authority]
+    """By axis, those asked for."""
+    gain_part_mps2: Mapping[int, float]
+    """How much of the error at u_low is the thrust gain's doubt, at the worst node."""
+    budget: Budget
+    delta: float
+    """Chance that any bound of any certificate fails."""
+    k_sigma: float
+    version: int
+    """Of the certificate, from 1."""
+    hover_mps2: float
+    """Specific thrust of hover."""
+    request: Request
+
+    def as_json(self) -> dict[str, object]:
+        """Everything that the bounds are made of, as plain numbers, lists and tables."""
+        return _as_json(self.request)
+
+    @classmethod
+    def initial(
+        cls, knowledge: InitialKnowledge, model: Model, limits: Limits, envelope: Envelope, *, box: Budget | None = None
+    ) -> Knowledge:
+        """Before any data; with `box` None no thrust across is allowed for (the vertical axis alone)."""
+        box = box or budget(model, limits)
+        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, np.zeros(3))
+        *_, hulls = _all_steps(nothing)
+        assert hulls is not None
+        return _finish(nothing, hulls)
+
+    @classmethod
+    def from_learner(
+        cls,
+        state: LearnerState,
+        model: Model,
+        limits: Limits,
+        envelope: Envelope,
+        *,
+        initial: InitialKnowledge | None = None,
+        box: Budget | None = None,
+        delta: float = 0.05,
+        version: int = 1,
+        widen_mps2: F64 | None = None,
+    ) -> Knowledge:
+        """From the learner's own processes as they stand, kernels untouched, in one go: quick enough for a tick.
+
+        `widen_mps2` (3,) is added to each axis' error.
+        """
+        *_, last = cls.steps(
+            Accelerations.live(state, model), model, limits, envelope, initial=initial, box=box, delta=delta,
+            version=version, widen_mps2=widen_mps2,
+        )  # fmt: skip
+        assert last is not None
+        return last
+
+    @classmethod
+    def steps(
+        cls,
+        learned: Accelerations,
+        model: Model,
+        limits: Limits,
+        envelope: Envelope,
+        *,
+        initial: InitialKnowledge | None = None,
+        box: Budget | None = None,
+        delta: float = 0.05,
+        version: int = 1,
+        widen_mps2: F64 | None = None,
+    ) -> Iterator[Knowledge | None]:
+        """The same in pieces of about a millisecond: None after each, the knowledge after the last."""
+        box = box or budget(model, limits)
+        k = confidence(delta, version, statements(envelope))
+        widen = np.zeros(3) if widen_mps2 is None else widen_mps2
+        request = Request(learned, initial, model, box, envelope, k, delta, version, widen)
+        for hulls in _all_steps(request):
+            yield None if hulls is None else _finish(request, hulls)
+
+
+class Request(NamedTuple):
+    """All that a bound depends on."""
+
+    learned: Accelerations | None
+    initial: InitialKnowledge | None
+    model: Model
+    box: Budget
+    envelope: Envelope
+    k: float
+    delta: float
+    version: int
+    widen: F64
+
+
+class _Hull(NamedTuple):
+    """Intervals of one axis' acceleration at its nodes, at both ends of the command."""
+
+    v: F64
+    low: F64
+    """(n, 2) least true acceleration; columns: end low, end high."""
+    high: F64
+    bend: float
+    wanted: float
+    """W of a lateral axis."""
+
+
+def confidence(delta: float, version: int, statements: int) -> float:
+    """k_sigma for the `version`-th certificate (from 1), whose bounds are so many two-sided Gaussian statements."""
+    share = 6.0 * delta / (math.pi * version) ** 2
+    return float(-ndtri(0.5 * share / statements))
+
+
+def _all_steps(request: Request) -> Iterator[dict[int, _Hull] | None]:
+    """None after each piece of the work, the hulls after the last."""
+    hulls: dict[int, _Hull] = {}
+    for axis in (DOWN, *(i for i in request.envelope.axes if i != DOWN)):
+        steering = None if axis == DOWN else _steering(hulls[DOWN], request.box)
+        for hull in _hull_steps(request, axis, steering):
+            hulls[axis] = hull
+            yield None
+    yield hulls
+
+
+def _steering(down: _Hull, box: Budget) -> Steering:
+    middle = 0.5 * (down.low + down.high)
+    gain = np.maximum((middle[:, 1] - middle[:, 0]) / max(box.high_mps2 - box.low_mps2, 1e-9), 1e-3)
+    at = int(np.argmin(np.abs(down.v)))
+    hover = float(middle[at, 1] / gain[at]) + box.low_mps2
+    return Steering(down.v, gain, min(max(hover, box.low_mps2), box.high_mps2))
+
+
+def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Iterator[_Hull]:
+    """The axis' hull, filled piece by piece: it holds after the last."""
+    asked = queries(request.envelope, request.box, request.model.rotor_radius_m, axis, steering)
+    shape = asked.speed_mps.shape[:3]
+    speed, thrust = asked.speed_mps.reshape(-1, 3), asked.thrust_mps2.reshape(-1, 3)
+    near = np.broadcast_to(asked.near, shape).reshape(-1)
+    explained, low, high = asked.explained_mps2.reshape(-1), np.empty(len(near)), np.empty(len(near))
+    bend = _bend(request, axis, asked.v_mps)
+    hull = _Hull(asked.v_mps, np.zeros(shape[:2]), np.zeros(shape[:2]), bend, asked.wanted_mps2)
+    size = len(near) if request.learned is None else _CHUNK
+    for start in range(0, len(near), size):
+        part = slice(start, start + size)
+        bounds = _interval(request, axis, speed[part], thrust[part], near[part])
+        low[part], high[part] = bounds[0] + explained[part], bounds[1] + explained[part]
+        if part.stop >= len(near):
+            hull.low[:] = low.reshape(shape).min(axis=2)
+            hull.high[:] = high.reshape(shape).max(axis=2)
+        yield hull
+
+
+def _interval(request: Request, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:
+    """Least and greatest true acceleration along an axis at each query."""
+    model, known = request.model, request.initial
+    low, high = np.full(len(near), -math.inf), np.full(len(near), math.inf)
+    if known is not None:
+        drag = max(model.drag_kgps) / model.mass_kg
+        low, high = known.interval(axis, -thrust[:, axis] - drag * speed[:, axis])
+    if request.learned is None:
+        return low, high
+    mean, sigma = request.learned.at(axis, speed, thrust, near)
+    least, most = mean - request.k * sigma, mean + request.k * sigma
+    apart = np.maximum(low, least) > np.minimum(high, most)
+    return (
+        np.where(apart, np.minimum(low, least), np.maximum(low, least)),
+        np.where(apart, np.maximum(high, most), np.minimum(high, most)),
+    )
+
+
+def _bend(request: Request, axis: int, nodes: F64) -> float:
+    """Standard deviation of the residual half-way between two nodes, about their mean, before any data."""
+    if request.learned is None or len(nodes) < 2:
+        return 0.0
+    x = np.zeros((3, 7))
+    x[:, V_N + axis] = [nodes[0], 0.5 * (nodes[0] + nodes[1]), nodes[1]]
+    x[:, 5] = 1.0
+    weights = np.array([-0.5, 1.0, -0.5])
+    variances = [
+        float(weights @ p.process.kernel.matrix(x) @ weights) * p.process.inflation**2
+        for p in (request.learned.lateral, request.learned.vertical)
+    ]
+    return math.sqrt(max(*variances, 0.0))
+
+
+def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
+    """Authorities from the hulls, by the module's rule."""
+    authorities = {axis: _authority(request, axis, hull) for axis, hull in hulls.items()}
+    doubt, hover = _gain_doubt(request), _steering(hulls[DOWN], request.box).hover_mps2
+    parts = {
+        axis: doubt * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * lean(request.box))
+        for axis in hulls
+    }
+    parts = {axis: min(part, float(authorities[axis].error_low_mps2.max())) for axis, part in parts.items()}
+    return Knowledge(
+        authorities, parts, request.box, request.delta, request.k, request.version, hover, request
+    )  # fmt: skip
+
+
+def _authority(request: Request, axis: int, hull: _Hull) -> Authority:
+    middle, half = 0.5 * (hull.low + hull.high), 0.5 * (hull.high - hull.low)
+    if axis == DOWN:
+        span = max(request.box.high_mps2 - request.box.low_mps2, 1e-9)
+        gain = (middle[:, 1] - middle[:, 0]) / span
+        offset = middle[:, 1] + gain * request.box.low_mps2
+        ends = middle
+    else:
+        least, most = hull.low.min(axis=1), hull.high.max(axis=1)
+        offset, gain = 0.5 * (least + most), np.zeros(len(hull.v))
+        ends = offset[:, None] + hull.wanted * np.array([-1.0, 1.0])
+        half = np.repeat(0.5 * (most - least)[:, None], 2, axis=1)
+    more = request.k * hull.bend + float(request.widen[axis])
+    error = np.array([_around(ends[:, i], half[:, i]) for i in range(2)]) + more
+    return Authority(hull.v, offset, gain, ends[:, 0].copy(), ends[:, 1].copy(), error[0], error[1])
+
+
+def _around(middle: F64, half: F64) -> F64:
+    """(n,) half width that holds each node's and its neighbours' intervals about the node's own middle."""
+    out = half.copy()
+    apart = np.abs(np.diff(middle))
+    out[1:] = np.maximum(out[1:], half[:-1] + apart)
+    out[:-1] = np.maximum(out[:-1], half[1:] + apart)
+    return out
+
+
+def _gain_doubt(request: Request) -> float:
+    """Bound of the thrust gain's error at rest."""
+    doubt = math.inf
+    if request.initial is not None:
+        least, most = request.initial.gain
+        doubt = 0.5 * (most - least)
+    if request.learned is None:
+        return doubt
+    x = np.zeros((3, 7))
+    x[:, 5] = [0.0, 1.0, 2.0]
+    none, one, two = request.learned.vertical.at(x)[
+        1
+    ].tolist()  # a variance is quadratic in thrust: its bend the slope's
+    sigma = request.learned.vertical.process.inflation * math.sqrt(max(0.5 * (none - 2.0 * one + two), 0.0))
+    return min(doubt, request.k * sigma / _G)
+
+
+def _as_json(request: Request) -> dict[str, object]:
+    model, envelope, known = request.model, request.envelope, request.initial
+    data: dict[str, object] = {
+        "kind": "initial" if request.learned is None else "learned",
+        "initial": None if known is None else {
+            "mass_ratio": list(known.mass_ratio), "force_weights": known.force_weights,
+        },
+        "gravity_mps2": _G,
+        "drag_per_s": [each / model.mass_kg for each in model.drag_kgps],
+        "rotor_radius_m": model.rotor_radius_m,
+        "speeds_mps": [list(each) for each in envelope.speeds_mps],
+        "heights_m": list(envelope.heights_m),
+        "nodes": envelope.nodes, "slice_only": envelope.slice_only, "axes": list(envelope.axes),
+        "delta": request.delta, "version": request.version, "k_sigma": request.k,
+        "statements": 0 if request.learned is None else statements(envelope),
+        "widen_mps2": request.widen.tolist(),
+    }  # fmt: skip
+    if request.learned is not None:
+        lateral, vertical = request.learned.lateral.process, request.learned.vertical.process
+        data["lateral"], data["vertical"] = lateral.as_json(), vertical.as_json()
+        data["sha256"] = hashlib.sha256(lateral.bytes + vertical.bytes).hexdigest()
+    return data

@@ -1,0 +1,218 @@
+"""What the learned processes say of the true acceleration: exact posteriors, frozen, for many queries at once.
+
+A learner's store is copied once (`Process`) and factorised once (`Posterior`); then every query costs one triangular
+solve.  That is the textbook form (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm
+2.1): K + noise I = L L', mean = k' (L L')^-1 y, variance = k(x, x) - |L^-1 k|^2.
+
+From residuals to accelerations.  A store's outputs are the specific force (m/s^2) that the model does not explain, in
+tilt axes (`learning.sampler`): for a thrust vector f (believed newton per believed kilogram, NED, thrust is -f), its
+length F and its direction b = f / F,
+
+    x = (velocity NED, b_n, b_e, F / g, (F / g) near),   near = (R / 4 height)^2, height at least R / 2
+    a = g e_d - f + R(b) (residual(x) - D R(b)' v),      R(b): the shortest turn of down onto b, D = drag / mass
+
+so that a's standard deviation along an axis is that of a row of R(b) times three independent outputs; x and y share
+one store's variance, each with its own excess.  The calibrated variance of an output is inflation^2 (variance +
+excess), as the learner's own bound (`learning.store`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import lapack, solve_triangular
+
+from flightstack.barrier.initial import DOWN
+from flightstack.gp import Kernel, Matern, SquaredExponential
+from flightstack.gp.kernels import Product, Sum
+from flightstack.learning.learner import LearnerState
+from flightstack.learning.sampler import D
+from flightstack.learning.store import INFLATION, Store
+from flightstack.model import Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+_SIZES = 6
+_LIKELY = 1.92
+"""Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
+_NEGLIGIBLE = 1e-18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Process:
+    """A store's Gaussian process and calibration, copied."""
+
+    kernel: Kernel
+    noise_var: float
+    x: F64
+    """(N, D) the sampler's columns."""
+    y: F64
+    """(N, P) residuals, tilt axes."""
+    excess: F64
+    """(P,) variance that the kernel does not know, (m/s^2)^2."""
+    inflation: float = INFLATION
+    """Factor on the standard deviation."""
+
+    @classmethod
+    def of(cls, store: Store) -> Process:
+        """What the store holds now."""
+        gp = store.gp
+        return cls(gp.kernel, gp.noise_var, gp.x, gp.y, store.excess.copy())
+
+    def as_json(self) -> dict[str, object]:
+        """Plain numbers, lists and tables."""
+        return {
+            "kernel": self.kernel.to_dict(), "noise_var": self.noise_var, "inflation": self.inflation,
+            "excess": self.excess.tolist(), "x": self.x.tolist(), "y": self.y.tolist(),
+        }  # fmt: skip
+
+    @property
+    def bytes(self) -> bytes:
+        """x, then y: little-endian doubles, row by row."""
+        return np.ascontiguousarray(self.x, "<f8").tobytes() + np.ascontiguousarray(self.y, "<f8").tobytes()
+
+
+class Posterior:
+    """A process factorised; final, holds only constants."""
+
+    __slots__ = ("_factor", "_weights", "process")
+
+    def __init__(self, process: Process, gram: F64 | None = None) -> None:
+        """`gram` (N, N): the kernel of the points where it is known already."""
+        self.process = process
+        gram = (process.kernel.matrix(process.x) if gram is None else gram).copy()
+        gram[np.diag_indices_from(gram)] += process.noise_var
+        self._factor, failed = lapack.dpotrf(gram, lower=1)
+        if failed:  # points that coincide to the last digit: a little more noise
+            gram[np.diag_indices_from(gram)] += 1e-9 * float(np.trace(gram))
+            self._factor, _ = lapack.dpotrf(gram, lower=1)
+        self._weights = lapack.dpotrs(self._factor, process.y, lower=1)[0]
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the values, all outputs together, up to a constant (Rasmussen and Williams, equation 2.30)."""
+        fit, size = float(np.sum(self.process.y * self._weights)), float(np.log(np.diagonal(self._factor)).sum())
+        return -0.5 * fit - float(self.process.y.shape[1]) * size
+
+    def at(self, x: F64) -> tuple[F64, F64]:
+        """Means (M, P) and latent variance (M,) at x (M, D)."""
+        cross = self.process.kernel.matrix(self.process.x, x)
+        mean: F64 = cross.T @ self._weights
+        solved = solve_triangular(self._factor, cross, lower=True, overwrite_b=True, check_finite=False)
+        prior = self.process.kernel.diagonal(x)
+        return mean, np.maximum(prior - np.einsum("ij,ij->j", solved, solved), 0.0)
+
+
+def sized_steps(process: Process) -> Iterator[Posterior]:
+    """The process with its smooth part as large as its points leave likely; valid after the last piece of work.
+
+    Sizes are tried from the prior's down; see `knowledge` for the rule.
+    """
+    whole = process.kernel.matrix(process.x)
+    smooth = whole - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
+    tried: list[Posterior] = []
+    for i in range(_SIZES):
+        share = 4.0**-i
+        kernel = _scaled(process.kernel, share) if i else process.kernel
+        tried.append(Posterior(replace(process, kernel=kernel), whole - (1.0 - share) * smooth))
+        best = max(each.log_likelihood for each in tried)
+        yield next(each for each in tried if each.log_likelihood >= best - _LIKELY)
+
+
+def _scaled(kernel: Kernel, by: float) -> Kernel:
+    """The kernel with the variance of every stationary leaf times `by`."""
+    if isinstance(kernel, Sum | Product):
+        return type(kernel)(_scaled(kernel.left, by), _scaled(kernel.right, by))
+    if isinstance(kernel, SquaredExponential | Matern):
+        return replace(kernel, variance=kernel.variance * by)
+    return kernel
+
+
+class Live:
+    """The same answers from a learner's own recursion: nothing to factorise, good until its next point."""
+
+    __slots__ = ("_gp", "process")
+
+    def __init__(self, store: Store) -> None:
+        self.process, self._gp = Process.of(store), store.gp
+
+    def at(self, x: F64) -> tuple[F64, F64]:
+        """As Posterior."""
+        mean, variance = self._gp.predict(x)
+        return mean, variance[:, 0]
+
+
+class Accelerations:
+    """The true acceleration as both processes see it; final, holds only constants."""
+
+    __slots__ = ("_drag_per_s", "lateral", "vertical")
+
+    def __init__(self, lateral: Posterior | Live, vertical: Posterior | Live, model: Model) -> None:
+        self.lateral, self.vertical = lateral, vertical
+        x, y, z = model.drag_kgps
+        self._drag_per_s = np.array([0.5 * (x + y), 0.5 * (x + y), z]) / model.mass_kg
+
+    @classmethod
+    def live(cls, state: LearnerState, model: Model) -> Accelerations:
+        """From what a learner holds now, for use at once."""
+        return cls(Live(state.lateral), Live(state.vertical), model)
+
+    @classmethod
+    def frozen_steps(cls, state: LearnerState, model: Model) -> Iterator[Accelerations | None]:
+        """From a copy of what a learner holds now, the smooth part sized by it: None after each piece of work."""
+        copies, found = [Process.of(state.lateral), Process.of(state.vertical)], {}
+        for i, copy in enumerate(copies):
+            for posterior in sized_steps(copy):
+                found[i] = posterior
+                yield None
+        yield cls(found[0], found[1], model)
+
+    def at(self, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:
+        """Mean and standard deviation (M,) along an axis at velocities (M, 3), thrust vectors f (M, 3), nearness (M,).
+
+        With upright thrust the down axis sees the vertical process alone, which saves half the work.
+        """
+        x = inputs(speed, thrust, near)
+        turn = turns(x[:, 3], x[:, 4])
+        along = turn[:, axis, :]
+        mean = -thrust[:, axis] - np.einsum("mk,mjk,mj->m", along * self._drag_per_s, turn, speed)
+        mean[:] += STANDARD_GRAVITY_MPS2 if axis == DOWN else 0.0
+        variance = np.zeros(len(x))
+        for process, columns in ((self.lateral, slice(0, 2)), (self.vertical, slice(2, 3))):
+            if along[:, columns].any():
+                residual, spread = process.at(x)
+                mean += np.einsum("mk,mk->m", along[:, columns], residual)
+                calibrated = process.process.inflation**2 * (spread[:, None] + process.process.excess)
+                variance += np.einsum("mk,mk->m", along[:, columns] ** 2, calibrated)
+        return mean, np.sqrt(variance)
+
+
+def inputs(speed: F64, thrust: F64, near: F64) -> F64:
+    """(M, D) the sampler's columns."""
+    size = np.sqrt(np.einsum("ij,ij->i", thrust, thrust))
+    weights = size / STANDARD_GRAVITY_MPS2
+    out = np.empty((len(thrust), D))
+    out[:, :3] = speed
+    out[:, 3:5] = thrust[:, :2] / size[:, None]
+    out[:, 5], out[:, 6] = weights, weights * near
+    return out
+
+
+def turns(axis_n: F64, axis_e: F64) -> F64:
+    """(M, 3, 3) tilt axes to NED of each thrust axis: `sampler.tilt_axes` for many."""
+    down = np.sqrt(np.maximum(1.0 - axis_n**2 - axis_e**2, 0.0))
+    share = 1.0 / (1.0 + down)
+    cross = -share * axis_n * axis_e
+    rows = [
+        [1.0 - share * axis_n**2, cross, axis_n],
+        [cross, 1.0 - share * axis_e**2, axis_e],
+        [-axis_n, -axis_e, down],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+
+
+def proximity(radius_m: float, height_m: float) -> float:
+    """(R / 4h)^2 with h at least R / 2: the ground term's share of thrust."""
+    share = 0.25 * radius_m / max(height_m, 0.5 * radius_m)
+    return share * share
