@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp campaign-learning campaign-learning-quick tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier campaign-learning campaign-learning-quick tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -62,6 +62,9 @@ bench-flight: $(BIN)/.installed
 
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py
+
+bench-barrier: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.barrier
 
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py

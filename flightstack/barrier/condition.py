@@ -84,16 +84,21 @@ def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -
 def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
     """Least and greatest command in reach that meets the condition of every piece, and the margin q of the best one.
 
-    `rows` (n, ROW).  A negative margin: there is none, and both ends are the best command of the worst piece.
+    `rows` (n, ROW).  A negative margin: there is none, and both ends are the best command of the worst piece.  What is
+    no number and a range that is empty give the margin minus infinity.
     """
     low, high = reach[0], reach[1]
     margin, best = np.inf, low
+    if not low <= high:
+        return low, low, -np.inf
     for i in range(rows.shape[0]):
         a, b, c = coefficients(rows[i], e, v, setting, reach)
         top = high if b >= 0.0 else low
         if a < -1e-12:
             top = min(max(-0.5 * b / a, reach[0]), reach[1])
         q = (a * top + b) * top + c
+        if np.isnan(q):
+            return low, low, -np.inf
         if q < margin:
             margin, best = q, top
         if q < 0.0:
