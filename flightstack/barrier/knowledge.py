@@ -8,17 +8,18 @@ counts; where they contradict each other, their hull does.
 |b_n|, |b_e| <= beta and a down part from low to high (`queries.budget`).  All that is certified holds for them.
 
 **The queries.**  Along axis i the speeds v_i are the nodes; the other inputs vary over their ranges.  With signs
-s1..s4 in {-1, 1} (outermost first), V_j(s) the least or greatest speed of axis j, near(+1) the greatest nearness to
-the ground, near(-1) the least, b_d = sqrt(1 - b_n^2 - b_e^2) and f = b F / b_d:
+s1..s4 in {-1, 1} (outermost first), V_j(s) the least or greatest speed of axis j, b_d = sqrt(1 - b_n^2 - b_e^2) and
+f = b F / b_d:
 
     down     b = (s1 beta, s2 beta),      v = (V_n(s3), V_e(s4), node)     end low: F = high, end high: F = low
     north    b = (+-beta, s1 beta),       v = (node, V_e(s3), V_d(s4))     end low: +beta, end high: -beta;
     east     b = (s1 beta, +-beta),       v = (V_n(s3), node, V_d(s4))         F = high where s2 = 1, else low
 
-near(s1 s2 s3 s4) in each: the half of the 2^5 corners in which no pair of factors is confounded.  To these come two
-*centre* queries, near(-1) first, then near(+1), with the signs' b and speeds 0 (or the range's nearest), F of a
-lateral one the thrust of hover.  On the `slice` there are only these.  Corners are representative: between them the
-processes are taken to be no further off than there.
+To these comes first the *centre* query with the signs' b and speeds 0 (or the range's nearest), F of a lateral one the
+thrust of hover.  On the `slice` there is only this.  near is that of the greatest height in all: what the ground does
+below is not extrapolated from the data but bounded, as it only ever adds thrust, by at most g = 2 near(least height) F
+(twice Cheeseman and Bennett's): lo - g along down, lo - g beta and hi + g beta across.  Corners are
+representative: between them the processes are taken to be no further off than there.
 
 **The bound.**  For each query and end [lo, hi] = mean -+ k sigma of the acceleration along the axis, cut with the
 initial interval (of -f - drag v) there.  A lateral one is taken without what thrust explains: + gain_d(v_d) f_i, gain_d
@@ -63,7 +64,7 @@ from scipy.special import ndtri
 
 from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
 from flightstack.barrier.posterior import Accelerations
-from flightstack.barrier.queries import Envelope, Steering, budget, lean, queries, statements
+from flightstack.barrier.queries import Envelope, Steering, budget, ground_mps2, lean, queries, statements
 from flightstack.barrier.records import Authority, Budget
 from flightstack.learning.learner import LearnerState
 from flightstack.learning.sampler import V_N
@@ -225,7 +226,10 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
     for start in range(0, len(near), size):
         part = slice(start, start + size)
         bounds = _interval(request, axis, speed[part], thrust[part], near[part])
-        low[part], high[part] = bounds[0] + explained[part], bounds[1] + explained[part]
+        ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust[part])
+        share = 0.0 if axis == DOWN else lean(request.box)
+        low[part] = bounds[0] + explained[part] - ground * (share or 1.0)
+        high[part] = bounds[1] + explained[part] + ground * share
         if part.stop >= len(near):
             hull.low[:] = low.reshape(shape).min(axis=2)
             hull.high[:] = high.reshape(shape).max(axis=2)

@@ -36,6 +36,17 @@ class Envelope(NamedTuple):
     """Axes asked for; down (2) among them: its gain serves the others."""
 
 
+GROUND_STRENGTH = 2.0
+"""Of the ground effect, at most: twice what Cheeseman and Bennett give."""
+
+
+def ground_mps2(envelope: Envelope, rotor_radius_m: float, thrust_mps2: F64) -> F64:
+    """The most that the ground adds to thrust vectors (..., 3), m/s^2 along them, at the least height."""
+    near = proximity(rotor_radius_m, envelope.heights_m[0])
+    size: F64 = np.sqrt(np.einsum("...i,...i->...", thrust_mps2, thrust_mps2))
+    return GROUND_STRENGTH * near * size
+
+
 class Steering(NamedTuple):
     """What lateral queries need of the vertical axis."""
 
@@ -96,7 +107,7 @@ def _square(lean: float) -> float:
 
 def statements(envelope: Envelope) -> int:
     """Bounds that the union counts: one for each query and one for each gap between nodes, at both ends."""
-    queries = 2 if envelope.slice_only else 2 + len(_SIGNS)
+    queries = 1 if envelope.slice_only else 1 + len(_SIGNS)
     return len({DOWN, *envelope.axes}) * 2 * (queries * envelope.nodes + envelope.nodes - 1)
 
 
@@ -104,28 +115,27 @@ def queries(envelope: Envelope, box: Budget, rotor_radius_m: float, axis: int, s
     """One axis' queries; `steering` None for the vertical one."""
     ranges = np.array(envelope.speeds_mps)
     nodes = np.linspace(ranges[axis, 0], ranges[axis, 1], envelope.nodes)
-    near_far = np.array([proximity(rotor_radius_m, h) for h in (envelope.heights_m[1], envelope.heights_m[0])])
     signs = np.zeros((0, 4)) if envelope.slice_only else _SIGNS
-    count = 2 + len(signs)
-    near = np.concatenate([near_far[[0, 1]], near_far[(np.prod(signs, axis=1) > 0.0).astype(int)]])
+    count = 1 + len(signs)
+    near = np.full(count, proximity(rotor_radius_m, envelope.heights_m[1]))
     others = [i for i in range(3) if i != axis]
     calm = np.clip(0.0, ranges[:, 0], ranges[:, 1])
     speed = np.empty((envelope.nodes, 2, count, 3))
     for column, i in zip((2, 3), others, strict=True):
-        speed[..., :2, i] = calm[i]
-        speed[..., 2:, i] = ranges[i][(signs[:, column] > 0.0).astype(int)]
+        speed[..., :1, i] = calm[i]
+        speed[..., 1:, i] = ranges[i][(signs[:, column] > 0.0).astype(int)]
     speed[..., axis] = nodes[:, None, None]
     beta = lean(box)
     axes = np.zeros((envelope.nodes, 2, count, 3))
     ends = np.full((envelope.nodes, 2, count), box.high_mps2)
     if steering is None:
-        axes[..., 2:, :2] = beta * signs[:, :2]
+        axes[..., 1:, :2] = beta * signs[:, :2]
         ends[:, 1] = box.low_mps2
     else:
         axes[:, 0, :, axis], axes[:, 1, :, axis] = beta, -beta
-        axes[..., 2:, others[0]] = beta * signs[:, 0]
-        ends[..., :2] = steering.hover_mps2
-        ends[..., 2:] = np.where(signs[:, 1] > 0.0, box.high_mps2, box.low_mps2)
+        axes[..., 1:, others[0]] = beta * signs[:, 0]
+        ends[..., :1] = steering.hover_mps2
+        ends[..., 1:] = np.where(signs[:, 1] > 0.0, box.high_mps2, box.low_mps2)
     axes[..., DOWN] = np.sqrt(1.0 - axes[..., 0] ** 2 - axes[..., 1] ** 2)
     thrust = axes * (ends / axes[..., DOWN])[..., None]
     if steering is None:

@@ -1,0 +1,373 @@
+"""One tick of the safety filter, compiled: predict, ask every barrier, set up the QP, turn its answer into a command.
+
+A certificate is packed into one row of numbers (`pack`), all that changes in flight into one memory (`new_memory`):
+compiled code is entered with flat arrays only, because each array that is handed over costs half a microsecond.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.barrier.condition import Reach, Setting, coefficients, interval
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.response import (
+    C_HOLD,
+    C_LEAD_THRUST,
+    C_NORM_HIGH,
+    C_NORM_LOW,
+    C_RATE_DELAY,
+    C_STEER,
+    C_THRUST_DELAY,
+    CHAIN,
+    M_GOOD_SINCE,
+    M_MODE,
+    M_STEP_US,
+    STATE,
+    acceleration,
+    ahead,
+    command_for,
+    follow_rotors,
+    lead,
+    remember,
+)  # fmt: skip
+from flightstack.barrier.shapes import ROW, piece_at
+from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit
+from flightstack.model import Limits, Model
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+ENGAGE_H = 0.05
+ENGAGE_US = 500_000.0
+UNCERTIFIED, WAITING, PASSED, CHANGED, INFEASIBLE, UNSOLVED = range(6)
+"""Values of `Filtered.status`."""
+ENGAGED, DOUBTFUL = 1.0, 2.0
+"""Modes in memory: engaged, engaged with a certificate for another region come in; 0 not engaged."""
+ROWS = 9
+"""Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
+_DT_RANGE_S = (0.001, 0.05)
+_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING, _RESPONSE, _CHAIN = 0, 3, 6, 9, 12, 24, 33
+_BOUNDS = _CHAIN + CHAIN
+_SIZES = _BOUNDS + 5
+_HEAD = _SIZES + 2
+"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 4),
+response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
+pieces and nodes each axis has room for; then the pieces and the authority's tables."""
+WORK = 2 * STATE + 4
+"""Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
+thrust (3), gain."""
+
+
+def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
+    """The certificate in one row, with what it leaves open taken from the model."""
+    axes = {axis.axis: axis for axis in certificate.axes} if certificate else {}
+    pieces = max((len(axis.barrier.rows) for axis in axes.values()), default=1)
+    nodes = max((axis.authority.table.shape[1] for axis in axes.values()), default=2)
+    flat = np.zeros(_HEAD + 3 * pieces * ROW + 3 * 7 * nodes)
+    flat[_SIZES : _SIZES + 2] = pieces, nodes
+    flat[_NODES : _NODES + 3] = 1.0
+    if certificate:
+        flat[_CENTRE : _CENTRE + 3] = certificate.centre_ned_m
+    steer_s = 1.0 / attitude_p_ps
+    response = flat[_RESPONSE:_CHAIN].reshape(3, 3)
+    response[:] = steer_s, steer_s * model.rate_lag_s, model.transport_delay_s
+    response[2, :2] = model.motor_lag_s, 0.0
+    tables = flat[_HEAD + 3 * pieces * ROW :].reshape(3, 7, nodes)
+    tables[2, 1], tables[2, 2] = STANDARD_GRAVITY_MPS2, 1.0
+    for i, axis in axes.items():
+        rows, table = axis.barrier.rows, axis.authority.table
+        flat[[_CERTIFIED + i, _PIECES + i, _NODES + i]] = 1.0, len(rows), table.shape[1]
+        flat[_SETTING + 4 * i : _SETTING + 4 * i + 4] = axis.setting
+        response[i] = axis.response.c1_s, axis.response.c2_s2, axis.response.delay_s
+        flat[_HEAD + i * pieces * ROW :][: rows.size] = rows.ravel()
+        tables[i, :, : table.shape[1]] = table
+    _fill_chain(flat, tables[2], certificate, model, limits)
+    return flat
+
+
+def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model: Model, limits: Limits) -> None:
+    """The vehicle's answer and its limits; `vertical` (7, n): the authority's table.
+
+    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more: then no thrust in
+    the budget takes away what lateral authority the budget grants.
+    """
+    low_n, high_n = model.thrust_range_n(limits)
+    low, high, tilt = low_n / model.mass_kg, high_n / model.mass_kg, limits.tilt_max_rad
+    middle = 0.5 * (low + high)
+    if certificate:
+        tilt = min(certificate.budget.tilt_max_rad, tilt)
+        middle = 0.5 * (certificate.budget.low_mps2 + certificate.budget.high_mps2)
+    steered = 1 if flat[_CERTIFIED + 1] and not flat[_CERTIFIED] else 0
+    steer, square, delay = flat[_RESPONSE + 3 * steered : _RESPONSE + 3 * steered + 3]
+    at = int(np.argmin(np.abs(vertical[0, : int(flat[_NODES + 2])])))
+    rotor_lag, thrust_delay = flat[_RESPONSE + 6], flat[_RESPONSE + 8]
+    flat[_CHAIN:_BOUNDS] = [
+        model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
+        rotor_lag, square / steer if steer > 0.0 else 0.0, round(1e6 * thrust_delay), round(1e6 * delay), steer,
+        max(vertical[1, at] / vertical[2, at], middle), _DT_RANGE_S[0],
+    ]  # fmt: skip
+    flat[_BOUNDS:_SIZES] = low, high, math.sin(tilt) * math.cos(math.pi / 8.0), *limits.rate_max_radps[:2]
+
+
+@njit
+def finite(values: F64) -> bool:
+    """Whether all are numbers."""
+    for value in values:  # noqa: SIM110  compiled: no generators
+        if not math.isfinite(value):
+            return False
+    return True
+
+
+@njit
+def _pieces(flat: F64, axis: int) -> F64:
+    """(n, ROW) the pieces of one axis' barrier."""
+    at = _HEAD + axis * int(flat[_SIZES]) * ROW
+    count = int(flat[_PIECES + axis])
+    return flat[at : at + count * ROW].reshape(count, ROW)
+
+
+@njit
+def _table(flat: F64, axis: int) -> F64:
+    """(7, n) one axis' authority."""
+    nodes = int(flat[_SIZES + 1])
+    at = _HEAD + 3 * int(flat[_SIZES]) * ROW + axis * 7 * nodes
+    return flat[at : at + 7 * nodes].reshape(7, nodes)[:, : int(flat[_NODES + axis])]
+
+
+@njit
+def _setting(flat: F64, axis: int) -> Setting:
+    at = _SETTING + 4 * axis
+    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3])
+
+
+@njit
+def _below(table: F64, v: float) -> int:
+    """Index of the node below v, or of the last that has one above it."""
+    i = 0
+    while i < table.shape[1] - 2 and table[0, i + 1] < v:
+        i += 1
+    return i
+
+
+@njit
+def _mean(table: F64, column: int, v: float) -> float:
+    """A column at a speed: linear between nodes, constant beyond them."""
+    if table.shape[1] < 2:
+        return table[column, 0]  # type: ignore[no-any-return]
+    i = _below(table, v)
+    share = min(max((v - table[0, i]) / (table[0, i + 1] - table[0, i]), 0.0), 1.0)
+    return table[column, i] + share * (table[column, i + 1] - table[column, i])  # type: ignore[no-any-return]
+
+
+@njit
+def _reach(table: F64, v: float) -> Reach:
+    """`Authority.reach`: the narrower range and the larger doubt of the two nodes around."""
+    i = _below(table, v)
+    j = i + 1
+    return Reach(
+        max(table[3, i], table[3, j]),
+        min(table[4, i], table[4, j]),
+        max(table[5, i], table[5, j]),
+        max(table[6, i], table[6, j]),
+    )
+
+
+@njit
+def assess(
+    memory: F64, flat: F64, measured: F64, times_us: tuple[float, float, float], origin: F64, sent_norm: float,
+    sent_rate: F64, norm: float, rate: F64, work: F64, rows: F64, low: F64, high: F64, out: F64,
+) -> int:  # fmt: skip
+    """The first half of a tick: the status so far.  CHANGED: the QP is to be solved; INFEASIBLE: it can't be.
+
+    times_us: of the last command sent, the measurement, and now; `measured` (20,): a Measurement's row; `norm`, `rate`:
+    the wanted command's.  Into `work` (WORK,), `rows` (ROWS, 3), `low`, `high` (ROWS,) and `out`, a Filtered's row, in
+    which the wanted thrust is there already.
+    """
+    sent_us, measured_us, now_us = times_us
+    remember(memory, sent_us, sent_norm, sent_rate)
+    step_s = (now_us - memory[0, M_STEP_US]) * 1e-6
+    memory[0, M_STEP_US] = now_us
+    if not (finite(measured[:13]) and math.isfinite(norm + out[32]) and finite(rate)):
+        return UNSOLVED if memory[0, M_MODE] > 0.0 else WAITING
+    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    chain[C_HOLD] = min(max(step_s, _DT_RANGE_S[0]), _DT_RANGE_S[1]) if step_s < np.inf else _DT_RANGE_S[0]
+    for i in range(3):
+        offset[i] = _mean(_table(flat, i), 1, measured[3 + i])
+    offset[3] = _mean(_table(flat, 2), 2, measured[5])
+    follow_rotors(memory, chain, measured_us)
+    thrust_us, rate_us = now_us + chain[C_THRUST_DELAY], now_us + chain[C_RATE_DELAY]
+    ahead(memory, chain, measured, measured_us, thrust_us, offset, offset[3], predicted[0])
+    if rate_us == thrust_us:
+        for i in range(STATE):
+            predicted[1, i] = predicted[0, i]
+    else:
+        ahead(memory, chain, measured, measured_us, rate_us, offset, offset[3], predicted[1])
+    feasible = _barriers(flat, predicted, measured, origin, offset, low, high, out)
+    if not (finite(out[:2]) and finite(out[23:29])):
+        return UNSOLVED if memory[0, M_MODE] > 0.0 else WAITING
+    _accelerations(chain, predicted, offset, norm, rate, out[8:11])
+    for i in range(3):
+        out[11 + i] = out[8 + i]
+    out[3] = _least_margin(flat, out)
+    if not _engaged(memory, min(out[0], out[1]), now_us):
+        return WAITING
+    _limit_rows(flat, predicted, offset, rate, rows, low, high, out[8:11])
+    if not feasible or low[2] > high[2]:
+        return INFEASIBLE
+    for i in range(ROWS):
+        z = rows[i, 0] * out[8] + rows[i, 1] * out[9] + rows[i, 2] * out[10]
+        if not low[i] - 1e-9 <= z <= high[i] + 1e-9:
+            return CHANGED
+    return PASSED
+
+
+@njit
+def _engaged(memory: F64, h: float, now_us: float) -> bool:
+    """Whether the filter is engaged after this tick's h: once it has been at least ENGAGE_H for ENGAGE_US."""
+    if memory[0, M_MODE] == DOUBTFUL:
+        memory[0, M_MODE] = ENGAGED if h >= 0.0 else 0.0
+    if not h >= ENGAGE_H:
+        memory[0, M_GOOD_SINCE] = np.inf
+    elif memory[0, M_GOOD_SINCE] == np.inf:
+        memory[0, M_GOOD_SINCE] = now_us
+    if now_us - memory[0, M_GOOD_SINCE] >= ENGAGE_US:
+        memory[0, M_MODE] = ENGAGED
+    return memory[0, M_MODE] > 0.0  # type: ignore[no-any-return]
+
+
+@njit
+def _barriers(
+    flat: F64, predicted: F64, measured: F64, origin: F64, offset: F64, low: F64, high: F64, out: F64
+) -> bool:
+    """Each axis' barrier at the predicted and the measured state and the accelerations that it allows; whether every
+    axis has one.  `offset` becomes that at the predicted speeds."""
+    feasible = True
+    out[0] = out[1] = np.inf
+    response, chain = flat[_RESPONSE:_CHAIN].reshape(3, 3), flat[_CHAIN:_BOUNDS]
+    for i in range(3):
+        low[i], high[i] = -np.inf, np.inf
+        p, v = lead(chain, predicted[0 if i == 2 else 1], response, i, offset[i], offset[3])
+        centre = origin[i] + flat[_CENTRE + i]
+        e, seen = p - centre, measured[i] - centre
+        out[23 + i], out[26 + i] = e, v
+        if flat[_CERTIFIED + i] == 0.0:
+            continue
+        table, pieces = _table(flat, i), _pieces(flat, i)
+        offset[i] = _mean(table, 1, v)
+        if i == 2:
+            offset[3] = _mean(table, 2, v)
+        reach = _reach(table, v)
+        for piece in pieces:
+            out[0] = min(out[0], piece_at(piece, e, v)[0])
+            out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
+        low[i], high[i], margin = interval(pieces, e, v, _setting(flat, i), reach)
+        out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
+        out[29 + i] = max(reach[2], reach[3])
+        feasible = feasible and margin >= 0.0
+    return feasible
+
+
+@njit
+def _apart(predicted: F64) -> bool:
+    """Whether thrust and rates begin to act at different times."""
+    for i in range(STATE):  # noqa: SIM110  compiled: no generators
+        if predicted[0, i] != predicted[1, i]:
+            return True
+    return False
+
+
+@njit
+def _accelerations(chain: F64, predicted: F64, offset: F64, norm: float, rate: F64, u: F64) -> None:
+    """A command's accelerations: down from the state when thrust begins to act, sideways from that of the rates."""
+    acceleration(chain, predicted[0], offset, offset[3], norm, rate, u)
+    if _apart(predicted):
+        down = u[2]
+        acceleration(chain, predicted[1], offset, offset[3], norm, rate, u)
+        u[2] = down
+
+
+@njit
+def _limit_rows(
+    flat: F64, predicted: F64, offset: F64, rate: F64, rows: F64, low: F64, high: F64, wanted: F64
+) -> None:  # fmt: skip
+    """All rows of the QP in u; the first three bounds hold the barriers' intervals already.
+
+    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The pyramid's sides bound the lean
+    n that is steered to, inside the cone of the greatest tilt.  Where both lateral axes are certified the sides give
+    way to the accelerations nearest to an upright n that the barriers allow: tilt never takes what position needs.
+    """
+    chain, gain = flat[_CHAIN:_BOUNDS], offset[3]
+    ends, still = np.empty(3), np.zeros(3)
+    for i in range(ROWS):
+        rows[i, 0] = rows[i, 1] = rows[i, 2] = 0.0
+    rows[0, 0] = rows[1, 1] = rows[2, 2] = 1.0
+    acceleration(chain, predicted[0], offset, gain, chain[C_NORM_HIGH], still, ends)
+    low[2] = max(low[2], ends[2])
+    acceleration(chain, predicted[0], offset, gain, chain[C_NORM_LOW], still, ends)
+    high[2] = min(high[2], ends[2])
+    r = quat_to_matrix(predicted[1, 6:10])
+    force = gain * chain[C_LEAD_THRUST]
+    upright, near = np.empty(2), np.empty(2)  # u whose n is upright, and the nearest one that the barriers allow
+    for i in range(2):
+        still_u = wanted[i] + force * chain[C_STEER] * (rate[1] * r[i, 0] - rate[0] * r[i, 1])
+        upright[i] = still_u + force * r[i, 2]
+        near[i] = min(max(upright[i], low[i]), high[i])
+    both = flat[_CERTIFIED] > 0.0 and flat[_CERTIFIED + 1] > 0.0
+    room = force * flat[_BOUNDS + 2]
+    for k in range(4):
+        angle = math.pi * (0.25 * k + 0.125)
+        north, east = math.cos(angle), math.sin(angle)
+        rows[3 + k, 0], rows[3 + k, 1] = north, east
+        middle = north * upright[0] + east * upright[1]
+        needed = north * near[0] + east * near[1] if both else middle
+        low[3 + k], high[3 + k] = min(middle - room, needed), max(middle + room, needed)
+    turn = force * chain[C_STEER] * max(r[2, 2], 0.1)
+    for k in range(2):  # roll and pitch rate as `command_for` has them
+        size = max(math.sqrt(r[1, k] * r[1, k] + r[0, k] * r[0, k]), 1e-9)
+        rows[7 + k, 0], rows[7 + k, 1] = -r[1, k] / size, r[0, k] / size
+        at = rows[7 + k, 0] * wanted[0] + rows[7 + k, 1] * wanted[1]
+        low[7 + k] = at - turn / size * (flat[_BOUNDS + 3 + k] + rate[k])
+        high[7 + k] = at + turn / size * (flat[_BOUNDS + 3 + k] - rate[k])
+
+
+@njit
+def _least_margin(flat: F64, out: F64) -> float:
+    """Least q of all pieces at the accelerations out[11:14], 1/s."""
+    least = np.inf
+    for i in range(3):
+        if flat[_CERTIFIED + i] == 0.0:
+            continue
+        reach = _reach(_table(flat, i), out[26 + i])
+        for piece in _pieces(flat, i):
+            a, b, c = coefficients(piece, out[23 + i], out[26 + i], _setting(flat, i), reach)
+            least = min(least, (a * out[11 + i] + b) * out[11 + i] + c)
+    return least
+
+
+@njit
+def fallback(out: F64, u: F64) -> None:
+    """Into u (3,): per axis the wanted acceleration, moved into what the barrier allows; where that is nothing, the
+    best command of its worst piece, a saturated brake."""
+    for i in range(3):
+        u[i] = out[8 + i]
+        if out[14 + i] <= out[17 + i]:  # NaN where nothing is certified
+            u[i] = min(max(u[i], out[14 + i]), out[17 + i])
+
+
+@njit
+def steer(flat: F64, work: F64, u: F64, rate: F64) -> float:
+    """The command for u (3,): normalised thrust; roll and pitch rates into `rate` (3,), whose yaw rate stays."""
+    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    norm = command_for(chain, predicted[0], offset, offset[3], u, rate)
+    if _apart(predicted):
+        command_for(chain, predicted[1], offset, offset[3], u, rate)
+    return norm
+
+
+@njit
+def settle(flat: F64, work: F64, norm: float, rate: F64, out: F64) -> None:
+    """What the command really does, into the row: accelerations and the least margin."""
+    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    _accelerations(chain, predicted, offset, norm, rate, out[11:14])
+    out[3] = _least_margin(flat, out)

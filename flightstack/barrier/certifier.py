@@ -1,0 +1,394 @@
+"""Certificates in flight: from what the learner knows to a region that the filter keeps, again and again while it pays.
+
+Once the learner is valid: bounds (`knowledge`), then for each axis of the region the largest barrier out of a small
+family of shapes that the condition allows inside the region's ellipse (`design.grow`), with its ledger (`margins`).
+The work is cut into pieces of about a millisecond, one a tick.  The scenario's region gives the safe set of each axis:
+its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
+in it.
+
+    again        a second after the last, and taken if it is larger by 2 % and holds the vehicle, with room
+    falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
+                 it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
+                 last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from flightstack.barrier.condition import Setting
+from flightstack.barrier.design import SafeSet, grow
+from flightstack.barrier.initial import DOWN, InitialKnowledge
+from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
+from flightstack.barrier.posterior import Accelerations
+from flightstack.barrier.queries import Envelope, budget
+from flightstack.barrier.records import (
+    AXES,
+    Authority,
+    AxisCertificate,
+    Budget,
+    Certificate,
+    Margin,
+    Response,
+)  # fmt: skip
+from flightstack.barrier.shapes import Barrier, Quadratic, value
+from flightstack.frames import quat_to_matrix
+from flightstack.learning.learner import LearnerState
+from flightstack.model import Limits, Model
+from flightstack.region import Region
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
+
+_VALID = 2
+_MEAN_SHARE = 0.1
+"""Forgetting of the acceleration's short mean, a tick: 40 ms at 250 Hz."""
+_BEYOND_TICKS = 8
+_NOISE_MPS2 = 0.15
+"""What the short mean of the accelerometer, with its bias, may be off by itself."""
+_CROSS = (0.35, 0.6)
+_ROUNDS = 6
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class CertifierConfig:
+    """Constants of a certifier."""
+
+    axes: tuple[int, ...] = (0, 1, 2)
+    gamma_ps: float = 2.0
+    dt_s: float = 0.004
+    """Longest time between two commands."""
+    delta: float = 0.05
+    nodes: int = 8
+    slice_only: bool = False
+    """Bounds on the slice of no speed and no lean across each axis alone: the vertical experiment."""
+    accuracy: Accuracy = MOCAP
+    doubts: Doubts = USUAL
+    attitude_p_ps: float = 6.5
+    """The filter's steering law: 1 / T."""
+    lateral_need_mps2: float = 1.0
+    """Acceleration to either side that the budget leaves beyond what balances forces."""
+    thrust_least_share: float = 0.65
+    """Of hover: the least thrust of the budget."""
+    every_s: float = 1.0
+    growth: float = 1.02
+    room_h: float = 0.05
+    """h that the vehicle must have in a certificate that is taken."""
+
+
+@dataclass(slots=True)
+class CertifierState:
+    """What a certifier remembers; changed in place by its steps."""
+
+    origin_ned_m: F64 | None = None
+    """Where the flight began: the first measurement."""
+    work: Iterator[Certificate | None] | None = None
+    certificate: Certificate | None = None
+    area: float = 0.0
+    """Of the product of the axes' regions."""
+    version: int = 0
+    begun_us: int = -(10**12)
+    changes: float = 0.0
+    widen_mps2: F64 = field(default_factory=lambda: np.zeros(3))
+    error_mps2: F64 = field(default_factory=lambda: np.zeros(3))
+    """Short mean of the acceleration as measured less the certificate's, NED."""
+    beyond: int = 0
+    falsified: str = ""
+
+
+class _Axis(NamedTuple):
+    """One axis being designed."""
+
+    axis: int
+    safe: SafeSet
+    authority: Authority
+    response: Response
+    gain_part_mps2: float
+    coupling_mps: float
+
+
+class OnlineCertifier:
+    """The certifier of one believed vehicle and one region; final, holds only constants."""
+
+    __slots__ = ("config", "initial", "limits", "model", "region", "safe")
+    enabled = True
+
+    def __init__(
+        self,
+        model: Model,
+        limits: Limits,
+        region: Region,
+        *,
+        initial: InitialKnowledge | None = None,
+        config: CertifierConfig | None = None,
+        safe: Mapping[int, SafeSet] | None = None,
+    ) -> None:
+        """`safe`: each certified axis' own safe set, in place of the region's."""
+        self.model, self.limits, self.region, self.initial = model, limits, region, initial
+        self.config = config or CertifierConfig()
+        self.safe = dict(safe) if safe is not None else safe_sets(region, self.config.axes)
+
+    def init(self) -> CertifierState:
+        """Nothing certified yet."""
+        return CertifierState()
+
+    def step(
+        self, state: CertifierState, learner: LearnerState, measurement: Measurement, learned: Learned,
+        filtered: Filtered,
+    ) -> tuple[CertifierState, Certificate | None]:  # fmt: skip
+        """A piece of the work; a certificate where one is ready and fits."""
+        if state.origin_ned_m is None:
+            state.origin_ned_m = measurement.pos_ned_m.copy()
+        if learned.stage < _VALID:
+            return state, None
+        self._watch(state, measurement, learned)
+        if state.work is None and measurement.t_us - state.begun_us >= 1e6 * self.config.every_s:
+            state.begun_us = measurement.t_us
+            state.work = self.work(learner, learned, state.version + 1, state.widen_mps2.copy())
+        if state.work is None:
+            return state, None
+        ready = next(state.work, None)
+        if ready is None:
+            return state, None
+        state.work = None
+        return state, self._judge(state, ready, measurement)
+
+    def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
+        """Whether what is certified is still so; where it is not, the work begins anew."""
+        reason = ""
+        if learned.changes > state.changes:
+            reason = "the learner noticed a change"
+        state.changes = learned.changes
+        certificate = state.certificate
+        if certificate is None:
+            return
+        if state.falsified:  # already so, and being worked on
+            state.work = None if reason else state.work
+            state.begun_us = -(10**12) if reason else state.begun_us
+            return
+        observed = observed_error(certificate, self.model, measurement, learned)
+        if np.isfinite(observed).all():
+            state.error_mps2 += _MEAN_SHARE * (observed - state.error_mps2)
+        allowed = np.full(3, math.inf)
+        for each in certificate.axes:
+            most = max(each.authority.error_low_mps2.max(), each.authority.error_high_mps2.max())
+            allowed[each.axis] = most + _NOISE_MPS2
+        excess = np.abs(state.error_mps2) - allowed
+        state.beyond = state.beyond + 1 if (excess > 0.0).any() else 0
+        if state.beyond >= _BEYOND_TICKS:
+            axis = int(np.argmax(excess))
+            reason = (
+                f"{AXES[axis]}: acceleration off by {state.error_mps2[axis]:.2f} m/s^2, "
+                f"certified within {allowed[axis] - _NOISE_MPS2:.2f} m/s^2"
+            )
+            state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * np.maximum(excess, 0.0))
+            state.beyond = 0
+            state.error_mps2[:] = 0.0
+        if reason:
+            state.falsified, state.work, state.begun_us = reason, None, -(10**12)
+
+    def _judge(self, state: CertifierState, ready: Certificate, measurement: Measurement) -> Certificate | None:
+        """The certificate to hand out for a finished piece of work, if any."""
+        holds = bool(ready.axes) and _room(ready, measurement, state.origin_ned_m) >= self.config.room_h
+        area = area_of(ready) if ready.axes else 0.0
+        if state.falsified:
+            if holds:
+                issued = _marked(ready, state.falsified, hand_over=False)
+            elif state.certificate is not None:
+                issued = _marked(state.certificate, state.falsified, hand_over=True, version=state.version + 1)
+            else:
+                return None
+            state.falsified = ""
+            area = area if holds else 0.0
+        elif holds and area > self.config.growth * state.area:
+            issued = ready
+        else:
+            return None
+        state.certificate, state.area, state.version = issued, area, issued.version
+        return issued
+
+    def work(
+        self, learner: LearnerState, learned: Learned, version: int, widen_mps2: F64
+    ) -> Iterator[Certificate | None]:
+        """A certificate, piece by piece: None after each; without axes where an axis has no region."""
+        config = self.config
+        accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
+        box, lead = self._budget(accelerations)
+        yield None
+        knowledge = yield from _last(Knowledge.steps(
+            accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
+            delta=config.delta, version=version, widen_mps2=widen_mps2,
+        ))  # fmt: skip
+        axes: list[AxisCertificate] = []
+        for axis in config.axes:
+            found = yield from self._largest(self._axis(axis, knowledge, learned, lead))
+            if found is None:
+                axes.clear()
+                break
+            axes.append(found)
+        yield Certificate(
+            "sound", self.region.centre_ned_m, tuple(axes), knowledge.budget, config.delta, knowledge.k_sigma,
+            knowledge.as_json(), version,
+        )  # fmt: skip
+
+    def _envelope(self) -> Envelope:
+        sets = [self.safe.get(i) for i in range(3)]
+        fast = self.region.semi_axes_mps  # an axis that is not certified is taken to keep to the scenario's region
+        speeds = [each.limit_mps if each and each.limit_mps else fast[i] for i, each in enumerate(sets)]
+        height = -self.region.centre_ned_m[DOWN]
+        reach = self.safe[DOWN].limit_m if DOWN in self.safe else 0.0
+        north, east, down = ((-speed, speed) for speed in speeds)
+        return Envelope(
+            (north, east, down),
+            (max(height - reach, 0.0), height + reach),
+            self.config.nodes,
+            self.config.slice_only,
+            self.config.axes,
+        )
+
+    def _budget(self, learned: Accelerations) -> tuple[Budget, float]:
+        """The budget that balances what is known and leaves the need; and F0."""
+        g, config = STANDARD_GRAVITY_MPS2, self.config
+        thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
+        still, far = np.zeros((2, 3)), np.zeros(2)
+        down, _ = learned.at(DOWN, still, thrust, far)
+        gain = max(float(down[0] - down[1]) / (0.8 * g), 0.2)
+        hover = 0.8 * g + float(down[0]) / gain
+        at = np.array([[0.0, 0.0, hover]])
+        force = max(
+            abs(float(mean[0])) + 3.0 * float(sigma[0])
+            for mean, sigma in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
+        )
+        box = budget(
+            self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
+            low_mps2=config.thrust_least_share * hover, hover_mps2=hover,
+        )  # fmt: skip
+        return box, max(hover, 0.5 * (box.low_mps2 + box.high_mps2))
+
+    def _axis(self, axis: int, knowledge: Knowledge, learned: Learned, lead: float) -> _Axis:
+        model, box = self.model, knowledge.budget
+        delay = learned.latency_s if learned.latency_s > 0.0 else model.transport_delay_s
+        steer = 1.0 / self.config.attitude_p_ps
+        authority = knowledge.authorities[axis]
+        if axis == DOWN:
+            response, coupling = Response(model.motor_lag_s, 0.0, delay), 0.0
+        else:
+            response = Response(steer, steer * model.rate_lag_s, delay)
+            apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
+            coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
+        return _Axis(axis, self.safe[axis], authority, response, knowledge.gain_part_mps2[axis], coupling)
+
+    def _largest(self, axis: _Axis) -> Generator[None, None, AxisCertificate | None]:
+        """The largest of the family's shapes, or None."""
+        best: AxisCertificate | None = None
+        for shape in shapes(axis.safe, axis.authority):
+            found = yield from self._grown(shape, axis)
+            if found is not None and (best is None or found.barrier.area_m2ps > best.barrier.area_m2ps):
+                best = found
+        return best
+
+    def _grown(self, shape: Barrier, axis: _Axis) -> Generator[None, None, AxisCertificate | None]:
+        """One shape at its largest level, whose own ledger is no larger than the one that it was grown with."""
+        setting, _ = self._ledger(shape, axis)
+        for _ in range(_ROUNDS):
+            design = grow(shape, axis.safe, setting, axis.authority)
+            yield
+            if design.barrier is None or design.cover is None:
+                return None
+            own, margins = self._ledger(design.barrier, axis)
+            if own.eta <= setting.eta and own.rate_ps <= setting.rate_ps:
+                return AxisCertificate(
+                    axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
+                )
+            setting = setting._replace(
+                eta=1.02 * max(own.eta, setting.eta), rate_ps=1.02 * max(own.rate_ps, setting.rate_ps)
+            )
+        return None
+
+    def _ledger(self, barrier: Barrier, axis: _Axis) -> tuple[Setting, tuple[Margin, ...]]:
+        config = self.config
+        return ledger(
+            axis.axis, barrier, axis.authority, axis.response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
+            accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=axis.gain_part_mps2,
+            coupling_mps=axis.coupling_mps,
+        )  # fmt: skip
+
+
+def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
+    """Each axis' ellipse in (position, velocity); their product lies in the region."""
+    shrink = 1.0 if region.kind == "axes" else 1.0 / math.sqrt(len(axes))
+    return {i: SafeSet(shrink * region.semi_axes_m[i], shrink * region.semi_axes_mps[i]) for i in axes}
+
+
+def shapes(safe: SafeSet, authority: Authority) -> list[Barrier]:
+    """Ellipses to grow: with several slants, as fast as the braking stops within the safe set."""
+    at = int(np.argmin(np.abs(authority.v_mps)))
+    up = float(-authority.u_low_mps2[at] - authority.error_low_mps2[at])
+    down = float(authority.u_high_mps2[at] - authority.error_high_mps2[at])
+    brake = max(min(up, down), 0.05)
+    fast = math.sqrt(brake * safe.limit_m)
+    if safe.limit_mps is not None:
+        fast = min(fast, safe.limit_mps)
+    found: list[Barrier] = []
+    for share in (0.6, 0.8, 1.0):
+        for cross in _CROSS:
+            e, v = safe.limit_m, share * fast
+            room = 1.0 - cross * cross
+            found.append(Quadratic(0.0, 0.0, 1.0 / (e * e * room), cross / (e * v * room), 1.0 / (v * v * room)))
+    return found
+
+
+def observed_error(certificate: Certificate, model: Model, measurement: Measurement, learned: Learned) -> F64:
+    """(3,) NED acceleration as measured less what the certificate's means say at the thrust that acted, m/s^2."""
+    turn = quat_to_matrix(measurement.q_ned_frd)
+    measured = turn @ measurement.specific_force_frd_mps2
+    measured[DOWN] += STANDARD_GRAVITY_MPS2
+    thrust = learned.applied_thrust_n / model.mass_kg * turn[:, DOWN]
+    error = np.zeros(3)
+    down = next((each.authority for each in certificate.axes if each.axis == DOWN), None)
+    vel = measurement.vel_ned_mps
+    gain = 1.0 if down is None else float(np.interp(vel[DOWN], down.v_mps, down.gain))
+    for each in certificate.axes:
+        i, table = each.axis, each.authority
+        error[i] = measured[i] - (float(np.interp(vel[i], table.v_mps, table.offset_mps2)) - gain * thrust[i])
+    return error
+
+
+def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
+    """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
+    least = math.inf
+    for each in certificate.axes:
+        i, ahead = each.axis, each.response.c1_s + each.response.delay_s
+        start = 0.0 if origin_ned_m is None else float(origin_ned_m[i])
+        e = float(measurement.pos_ned_m[i]) - start - certificate.centre_ned_m[i]
+        v = float(measurement.vel_ned_mps[i])
+        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v))
+    return least
+
+
+def area_of(certificate: Certificate) -> float:
+    """Product of the axes' areas."""
+    return math.prod(each.barrier.area_m2ps for each in certificate.axes)
+
+
+def _last(pieces: Iterator[_T | None]) -> Generator[None, None, _T]:
+    """What comes of a piece-wise computation, a pause after each piece."""
+    found: _T | None = None
+    for piece in pieces:
+        found = piece
+        yield
+    assert found is not None
+    return found
+
+
+def _marked(certificate: Certificate, reason: str, *, hand_over: bool, version: int | None = None) -> Certificate:
+    knowledge = {**certificate.knowledge, "falsified": reason, "hand_over": hand_over}
+    return Certificate(
+        certificate.mode, certificate.centre_ned_m, certificate.axes, certificate.budget, certificate.delta,
+        certificate.k_sigma, knowledge, certificate.version if version is None else version,
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""The safety filter: the command nearest to the wanted one that keeps the vehicle in its certified region.
+
+Every tick: carry the state to the moment when this command begins to act (`barrier.response`), ask for each certified
+axis which accelerations meet the barrier condition (`barrier.condition`: an interval), and take the acceleration
+nearest to the wanted one in these intervals and in what tilt, body rates and thrust allow (`barrier.qp`).  Rows are
+never softened.  Where there is no such acceleration, the certified fallback brakes: each axis' best command, in closed
+form, without a solver.
+
+A wanted command that is safe passes bit for bit; yaw rate passes always.
+The filter engages once h, of the predicted and of the measured state, has been at least 0.05 for half a second.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.barrier.assess import (
+    CHANGED,
+    DOUBTFUL,
+    ENGAGED,
+    INFEASIBLE,
+    PASSED,
+    ROWS,
+    UNCERTIFIED,
+    UNSOLVED,
+    WAITING,
+    WORK,
+    assess,
+    fallback,
+    pack,
+    settle,
+    steer,
+)  # fmt: skip
+from flightstack.barrier.qp import NearestPoint
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.response import M_MODE, new_memory, remember
+from flightstack.model import Limiter, Limits, Model
+from flightstack.types import F64, Command, Filtered, Learned, Measurement
+
+__all__ = ["CHANGED", "INFEASIBLE", "PASSED", "UNCERTIFIED", "UNSOLVED", "WAITING", "BarrierFilter", "FilterState"]
+
+_SAME_MPS2 = 1e-6
+"""A change below this is none."""
+_EMPTY = np.full(len(Filtered.nothing().row), np.nan)
+
+
+class FilterState(NamedTuple):
+    """Everything that one tick hands to the next; `memory` and `packed` are written in place."""
+
+    origin_ned_m: F64
+    memory: F64
+    """Rotors, engagement, commands sent: `response.new_memory`."""
+    certificate: Certificate | None
+    packed: F64
+    """The same for compiled code: `assess.pack`."""
+
+
+class BarrierFilter:
+    """The filter for one believed vehicle; holds constants, the solver and buffers for one tick."""
+
+    enabled = True
+    __slots__ = ("_high", "_limiter", "_low", "_qp", "_rows", "_work", "attitude_p_ps", "limits", "model")
+
+    def __init__(self, model: Model, limits: Limits, attitude_p_ps: float = 6.5) -> None:
+        """`attitude_p_ps`: how fast body rates steer the thrust axis to where it is wanted (1 / T), as the certificate
+        of a lateral axis has it."""
+        self.model, self.limits, self.attitude_p_ps = model, limits, attitude_p_ps
+        self._limiter = Limiter(model, limits)
+        self._qp = NearestPoint(ROWS)
+        self._rows, self._work = np.zeros((ROWS, 3)), np.zeros(WORK)
+        self._low, self._high = np.zeros(ROWS), np.zeros(ROWS)
+        self.compile()
+
+    def compile(self) -> None:
+        """Call everything that a tick may need, once: no flight waits for the compiler when a certificate comes."""
+        still, row = np.zeros(3), np.zeros(len(_EMPTY))
+        state = self.init(still)
+        level = np.zeros(20)
+        level[6] = 1.0
+        assess(
+            state.memory, state.packed, level, (0.0, 0.0, 0.0), still, 0.5, still, 0.5, still, self._work, self._rows,
+            self._low, self._high, row,
+        )  # fmt: skip
+        self._qp.solve(np.ones((ROWS, 3)), np.zeros(ROWS), np.ones(ROWS), np.full(3, 2.0))
+        fallback(row, row[8:11].copy())
+        settle(state.packed, self._work, steer(state.packed, self._work, still, still.copy()), still, row)
+
+    def init(self, origin_ned_m: F64) -> FilterState:
+        """Nothing certified, nothing sent; regions are relative to the origin, (3,)."""
+        self._qp.forget()
+        packed = pack(None, self.model, self.limits, self.attitude_p_ps)
+        return FilterState(origin_ned_m.copy(), new_memory(), None, packed)
+
+    def adopt(self, state: FilterState, certificate: Certificate) -> FilterState:
+        """Keep to this certificate from now on.
+
+        For the same region (centre and axes), grown or shrunk, an engaged filter stays so: where the state is outside,
+        it is led back in.  For another region it stays engaged only if the state is inside.
+        """
+        before = state.certificate
+        if before is not None and _region(before) != _region(certificate) and state.memory[0, M_MODE] == ENGAGED:
+            state.memory[0, M_MODE] = DOUBTFUL
+        packed = pack(certificate, self.model, self.limits, self.attitude_p_ps)
+        return state._replace(certificate=certificate, packed=packed)
+
+    def step(
+        self, state: FilterState, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[FilterState, Command, Filtered]:
+        """The safe command nearest to `command`; `sent` is the command of the tick before, as it went out."""
+        row = _EMPTY.copy()
+        row[7], row[32] = 0.0, command.thrust_n
+        certificate, packed, work = state.certificate, state.packed, self._work
+        if certificate is None:
+            remember(state.memory, float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps)
+            row[2] = UNCERTIFIED
+            return state, command, Filtered(row)
+        times_us = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
+        status = assess(
+            state.memory, packed, measurement.row, times_us, state.origin_ned_m, sent.thrust_norm, sent.rate_frd_radps,
+            command.thrust_norm, command.rate_frd_radps, work, self._rows, self._low, self._high, row,
+        )  # fmt: skip
+        row[2], row[4], row[6] = status, 0.0, certificate.version
+        if status in (WAITING, PASSED) or not np.isfinite(row[8]):  # what is not a number is for the guard to judge
+            return state, command, Filtered(row)
+        u = np.empty(3)
+        if status == CHANGED:
+            solution = self._qp.solve(self._rows, self._low, self._high, row[8:11])
+            u, row[4], row[5] = solution.x, solution.iterations, solution.residual
+            if not solution.solved:
+                status = row[2] = UNSOLVED
+            elif max(abs(u[0] - row[8]), abs(u[1] - row[9]), abs(u[2] - row[10])) < _SAME_MPS2:
+                row[2] = PASSED
+                return state, command, Filtered(row)
+        if status != CHANGED:
+            fallback(row, u)
+        rate = command.rate_frd_radps.copy()
+        norm = steer(packed, work, u, rate)
+        safe, _ = self._limiter.limit(self.model.thrust_of(norm), rate, command.t_us)
+        settle(packed, work, safe.thrust_norm, safe.rate_frd_radps, row)
+        row[7] = 1.0
+        return state, safe, Filtered(row)
+
+
+def _region(certificate: Certificate) -> tuple[object, ...]:
+    return certificate.centre_ned_m, tuple(axis.axis for axis in certificate.axes)

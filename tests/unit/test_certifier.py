@@ -1,0 +1,125 @@
+"""The certifier in flight: certificates appear, hold the path and the truth, grow, and fall with what they rest on."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from shipped import load_scenario, load_vehicle
+
+from app.closed_loop import Flight, fly
+from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, area_of, safe_sets
+from flightstack.barrier.design import SafeSet
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.shapes import value
+from flightstack.learning.learner import GpLearner
+from flightstack.model import Limits, Model
+from flightstack.region import Region
+from flightstack.scenario import TimedEvent
+from flightstack.stack import Stack
+from flightstack.types import STANDARD_GRAVITY_MPS2 as G
+from flightstack.types import Filtered, Learned, Measurement, changed
+
+SCENARIO = load_scenario("paper-barrier")
+VERTICAL = CertifierConfig(axes=(2,), slice_only=True)
+
+
+class Kept(OnlineCertifier):
+    """Keeps what it issues."""
+
+    __slots__ = ("issued", "last")
+
+    def step(self, state: CertifierState, *given: object) -> tuple[CertifierState, Certificate | None]:  # type: ignore[override]
+        state, certificate = super().step(state, *given)  # type: ignore[arg-type]
+        self.last = (state, given)
+        if certificate is not None:
+            self.issued.append((given[1].t_us, certificate))  # type: ignore[attr-defined]
+        return state, certificate
+
+
+def flight(duration_s: float, events: tuple[TimedEvent, ...] = ()) -> tuple[Flight, Kept]:
+    kept: list[Kept] = []
+
+    def make(model: Model, limits: Limits) -> Stack:
+        certifier = Kept(
+            model,
+            limits,
+            SCENARIO.region,
+            initial=SCENARIO.knowledge,
+            config=VERTICAL,
+            safe={2: SafeSet(0.6, 1.2)},  # type: ignore[arg-type]
+        )
+        certifier.issued = []
+        kept.append(certifier)
+        return Stack(model, limits, learner=GpLearner(model), certifier=certifier)
+
+    scenario = dataclasses.replace(SCENARIO, duration_s=duration_s, events=events)
+    return fly(scenario, load_vehicle("quad-x"), make_stack=make), kept[0]
+
+
+@pytest.fixture(scope="module")
+def calm() -> tuple[Flight, Kept]:
+    return flight(10.0)
+
+
+def test_certificates_appear_soon_grow_and_hold_the_path(calm: tuple[Flight, Kept]) -> None:
+    flown, kept = calm
+    times, certificates = zip(*kept.issued, strict=True)
+    assert times[0] - flown.records[0].t_us < 6_000_000
+    areas = [area_of(each) for each in certificates]
+    assert all(later > 1.02 * sooner for sooner, later in itertools.pairwise(areas))
+    assert [each.version for each in certificates] == sorted({each.version for each in certificates})
+    down = certificates[-1].axes[0]
+    for t in np.linspace(0.0, 8.0, 200):
+        point = SCENARIO.trajectory.at(t)
+        assert value(down.barrier, float(point.pos_ned_m[2]) + 0.8, float(point.vel_ned_mps[2])) > 0.0
+
+
+def test_true_braking_and_acceleration_lie_within_every_certificate(calm: tuple[Flight, Kept]) -> None:
+    _, kept = calm
+    for _, certificate in kept.issued:
+        table, box = certificate.axes[0].authority, certificate.budget
+        for thrust, middle, error in (
+            (box.high_mps2, table.u_low_mps2, table.error_low_mps2),
+            (box.low_mps2, table.u_high_mps2, table.error_high_mps2),
+        ):
+            assert (np.abs(G - thrust / 1.4 - middle) <= error).all()
+
+
+def test_a_dropped_payload_falsifies() -> None:
+    _, kept = flight(10.0, (TimedEvent(6.0, "payload", (("mass_kg", -0.35),)),))
+    reasons = [each.knowledge["falsified"] for _, each in kept.issued if "falsified" in each.knowledge]
+    assert reasons
+    at = next(i for i, (_, each) in enumerate(kept.issued) if "falsified" in each.knowledge)
+    marked, before = kept.issued[at][1], kept.issued[at - 1][1]
+    assert marked.version > before.version
+    assert marked.knowledge["hand_over"] or area_of(marked) < area_of(before)
+
+
+def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[Flight, Kept]) -> None:
+    _, kept = calm
+    state, (learner, measurement, learned, _) = kept.last
+    assert isinstance(measurement, Measurement)
+    assert isinstance(learned, Learned)
+    off = changed(measurement, specific_force_frd_mps2=measurement.specific_force_frd_mps2 + np.array([0.0, 0.0, 3.0]))
+    issued = None
+    for _tick in range(400):
+        off = dataclasses.replace(off, t_us=off.t_us + 4000)
+        state, issued = OnlineCertifier.step(kept, state, learner, off, learned, Filtered.nothing())  # type: ignore[arg-type]
+        if issued is not None:
+            break
+    assert issued is not None
+    assert "down: acceleration off by" in str(issued.knowledge["falsified"])
+    assert state.widen_mps2[2] > 0.5
+
+
+def test_an_ellipsoids_safe_sets_lie_in_it_together() -> None:
+    region = Region("ellipsoid", (0.0, 0.0, -0.8), (0.4, 0.4, 0.6), (0.5, 0.5, 0.4))
+    sets, rng = safe_sets(region, (0, 1, 2)), np.random.default_rng(0)
+    for _ in range(200):
+        angle = rng.uniform(0.0, 2.0 * np.pi, 3)
+        pos = np.array([sets[i].limit_m * np.cos(angle[i]) for i in range(3)])
+        vel = np.array([(sets[i].limit_mps or 0.0) * np.sin(angle[i]) for i in range(3)])
+        assert region.value(pos + np.array([0.0, 0.0, -0.8]), vel) >= -1e-12

@@ -1,0 +1,119 @@
+"""The ledger against suprema found by brute force on a fine grid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flightstack.barrier.condition import Reach, Setting, coefficients
+from flightstack.barrier.margins import MOCAP, Accuracy, Doubts, ledger, slopes
+from flightstack.barrier.records import MARGINS, Authority, Response
+from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, piece_at
+
+SHAPES = [
+    Quadratic(0.0, 0.0, 1 / 0.36, 0.0, 0.6),
+    Quadratic(0.0, 0.0, 3.122, 0.365, 0.386),
+    Quadratic(0.05, -0.88, 3.284, 0.313, 0.194),
+    Stopping(-0.6, 0.6, 0.1, 2.0, 5.0),
+]
+LOW, HIGH, ERROR, DT = -2.5, 4.0, 0.4, 0.004
+
+
+def authority() -> Authority:
+    v, one = np.array([-4.0, 4.0]), np.ones(2)
+    return Authority(v, 9.8 * one, 0.7 * one, LOW * one, HIGH * one, ERROR * one, ERROR * one)
+
+
+def inside(barrier: Barrier, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A grid over the region of all pieces."""
+    e_low, e_high, v_low, v_high = barrier.box
+    e, v = (each.ravel() for each in np.meshgrid(np.linspace(e_low, e_high, 301), np.linspace(v_low, v_high, 301)))
+    held = np.array([min(piece_at(r, a, b)[0] for r in barrier.rows) >= 0.0 for a, b in zip(e, v, strict=True)])
+    return e[held], v[held]
+
+
+def q(row: np.ndarray, e: float, v: float, u: float) -> float:
+    a, b, c = coefficients(row, e, v, Setting(0.0, 0.0, 0.0, DT), Reach(LOW, HIGH, ERROR, ERROR))
+    return (a * u + b) * u + c
+
+
+@pytest.mark.parametrize("barrier", SHAPES, ids=["mu", "centred", "free", "stopping"])
+def test_slopes_hold_over_the_region_and_are_not_far_above(barrier: Barrier) -> None:
+    at = slopes(barrier, LOW, HIGH, ERROR, DT)
+    h_e = h_v = q_e = q_v = flow_h = flow_q = speed = 0.0
+    for row in barrier.rows:
+        es, vs = inside(barrier, row)
+        for e, v in list(zip(es, vs, strict=True))[::211]:
+            _, he, hv = piece_at(row, e, v)
+            h_e, h_v, speed = max(h_e, abs(he)), max(h_v, abs(hv)), max(speed, abs(v))
+            for u in (LOW, HIGH):
+                de = (q(row, e + 1e-6, v, u) - q(row, e - 1e-6, v, u)) / 2e-6
+                dv = (q(row, e, v + 1e-6, u) - q(row, e, v - 1e-6, u)) / 2e-6
+                q_e, q_v = max(q_e, abs(de)), max(q_v, abs(dv))
+                for a in (LOW, HIGH):
+                    flow_h, flow_q = max(flow_h, abs(he * v + hv * a)), max(flow_q, abs(de * v + dv * a))
+    for ours, brute in ((at.h_e, h_e), (at.h_v, h_v), (at.flow_h, flow_h), (at.flow_q, flow_q), (at.speed, speed)):
+        assert brute <= ours * (1.0 + 1e-6)
+        assert ours <= 1.6 * brute
+    assert q_e <= at.q_e * (1.0 + 1e-6) + 1e-6
+    assert q_v <= at.q_v * (1.0 + 1e-6) + 1e-6
+
+
+@pytest.mark.parametrize("barrier", SHAPES[:3], ids=["mu", "centred", "free"])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_no_error_within_the_stated_doubts_costs_more_than_b_and_eta(barrier: Quadratic, axis: int) -> None:
+    response = Response(0.03, 0.0, 0.02) if axis == 2 else Response(0.15, 0.15 * 0.03, 0.02)
+    accuracy, doubts = Accuracy(0.002, 0.01, 0.03), Doubts(0.004, 0.2, 0.2)
+    setting, _ = ledger(
+        axis, barrier, authority(), response, gamma_ps=2.0, dt_s=DT, accuracy=accuracy, doubts=doubts
+    )  # fmt: skip
+    rng, worst_q, worst_h = np.random.default_rng(4), 0.0, 0.0
+    row = barrier.rows[0]
+    es, vs = inside(barrier, row)
+    for _ in range(4_000):
+        i = rng.integers(len(es))
+        e, v, u, a = float(es[i]), float(vs[i]), rng.uniform(LOW, HIGH), rng.choice([LOW, HIGH])
+        late = doubts.delay_s * rng.choice([-1.0, 1.0])
+        if axis == 2:
+            late += doubts.lag_share * response.c1_s * rng.choice([-1.0, 1.0])
+        shift_e, shift_v = (
+            scale * rng.choice([-1.0, 1.0])
+            for scale in (accuracy.pos_m + (response.c1_s + response.delay_s) * accuracy.vel_mps, accuracy.vel_mps)
+        )
+        there_e, there_v = e + late * v + shift_e, v + late * a + shift_v
+        worst_q = max(worst_q, q(row, there_e, there_v, u) - q(row, e, v, u))
+        worst_h = max(worst_h, piece_at(row, there_e, there_v)[0] - piece_at(row, e, v)[0])
+    assert 0.3 * setting.rate_ps < worst_q <= setting.rate_ps
+    assert 0.2 * setting.eta < worst_h <= setting.eta
+
+
+def test_every_margin_is_named_once_and_grows_with_its_own_doubt() -> None:
+    barrier, response = SHAPES[1], Response(0.03, 0.0, 0.02)
+
+    def lines(**changes: object) -> dict[str, float]:
+        given = {"gamma_ps": 2.0, "dt_s": DT, "gain_part_mps2": 0.1, **changes}
+        _, margins = ledger(2, barrier, authority(), response, **given)  # type: ignore[arg-type]
+        assert tuple(each.name for each in margins) == MARGINS
+        assert all(each.because for each in margins)
+        return {each.name: each.mps2 for each in margins}
+
+    plain = lines()
+    assert plain["gp_error"] + plain["thrust_gain"] == pytest.approx(ERROR)
+    for name, changes in (
+        ("delay", {"doubts": Doubts(delay_s=0.008)}), ("rotor_lag", {"doubts": Doubts(lag_share=0.4)}),
+        ("estimate_error", {"accuracy": Accuracy(*(2.0 * each for each in MOCAP))}),
+        ("zero_order_hold", {"dt_s": 0.02}), ("thrust_gain", {"gain_part_mps2": 0.2}),
+    ):  # fmt: skip
+        changed = lines(**changes)
+        assert changed[name] > 1.2 * plain[name], name
+
+
+def test_a_perfect_vehicle_costs_nothing() -> None:
+    v, one = np.array([-4.0, 4.0]), np.ones(2)
+    exact = Authority(v, 9.8 * one, one, LOW * one, HIGH * one, 0.0 * one, 0.0 * one)
+    setting, margins = ledger(
+        2, SHAPES[1], exact, Response(0.0, 0.0, 0.0), gamma_ps=2.0, dt_s=0.0, accuracy=Accuracy(0.0, 0.0, 0.0),
+        doubts=Doubts(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    assert setting == (2.0, 0.0, 0.0, 0.0)
+    assert all(each.mps2 == 0.0 for each in margins)
