@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting, coefficients, interval
+from flightstack.barrier.cover import bands
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import (
     C_HOLD,
@@ -53,7 +54,7 @@ _SIZES = _BOUNDS + 5
 _HEAD = _SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 4),
 response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
-pieces and nodes each axis has room for; then the pieces and the authority's tables."""
+pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
 WORK = 2 * STATE + 4
 """Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
 thrust (3), gain."""
@@ -81,7 +82,8 @@ def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude
         flat[_SETTING + 4 * i : _SETTING + 4 * i + 4] = axis.setting
         response[i] = axis.response.c1_s, axis.response.c2_s2, axis.response.delay_s
         flat[_HEAD + i * pieces * ROW :][: rows.size] = rows.ravel()
-        tables[i, :, : table.shape[1]] = table
+        tables[i, :3, : table.shape[1]] = table[:3]
+        tables[i, 3:, : table.shape[1] - 1] = bands(axis.authority)[:, 2:].T
     _fill_chain(flat, tables[2], certificate, model, limits)
     return flat
 
@@ -89,15 +91,15 @@ def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude
 def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model: Model, limits: Limits) -> None:
     """The vehicle's answer and its limits; `vertical` (7, n): the authority's table.
 
-    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more: then no thrust in
-    the budget takes away what lateral authority the budget grants.
+    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more, as `queries.budget`
+    has it: then no thrust in the budget takes away what lateral authority the budget grants.
     """
     low_n, high_n = model.thrust_range_n(limits)
     low, high, tilt = low_n / model.mass_kg, high_n / model.mass_kg, limits.tilt_max_rad
-    middle = 0.5 * (low + high)
+    least, most = low, high
     if certificate:
         tilt = min(certificate.budget.tilt_max_rad, tilt)
-        middle = 0.5 * (certificate.budget.low_mps2 + certificate.budget.high_mps2)
+        least, most = certificate.budget.low_mps2, certificate.budget.high_mps2
     steered = 1 if flat[_CERTIFIED + 1] and not flat[_CERTIFIED] else 0
     steer, square, delay = flat[_RESPONSE + 3 * steered : _RESPONSE + 3 * steered + 3]
     at = int(np.argmin(np.abs(vertical[0, : int(flat[_NODES + 2])])))
@@ -105,7 +107,7 @@ def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model
     flat[_CHAIN:_BOUNDS] = [
         model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
         rotor_lag, square / steer if steer > 0.0 else 0.0, round(1e6 * thrust_delay), round(1e6 * delay), steer,
-        max(vertical[1, at] / vertical[2, at], middle), _DT_RANGE_S[0],
+        max(min(vertical[1, at] / vertical[2, at], most), 0.5 * (least + most)), _DT_RANGE_S[0],
     ]  # fmt: skip
     flat[_BOUNDS:_SIZES] = low, high, math.sin(tilt) * math.cos(math.pi / 8.0), *limits.rate_max_radps[:2]
 
@@ -129,7 +131,7 @@ def _pieces(flat: F64, axis: int) -> F64:
 
 @njit
 def _table(flat: F64, axis: int) -> F64:
-    """(7, n) one axis' authority."""
+    """(7, n) one axis' authority: v, offset, gain at each node; the reach from it to the next one."""
     nodes = int(flat[_SIZES + 1])
     at = _HEAD + 3 * int(flat[_SIZES]) * ROW + axis * 7 * nodes
     return flat[at : at + 7 * nodes].reshape(7, nodes)[:, : int(flat[_NODES + axis])]
@@ -162,15 +164,9 @@ def _mean(table: F64, column: int, v: float) -> float:
 
 @njit
 def _reach(table: F64, v: float) -> Reach:
-    """`Authority.reach`: the narrower range and the larger doubt of the two nodes around."""
+    """`Authority.reach`."""
     i = _below(table, v)
-    j = i + 1
-    return Reach(
-        max(table[3, i], table[3, j]),
-        min(table[4, i], table[4, j]),
-        max(table[5, i], table[5, j]),
-        max(table[6, i], table[6, j]),
-    )
+    return Reach(table[3, i], table[4, i], table[5, i], table[6, i])
 
 
 @njit
