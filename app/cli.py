@@ -60,7 +60,11 @@ SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: th
 ControllerOption = Annotated[str, typer.Option(help="Controller: one of those named below.", metavar="NAME")]
 NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
 LearnedOption = Annotated[Path | None, typer.Option(help="File of hyper-parameters for the learner to begin with.")]
-NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter (none yet).")]
+NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter.")]
+AsPublishedOption = Annotated[
+    bool, typer.Option("--as-published", help="Fly the paper's own filter and learner, which can't be certified.")
+]
+CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 
 
 class FlightCommand(TyperCommand):
@@ -81,6 +85,8 @@ def _flight_options(
     no_learning: NoLearningOption = False,
     learned: LearnedOption = None,
     no_filter: NoFilterOption = False,
+    as_published: AsPublishedOption = False,
+    certificate: CertificateOption = None,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -91,6 +97,9 @@ def _flight_options(
         "controller": controller,
         "learning": not no_learning,
         "learned": learned,
+        "filtering": not no_filter,
+        "as_published": as_published,
+        "certificate": certificate,
         "log": log,
         "out": out,
     }
@@ -200,6 +209,59 @@ def offboard(
         heartbeat_timeout_s=timeout,
         **common,
     )
+
+
+@app.command()
+def certify(
+    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
+    as_published: Annotated[
+        bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
+    ] = False,
+    vehicle: VehicleOption = None,
+    truth: Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")] = None,
+    sensors: Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")] = None,
+    seed: SeedOption = 0,
+    duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
+    out: OutOption = None,
+    check: Annotated[
+        Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Learn the largest certified region in flight, or check a certificate."""
+    from app import console, files
+    from app.certify import certify as run
+    from app.certify import check_file
+    from app.flight import FlyOptions
+
+    if check is not None:
+        valid, lines = check_file(check)
+        console.show_checked(str(check), valid, lines)
+        if json is not None:
+            found = {"schema": "flightstack.check/1", "certificate": str(check), "valid": valid, "lines": lines}
+            files.write_json(json, found)
+        raise typer.Exit(OK if valid else FAILED)
+    options = FlyOptions(
+        scenario=scenario,
+        as_published=as_published,
+        vehicle=vehicle,
+        truth=truth,
+        sensors=sensors.value if sensors else None,
+        seed=seed,
+        duration_s=duration,
+        out=out,
+    )
+    interrupts = Interrupts()
+    with console.progress(f"certifying {scenario}") as show:
+        result = run(options, stop_requested=interrupts.requested, on_progress=show)
+    console.show_certified(result)
+    if json is not None:
+        files.write_json(json, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
 
 
 @app.command()

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from app.result import FlightResult
+
+if TYPE_CHECKING:
+    from app.certify import CertifyResult
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
@@ -51,7 +55,7 @@ def show_result(result: FlightResult) -> None:
     if result.passed:
         verdict = "[bold green]completed[/]"
     else:
-        verdict = "[bold red]completed, but a check failed[/]" if result.completed else "[bold red]NOT completed[/]"
+        verdict = f"[bold red]{_not_passed(result)}[/]"
     table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
     table.add_column(style="dim")
     table.add_column()
@@ -65,9 +69,46 @@ def show_result(result: FlightResult) -> None:
         output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
 
 
+def _not_passed(result: FlightResult) -> str:
+    if not result.completed:
+        return "NOT completed"
+    return "completed, but left its region" if result.left_region else "completed, but a check failed"
+
+
+def show_certified(result: CertifyResult) -> None:
+    """An exploration's summary."""
+    from app.certified_page import figures
+
+    good = "[bold green]certified[/]" if not result.as_published else "[bold]done, not robustly certifiable[/]"
+    table = Table(
+        title=f"{result.flight.scenario}: {good if result.passed else '[bold red]NOT certified[/]'}",
+        title_justify="left",
+        show_header=False,
+        box=None,
+    )
+    table.add_column(style="dim")
+    table.add_column()
+    table.add_row("how it ended", escape(result.words))
+    for label, value, note in figures(result):
+        table.add_row(label.lower(), escape(f"{value} ({note})" if note else value))
+    output.print(table)
+    for line in result.verdict:
+        output.print(f" checker {line}", soft_wrap=True, markup=False)
+    for name, path in (("certificate", result.certificate), ("log", result.flight.log), ("report", result.report)):
+        if path:
+            output.print(f" {name:<12}{path}", soft_wrap=True, markup=False)
+
+
+def show_checked(path: str, valid: bool, lines: list[str]) -> None:
+    """What the independent checker said of a file."""
+    for line in lines:
+        output.print(f" {line}", soft_wrap=True, markup=False)
+    output.print(f"{path}: {'valid' if valid else 'NOT valid'}", soft_wrap=True, markup=False)
+
+
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
-    if result.reason:
-        yield "why", result.reason
+    if why := result.why:
+        yield "why", why
     pace = f"{result.wall_time_s:.1f} s, {result.clock_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
     yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
     tracking = result.tracking
@@ -78,7 +119,7 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"most {_length(tracking['max_m'])}",
         )
     yield "learning", _learning(result.gp)
-    yield "barrier filter", "not part of this flight"
+    yield "barrier filter", _filter(result)
     lateness = result.loop["lateness_us"]
     if lateness["p50"] is not None:
         yield (
@@ -104,6 +145,25 @@ def _learning(gp: dict[str, Any]) -> str:
     if gp["step_us"]["p50"] is not None:
         parts.append(f"step {gp['step_us']['p50']:.0f} us (p99 {gp['step_us']['p99']:.0f} us)")
     return ", ".join(parts) or "nothing learned"
+
+
+def _filter(result: FlightResult) -> str:
+    """What the filter was, what it kept to and what it took; or why there was none."""
+    barrier, solve_us = result.barrier, result.qp["solve_us"]
+    if not barrier["enabled"]:
+        return result.protection or "off"
+    parts = [result.protection] if result.protection else []
+    for of, violations in (("truth", barrier["violations"]), ("estimate", None)):
+        least = barrier[f"min_h_{of}"]
+        if least is not None:
+            outside = "" if violations is None else f" ({violations} ticks outside)"
+            parts.append(f"least h of the {of} {least:.3f}{outside}")
+    if not result.region.get("filtered_ticks"):
+        parts.append("nothing was certified in time: it never engaged")
+    parts.append(f"{barrier['interventions']} interventions, {result.qp['infeasible']} infeasible")
+    if solve_us["p50"] is not None:
+        parts.append(f"step {solve_us['p50']:.0f} us (p99 {solve_us['p99']:.0f} us)")
+    return ", ".join(parts)
 
 
 def _length(metres: float | None) -> str:

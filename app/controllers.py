@@ -74,7 +74,7 @@ CONTROLLERS: Mapping[str, Row] = {
 
 def load_gains() -> Mapping[str, Tuned]:
     """The shipped gains of every table."""
-    file = files._find("controllers", "gains")
+    file = files.find("controllers", "gains")
     return parse_gains(file.text, str(file.path))
 
 

@@ -44,7 +44,7 @@ def read_text(path: Path) -> TextFile:
         raise InputError(f"{path}: {error.strerror or error}") from None
 
 
-def _find(kind: str, name: str) -> TextFile:
+def find(kind: str, name: str) -> TextFile:
     """A name of a shipped file or a path to one's own."""
     given = Path(name)
     if given.suffix == ".toml" or os.sep in name:
@@ -63,7 +63,7 @@ def shipped_names(kind: str) -> list[str]:
 
 def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
     """The vehicle of a name or path (None: the default)."""
-    file = _find("vehicles", name or DEFAULT_VEHICLE)
+    file = find("vehicles", name or DEFAULT_VEHICLE)
     return parse_vehicle(file.text, str(file.path)), file
 
 
@@ -76,7 +76,7 @@ def load_scenario(name: str, waypoints: str | None = None) -> tuple[Scenario, Te
         return waypoints_scenario(parse_waypoints(file.text, waypoints), waypoints), file
     if waypoints is not None:
         raise InputError(f"scenario {name} takes no file; only `waypoints` does")
-    file = _find("scenarios", name)
+    file = find("scenarios", name)
     return parse_scenario(file.text, str(file.path)), file
 
 

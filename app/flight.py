@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 from app import files
 from app.compiled import ensure_compiled
-from app.preparation import FlightOptions, Prepared, prepare_flight, settings_file, text_file
+from app.preparation import FlightOptions, Prepared, prepare_flight
 from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming
 from app.score import FlightScore
+from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
 from logs.threaded import ThreadedLog
-from logs.topics import Attachment
-from logs.writer import FlightLog, Recorder
+from logs.writer import Recorder
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.companion import Companion, CompanionConfig, Planner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket, connected_pair
@@ -57,6 +57,10 @@ class FlyOptions(FlightOptions):
         """The flight is the one that the scenario's checks were written for."""
         return self.stack_as_written and self.truth is None and self.sensors is None
 
+    def grade(self, scenario: Scenario) -> str:
+        """Grade of the sensors that fly."""
+        return self.sensors or scenario.sensors
+
 
 @dataclass(frozen=True, slots=True)
 class Setup:
@@ -65,8 +69,6 @@ class Setup:
     flight: Prepared
     truth: Vehicle
     grade: Grade
-    settings: dict[str, str]
-    attachments: tuple[Attachment, ...]
 
 
 def prepare(options: FlyOptions) -> Setup:
@@ -76,20 +78,16 @@ def prepare(options: FlyOptions) -> Setup:
         truth, _ = files.load_vehicle(options.truth)
     else:
         truth = flight.scenario.truth_vehicle(flight.believed)
-    sensors = options.sensors or flight.scenario.sensors
-    settings = flight.settings | {
+    sensors = options.grade(flight.scenario)
+    settings = {
         "truth": truth.name,
         "seed": str(options.seed),
         "sensors": sensors,
         "plant": PLANT,
         "pace": "realtime" if options.realtime else "lockstep",
     }
-    attachments = (
-        *flight.attachments,
-        text_file("truth.toml", vehicle_to_toml(truth)),
-        settings_file(settings),
-    )
-    return Setup(flight, truth, load_grade(sensors), settings, attachments)
+    flight = flight.with_more(settings, {"truth.toml": vehicle_to_toml(truth)})
+    return Setup(flight, truth, load_grade(sensors))
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -102,7 +100,7 @@ def warm_up_all(setup: Setup) -> None:
 class SimulatedFlight:
     """One flight in the simulator; `run` flies it to its end."""
 
-    def __init__(self, setup: Setup, options: FlyOptions, log: Recorder) -> None:
+    def __init__(self, setup: Setup, options: FlyOptions, log: Recorder, planner: Planner | None = None) -> None:
         prepared = setup.flight
         self.scenario = prepared.scenario
         self._log = log
@@ -112,8 +110,16 @@ class SimulatedFlight:
         self._ours, self._theirs = connected_pair()
         self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
         self.score = FlightScore(prepared, of="truth")
-        observer = LogObserver(log, self.scenario, prepared.believed, truth=True, on_record=self.score.on_record)
-        self.companion = Companion(Link(240, 191), prepared.stack, self.scenario, observer, CompanionConfig(arm=True))
+        observer = LogObserver(
+            log,
+            self.scenario,
+            prepared.believed,
+            truth=True,
+            on_record=self.score.on_record,
+            certifier=prepared.protection.watched,
+        )
+        config = CompanionConfig(arm=True)
+        self.companion = Companion(Link(240, 191), prepared.stack, self.scenario, observer, config, planner)
         observer.companion = self.score.companion = self.companion
         self._events = sorted(self.scenario.events, key=lambda event: event.time_s)
         self._true_start_ned_m = (0.0, 0.0, 0.0)
@@ -186,18 +192,28 @@ def fly(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario in the simulator; log and report lie where the result says."""
-    setup = prepare(options)
+    return fly_setup(prepare(options), options, stop_requested=stop_requested, on_progress=on_progress)
+
+
+def fly_setup(
+    setup: Setup,
+    options: FlyOptions,
+    *,
+    planner: Planner | None = None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> FlightResult:
+    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
     ensure_compiled(lambda text: on_progress(0.0, text))
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
-    metadata = {"settings": setup.settings, "versions": files.versions()}
-    log = FlightLog.open(log_path, metadata=metadata, attachments=setup.attachments, overwrite=True)
+    log = setup.flight.open_log(log_path)
     recorder: Recorder = ThreadedLog(log) if options.realtime else log
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()
     try:
-        flight = SimulatedFlight(setup, options, recorder)
+        flight = SimulatedFlight(setup, options, recorder, planner)
         try:
             with undisturbed():
                 _run(flight, recorder, timing, stop_requested, on_progress)

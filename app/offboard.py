@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from app import files
 from app.compiled import ensure_compiled
-from app.preparation import FlightOptions, prepare_flight, settings_file
+from app.preparation import FlightOptions, prepare_flight
 from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming
 from app.score import FlightScore
 from flightstack.warmup import warm_up
 from logs.threaded import ThreadedLog
-from logs.writer import FlightLog, Recorder
+from logs.writer import Recorder
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
@@ -62,21 +62,23 @@ def offboard(
     try:
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
-        settings = prepared.settings | {
+        settings = {
             "connect": options.connect,
             "arm": str(options.arm),
             "dry_run": str(options.dry_run),
             "pace": "realtime",
         }
-        log = FlightLog.open(
-            log_path,
-            metadata={"settings": settings, "versions": files.versions()},
-            attachments=(*prepared.attachments, settings_file(settings)),
-            overwrite=True,
-        )
+        log = prepared.with_more(settings).open_log(log_path)
         recorder = ThreadedLog(log)
         score = FlightScore(prepared, of="estimate")
-        observer = LogObserver(recorder, scenario, prepared.believed, truth=False, on_record=score.on_record)
+        observer = LogObserver(
+            recorder,
+            scenario,
+            prepared.believed,
+            truth=False,
+            on_record=score.on_record,
+            certifier=prepared.protection.watched,
+        )
         companion = Companion(
             Link(240, 191, framing=framing_for(address)),
             stack,

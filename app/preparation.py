@@ -6,26 +6,32 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app import files
 from app.calibration import TimedLearner
 from app.controllers import build
+from app.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.learning.stored import parse_stored
 from flightstack.model import Model
 from flightstack.scenario import Scenario
+from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from logs.topics import Attachment
+from logs.topics import CERTIFICATE, Attachment
+from logs.writer import FlightLog
 
 DEFAULT_CONTROLLER = "flatness"
+PUBLISHED_CONTROLLER = "state-gp"
+"""The paper's learner knows the state alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlightOptions:
+class FlightOptions(ProtectionOptions):
     """What any flight may be asked for; names as given on the command line.  Abstract: each verb has its own."""
 
     scenario: str
@@ -43,7 +49,12 @@ class FlightOptions:
     def stack_as_written(self) -> bool:
         """Scenario, vehicle and stack are those that the scenario's checks were written for."""
         given = (self.vehicle, self.duration_s, self.learned)
-        return self.learning and self.controller == DEFAULT_CONTROLLER and all(value is None for value in given)
+        default = self.learning and self.controller == DEFAULT_CONTROLLER and all(value is None for value in given)
+        return default and self.protection_as_written
+
+    def grade(self, scenario: Scenario) -> str:
+        """Grade of the sensors that fly."""
+        return scenario.sensors
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +64,26 @@ class Prepared:
     scenario: Scenario
     believed: Vehicle
     stack: Stack
-    settings: dict[str, str]
-    attachments: tuple[Attachment, ...]
+    protection: Protection
+    settings: Mapping[str, str]
+    """What was asked for, for the log."""
+    carried: Mapping[str, str]
+    """Name and text of the files that the log carries."""
+
+    def with_more(self, settings: Mapping[str, str], carried: Mapping[str, str] | None = None) -> Prepared:
+        """The same with what a verb adds."""
+        return replace(self, settings={**self.settings, **settings}, carried={**self.carried, **(carried or {})})
+
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """The files that the log carries, the settings last."""
+        files_of = {**self.carried, "settings.json": json.dumps(dict(self.settings), indent=1)}
+        return tuple(text_file(name, text) for name, text in files_of.items())
+
+    def open_log(self, path: Path) -> FlightLog:
+        """Begin the flight's log."""
+        metadata = {"settings": self.settings, "versions": files.versions()}
+        return FlightLog.open(path, metadata=metadata, attachments=self.attachments, overwrite=True)
 
 
 def prepare_flight(options: FlightOptions) -> Prepared:
@@ -64,38 +93,65 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         scenario = scenario.with_duration(options.duration_s)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     learned = None if options.learned is None else files.read_text(options.learned)
-    stack = build_stack(options, scenario, believed, learned)
+    model, name = Model.from_vehicle(believed), controller_name(options)
+    controller, learner = build(name, model, scenario.limits, learning=options.learning)
+    if learned is not None:
+        learner = _learner(learned, name, believed, model, options)
+    protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
     settings = {
         "scenario": scenario.name,
         "vehicle": believed.name,
-        "controller": options.controller,
-        "learning": "on" if stack.learner.enabled else "off",
+        "controller": name,
+        "learning": "on" if learner.enabled else "off",
+        "filter": protection.words,
         "duration_s": f"{scenario.duration_s:g}",
     }
     carried = {"scenario.toml": scenario_file.text, "vehicle.toml": vehicle_file.text}
     if learned is not None:
         settings["learned"] = str(learned.path)
         carried[f"learned{learned.path.suffix}"] = learned.text
-    return Prepared(scenario, believed, stack, settings, tuple(text_file(*item) for item in carried.items()))
+    if protection.certificate is not None:
+        settings["certificate"] = protection.certificate_from
+        carried[CERTIFICATE] = protection.certificate
+    stack = Stack(
+        model,
+        scenario.limits,
+        controller=controller,
+        learner=TimedLearner(learner) if learner.enabled else learner,
+        certifier=protection.certifier,
+        safety_filter=protection.filter,
+    )
+    return Prepared(scenario, believed, stack, protection, settings, carried)
 
 
-def build_stack(options: FlightOptions, scenario: Scenario, believed: Vehicle, learned: files.TextFile | None) -> Stack:
-    """The stack that the options name, its learner timed."""
-    model, limits = Model.from_vehicle(believed), scenario.limits
-    controller, learner = build(options.controller, model, limits, learning=options.learning)
-    if learned is not None:
-        if not options.learning or options.controller != DEFAULT_CONTROLLER:
-            raise InputError(f"--learned {learned.path}: goes with --controller {DEFAULT_CONTROLLER} and learning only")
-        priors = parse_stored(learned.text, str(learned.path), believed).priors
-        learner = GpLearner(model, LearnerConfig(priors=priors))
-    return Stack(model, limits, controller=controller, learner=TimedLearner(learner) if learner.enabled else learner)
+def _knows(controller: str, learner: Learner) -> str:
+    """What the learner knows that a certificate may rest on."""
+    if not isinstance(learner, GpLearner):
+        return NONE
+    return STATE_ONLY if controller == PUBLISHED_CONTROLLER else FULL
+
+
+def controller_name(options: FlightOptions) -> str:
+    """Name of the controller that flies."""
+    name = options.controller
+    if not options.as_published:
+        return name
+    if name not in (DEFAULT_CONTROLLER, PUBLISHED_CONTROLLER) or not options.learning or options.learned is not None:
+        raise InputError(
+            "--as-published flies the paper's own controller and learner: "
+            "leave out --controller, --no-learning and --learned"
+        )
+    return PUBLISHED_CONTROLLER
+
+
+def _learner(file: files.TextFile, controller: str, believed: Vehicle, model: Model, options: FlightOptions) -> Learner:
+    """The learner that begins with stored hyper-parameters."""
+    if not options.learning or controller != DEFAULT_CONTROLLER:
+        raise InputError(f"--learned {file.path}: goes with --controller {DEFAULT_CONTROLLER} and learning only")
+    priors = parse_stored(file.text, str(file.path), believed).priors
+    return GpLearner(model, LearnerConfig(priors=priors))
 
 
 def text_file(name: str, text: str) -> Attachment:
     """A text file carried inside the log."""
     return Attachment(name, f"application/{name.rpartition('.')[2]}", text.encode())
-
-
-def settings_file(settings: dict[str, str]) -> Attachment:
-    """The run's settings, carried inside the log."""
-    return text_file("settings.json", json.dumps(settings, indent=1))

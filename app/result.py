@@ -84,7 +84,22 @@ NO_GP: dict[str, Any] = {
     "changes": None,
 }
 """Every field of a learner, null; `conformal` is quantile_sigma, coverage_heldout, alpha."""
-NO_QP: dict[str, Any] = {"solve_us": {"p50": None, "p99": None, "max": None}, "infeasible": None}
+NO_QP: dict[str, Any] = {
+    "solve_us": {"p50": None, "p99": None, "max": None},
+    "infeasible": None,
+    "histogram": None,
+}
+NO_REGION: dict[str, Any] = {
+    "of": None,
+    "engaged_s": None,
+    "min_h_truth": None,
+    "min_h_estimate": None,
+    "violations": None,
+    "left_s": None,
+    "filtered_ticks": None,
+}
+"""How the region was kept to, with a filter or without: `of` is scenario, certificate or null; times since take-off;
+`filtered_ticks`: in so many the filter was engaged itself, under a certificate."""
 
 
 @dataclass(slots=True)
@@ -107,6 +122,11 @@ class FlightResult:
     tracking: dict[str, Any]
     gp: dict[str, Any]
     loop: dict[str, Any]
+    barrier: dict[str, Any] = field(default_factory=lambda: dict(NO_BARRIER))
+    qp: dict[str, Any] = field(default_factory=lambda: dict(NO_QP))
+    region: dict[str, Any] = field(default_factory=lambda: dict(NO_REGION))
+    protection: str = ""
+    """What the barrier filter was, in words, or why there was none."""
     report: str | None = None
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
@@ -114,17 +134,36 @@ class FlightResult:
 
     @property
     def passed(self) -> bool:
-        """Completed, with the log whole and every check of the scenario kept."""
-        return self.completed and not self.log_problem and all(check["passed"] for check in self.checks)
+        """Completed inside its region, with the log whole and every check of the scenario kept."""
+        kept = self.completed and not self.left_region and not self.log_problem
+        return kept and all(check["passed"] for check in self.checks)
+
+    @property
+    def left_region(self) -> str:
+        """Where a filter flew and the true state left the region all the same: that, one line; else empty."""
+        violations = self.barrier["violations"]
+        if not violations:
+            return ""
+        left_s = self.region["left_s"]
+        when = "" if left_s is None else f", first {left_s:.2f} s after take-off"
+        least = f"least {self.barrier['min_h_truth']:.3f}"
+        return f"left its region: h of the true state was below 0 in {violations} ticks ({least}){when}"
 
     def failure(self) -> str:
         """Why it did not pass, one line; empty where it did."""
         if not self.completed:
             return self.reason or "the flight did not complete"
+        if self.left_region:
+            return self.left_region
         if self.log_problem:
             return self.log_problem
         failed = [check for check in self.checks if not check["passed"]]
         return "; ".join(f"check failed: {check['words']} ({check['metric']} = {check['value']})" for check in failed)
+
+    @property
+    def why(self) -> str:
+        """What went wrong in flight: why it ended early, that it left its region."""
+        return "; ".join(part for part in (self.reason, self.left_region) if part)
 
     def as_json(self) -> dict[str, Any]:
         """The `flightstack.flight/1` object."""
@@ -135,16 +174,17 @@ class FlightResult:
             "log": self.log,
             "report": self.report,
             "completed": self.completed,
-            "reason": self.reason,
+            "reason": self.why,
             "flight_time_s": self.flight_time_s,
             "wall_time_s": self.wall_time_s,
             "realtime_factor": self.clock_time_s / self.wall_time_s if self.wall_time_s > 0 else None,
             "plant": self.plant,
             "controller": self.controller,
             "tracking": self.tracking,
-            "barrier": NO_BARRIER,
+            "barrier": self.barrier,
             "gp": self.gp,
-            "qp": NO_QP,
+            "qp": self.qp,
+            "region": self.region,
             "loop": self.loop,
             "checks": self.checks,
             "log_complete": not self.log_problem,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from app.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary, relative_state
 from app.calibration import gp_summary
 from app.preparation import Prepared
 from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
@@ -31,12 +32,20 @@ class FlightScore:
         self._last_learned: Learned | None = None
         self._learned_rows: list[F64] = []
         self._truths: list[Truth] = []
+        protection = prepared.protection
+        self.region = RegionScore(protection.region, protection.watched)
+        self._filtering = prepared.stack.filter.enabled
+        self._acting = self._interventions = self._infeasible = 0
 
     def on_record(self, record: TickRecord) -> None:
         """A tick of the stack; of an estimated flight it is scored at once."""
         self._record = record
         if self._learning and record.learned.stage >= 0.0:
             self._last_learned = record.learned
+        if self._filtering and self.track_s(record.t_us) is not None:
+            self._acting += record.filtered.status >= SOLVED
+            self._interventions += record.filtered.intervened == 1.0
+            self._infeasible += record.filtered.status in FALLBACKS
         if self._by_estimate and self.companion is not None:
             self.add(self.track_s(record.t_us), record.measurement.pos_ned_m, self.companion.start_ned_m)
 
@@ -50,10 +59,15 @@ class FlightScore:
     def add(
         self, track_s: float | None, pos_ned_m: Position, start_ned_m: Position, truth: Truth | None = None
     ) -> None:
-        """Score the last tick where it is one of the track: position, and where the flight began, in one frame."""
+        """Score the last tick: position, and where the flight began, in one frame; tracking on the track only."""
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:
             return
+        if self.region.of is not None:
+            estimate = record.measurement
+            state = relative_state(estimate.pos_ned_m, companion.start_ned_m, estimate.vel_ned_mps)
+            true = None if truth is None else relative_state(truth.pos_ned_m, start_ned_m, truth.vel_ned_mps)
+            self.region.add(record.t_us, state, true)
         if not 0.0 <= track_s <= self.prepared.scenario.duration_s:
             return
         reference = _relative(record.reference.pos_ned_m, companion.start_ned_m)
@@ -79,7 +93,8 @@ class FlightScore:
         companion, prepared = self.companion, self.prepared
         assert companion is not None
         flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
-        stack = prepared.stack
+        stack, region = prepared.stack, self.region.summary()
+        region["filtered_ticks"] = self._acting if self._filtering else None
         result = FlightResult(
             scenario=prepared.scenario.name,
             seed=seed,
@@ -94,6 +109,10 @@ class FlightScore:
             tracking=self.tracking.summary(),
             gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
             loop=timing.summary() if timing is not None else NO_LOOP,
+            barrier=barrier_summary(self._filtering, region, self._interventions),
+            qp=qp_summary(stack.filter, self._infeasible),
+            region=region,
+            protection=prepared.protection.words,
             log_problem=log.failed or "",
         )
         if checked:

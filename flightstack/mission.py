@@ -72,6 +72,13 @@ class Mission:
                 return leg
         return self.legs[0]
 
+    def then(self, t_s: float, trajectory: Trajectory) -> Mission:
+        """The same mission, with `trajectory` (in the coordinates of `reference`) flown from `t_s` on, up to
+        `track_end_s`."""
+        before = tuple(leg for leg in self.legs if leg.start_s < t_s)
+        after = tuple(leg for leg in self.legs if leg.start_s >= max(t_s, self.track_end_s))
+        return replace(self, legs=(*before, _Leg("track", t_s, trajectory), *after))
+
     def stop(self, t_s: float, state: FlatOutput | None = None) -> Mission:
         """The same mission, broken off at `t_s`: brake smoothly from `state` (default: the reference) and hover."""
         kept = tuple(leg for leg in self.legs if leg.start_s < t_s) or self.legs[:1]

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 from foxglove.messages import (
+    ArrowPrimitive,
     Color,
     CubePrimitive,
     CylinderPrimitive,
@@ -35,7 +36,7 @@ from foxglove.messages import (
 )
 
 from flightstack.frames import frd_to_flu, ned_to_enu, q_ned_frd_to_enu_flu
-from flightstack.types import F64, Tuple3, Tuple4
+from flightstack.types import F64, TickRecord, Tuple3, Tuple4
 
 WORLD = "world"
 BODY = "body"
@@ -61,6 +62,13 @@ _GREEN = Color(r=0.2, g=0.8, b=0.3, a=1.0)
 _ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.9)
 _RED = Color(r=0.9, g=0.2, b=0.2, a=0.9)
 _REGION = Color(r=0.2, g=0.9, b=0.4, a=0.15)
+_CERTIFIED = Color(r=0.5, g=0.4, b=0.9, a=0.2)
+_WANTED = Color(r=1.0, g=0.6, b=0.1, a=0.8)
+_SAFE = Color(r=0.2, g=0.8, b=0.3, a=0.9)
+
+ENGAGED = 2.0
+"""From this status on the barrier filter says what it does with the wanted acceleration."""
+_ARROW_M_PER_MPS2 = 0.1
 
 View = tuple[str, bytes]
 """A topic and the encoded message for it."""
@@ -245,14 +253,54 @@ def _line(stamp: Timestamp, name: str, points: list[Point3], color: Color) -> Sc
     return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, lines=[line])
 
 
-def _region(stamp: Timestamp, region: Region) -> SceneEntity:
+def _region(stamp: Timestamp, region: Region, name: str = "region", color: Color = _REGION) -> SceneEntity:
+    """A translucent box or ellipsoid."""
     x, y, z = ned_to_enu(np.array(region.center_ned_m)).tolist()
     dx, dy, dz = (2.0 * np.abs(ned_to_enu(np.array(region.half_size_m)))).tolist()
     pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
     size = Vector3(x=dx, y=dy, z=dz)
-    boxes = [CubePrimitive(pose=pose, size=size, color=_REGION)] if region.shape == "box" else []
-    balls = [SpherePrimitive(pose=pose, size=size, color=_REGION)] if region.shape != "box" else []
-    return SceneEntity(timestamp=stamp, frame_id=WORLD, id="region", frame_locked=True, cubes=boxes, spheres=balls)
+    boxes = [CubePrimitive(pose=pose, size=size, color=color)] if region.shape == "box" else []
+    balls = [SpherePrimitive(pose=pose, size=size, color=color)] if region.shape != "box" else []
+    return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, cubes=boxes, spheres=balls)
+
+
+def certified_views(t_us: int, region: Region) -> list[View]:
+    """The positions that a certificate allows, inside the region that the scenario asks for."""
+    entity = _region(timestamp(t_us), region, "certified", _CERTIFIED)
+    return [("/scene/region", SceneUpdate(entities=[entity]).encode())]
+
+
+def arrow_views(t_us: int, record: TickRecord) -> list[View]:
+    """The acceleration that was wanted and the one that is sent, as arrows at the vehicle, 0.1 m for each m/s^2."""
+    stamp, at, filtered = timestamp(t_us), record.measurement.pos_ned_m, record.filtered
+    entities = [
+        SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, arrows=[_arrow(at, acc, color)])
+        for name, acc, color in (
+            ("wanted", filtered.wanted_acc_ned_mps2, _WANTED),
+            ("safe", filtered.safe_acc_ned_mps2, _SAFE),
+        )
+        if np.isfinite(acc).all() and np.isfinite(at).all()
+    ]
+    return [("/scene/filter", SceneUpdate(entities=entities).encode())] if entities else []
+
+
+def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: Color) -> ArrowPrimitive:
+    x, y, z = ned_to_enu(at_ned_m).tolist()
+    dx, dy, dz = ned_to_enu(acc_ned_mps2).tolist()
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    # Half way between +x and the wanted direction lies the axis of half a turn from one to the other.
+    half = (dx + length, dy, dz) if dx > -0.999999 * length else (0.0, 1.0, 0.0)
+    norm = math.sqrt(sum(part * part for part in half)) or 1.0
+    turn = Quaternion(x=half[0] / norm, y=half[1] / norm, z=half[2] / norm, w=0.0) if length > 0.0 else _IDENTITY
+    shown = _ARROW_M_PER_MPS2 * length
+    return ArrowPrimitive(
+        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=turn),
+        shaft_length=0.8 * shown,
+        shaft_diameter=0.015,
+        head_length=0.2 * shown,
+        head_diameter=0.04,
+        color=color,
+    )
 
 
 def scene_views(t_us: int, scene: Scene) -> list[View]:

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from flightstack.barrier.records import Certificate
 from flightstack.types import TickRecord
 from logs import scene as viewer
 from logs.writer import FlightLog
@@ -88,6 +89,14 @@ class ThreadedLog:
     def scene(self, t_us: int, view: viewer.Scene) -> None:
         """What the 3-D view shows."""
         self._put(t_us, self.log.scene, t_us, view)
+
+    def certified(self, t_us: int, region: viewer.Region) -> None:
+        """The positions that a new certificate allows, for the 3-D view."""
+        self._put(t_us, self.log.certified, t_us, region)
+
+    def certificate(self, t_us: int, certificate: Certificate) -> None:
+        """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
+        self._put(t_us, self.log.certificate, t_us, certificate)
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Write what is queued and finish the file, waiting at most so long; again does nothing."""

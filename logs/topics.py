@@ -64,6 +64,9 @@ class Attachment:
     data: bytes
 
 
+CERTIFICATE, FINAL_CERTIFICATE = "certificate.json", "certificate-final.json"
+"""Attachments: the certificate that a flight began with, and the last one that was made in flight."""
+
 LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 """Levels of `foxglove.Log`, by number."""
 
@@ -162,6 +165,29 @@ _LEARNER_FIELDS = (
     _f64("changes", 0, "1", "sudden changes noticed so far"),
     _f64("surprise", 0, "1", "largest recent error of prediction, in its own standard deviations"),
 )
+
+_FILTER_FIELDS = (
+    _f64("h", 0, "1", "least barrier value of the predicted state, at least 0 inside the certified region"),
+    _f64("h_state", 0, "1", "the same at the measured position and velocity"),
+    _f64("status", 0, "1", "0 nothing certified, 1 not engaged, 2 passed, 3 changed, 4 to 6 fallback (FILTER_STATUS)"),
+    _f64("margin_ps", 0, "1/s", "least margin of the barrier condition at the acceleration that is sent"),
+    _f64("iterations", 0, "1", "iterations of the quadratic program's solver"),
+    _f64("residual", 0, "m/s^2", "largest violation of a row of the quadratic program by its solution"),
+    _f64("version", 0, "1", "version of the certificate"),
+    _f64("intervened", 0, "1", "1 where the command was changed"),
+    _f64("wanted_acc_ned_mps2", 3, "m/s^2", "acceleration that the controller's command steers towards"),
+    _f64("safe_acc_ned_mps2", 3, "m/s^2", "acceleration that the sent command steers towards"),
+    _f64("low_ned_mps2", 3, "m/s^2", "least acceleration that the barriers allow"),
+    _f64("high_ned_mps2", 3, "m/s^2", "greatest acceleration that the barriers allow"),
+    _f64("margins_ned_ps", 3, "1/s", "margin of each axis' condition at its best command"),
+    _f64("error_ned_m", 3, "m", "predicted distance from the region's centre"),
+    _f64("rate_ned_mps", 3, "m/s", "its rate"),
+    _f64("bound_ned_mps2", 3, "m/s^2", "how far the acceleration may be off, as the certificate says"),
+    _f64("wanted_thrust_n", 0, "N", "thrust asked for before filtering"),
+)
+
+FILTER_STATUS = ("nothing certified", "not engaged", "passed", "changed", "infeasible", "not solved", "falsified")
+"""Status of the barrier filter, by number; from `infeasible` on its fallback acts."""
 
 _TRUTH_FIELDS = (
     _f64("pos_ned_m", 3, "m", "true position"),
@@ -311,6 +337,15 @@ _STACK_TOPICS = (
         _LEARNER_FIELDS,
     ),
     Topic(
+        "/filter",
+        Kind.TABLE,
+        "flightstack.Filter",
+        250.0,
+        "companion",
+        "what the barrier filter did with the command, and by what margins; absent where nothing filters",
+        _FILTER_FIELDS,
+    ),
+    Topic(
         "/events",
         Kind.LOG,
         "foxglove.Log",
@@ -346,6 +381,8 @@ _VIEW_TOPICS = (
     Topic("/reference/path", Kind.VIEW, "foxglove.PosesInFrame", 0.0, "companion", "the whole reference path"),
     Topic("/scene", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "vehicle, ground, safe region, reference"),
     Topic("/scene/path", Kind.VIEW, "foxglove.SceneUpdate", 1.0, "companion", "the flown path as a line"),
+    Topic("/scene/region", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "the certified region of positions"),
+    Topic("/scene/filter", Kind.VIEW, "foxglove.SceneUpdate", 25.0, "companion", "wanted and safe acceleration"),
     Topic("/vehicle/location", Kind.VIEW, "foxglove.LocationFix", 5.0, "GLOBAL_POSITION_INT", "place on the map"),
 )
 

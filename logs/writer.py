@@ -26,9 +26,11 @@ import foxglove
 import foxglove.messages
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions, MCAPWriter
 
+from flightstack.barrier.file import certificate_to_json
+from flightstack.barrier.records import Certificate
 from flightstack.types import InputError, TickRecord
 from logs import scene as viewer
-from logs.topics import LEVELS, SEVERITIES, TOPICS, Attachment, Kind, Topic, severity_names
+from logs.topics import FINAL_CERTIFICATE, LEVELS, SEVERITIES, TOPICS, Attachment, Kind, Topic, severity_names
 from logs.wire import Encoder, descriptor, make_encoder
 
 FORMAT = "flightstack.log/1"
@@ -73,6 +75,12 @@ class Recorder(Protocol):
 
     def scene(self, t_us: int, view: viewer.Scene) -> None:
         """What the 3-D view shows; again whenever it changes."""
+
+    def certified(self, t_us: int, region: viewer.Region) -> None:
+        """The positions that a new certificate allows, for the 3-D view."""
+
+    def certificate(self, t_us: int, certificate: Certificate) -> None:
+        """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
 
     def close(self) -> None:
         """Finish the file; again does nothing."""
@@ -150,6 +158,7 @@ class FlightLog:
         self._context = foxglove.Context()
         self._sink: MCAPWriter = _open_sink(file, self._context)
         self._channels: dict[str, _Channel] = {}
+        self._certificate: tuple[int, Certificate] | None = None
         self._silent = False
         self._closed = False
         self._pending = 0
@@ -198,10 +207,13 @@ class FlightLog:
             for name, entries in {"log": _ABOUT, **metadata}.items():
                 self._sink.write_metadata(name, dict(entries))
             for item in attachments:
-                self._sink.attach(log_time=0, create_time=0, name=item.name, media_type=item.media_type, data=item.data)
+                self._attach(item, 0)
 
         self._guarded(begin)
         self.flush()
+
+    def _attach(self, item: Attachment, t_ns: int) -> None:
+        self._sink.attach(log_time=t_ns, create_time=t_ns, name=item.name, media_type=item.media_type, data=item.data)
 
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message: `record` is a plain tuple in the order of the topic's fields or an object with their attributes.
@@ -239,14 +251,18 @@ class FlightLog:
         self.write("/mavlink/rx" if direction == "rx" else "/mavlink/tx", t_us, data)
 
     def tick(self, record: TickRecord) -> None:
-        """One tick of the stack: /setpoint, /command, /tick, /learner and, at their own rates, the estimated pose."""
+        """One tick of the stack: /setpoint, /command, /tick, /learner, /filter and, at their own rate, the views."""
         t_us = record.t_us
         self.write("/setpoint", t_us, record.reference)
         self.write("/command", t_us, record.command)
         self.write("/tick", t_us, record)
         if record.learned.stage >= 0.0:
             self.write("/learner", t_us, record.learned)
+        if record.filtered.status >= 0.0:
+            self.write("/filter", t_us, record.filtered)
         if self._trail.is_due(t_us):
+            if record.filtered.status >= viewer.ENGAGED:
+                self._views(t_us, viewer.arrow_views, record)
             self._views(t_us, self._trail.poses, record.measurement)
 
     def truth(self, t_us: int, truth: object) -> None:
@@ -258,6 +274,26 @@ class FlightLog:
     def scene(self, t_us: int, view: viewer.Scene) -> None:
         """What the 3-D view shows; again whenever it changes."""
         self._views(t_us, viewer.scene_views, view)
+
+    def certified(self, t_us: int, region: viewer.Region) -> None:
+        """The positions that a new certificate allows, for the 3-D view."""
+        self._views(t_us, viewer.certified_views, region)
+
+    def certificate(self, t_us: int, certificate: Certificate) -> None:
+        """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
+        self._certificate = (t_us, certificate)
+
+    def _attach_certificate(self) -> None:
+        if self._certificate is None or self._silent:
+            return
+        t_us, certificate = self._certificate
+        try:
+            text = certificate_to_json(certificate)
+        except InputError as error:
+            self.failed = self.failed or f"log {self.path}: {error}"
+            return
+        item = Attachment(FINAL_CERTIFICATE, "application/json", text.encode())
+        self._guarded(lambda: self._attach(item, t_us * 1000))
 
     def _views(self, t_us: int, make: Callable[[int, Any], list[viewer.View]], of: object) -> None:
         if self._silent:
@@ -300,6 +336,7 @@ class FlightLog:
         if self._closed:
             return
         self._closed = True
+        self._attach_certificate()
         if not self._silent:
             self._guarded(self._sink.close)
         self._silent = True

@@ -25,7 +25,7 @@ from mavlink_bridge.link import Link, Received
 from mavlink_bridge.requests import CommandQueue, stream_requests
 from mavlink_bridge.vehicle_view import VehicleView
 
-__all__ = ["Companion", "CompanionConfig", "Observer"]
+__all__ = ["Companion", "CompanionConfig", "Observer", "Planner"]
 
 _REST_TICKS = 1_000
 """Ticks over which the position at rest is averaged; on a longer wait the last 4 s or so count."""
@@ -47,11 +47,24 @@ class Observer(Protocol):
         """A message of the identified vehicle, at vehicle time `t_us`."""
 
 
+class Planner(Protocol):
+    """Who changes the mission while it is flown."""
+
+    def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
+        """The mission from here on, after a tick at mission time `t_s`; mostly the same one."""
+
+
 class Companion:
     """One flight: from the first heartbeat to disarmed in Hold, or to the reason why not."""
 
     def __init__(
-        self, link: Link, stack: Stack, scenario: Scenario, observer: Observer, config: CompanionConfig
+        self,
+        link: Link,
+        stack: Stack,
+        scenario: Scenario,
+        observer: Observer,
+        config: CompanionConfig,
+        planner: Planner | None = None,
     ) -> None:
         self.link = link
         self.view = VehicleView()
@@ -67,6 +80,7 @@ class Companion:
         """Vehicle time of the latest step in which something was decided."""
         self.ticks = 0
         self._stack, self._scenario, self._observer, self._config = stack, scenario, observer, config
+        self._planner = planner
         self._rest_ned_m: F64 = np.zeros(3)
         self._rested = 0
         self.start_ned_m: F64 = np.zeros(3)
@@ -267,14 +281,18 @@ class Companion:
             self._now.last_good_us = now_us
         if self._now.state is State.OFFBOARD:
             self._set_phase(self._phase_now, self._t_us)
-        self._tick(self._measurement, self.mission.reference(self._mission_time_s()), self._t_us)
+        t_s = self._mission_time_s()
+        record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
+        if self._planner is not None and self._now.state is State.OFFBOARD:
+            self.mission = self._planner.step(self.mission, t_s, record)
 
-    def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> None:
+    def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
         self._stack_state, command, record = self._stack.tick(self._stack_state, measurement, setpoint, t_us)
         self._send_setpoint(command)
         self._observer.on_tick(record)
         self.ticks += 1
+        return record
 
     def _mission_time_s(self) -> float:
         return (self._t_us - self.flight_start_us) / SECOND_US

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from logs.report.flight import (
+    Barrier,
     CheckResult,
     FlightEvent,
     FlightReport,
@@ -23,6 +24,7 @@ from logs.report.log_input import from_log
 from logs.report.page import render_report, write_report
 
 __all__ = [
+    "Barrier",
     "CheckResult",
     "FlightEvent",
     "FlightReport",

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.barrier.records import Certificate
 from flightstack.calibration import Conformal
+from flightstack.region import Region as SafeRegion
 from flightstack.types import F64, Tuple3
 
 
@@ -101,6 +103,50 @@ class Learning:
     """(n, 1) share of the prior's variance that the data have removed."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Barrier:
+    """What the barrier filter said, tick by tick, and what it kept to; axes are north, east, down."""
+
+    h: Samples
+    """(n, 1) least barrier value of the predicted state."""
+    status: Samples
+    """(n, 1) 0..6, as `logs.topics.FILTER_STATUS`."""
+    intervened: Samples
+    """(n, 1) 1 where the command was changed."""
+    h_state: Samples | None = None
+    """(n, 1) at the measured position and velocity."""
+    margins_ned_ps: Samples | None = None
+    """(n, 3) of the barrier condition at its best command."""
+    wanted_acc_ned_mps2: Samples | None = None
+    """(n, 3)."""
+    safe_acc_ned_mps2: Samples | None = None
+    """(n, 3)."""
+    low_ned_mps2: Samples | None = None
+    """(n, 3) least that the barriers allow."""
+    high_ned_mps2: Samples | None = None
+    state: Samples | None = None
+    """(n, 6) position relative to the start and velocity: the true ones where they are known."""
+    region: SafeRegion | None = None
+    """The scenario's."""
+    certificates: tuple[Certificate, ...] = ()
+    """The one that the flight began with and the last one, where the log has them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterOutcome:
+    """What the result says of the filter (its `barrier`, `qp` and `region`); `None` where it is not said."""
+
+    min_h_truth: float | None = None
+    min_h_estimate: float | None = None
+    engaged_s: float | None = None
+    infeasible: int | None = None
+    solve_p50_us: float | None = None
+    solve_p99_us: float | None = None
+    solve_edges_us: tuple[float, ...] = ()
+    """Edges of the histogram's bins, one more than there are bins."""
+    solve_counts: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class LearnerOutcome:
     """What the result says of the learner (its `gp`); `None` where it is not said."""
@@ -140,6 +186,7 @@ class Outcome:
     barrier_violations: int | None = None
     barrier_interventions: int | None = None
     learner: LearnerOutcome | None = None
+    filter: FilterOutcome = FilterOutcome()
     lockstep: bool | None = None
     """True where the simulator's clock was the clock, so that lateness has no meaning."""
     checks: tuple[CheckResult, ...] = ()
@@ -184,6 +231,7 @@ class FlightReport:
     motors: Samples | None = None
     """(n, 4) normalised commands, 0..1."""
     learning: Learning | None = None
+    barrier: Barrier | None = None
     timing: Timing | None = None
     settings: tuple[tuple[str, str], ...] = ()
     """Name and value: vehicle, scenario, seed, versions, git commit."""
@@ -225,6 +273,7 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
         barrier_violations=_whole(barrier.get("violations")),
         barrier_interventions=_whole(barrier.get("interventions")),
         learner=_learner(_part(result, "gp")),
+        filter=_filter(result),
         lockstep=_number(lateness.get("p50")) is None if loop else None,
         checks=_checks(result.get("checks")),
     )
@@ -250,6 +299,31 @@ def _learner(gp: Mapping[str, object]) -> LearnerOutcome | None:
         thrust_gain=_number(gp.get("thrust_gain")),
         changes=_whole(gp.get("changes")),
     )
+
+
+def _filter(result: Mapping[str, object]) -> FilterOutcome:
+    barrier, qp, region = (_part(result, name) for name in ("barrier", "qp", "region"))
+    solve, histogram = _part(qp, "solve_us"), _part(qp, "histogram")
+    edges, counts = (_numbers(histogram.get(key)) for key in ("edges_us", "counts"))
+    if len(edges) != len(counts) + 1 or not any(counts) or min(counts) < 0.0 or edges[-1] < 10.0:
+        edges = counts = ()
+    return FilterOutcome(
+        min_h_truth=_number(barrier.get("min_h_truth")),
+        min_h_estimate=_number(barrier.get("min_h_estimate")),
+        engaged_s=_number(region.get("engaged_s")),
+        infeasible=_whole(qp.get("infeasible")),
+        solve_p50_us=_number(solve.get("p50")),
+        solve_p99_us=_number(solve.get("p99")),
+        solve_edges_us=edges,
+        solve_counts=tuple(int(count) for count in counts),
+    )
+
+
+def _numbers(value: object) -> tuple[float, ...]:
+    """A list of numbers; empty where it is anything else."""
+    found = [_number(item) for item in value] if isinstance(value, list | tuple) else []
+    numbers = tuple(item for item in found if item is not None)
+    return numbers if len(numbers) == len(found) else ()
 
 
 def timing_from_result(result: Mapping[str, object] | None) -> Timing | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,7 +32,14 @@ def lateness_svg(lateness_us: F64, period_us: float | None, *, width: float = 52
     if not finite.size:
         return ""
     edges = edges_us(finite)
-    bins = counts(finite, edges)
+    return histogram_svg(edges, counts(finite, edges), "lateness", "ticks", period_us, width=width, height=height)
+
+
+def histogram_svg(
+    edges: F64, bins: Sequence[int], of: str, counted: str, period_us: float | None = None,
+    *, width: float = 520.0, height: float = 190.0,
+) -> str:  # fmt: skip
+    """An SVG image of counts in logarithmic bins of microseconds: `of` what, and how many of what are `counted`."""
     plot_w, plot_h = width - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     top_decade = max(1, math.ceil(math.log10(max(bins)) + 1e-9))
     bar_w = plot_w / len(bins)
@@ -43,9 +51,7 @@ def lateness_svg(lateness_us: F64, period_us: float | None, *, width: float = 52
     def x_of(us: float) -> float:
         return _LEFT + plot_w * math.log10(max(us, 1.0)) / math.log10(float(edges[-1]))
 
-    out = [
-        f'<svg class="histogram" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="Histogram of lateness">'
-    ]
+    out = [f'<svg class="histogram" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="Histogram of {of}">']
     for decade in range(top_decade + 1):
         y = y_of(10.0**decade)
         out.append(f'<line class="grid" x1="{_LEFT:.1f}" x2="{width - _RIGHT:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
@@ -53,7 +59,7 @@ def lateness_svg(lateness_us: F64, period_us: float | None, *, width: float = 52
     for i, count in enumerate(bins):
         if count:
             y = y_of(count)
-            title = f"{_us(float(edges[i]))} to {_us(float(edges[i + 1]))}: {count} ticks"
+            title = f"{_us(float(edges[i]))} to {_us(float(edges[i + 1]))}: {count} {counted}"
             out.append(
                 f'<rect class="bar" x="{_LEFT + i * bar_w + 0.5:.1f}" y="{y:.1f}" width="{bar_w - 1:.1f}" '
                 f'height="{_TOP + plot_h - y:.1f}"><title>{title}</title></rect>'
@@ -69,7 +75,7 @@ def lateness_svg(lateness_us: F64, period_us: float | None, *, width: float = 52
         out.append(f'<text class="limit" x="{x - 4:.1f}" y="{_TOP + 10:.1f}" text-anchor="end">one period</text>')
     middle = _LEFT + plot_w / 2
     out.append(
-        f'<text x="{middle:.1f}" y="{height - 4:.1f}" text-anchor="middle">lateness; height: number of ticks</text>'
+        f'<text x="{middle:.1f}" y="{height - 4:.1f}" text-anchor="middle">{of}; height: number of {counted}</text>'
     )
     out.append("</svg>")
     return "".join(out)

@@ -13,6 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.records import Certificate
 from flightstack.calibration import BOUND_SIGMAS, true_residual_frd_mps2
 from flightstack.model import Model
 from flightstack.scenario import Scenario, parse_scenario
@@ -21,6 +23,7 @@ from flightstack.vehicle import parse_vehicle
 from logs.reader import Log, Table
 from logs.report import signals
 from logs.report.flight import (
+    Barrier,
     FlightEvent,
     FlightReport,
     Learning,
@@ -33,6 +36,7 @@ from logs.report.flight import (
     samples,
     timing_from_result,
 )
+from logs.topics import CERTIFICATE, FINAL_CERTIFICATE
 
 _PHASE_OF = {"land": "landing", "done": "landing"}
 _NOT_FLOWN = {"connect", "landed"}
@@ -66,7 +70,8 @@ def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightRepo
     )
     model = _model(log)
     report = replace(report, learning=_learning(source, model))
-    return _with_limits(_with_positions(report, source), log, model)
+    report = _with_limits(_with_positions(report, source), log, model)
+    return replace(report, barrier=_barrier(source))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,6 +272,56 @@ def _true_residual(source: _Source, model: Model | None) -> Samples | None:
     residual = true_residual_frd_mps2(model, *(np.asarray(table[part], dtype=np.float64) for part in parts))
     residual[np.asarray(table["on_ground"], dtype=bool)] = np.nan  # there the ground carries
     return samples(source.seconds(table.t_us), residual)
+
+
+def _barrier(source: _Source) -> Barrier | None:
+    """What the filter said, and the state that it kept inside the regions."""
+    h, status, changed = (source.signal("/filter", name) for name in ("h", "status", "intervened"))
+    if status is None or changed is None:
+        return None
+    if h is None:  # nothing was ever certified
+        h = Samples(status.t_s, np.full_like(status.values, np.nan))
+    scenario = _scenario(source.log)
+    judged_by_scenario = scenario is not None and "certificate" not in source.log.metadata.get("settings", {})
+    return Barrier(
+        h=h,
+        status=status,
+        intervened=changed,
+        h_state=source.signal("/filter", "h_state"),
+        margins_ned_ps=source.signal("/filter", "margins_ned_ps"),
+        wanted_acc_ned_mps2=source.signal("/filter", "wanted_acc_ned_mps2"),
+        safe_acc_ned_mps2=source.signal("/filter", "safe_acc_ned_mps2"),
+        low_ned_mps2=source.signal("/filter", "low_ned_mps2"),
+        high_ned_mps2=source.signal("/filter", "high_ned_mps2"),
+        state=_state(source),
+        region=scenario.region if scenario is not None and judged_by_scenario else None,
+        certificates=_certificates(source.log),
+    )
+
+
+def _state(source: _Source) -> Samples | None:
+    """(n, 6) position relative to the start and velocity: the true ones, or else the estimated ones."""
+    for topic in ("/truth", "/tick"):
+        position, velocity = source.signal(topic, "pos_ned_m"), source.signal(topic, "vel_ned_mps")
+        if position is not None and velocity is not None:
+            start = _at_zero(position)
+            shifted = position.values if start is None else position.values - start
+            return Samples(position.t_s, np.concatenate([shifted, signals.resample(velocity, position.t_s)], axis=1))
+    return None
+
+
+def _certificates(log: Log) -> tuple[Certificate, ...]:
+    """The certificate that the flight began with and the last one; those that can't be read are left out."""
+    found: list[Certificate] = []
+    for name in (CERTIFICATE, FINAL_CERTIFICATE):
+        data = log.attachment(name)
+        try:
+            if data is not None:
+                found.append(parse_certificate(data.decode("utf-8", errors="replace"), name))
+        except InputError:
+            continue
+    same = len(found) == 2 and found[0].version == found[1].version
+    return tuple(found[1:] if same else found)
 
 
 def _with_limits(report: FlightReport, log: Log, model: Model | None) -> FlightReport:

@@ -8,7 +8,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from logs.report import learning, words
+from logs.report import barrier, learning, words
 from logs.report.charts import PATH_POINTS, panels, path_payload
 from logs.report.flight import FlightReport
 from logs.report.histogram import lateness_svg
@@ -31,12 +31,13 @@ def render_report(flight: FlightReport) -> str:
     flight = learning.with_measured_honesty(words.with_measured_figures(flight))
     drawn = panels(flight)
     learned = learning.panels(flight, drawn[0])
+    filtered = barrier.panels(flight)
     path = path_payload(flight)
     state, verdict = words.verdict(flight)
     data = {
         "phases": [[phase.name, phase.start_s, phase.end_s] for phase in flight.phases],
         "events": [[event.t_s, event.severity, event.text] for event in flight.events[:EVENTS_SHOWN]],
-        "panels": [panel.payload() for panel in (*drawn, *learned) if panel.curves],
+        "panels": [panel.payload() for panel in (*drawn, *learned, *filtered) if panel.curves],
         "path": path,
     }
     return _fill(
@@ -54,6 +55,7 @@ def render_report(flight: FlightReport) -> str:
             "phases": _phases(flight),
             "tracking": "".join(_panel(panel) for panel in drawn if panel.key.startswith("error-")),
             "learning": _learning(flight, learned),
+            "barrier": _barrier(flight, filtered),
             "panels": "".join(_panel(panel) for panel in drawn if not panel.key.startswith("error-")),
             "events": _events(flight),
             "timing": _timing(flight),
@@ -99,6 +101,17 @@ def _learning(flight: FlightReport, learned: tuple[Panel, ...]) -> str:
     figures = f'<dl class="figures">{_figures(learning.figures(flight))}</dl>'
     grid = "".join(_panel(panel) for panel in learned)
     return f'<section id="learning"><h2 class="part">Learning</h2>{figures}<div class="grid">{grid}</div></section>'
+
+
+def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
+    if not filtered:
+        return ""
+    figures = f'<dl class="figures">{_figures(barrier.figures(flight))}</dl>'
+    grid = "".join(_panel(panel) for panel in filtered)
+    return (
+        f'<section id="barrier"><h2 class="part">Barrier</h2>{figures}<div class="grid">{grid}</div>'
+        f"{barrier.planes_html(flight)}{barrier.tables_html(flight)}</section>"
+    )
 
 
 def _figures(figures: tuple[words.Figure, ...]) -> str:

@@ -88,9 +88,16 @@ def verdict(flight: FlightReport) -> tuple[str, str]:
     completed = flight.outcome.completed
     if completed is None:
         return "plain", "Recorded"
+    if completed and outcome_left(flight):
+        return "bad", "Left its region"
     if completed and not all(check.passed for check in flight.outcome.checks):
         return "bad", "Check failed"
     return ("good", "Completed") if completed else ("bad", "Failed")
+
+
+def outcome_left(flight: FlightReport) -> bool:
+    """Whether a filter flew and the true state left the region all the same."""
+    return bool(flight.outcome.barrier_enabled and flight.outcome.barrier_violations)
 
 
 def headline(flight: FlightReport) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from certified import certificate
 
-from logs.report import FlightEvent, FlightReport, Learning, Outcome, Phase, Region, Samples, Timing
+from flightstack.region import Region as SafeRegion
+from logs.report import Barrier, FlightEvent, FlightReport, Learning, Outcome, Phase, Region, Samples, Timing
 
 HOSTILE = "</script><script>window.onerror('injected')</script><img src=x onerror=alert(1)>"
 
@@ -56,6 +58,20 @@ def circle_flight() -> FlightReport:
             over_time(np.full(len(t), 0.714)),
             over_time(np.full(len(t), 0.01)),
             over_time(1.0 - np.exp(-t)),
+        ),
+        barrier=Barrier(
+            over_time(0.6 + 0.3 * np.sin(t)),
+            over_time(np.where(t < 4.0, 1.0, np.where((t > 9.0) & (t < 11.0), 3.0, 2.0))),
+            over_time((t > 9.0) & (t < 11.0)),
+            over_time(0.62 + 0.3 * np.sin(t)),
+            over_time(np.stack([2.0 + np.sin(t), 2.0 + np.cos(t), 3.0 + 0.0 * t], axis=1)),
+            over_time(np.stack([np.sin(t), np.cos(t), 0.0 * t], axis=1)),
+            over_time(np.stack([np.minimum(np.sin(t), 0.5), np.cos(t), 0.0 * t], axis=1)),
+            over_time(np.full((len(t), 3), -2.0)),
+            over_time(np.full((len(t), 3), 2.0)),
+            over_time(np.concatenate([truth, 0.1 * np.cos(truth)], axis=1)),
+            SafeRegion("ellipsoid", (0.0, -1.0, -1.5), (1.5, 1.5, 1.5), (1.0, 1.0, 1.0)),
+            (certificate(1.2), certificate(1.4, 0.8, version=3)),
         ),
         timing=Timing(250.0, 3.0, 90.0, 5000.0, 1, np.array([3.0, 3.0, 4.0, 90.0, 5000.0])),
         settings=(("seed", "0"),),

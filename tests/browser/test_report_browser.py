@@ -14,7 +14,7 @@ from report_flight import circle_flight
 from logs.report import FlightReport, Outcome, Samples, write_report
 
 CHROMIUM = Path("/usr/bin/chromium")
-PANELS = 19
+PANELS = 24
 
 pytestmark = [
     pytest.mark.browser,

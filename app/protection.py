@@ -1,0 +1,144 @@
+"""What keeps a flight inside its region: the barrier filter and the certifier that options and scenario ask for.
+
+--no-filter       nothing filters
+--as-published    the paper's filter on its h_mu, with the paper's learner (a state-only Gaussian process)
+--certificate     the filter under the certificate of a file, whatever the scenario
+otherwise         where the scenario has a region: certified at the start with the initial knowledge, and in flight
+                  with what has been learned; no filter where it has none, or where nothing can be certified
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from app import files
+from app.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.initial import require_authority
+from flightstack.barrier.margins import GPS, MOCAP
+from flightstack.barrier.published_certifier import PublishedCertifier
+from flightstack.barrier.published_filter import PublishedFilter
+from flightstack.barrier.records import Certificate
+from flightstack.learning.stored import vehicle_hash
+from flightstack.model import Limits, Model
+from flightstack.region import Region
+from flightstack.safety_filter import BarrierFilter
+from flightstack.scenario import Scenario
+from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtectionOptions:
+    """What a flight may be asked for."""
+
+    filtering: bool = True
+    as_published: bool = False
+    certificate: Path | None = None
+
+    @property
+    def protection_as_written(self) -> bool:
+        """As a scenario means it."""
+        return self.filtering and not self.as_published and self.certificate is None
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """Filter and certifier of a flight, and the region that it is judged by."""
+
+    words: str
+    """What protects the flight, or why nothing does; one line."""
+    region: Region | None = None
+    """The scenario's, where the flight is judged by it."""
+    filter: SafetyFilter = field(default_factory=NoFilter)
+    certifier: Certifier = field(default_factory=NoCertifier)
+    certificate: str | None = None
+    """Text of the certificate that it begins with."""
+    certificate_from: str = ""
+    """Where that came from."""
+
+    @property
+    def watched(self) -> WatchedCertifier | None:
+        """The certifier whose certificates are kept; None where there is none."""
+        return self.certifier if isinstance(self.certifier, WatchedCertifier) else None
+
+
+def protect(
+    options: ProtectionOptions, scenario: Scenario, believed: Vehicle, model: Model, learner: str, sensors: str
+) -> Protection:
+    """Filter and certifier of a flight; InputError, one line, where the options contradict each other or the file.
+
+    `learner` is one of the LEARNERS below, `sensors` a grade.
+    """
+    if options.as_published and not options.filtering:
+        raise InputError("--as-published flies the published filter: leave out --no-filter")
+    file = None if options.certificate is None else files.read_text(options.certificate)
+    mode = AS_PUBLISHED if options.as_published else SOUND
+    given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
+    region = scenario.region if given is None else None
+    if not options.filtering and given is None:
+        return Protection(_NO_FILTER, region)
+    certifier = GivenCertificate(given) if given is not None else _online(mode, scenario, model, learner, sensors)
+    if isinstance(certifier, str):
+        return Protection(f"off: {certifier}", region)
+    watched = WatchedCertifier(certifier, {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)})
+    carried = () if file is None else (file.text, str(file.path))
+    if not options.filtering:  # the certificate still says by which region the flight is judged
+        return Protection(_NO_FILTER, region, NoFilter(), watched, *carried)
+    made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
+    source = f"certificate {file.path}" if file is not None else "certified in flight"
+    doubt = ", which can't be certified robustly" if options.as_published else ""
+    return Protection(f"{mode}{doubt}, {source}", region, TimedFilter(made), watched, *carried)
+
+
+SOUND = "sound"
+FULL, STATE_ONLY, NONE = "full", "state-only", "none"
+"""What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
+_NO_FILTER = "off: --no-filter"
+
+
+def _online(mode: str, scenario: Scenario, model: Model, learner: str, sensors: str) -> Certifier | str:
+    """What certifies in flight; or why nothing can be."""
+    region, limits = scenario.region, scenario.limits
+    if region is None:
+        return "the scenario has no region, and no --certificate was given"
+    if mode == AS_PUBLISHED:
+        return PublishedCertifier(model, limits, region)
+    if learner == STATE_ONLY:
+        return "a learner of the state alone can't certify (--as-published flies it), and no --certificate was given"
+    if learner == NONE:
+        return "nothing is certified without the learner, and no --certificate was given"
+    if scenario.knowledge is not None:
+        require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
+    config = CertifierConfig(accuracy=GPS if sensors == "gps" else MOCAP)
+    return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config)
+
+
+def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:
+    """The certificate of a file, made for this vehicle, this mode and no more thrust than the flight allows."""
+    certificate = parse_certificate(file.text, str(file.path))
+    if certificate.mode != mode:
+        need = "with" if certificate.mode == AS_PUBLISHED else "without"
+        raise InputError(f"{file.path}: a certificate of mode {certificate.mode}: fly it {need} --as-published")
+    if certificate.knowledge.get("vehicle_hash") != vehicle_hash(believed):
+        name = certificate.knowledge.get("vehicle")
+        of = f"for vehicle {name!r} with" if name else "for"
+        raise InputError(
+            f"{file.path}: made {of} another vehicle file than {believed.name!r}; "
+            "name the one that it was made for with --vehicle, or certify this one: `flightstack certify`"
+        )
+    budget, greatest_mps2 = certificate.budget, model.thrust_range_n(limits)[1] / model.mass_kg
+    if budget.thrust_max_mps2 > greatest_mps2 * (1.0 + 1e-9):
+        raise InputError(
+            f"{file.path}: counts on {budget.thrust_max_mps2:.2f} m/s^2 of thrust, this flight allows "
+            f"{greatest_mps2:.2f}; raise the scenario's limits.thrust_max_weights"
+        )
+    if budget.tilt_max_rad > limits.tilt_max_rad + 1e-9:
+        raise InputError(
+            f"{file.path}: counts on {budget.tilt_max_rad:.2f} rad of tilt, this flight allows "
+            f"{limits.tilt_max_rad:.2f}; raise the scenario's limits.tilt_max_rad"
+        )
+    return certificate

@@ -1,0 +1,99 @@
+"""A certifier whose region may become faster with each certificate: how Algorithm 1 grows it.
+
+It begins with the region's distances and moderate speeds.  Once that has been certified for `identify_s`, every
+certificate that reaches the speed allowed so far allows `factor` times as much for the next, up to `most_mps`; the
+distances stay the region's.  (To ask for every speed at once would also ask what is known at speeds that nothing was
+ever learned at.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, safe_sets
+from flightstack.barrier.design import SafeSet
+from flightstack.barrier.initial import InitialKnowledge
+from flightstack.barrier.records import Certificate
+from flightstack.learning.learner import LearnerState
+from flightstack.model import Limits, Model
+from flightstack.region import Region
+from flightstack.types import Filtered, Learned, Measurement
+
+
+@dataclass(frozen=True, slots=True)
+class GrowthConfig:
+    """How it grows."""
+
+    identify_s: float = 4.5
+    """The first certificate stands for so long: the identification hover."""
+    factor: float = 1.3
+    reached: float = 0.85
+    """Share of the speed allowed at which it counts as reached."""
+    first_mps: float = 1.2
+    """Speed that the first certificate may reach, where the region's own is less: in a slow region the doubt about the
+    estimated speed is a large share of h, and nothing is left to certify."""
+    most_mps: float = 3.0
+    across_mps: float = 0.2
+    """Speed along an axis that is not certified, up to which the bounds of the others are asked for."""
+
+
+@dataclass(slots=True)
+class GrowthState:
+    """What it remembers; changed in place."""
+
+    inner: CertifierState
+    certifier: OnlineCertifier
+    first_us: int = -1
+    """When the first certificate came."""
+
+
+class GrowingCertifier:
+    """The certifier of one believed vehicle and a region that grows; holds only constants."""
+
+    __slots__ = ("_first", "config")
+    enabled = True
+
+    def __init__(
+        self, model: Model, limits: Limits, region: Region, *, initial: InitialKnowledge | None = None,
+        certifier: CertifierConfig | None = None, config: GrowthConfig | None = None,
+    ) -> None:  # fmt: skip
+        inner = certifier or CertifierConfig()
+        self.config = config or GrowthConfig()
+        safe = {axis: SafeSet(region.semi_axes_m[axis], self.config.across_mps) for axis in range(3)}
+        for axis, each in safe_sets(region, inner.axes).items():
+            safe[axis] = replace(each, limit_mps=max(each.limit_mps or 0.0, self.config.first_mps))
+        self._first = OnlineCertifier(model, limits, region, initial=initial, config=inner, safe=safe)
+
+    def init(self) -> GrowthState:
+        """Nothing certified yet."""
+        return GrowthState(self._first.init(), self._first)
+
+    def step(
+        self, state: GrowthState, learner: LearnerState, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[GrowthState, Certificate | None]:
+        """The present certifier's step; where its region has reached what it may, the next certifier."""
+        state.inner, certificate = state.certifier.step(state.inner, learner, measurement, learned, filtered)
+        if certificate is not None and state.first_us < 0:
+            state.first_us = measurement.t_us
+        standing = state.first_us >= 0 and measurement.t_us - state.first_us >= 1e6 * self.config.identify_s
+        held = state.inner.certificate
+        if standing and held is not None and state.inner.work is None:
+            allowed = self.allowed(state.certifier.safe, held)
+            if allowed != state.certifier.safe:
+                before = state.certifier
+                state.certifier = OnlineCertifier(
+                    before.model, before.limits, before.region, initial=before.initial, config=before.config,
+                    safe=allowed,
+                )  # fmt: skip
+        return state, certificate
+
+    def allowed(self, safe: dict[int, SafeSet], held: Certificate) -> dict[int, SafeSet]:
+        """Each axis' safe set after a certificate: faster where that has reached the speed that it may."""
+        allowed = dict(safe)
+        for each in held.axes:
+            limit = safe[each.axis].limit_mps
+            _, _, slow, fast = each.barrier.box
+            if limit is not None and max(-slow, fast) >= self.config.reached * limit:
+                faster = min(self.config.factor * limit, self.config.most_mps)
+                allowed[each.axis] = replace(safe[each.axis], limit_mps=faster)
+        return allowed

@@ -1,0 +1,269 @@
+"""The barrier filter seen from outside: time of its steps, h of the judged region, the JSON, the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from certified import CENTRE, certificate, says
+from log_samples import tick_record
+
+from app import console
+from app.barrier_score import (
+    GivenCertificate,
+    RegionScore,
+    TimedFilter,
+    WatchedCertifier,
+    barrier_summary,
+    certified_value,
+    engaged_from,
+    qp_summary,
+)
+from app.result import NO_BARRIER, NO_GP, NO_LOOP, NO_QP, FlightResult
+from flightstack.barrier.records import Certificate
+from flightstack.region import Region
+from flightstack.seams import NoFilter
+from flightstack.types import F64, Command, Filtered, Learned, Measurement
+
+TICK_US = 4_000
+BOX = Region("axes", (0.0, 0.0, -1.5), (2.0, 1.0, 1.0), (1.0, 1.0, 0.5))
+
+
+class Says:
+    """A filter that says what it is told to say, one after the other."""
+
+    enabled = True
+
+    def __init__(self, *words: Filtered, takes_s: float = 0.0) -> None:
+        self.words, self.takes_s = words, takes_s
+        self.adopted: list[Certificate] = []
+
+    def init(self, origin_ned_m: F64) -> int:
+        return 0
+
+    def adopt(self, state: Any, certificate: Certificate) -> Any:
+        self.adopted.append(certificate)
+        return state
+
+    def step(
+        self, state: Any, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[Any, Command, Filtered]:
+        until = time.perf_counter() + self.takes_s
+        while time.perf_counter() < until:
+            pass
+        return state + 1, command, self.words[state % len(self.words)]
+
+
+def run(safety_filter: TimedFilter, ticks: int) -> None:
+    record = tick_record(1)
+    state = safety_filter.init(np.zeros(3))
+    for _ in range(ticks):
+        state, command, _ = safety_filter.step(
+            state, record.measurement, record.command, record.command, record.learned
+        )
+        assert command is record.command
+
+
+# ---------------------------------------------------------------- timing
+
+
+def test_only_steps_that_solve_are_timed_and_an_init_forgets_them() -> None:
+    timed = TimedFilter(Says(says(0), says(1), says(2), says(3), says(4), says(5), takes_s=0.001))
+    run(timed, 6)
+    assert len(timed.solve_ns) == 4
+    assert min(timed.solve_ns) >= 1_000_000
+    run(timed, 2)
+    assert timed.solve_ns == []
+
+
+def test_a_timed_filter_hands_certificates_on() -> None:
+    inner, one = Says(says(0)), certificate()
+    TimedFilter(inner).adopt(0, one)
+    assert inner.adopted == [one]
+
+
+def test_a_given_certificate_is_handed_over_once_with_the_vehicle_it_flies() -> None:
+    given = certificate(knowledge={"sha256": "x"})
+    certifier = WatchedCertifier(GivenCertificate(given), {"vehicle": "quad-x"})
+    record = tick_record(1)
+    for _ in range(2):  # a second flight begins anew
+        state, handed = certifier.init(), []
+        for _ in range(3):
+            state, one = certifier.step(state, None, record.measurement, record.learned, record.filtered)
+            handed.append(one)
+        assert handed[1:] == [None, None]
+        assert handed[0] is not None
+        assert handed[0].knowledge == {"sha256": "x", "vehicle": "quad-x"}
+        assert handed[0].axes is given.axes
+        assert certifier.adopted == handed[:1]
+
+
+# ---------------------------------------------------------------- h
+
+
+def test_a_certificates_h_is_the_least_of_its_axes_and_as_published_their_common_ellipsoid() -> None:
+    pos, vel = np.add(CENTRE, (0.5, 0.0, 0.3)), np.array([0.0, 0.25, 0.0])
+    assert certified_value(certificate(), pos, vel) == pytest.approx(0.75)  # both 0.5^2 and (0.25 / 0.5)^2 are 1/4
+    published = certificate(mode="as-published")
+    assert certified_value(published, pos, vel) == pytest.approx(1.0 - 0.25 - 0.25 - 0.09)
+
+
+def test_a_region_counts_from_half_a_second_at_0_05_on() -> None:
+    t_us = list(range(0, 2_000_000, TICK_US))
+    h = np.full(len(t_us), 0.2)
+    assert engaged_from(t_us, h) == 125
+    h[100] = 0.049  # 0.4 s: it begins anew
+    assert engaged_from(t_us, h) == 101 + 125
+    assert engaged_from(t_us, np.full(len(t_us), 0.04)) is None
+    assert engaged_from(t_us, np.full(len(t_us), np.nan)) is None
+    assert engaged_from(t_us[:125], h[:125]) is None
+
+
+def scored(region: Region | None, down_m: F64, *, off_m: float = 0.0, truth: bool = True) -> dict[str, Any]:
+    """The summary of a flight along down: as estimated, and `off_m` further down in truth."""
+    score = RegionScore(region)
+    for i, z in enumerate(down_m.tolist()):
+        state = np.array([0.0, 0.0, z, 0.0, 0.0, 0.0])
+        true = state + np.array([0.0, 0.0, off_m, 0.0, 0.0, 0.0])
+        score.add(1_000_000 + TICK_US * i, state, true if truth else None)
+    return score.summary()
+
+
+def test_violations_are_ticks_of_the_true_state_outside_once_it_counts() -> None:
+    """From the ground up into the box round 1.5 m, 1 m high each way; then out by 0.1 m for 10 ticks."""
+    down = np.concatenate([np.zeros(50), np.full(250, -1.5), np.full(10, -2.6), np.full(40, -1.5)])
+    seen = scored(BOX, down)
+    assert (seen["of"], seen["violations"]) == ("scenario", 10)
+    assert seen["engaged_s"] == pytest.approx((50 + 125) * 0.004)
+    assert seen["left_s"] == pytest.approx(300 * 0.004)
+    assert seen["min_h_truth"] == pytest.approx(1.0 - 1.1**2)
+
+
+def test_it_is_the_truth_that_counts_and_not_the_estimate() -> None:
+    down = np.concatenate([np.full(250, -1.5), np.full(10, -0.6)])
+    seen = scored(BOX, down, off_m=0.2)
+    assert seen["min_h_estimate"] == pytest.approx(1.0 - 0.9**2)
+    assert seen["min_h_truth"] == pytest.approx(1.0 - 1.1**2)
+    assert seen["violations"] == 10
+    blind = scored(BOX, down, truth=False)
+    assert (blind["min_h_truth"], blind["violations"], blind["left_s"]) == (None, None, None)
+    assert blind["min_h_estimate"] == seen["min_h_estimate"]
+
+
+def test_a_flight_that_never_came_inside_has_no_violations_and_no_h() -> None:
+    seen = scored(BOX, np.zeros(500))
+    assert (seen["violations"], seen["min_h_truth"], seen["engaged_s"]) == (0, None, None)
+    assert set(scored(None, np.zeros(500)).values()) <= {None, 0}
+
+
+def test_under_a_certificate_the_one_in_force_at_the_tick_judges() -> None:
+    certifier = WatchedCertifier(GivenCertificate(certificate()))
+    score = RegionScore(None, certifier)
+    inside = np.concatenate([CENTRE, np.zeros(3)])
+    away = np.add(inside, (0.9, 0.0, 0.0, 0.0, 0.0, 0.0))
+    score.add(0, inside, inside)  # nothing is in force yet
+    certifier.adopted.append(certificate())
+    for i in range(1, 200):
+        score.add(TICK_US * i, inside, inside)
+    for i in range(200, 210):
+        score.add(TICK_US * i, away, away)
+    certifier.adopted.append(certificate(semi_m=0.6))
+    for i in range(210, 215):
+        score.add(TICK_US * i, away, away)
+    seen = score.summary()
+    assert (seen["of"], seen["violations"]) == ("certificate", 5)
+    assert seen["min_h_truth"] == pytest.approx(1.0 - (0.9 / 0.6) ** 2)
+    assert seen["left_s"] == pytest.approx(0.84)
+
+
+# ---------------------------------------------------------------- the JSON
+
+
+def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> None:
+    timed = TimedFilter(Says(says(2)))
+    timed.solve_ns = [20_000, 30_000, 40_000]
+    region = scored(BOX, np.full(300, -1.5))
+    result = flown(barrier=barrier_summary(True, region, 12), qp=qp_summary(timed, 3), region=region).as_json()
+    barrier = {"enabled": True, "min_h_truth": 1.0, "min_h_estimate": 1.0, "violations": 0, "interventions": 12}
+    assert result["barrier"] == barrier
+    assert result["qp"]["solve_us"] == {"p50": 30.0, "p99": pytest.approx(39.8), "max": 40.0}
+    assert result["qp"]["infeasible"] == 3
+    histogram = result["qp"]["histogram"]
+    assert sum(histogram["counts"]) == 3
+    assert len(histogram["edges_us"]) == len(histogram["counts"]) + 1
+    json.dumps(result, allow_nan=False)
+
+
+def test_without_a_filter_every_field_is_null_and_the_region_is_told_all_the_same() -> None:
+    region = scored(BOX, np.concatenate([np.full(250, -1.5), np.zeros(10)]))
+    barrier, qp = barrier_summary(False, region, 0), qp_summary(NoFilter(), 0)
+    assert (barrier, qp) == (NO_BARRIER, NO_QP)
+    assert set(barrier.values()) == {False, None}
+    result = flown(barrier=barrier, qp=qp, region=region)
+    assert result.as_json()["region"]["violations"] == 10
+    assert result.passed  # nothing was asked to keep inside
+
+
+def test_a_filter_that_never_solved_anything_has_no_times() -> None:
+    qp = qp_summary(TimedFilter(Says(says(0))), 0)
+    assert (qp["infeasible"], qp["histogram"], qp["solve_us"]["p50"]) == (0, None, None)
+
+
+def flown(**changes: Any) -> FlightResult:
+    result = FlightResult(
+        scenario="hover", seed=0, log=None, completed=True, reason="", flight_time_s=10.0, wall_time_s=1.0,
+        clock_time_s=10.0, plant="native", controller="flatness",
+        tracking={"of": "truth", "rmse_m": 0.1, "max_m": 0.2, "rmse_settled_m": 0.1}, gp=NO_GP, loop=NO_LOOP,
+    )  # fmt: skip
+    return dataclasses.replace(result, **changes)
+
+
+def left() -> FlightResult:
+    region = scored(BOX, np.concatenate([np.full(250, -1.5), np.full(10, -2.6), np.full(9, -1.5)]))
+    return flown(barrier=barrier_summary(True, region, 7), qp=NO_QP | {"infeasible": 2}, region=region)
+
+
+def test_a_flight_that_left_its_region_has_failed_though_it_completed() -> None:
+    result = left()
+    assert result.completed
+    assert not result.passed
+    words = "left its region: h of the true state was below 0 in 10 ticks (least -0.210), first 1.00 s after take-off"
+    assert result.failure() == words
+    data = result.as_json()
+    assert (data["completed"], data["reason"]) == (True, words)
+    early = dataclasses.replace(result, completed=False, reason="stopped by the user")
+    assert early.failure() == "stopped by the user"
+    assert early.as_json()["reason"] == f"stopped by the user; {words}"
+
+
+# ---------------------------------------------------------------- the terminal
+
+
+def printed(result: FlightResult, capsys: pytest.CaptureFixture[str]) -> str:
+    console.show_result(result)
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_the_summary_says_what_the_filter_kept_to_and_what_it_took(capsys: pytest.CaptureFixture[str]) -> None:
+    told = printed(dataclasses.replace(left(), protection="sound, certified in flight"), capsys)
+    assert "completed, but left its region" in told
+    assert "barrier filter sound, certified in flight, least h of the truth -0.210 (10 ticks outside)" in told
+    assert "7 interventions, 2 infeasible" in told
+
+
+def test_the_summary_says_why_there_was_no_filter(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "barrier filter off: --no-filter" in printed(flown(protection="off: --no-filter"), capsys)
+    assert "barrier filter off" in printed(flown(), capsys)
+
+
+def test_a_filter_that_never_engaged_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    region = scored(BOX, np.zeros(300))
+    result = flown(barrier=barrier_summary(True, region, 0), qp=NO_QP | {"infeasible": 0}, region=region)
+    assert "it never engaged" in printed(result, capsys)
+    result.region["filtered_ticks"] = 1
+    assert "it never engaged" not in printed(result, capsys)
+    assert result.passed
