@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier campaign-learning campaign-learning-quick tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
+	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier.md (campaign-barrier-quick: a few)"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml
@@ -74,6 +75,12 @@ campaign-learning: $(BIN)/.installed-campaign
 
 campaign-learning-quick: $(BIN)/.installed-campaign
 	$(BIN)/python -m benchmarks.learning --quick
+
+campaign-barrier: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.barrier_campaign
+
+campaign-barrier-quick: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.barrier_campaign --quick
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

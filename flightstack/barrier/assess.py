@@ -48,11 +48,11 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 ROWS = 9
 """Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
 _DT_RANGE_S = (0.001, 0.05)
-_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING, _RESPONSE, _CHAIN = 0, 3, 6, 9, 12, 24, 33
+_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING, _RESPONSE, _CHAIN = 0, 3, 6, 9, 12, 27, 36
 _BOUNDS = _CHAIN + CHAIN
 _SIZES = _BOUNDS + 5
 _HEAD = _SIZES + 2
-"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 4),
+"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 5),
 response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
 pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
 WORK = 2 * STATE + 4
@@ -79,7 +79,7 @@ def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude
     for i, axis in axes.items():
         rows, table = axis.barrier.rows, axis.authority.table
         flat[[_CERTIFIED + i, _PIECES + i, _NODES + i]] = 1.0, len(rows), table.shape[1]
-        flat[_SETTING + 4 * i : _SETTING + 4 * i + 4] = axis.setting
+        flat[_SETTING + 5 * i : _SETTING + 5 * i + 5] = axis.setting
         response[i] = axis.response.c1_s, axis.response.c2_s2, axis.response.delay_s
         flat[_HEAD + i * pieces * ROW :][: rows.size] = rows.ravel()
         tables[i, :3, : table.shape[1]] = table[:3]
@@ -139,8 +139,8 @@ def _table(flat: F64, axis: int) -> F64:
 
 @njit
 def _setting(flat: F64, axis: int) -> Setting:
-    at = _SETTING + 4 * axis
-    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3])
+    at = _SETTING + 5 * axis
+    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4])
 
 
 @njit
@@ -336,8 +336,9 @@ def _least_margin(flat: F64, out: F64) -> float:
             continue
         reach = _reach(_table(flat, i), out[26 + i])
         for piece in _pieces(flat, i):
-            a, b, c = coefficients(piece, out[23 + i], out[26 + i], _setting(flat, i), reach)
-            least = min(least, (a * out[11 + i] + b) * out[11 + i] + c)
+            setting, u = _setting(flat, i), out[11 + i]
+            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach)
+            least = min(least, (a * u + b) * u + c - setting.rate_spm * abs(u))
     return least
 
 

@@ -233,7 +233,7 @@ class OnlineCertifier:
             axes.append(found)
         yield Certificate(
             "sound", self.region.centre_ned_m, tuple(axes), knowledge.budget, config.delta, knowledge.k_sigma,
-            knowledge.as_json(), version,
+            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **config.doubts._asdict()}}, version,
         )  # fmt: skip
 
     def _envelope(self) -> Envelope:
@@ -301,12 +301,14 @@ class OnlineCertifier:
             if design.barrier is None or design.cover is None:
                 return None
             own, margins = self._ledger(design.barrier, axis)
-            if own.eta <= setting.eta and own.rate_ps <= setting.rate_ps:
+            if own.eta <= setting.eta and own.rate_ps <= setting.rate_ps and own.rate_spm <= setting.rate_spm:
                 return AxisCertificate(
                     axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
                 )
             setting = setting._replace(
-                eta=1.02 * max(own.eta, setting.eta), rate_ps=1.02 * max(own.rate_ps, setting.rate_ps)
+                eta=1.02 * max(own.eta, setting.eta),
+                rate_ps=1.02 * max(own.rate_ps, setting.rate_ps),
+                rate_spm=1.02 * max(own.rate_spm, setting.rate_spm),
             )
         return None
 

@@ -14,13 +14,14 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + gamma (h - eta) - b >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + gamma (h - eta) - b - b_u |u| >= 0
 
-eta: by how much h of the estimated state may be above h of the true one; b (1/s): what else may be wrong in q, of
-estimate, delay and lag.  q is concave in u, so the commands that meet it are an interval, in closed form.
+eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
+in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
+a gentle command costs little).  q is concave in u, so the commands that meet it are an interval, in closed form.
 
 Where q >= 0 holds, h - eta falls by at most the share gamma t in a time t: the true h never becomes negative, neither
-between two commands nor where they come early.  The published form is dt = 0, E = k sigma, eta = b = 0.
+between two commands nor where they come early.  The published form is dt = 0, E = k sigma, eta = b = b_u = 0.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ class Setting(NamedTuple):
     """b: doubt about q in 1/s."""
     dt_s: float
     """Longest time between two commands."""
+    rate_spm: float = 0.0
+    """b_u: doubt about q for each m/s^2 of the command's size, s/m."""
 
 
 class Reach(NamedTuple):
@@ -58,9 +61,9 @@ class Reach(NamedTuple):
 
 @njit
 def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
-    """q(u) = A u^2 + B u + C of one piece's row at (e, v); A <= 0."""
+    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0."""
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt = setting
+    gamma, eta, rate, dt, _ = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -93,17 +96,20 @@ def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> t
         return low, low, -np.inf
     for i in range(rows.shape[0]):
         a, b, c = coefficients(rows[i], e, v, setting, reach)
-        top = high if b >= 0.0 else low
-        if a < -1e-12:
-            top = min(max(-0.5 * b / a, reach[0]), reach[1])
-        q = (a * top + b) * top + c
-        if np.isnan(q):
-            return low, low, -np.inf
+        q, top, left, right = _half(a, b + setting[4], c, reach[0], min(reach[1], 0.0))
+        other, at, first, last = _half(a, b - setting[4], c, max(reach[0], 0.0), reach[1])
+        if np.isnan(q) or np.isnan(other):
+            return reach[0], reach[0], -np.inf
+        if q >= 0.0 and other >= 0.0:  # q is concave: both meet at 0
+            right = last
+        elif other >= 0.0:
+            left, right = first, last
+        if other > q:
+            q, top = other, at
         if q < margin:
             margin, best = q, top
         if q < 0.0:
             continue
-        left, right = _roots(a, b, c, reach[0], reach[1])
         low, high = max(low, left), min(high, right)
     if margin < 0.0:
         return best, best, margin
@@ -111,6 +117,21 @@ def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> t
         middle = 0.5 * (low + high)
         return middle, middle, high - low
     return low, high, margin
+
+
+@njit
+def _half(a: float, b: float, c: float, low: float, high: float) -> tuple[float, float, float, float]:
+    """On one side of 0: the best q, its command, and the least and greatest command with q >= 0."""
+    if low > high:
+        return -np.inf, low, low, high
+    top = high if b >= 0.0 else low
+    if a < -1e-12:
+        top = min(max(-0.5 * b / a, low), high)
+    q = (a * top + b) * top + c
+    if not q >= 0.0:
+        return q, top, top, top
+    left, right = _roots(a, b, c, low, high)
+    return q, top, left, right
 
 
 @njit

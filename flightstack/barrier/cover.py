@@ -192,7 +192,8 @@ def best_command(
 
     No kink of a piece may lie inside (v_low, v_high).
     """
-    quad = np.empty((4 * rows.shape[0], 3))
+    quad = np.empty((4 * rows.shape[0], 4))
+    quad[:, 3] = setting.rate_spm
     for i in range(rows.shape[0]):
         lift = curvature_lift(rows[i], setting, v_high - v_low)
         for j in range(4):
@@ -230,14 +231,14 @@ def best_command(
 
 @njit
 def _at(quad: F64, u: float) -> float:
-    return float((quad[0] * u + quad[1]) * u + quad[2])
+    return float((quad[0] * u + quad[1]) * u + quad[2] - quad[3] * abs(u))
 
 
 @njit
 def _least(quad: F64, u: float) -> float:
     least = np.inf
     for i in range(quad.shape[0]):
-        least = min(least, (quad[i, 0] * u + quad[i, 1]) * u + quad[i, 2])
+        least = min(least, _at(quad[i], u))
     return float(least)
 
 

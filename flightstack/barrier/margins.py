@@ -13,11 +13,11 @@ S is the span between the ends of the command, E the greatest doubt of the accel
 
 Measurement-robust barrier functions: with q at z^ at least b, q at z is not below 0 where
 
-    b >= sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|       (without gamma h, whose doubt is eta)
+    b + b_u |u| >= sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|   (without gamma h: that is eta's)
     eta >= sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
 
-over all commands u and accelerations a in reach and all states of the region.  (h is concave: h(z^) <= h(z) + grad h(z)
-(z^ - z), so the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames,
+over all accelerations a in reach and all states of the region; each slope of q is one at rest plus one times |u|.  (h
+is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames,
 "Guaranteeing safety of learned perception modules via measurement-robust control barrier functions", CoRL 2020,
 theorem 2.  On an ellipse every one of these is greatest on its edge: linear in e for a given v, and no interior
 maximum in v; a stopping way's are greatest at the greatest speed.
@@ -75,9 +75,9 @@ class Slopes(NamedTuple):
     h_v: float
     """|dh/dv|, s/m."""
     q_e: float
-    """|dq/de| without gamma h, 1/(m s)."""
+    """|dq/de| without gamma h at u = 0, 1/(m s)."""
     q_v: float
-    """|dq/dv| without gamma h, 1/m."""
+    """|dq/dv| without gamma h at u = 0, 1/m."""
     speed: float
     """|v|, m/s."""
     hold: float
@@ -85,7 +85,13 @@ class Slopes(NamedTuple):
     flow_h: float
     """|dh/de v + dh/dv a|, 1/s: how fast h changes along the motion."""
     flow_q: float
-    """|dq/de v + dq/dv a| without gamma h, 1/s^2."""
+    """|dq/de v + dq/dv a| without gamma h at u = 0, 1/s^2."""
+    q_eu: float
+    """What each m/s^2 of |u| adds to q_e, s/m^2."""
+    q_vu: float
+    """To q_v, s^2/m^2."""
+    flow_qu: float
+    """To flow_q, 1/m."""
 
 
 def slopes(
@@ -119,9 +125,8 @@ def _piece_slopes(
         h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
     turning = np.abs(h_e - row[K_EV] * v).max()
     flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
-    flow_q = max(
-        np.abs((kee * v + row[K_EV] * u) * v - (h_e - row[K_EV] * v - kvv * u) * a).max() for a in ends for u in ends
-    )
+    flow_q = max(np.abs(kee * v * v - (h_e - row[K_EV] * v) * a).max() for a in ends)
+    flow_qu = max(np.abs(row[K_EV] * v + kvv * a).max() for a in ends)
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
     kappa += half * (kvv + kev * dt + kee * half * half) * error
     held_e = kee * command * half + (kev + kee * half) * error  # what holding and the error add to the slopes of q
@@ -131,8 +136,8 @@ def _piece_slopes(
     hold = steep_e * half * command + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
     hold += half * (kvv + kev * dt + kee * half * half) * command**2 + (steep_e * half + kappa) * error
     return Slopes(*(float(value) for value in (
-        steep_e, steep_v, kee * speed + kev * command + held_e, turning + kvv * command + held_v, speed, hold, flow_h,
-        flow_q + held_e * speed + held_v * command,
+        steep_e, steep_v, kee * speed + held_e, turning + held_v, speed, hold, flow_h,
+        flow_q + held_e * speed + held_v * command, kev, kvv, flow_qu,
     )))  # fmt: skip
 
 
@@ -174,7 +179,7 @@ def ledger(
     """The condition's constants for one axis, and every margin in m/s^2.
 
     `gain_part_mps2`: how much of the error is the thrust gain's; `coupling_mps`: see above.  A margin in m/s^2 is
-    (its part of b + gamma its part of eta) / max |dh/dv|.
+    (its part of b, of b_u times the hardest command, of gamma eta) / max |dh/dv|.
     """
     least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
@@ -185,8 +190,13 @@ def ledger(
         at = slopes(barrier, least, most, error, dt_s, eta)
         sources = _sources(axis, response, span, error, accuracy, doubts, coupling_mps)
         eta = sum(_eta(at, source) for source in sources)
-    rate = sum(_rate(at, source) for source in sources)
-    priced = {s.name: ((_rate(at, s) + gamma_ps * _eta(at, s)) / at.h_v, s.because) for s in sources if s.name}
+    rate, steep = sum(_rate(at, source) for source in sources), sum(_steep(at, source) for source in sources)
+    brake = max(abs(least), abs(most))
+    priced = {
+        s.name: ((_rate(at, s) + brake * _steep(at, s) + gamma_ps * _eta(at, s)) / at.h_v, s.because)
+        for s in sources
+        if s.name
+    }
     low = float(authority.error_low_mps2.max())
     lines = {
         "gp_error": (
@@ -200,7 +210,7 @@ def ledger(
     }
     order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
     margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
-    return Setting(gamma_ps, eta, rate, dt_s), margins
+    return Setting(gamma_ps, eta, rate, dt_s, steep), margins
 
 
 def _sources(
@@ -242,6 +252,10 @@ def _sources(
 
 def _rate(at: Slopes, source: _Source) -> float:
     return at.q_e * source.eps_e + at.q_v * source.eps_v + at.flow_q * source.late_s
+
+
+def _steep(at: Slopes, source: _Source) -> float:
+    return at.q_eu * source.eps_e + at.q_vu * source.eps_v + at.flow_qu * source.late_s
 
 
 def _eta(at: Slopes, source: _Source) -> float:

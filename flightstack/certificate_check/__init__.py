@@ -1,0 +1,167 @@
+"""The checker of certificate files: proves anew what a file claims, and shares no code with what made it.
+
+Only numpy and the standard library are used.  In this order: the seal; the thrust budget; the knowledge and each axis'
+`authority` from its points; the ledger with eta and b; the cells' claims and that they cover the region.
+
+A number that is changed under a new seal is refused, unless nothing that is claimed becomes untrue:
+
+    a cell's q made smaller, or larger by less than what is left; its edges moved into its neighbours or outside the
+        region; another command that does as well
+    eta, b, b_u larger, gamma, dt, the barrier another, where all cells still hold and the margins still follow
+    knowledge that no bound rests on: of axes that are not certified, of bounds that others cut, an effect below 1e-6
+    centre_ned_m: where the region lies (but for its height above the ground); budget.lateral_mps2, which the tilt says
+
+Slack: 1e-9 in q, h and commands, 1e-6 m/s^2 in what the knowledge gives, 0.1 % in the ledger.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from . import knowledge
+from .cells import check_cells
+from .condition import Condition, Piece
+from .intervals import F64, Interval
+from .ledger import check_ledger
+from .reading import Refused, number, numbers, rows, table_of, unsealed
+
+_TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "knowledge")
+_AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
+_AXES = ("north", "east", "down")
+_BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
+_AUTHORITY = ("v_mps", "offset_mps2", "gain", "u_low_mps2", "u_high_mps2", "error_low_mps2", "error_high_mps2")
+_SETTING = ("gamma_ps", "eta", "rate_ps", "dt_s", "rate_spm")
+_KINDS = {
+    "quadratic": ("centre_m", "centre_mps", "p11", "p12", "p22"),
+    "stopping": ("low_m", "high_m", "reaction_s", "brake_high_mps2", "brake_low_mps2"),
+}
+
+
+@dataclass
+class Verdict:
+    """What was found: `lines` say what was verified, with counts; where it is not valid, the last one says why."""
+
+    valid: bool
+    lines: list[str] = field(default_factory=list)
+
+
+def check(text: str) -> Verdict:
+    """Verify a certificate file's text; never raises."""
+    verdict = Verdict(False)
+    try:
+        with np.errstate(all="ignore"):
+            _check(text, verdict.lines)
+        verdict.valid = True
+    except Refused as refused:
+        verdict.lines.append(str(refused))
+    except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
+        verdict.lines.append(f"not to be read as a certificate: {type(error).__name__}")
+    return verdict
+
+
+def _check(text: str, lines: list[str]) -> None:
+    data = table_of(unsealed(text), _TOP, "certificate")
+    lines.append("seal: fits")
+    if data["mode"] != "sound":
+        raise Refused("mode is not sound: the published conditions prove nothing that could be verified")
+    number(data["version"], "version")
+    delta, k = number(data["delta"], "delta"), number(data["k_sigma"], "k_sigma")
+    centre = rows([data["centre_ned_m"]], 3, "centre_ned_m")[0]
+    box = _budget(data["budget"], lines)
+    known = knowledge.read(data["knowledge"], box, delta, k, data["version"])
+    tables = knowledge.tables(known)
+    if not isinstance(data["axes"], list) or not data["axes"]:
+        raise Refused("axes must be a list, at least one")
+    axes = [table_of(axis, _AXIS, f"axes[{i}]") for i, axis in enumerate(data["axes"])]
+    names = [axis["axis"] for axis in axes]
+    if any(name not in _AXES for name in names) or len(set(names)) != len(names):
+        raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    for name, axis in zip(names, axes, strict=True):
+        condition, middle = _condition(axis, name)
+        nodes = _nodes(axis["authority"], name)
+        if _AXES.index(name) not in tables:
+            raise Refused(f"{name} is not among knowledge.axes")
+        _compare(nodes, tables[_AXES.index(name)], known, name, lines)
+        lines.append(check_ledger(condition, axis, nodes, known.data.get("doubts"), name))
+        if name == "down":
+            _check_heights(condition, float(centre[2]), known)
+        cells = rows(axis["cells"], 6, f"{name}.cells")
+        lines.append(check_cells(condition, cells, nodes[[0, 3, 4, 5, 6]], middle, name))
+
+
+def _budget(value: Any, lines: list[str]) -> knowledge.Box:
+    """The tilt cone holds the square of leans, and full thrust reaches `high` wherever it leans."""
+    across, low, high, most, tilt = numbers(value, _BUDGET, "budget")
+    if not (across >= 0.0 and 0.0 <= low < high and 0.0 <= tilt < 0.5 * math.pi):
+        raise Refused("budget: lateral and low must be at least 0, high above low, tilt in 0 to pi / 2")
+    if not abs(high - most * math.cos(tilt)) <= knowledge.NEAR:
+        raise Refused(
+            f"budget: high_mps2 = {high:.9g} is not thrust_max_mps2 at full tilt, {most * math.cos(tilt):.9g}"
+        )
+    lean = math.sin(tilt) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
+    lines.append(f"budget: thrust up to {most:.4g} m/s^2, leaning up to {tilt:.4g} rad")
+    steered = across / lean if lean > 0.0 else 0.5 * (low + high)
+    if not steered >= 0.5 * (low + high) - knowledge.NEAR:
+        raise Refused(f"budget: lateral_mps2 = {across:.9g} belongs to {steered:.9g} m/s^2 of thrust, below the middle")
+    return knowledge.Box(lean, low, high)
+
+
+def _check_heights(condition: Condition, centre_m: float, known: knowledge.Knowledge) -> None:
+    """The nearness to the ground was looked at for all heights of the region."""
+    low, high = (-centre_m - e for e in reversed(condition.reach_m()))
+    least = 0.5 * float(known.data["rotor_radius_m"])  # nothing changes below
+    if not (known.heights[0] <= max(low, least) + 1e-9 and high <= known.heights[1] + 1e-9):
+        raise Refused(f"knowledge.heights_m do not hold the region's {low:.6g} to {high:.6g} m")
+
+
+def _compare(nodes: F64, table: F64, known: knowledge.Knowledge, name: str, lines: list[str]) -> None:
+    """The stated authority is that of the knowledge."""
+    if nodes.shape != table.shape:
+        raise Refused(f"{name}.authority has {nodes.shape[1]} nodes, the knowledge {table.shape[1]}")
+    off = np.abs(nodes - table)
+    if not off.max() <= knowledge.NEAR:
+        row, node = np.unravel_index(np.argmax(np.nan_to_num(off, nan=np.inf)), off.shape)
+        stated, found = nodes[row, node], table[row, node]
+        raise Refused(f"{name}.authority.{_AUTHORITY[row]}[{node}] = {stated:.9g}, the knowledge gives {found:.9g}")
+    points = " and ".join(str(len(store.x)) for store in known.stores) or "no"
+    lines.append(
+        f"{name}: {table.shape[1]} nodes of the authority worked out anew from {points} points at {known.k:.3g} sigma "
+        f"({known.queries} queries each); errors up to {nodes[5:].max():.4g} m/s^2"
+    )
+
+
+def _nodes(value: Any, name: str) -> F64:
+    """(7, n) the authority's columns."""
+    table = table_of(value, _AUTHORITY, f"{name}.authority")
+    columns = [rows([table[key]], len(table["v_mps"]), f"{name}.authority.{key}")[0] for key in _AUTHORITY]
+    nodes = np.array(columns)
+    if nodes.shape[1] < 2 or not np.all(np.diff(nodes[0]) > 0.0):
+        raise Refused(f"{name}.authority.v_mps must increase, at least two nodes")
+    if not (np.all(nodes[5:] >= 0.0) and np.all(nodes[3] <= nodes[4])):
+        raise Refused(f"{name}.authority: errors must be at least 0, u_low at most u_high")
+    return nodes
+
+
+def _condition(axis: dict[str, Any], where: str) -> tuple[Condition, tuple[float, float]]:
+    """The barrier and setting of an axis, and a point in the middle of its region."""
+    kind = axis["barrier"].get("kind") if isinstance(axis["barrier"], dict) else None
+    if kind not in _KINDS:
+        raise Refused(f"{where}.barrier.kind must be one of {', '.join(_KINDS)}")
+    p = numbers({k: x for k, x in axis["barrier"].items() if k != "kind"}, _KINDS[kind], f"{where}.barrier")
+    gamma, eta, rate, dt, steep = numbers(axis["setting"], _SETTING, f"{where}.setting")
+    if not (gamma > 0.0 and 0.0 <= eta < 1.0 and min(rate, steep, dt) >= 0.0 and gamma * dt <= 1.0):
+        raise Refused(f"{where}.setting: gamma must be above 0, eta in 0 to 1, b and dt at least 0, gamma dt at most 1")
+    if kind == "quadratic":
+        if not (p[2] > 0.0 and p[4] > 0.0 and (Interval(p[2]) * p[4] - Interval(p[3]) * p[3]).lo > 0.0):
+            raise Refused(f"{where}.barrier: P is not positive definite, so the region is no ellipse")
+        return Condition([Piece(True, tuple(p))], gamma, eta, rate, dt, steep), (p[0], p[1])
+    low, high, reaction, brake_high, brake_low = p
+    if not (low < high and min(reaction, brake_high, brake_low) > 0.0):
+        raise Refused(f"{where}.barrier: limits must be in order, reaction time and braking above 0")
+    scale = 0.5 * (high - low)
+    ways = (1.0, high, reaction, brake_high, scale), (-1.0, -low, reaction, brake_low, scale)
+    return Condition([Piece(False, way) for way in ways], gamma, eta, rate, dt, steep), (0.5 * (low + high), 0.0)

@@ -1,0 +1,294 @@
+"""What each axis can count on, worked out anew from the points, kernels and limits that the certificate carries.
+
+Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with |b_n|, |b_e| <= beta
+and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of down onto b, is
+
+    a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (v, b_n, b_e, |f| / g, near |f| / g)
+
+residual: three independent Gaussian processes, the first two on one store, each with the variance
+inflation^2 (posterior variance + excess).  Also, with mass ratio r and force |w| <= W,
+a = g e_d - (f + drag v) / r + w.
+
+At each node of speed and at both ends of the command the intervals (mean -+ k sigma, cut with what mass and force
+allow; their hull where they are apart) of 17 queries are joined: the other speeds and thrust at the corners of their
+ranges, and one in the middle, all at the greatest height.  What the ground adds below it lies between nothing and
+2 near(least height) |f| along b.  Lateral intervals are those of what thrust does not do, a + gain f, over both ends.
+The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
+neighbours' intervals too, and is made larger by k times the prior's deviation half-way between two nodes, and by what
+falsified bounds have added.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .gaussian import factor, kernel, posterior
+from .intervals import F64
+from .reading import Refused, number, rows, table_of
+
+NEAR = 1e-6
+"""What two correct computations of a posterior may differ by, m/s^2."""
+DOWN = 2
+_KEYS = (
+    "kind", "initial", "gravity_mps2", "drag_per_s", "rotor_radius_m", "speeds_mps", "heights_m", "nodes",
+    "slice_only", "axes", "delta", "version", "k_sigma", "statements", "widen_mps2",
+)  # fmt: skip
+_LEARNED = ("lateral", "vertical", "sha256")
+_ALSO = ("doubts", "falsified", "hand_over", "vehicle", "vehicle_hash")
+_PROCESS = ("kernel", "noise_var", "inflation", "excess", "x", "y")
+_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
+
+
+@dataclass
+class Box:
+    """The thrust that may be asked for: beta, down part (low, high), m/s^2."""
+
+    lean: float
+    low: float
+    high: float
+
+
+@dataclass
+class Process:
+    """One store: its points and calibration."""
+
+    spec: Any
+    lower: F64
+    inflation: float
+    excess: F64
+    x: F64
+    y: F64
+
+    def at(self, queries: F64, where: str) -> tuple[F64, F64]:
+        """Means and calibrated variances (m, outputs)."""
+        mean, variance = posterior(self.spec, self.x, self.y, self.lower, queries, where)
+        return mean, self.inflation**2 * (variance[:, None] + self.excess)
+
+
+@dataclass
+class Knowledge:
+    """The certificate's `knowledge`, read and checked for itself."""
+
+    data: dict[str, Any]
+    box: Box
+    speeds: F64
+    heights: tuple[float, float]
+    nodes: int
+    k: float
+    widen: F64
+    initial: tuple[float, float, float] | None
+    stores: list[Process]
+
+    @property
+    def queries(self) -> int:
+        """At each node and end."""
+        return 1 if self.data["slice_only"] else 1 + len(_CORNERS)
+
+    def at(self, axis: int) -> F64:
+        """(nodes,) speeds."""
+        return np.linspace(float(self.speeds[axis, 0]), float(self.speeds[axis, 1]), self.nodes)
+
+    def bends(self) -> list[float]:
+        """For each axis the prior's deviation half-way between two nodes from the mean of both."""
+        out = []
+        for axis in range(3):
+            x = np.zeros((3, 7))
+            step = (self.speeds[axis, 1] - self.speeds[axis, 0]) / (self.nodes - 1)
+            x[:, axis] = self.speeds[axis, 0] + step * np.array([0.0, 0.5, 1.0])
+            x[:, 5] = 1.0
+            weights = np.array([-0.5, 1.0, -0.5])
+            grams = [store.inflation**2 * kernel(store.spec, x, x, "kernel") for store in self.stores]
+            out.append(math.sqrt(max([0.0, *(float(weights @ gram @ weights) for gram in grams)])))
+        return out
+
+    def hull(self, axis: int, gain: tuple[F64, float] | None) -> F64:
+        """(2, 2, nodes) least and greatest acceleration, at the low and the high end; `gain` and hover of vertical."""
+        joint = np.empty((2, 2, self.nodes))
+        for end in range(2):
+            parts = [self._query(axis, speed, end, gain) for speed in self.at(axis)]
+            v, f, done = (np.concatenate([part[i] for part in parts]) for i in range(3))
+            low, high = self._interval(axis, v, f)
+            ground = 2.0 * self._near(self.heights[0]) * np.linalg.norm(f, axis=1)
+            below, above = (ground, 0.0) if axis == DOWN else (self.box.lean * ground, self.box.lean * ground)
+            low, high = ((side + done).reshape(self.nodes, -1) for side in (low - below, high + above))
+            joint[0, end], joint[1, end] = low.min(axis=1), high.max(axis=1)
+        return joint
+
+    def _near(self, height_m: float) -> float:
+        radius = float(self.data["rotor_radius_m"])
+        return float(0.25 * radius / max(height_m, 0.5 * radius)) ** 2
+
+    def _query(self, axis: int, speed: float, end: int, gain: tuple[F64, float] | None) -> tuple[F64, F64, F64]:
+        """Velocities, thrust vectors (q, 3) and what thrust does (q,) at one node and end of the command."""
+        corners = _CORNERS if self.queries > 1 else _CORNERS[:0]
+        others = [i for i in range(3) if i != axis]
+        v, b = np.zeros((self.queries, 3)), np.zeros((self.queries, 3))
+        v[0] = np.clip(0.0, self.speeds[:, 0], self.speeds[:, 1])
+        for column, other in zip((2, 3), others, strict=True):
+            v[1:, other] = np.where(corners[:, column] > 0.0, self.speeds[other, 1], self.speeds[other, 0])
+        v[:, axis] = speed
+        down = np.full(self.queries, self.box.low if end else self.box.high)
+        b[1:, others[0]] = self.box.lean * corners[:, 0]
+        if gain is None:
+            b[1:, 1] = self.box.lean * corners[:, 1]
+        else:
+            b[:, axis] = -self.box.lean if end else self.box.lean
+            down = np.array([gain[1], *np.where(corners[:, 1] > 0.0, self.box.high, self.box.low)])
+        b[:, DOWN] = np.sqrt(1.0 - b[:, 0] ** 2 - b[:, 1] ** 2)
+        f = b * (down / b[:, DOWN])[:, None]
+        there = np.zeros(self.queries) if gain is None else np.interp(v[:, DOWN], self.at(DOWN), gain[0])
+        return v, f, there * f[:, axis]
+
+    def _interval(self, axis: int, v: F64, f: F64) -> tuple[F64, F64]:
+        """Least and greatest true acceleration along an axis at each query."""
+        g = float(self.data["gravity_mps2"])
+        low, high = np.full(len(v), -np.inf), np.full(len(v), np.inf)
+        if self.initial is not None:
+            force = -f[:, axis] - max(self.data["drag_per_s"]) * v[:, axis]
+            ends = np.stack([force / self.initial[0], force / self.initial[1]])
+            middle = g if axis == DOWN else 0.0
+            low, high = (
+                middle + ends.min(axis=0) - self.initial[2] * g,
+                middle + ends.max(axis=0) + self.initial[2] * g,
+            )
+        if not self.stores:
+            return low, high
+        size = np.linalg.norm(f, axis=1)
+        b = f / size[:, None]
+        x = np.column_stack([v, b[:, :2], size / g, self._near(self.heights[1]) * size / g])
+        (side, side_var), (up, up_var) = (s.at(x, n) for s, n in zip(self.stores, _LEARNED, strict=False))
+        mean, variance = np.column_stack([side, up]), np.column_stack([side_var, up_var])
+        turn = _turns(b)
+        drag = np.array(self.data["drag_per_s"])
+        drag[:2] = drag[:2].mean()
+        body = np.einsum("qji,qj->qi", turn, v)
+        a = np.einsum("qj,qj->q", turn[:, axis], mean - drag * body) - f[:, axis] + (g if axis == DOWN else 0.0)
+        sigma = self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance))
+        apart = np.maximum(low, a - sigma) > np.minimum(high, a + sigma)
+        return (
+            np.where(apart, np.minimum(low, a - sigma), np.maximum(low, a - sigma)),
+            np.where(apart, np.maximum(high, a + sigma), np.minimum(high, a + sigma)),
+        )
+
+
+def _turns(b: F64) -> F64:
+    """(q, 3, 3) the shortest turn of (0, 0, 1) onto each b, |b| = 1: Rodrigues, I + K + K^2 / (1 + b_z)."""
+    k = np.zeros((len(b), 3, 3))
+    k[:, 0, 2], k[:, 1, 2], k[:, 2, 0], k[:, 2, 1] = b[:, 0], b[:, 1], -b[:, 0], -b[:, 1]
+    turn: F64 = np.eye(3) + k + k @ k / (1.0 + b[:, 2])[:, None, None]
+    return turn
+
+
+def tables(known: Knowledge) -> dict[int, F64]:
+    """For each axis asked for (7, nodes): v, offset, gain, u_low, u_high, error_low, error_high."""
+    box, hulls = known.box, {DOWN: known.hull(DOWN, None)}
+    span, bends, middle = max(box.high - box.low, 1e-9), known.bends(), hulls[DOWN].mean(axis=0)
+    gain = (middle[1] - middle[0]) / span
+    floored, still = np.maximum(gain, 1e-3), int(np.argmin(np.abs(known.at(DOWN))))
+    hover = min(max(float(middle[1, still] / floored[still]) + box.low, box.low), box.high)
+    wanted = float(floored.min()) * box.lean * max(hover, 0.5 * (box.low + box.high))
+    hulls |= {axis: known.hull(axis, (floored, hover)) for axis in known.data["axes"] if axis != DOWN}
+    out = {}
+    for axis, hull in hulls.items():
+        ends, half = hull.mean(axis=0), 0.5 * (hull[1] - hull[0])
+        columns = [ends[1] + gain * box.low, gain]
+        if axis != DOWN:
+            least, most = hull[0].min(axis=0), hull[1].max(axis=0)
+            columns = [0.5 * (least + most), np.zeros(known.nodes)]
+            ends = columns[0] + wanted * np.array([[-1.0], [1.0]])
+            half = np.stack([0.5 * (most - least)] * 2)
+        errors = []
+        for end in range(2):
+            around = [half[end]]
+            for step in (1, -1):
+                near = np.abs(np.roll(ends[end], step) - ends[end]) + np.roll(half[end], step)
+                near[0 if step > 0 else -1] = 0.0
+                around.append(near)
+            errors.append(np.max(around, axis=0) + known.k * bends[axis] + known.widen[axis])
+        out[axis] = np.array([known.at(axis), *columns, *ends, *errors])
+    return out
+
+
+def read(data: Any, box: Box, delta: float, k: float, version: Any) -> Knowledge:
+    """The knowledge of a certificate with this thrust box, chance, sigmas and version."""
+    learned = isinstance(data, dict) and data.get("kind") == "learned"
+    also = tuple(key for key in _ALSO if isinstance(data, dict) and key in data)
+    table_of(data, _KEYS + (_LEARNED if learned else ()) + also, "knowledge")
+    if data.get("hand_over", False) is not False:
+        raise Refused("knowledge.hand_over: what it rests on was falsified in flight")
+    for key, size in (("drag_per_s", 3), ("heights_m", 2), ("widen_mps2", 3)):
+        rows([data[key]], size, f"knowledge.{key}")
+    for key in ("gravity_mps2", "rotor_radius_m", "delta", "k_sigma", "statements", "version"):
+        number(data[key], f"knowledge.{key}")
+    speeds, nodes = rows(data["speeds_mps"], 2, "knowledge.speeds_mps"), data["nodes"]
+    if not isinstance(nodes, int) or not 2 <= nodes <= 200 or not isinstance(data["slice_only"], bool):
+        raise Refused("knowledge: nodes must be a whole number of 2 to 200, slice_only true or false")
+    low, high = data["heights_m"]
+    if speeds.shape != (3, 2) or not (
+        np.all(speeds[:, 0] < speeds[:, 1]) and low <= high and data["rotor_radius_m"] > 0.0
+    ):
+        raise Refused("knowledge: speeds, heights and the rotor's radius must be ranges in order, and above 0")
+    if min(*data["drag_per_s"], *data["widen_mps2"]) < 0.0 or not 9.7 < data["gravity_mps2"] < 9.9:
+        raise Refused("knowledge: drag and widening must be at least 0, gravity about 9.8 m/s^2")
+    initial = None
+    if data["initial"] is not None:
+        table = table_of(data["initial"], ("mass_ratio", "force_weights"), "knowledge.initial")
+        ratio = rows([table["mass_ratio"]], 2, "knowledge.initial.mass_ratio")[0]
+        initial = float(ratio[0]), float(ratio[1]), number(table["force_weights"], "knowledge.initial.force_weights")
+        if not (0.0 < initial[0] <= initial[1] and initial[2] >= 0.0):
+            raise Refused("knowledge.initial: mass_ratio must be in order and above 0, force_weights at least 0")
+    if initial is None and not learned:
+        raise Refused("knowledge: nothing is known: neither initial bounds nor a learned process")
+    axes = data["axes"]
+    if (
+        not isinstance(axes, list)
+        or not all(type(axis) is int and 0 <= axis < 3 for axis in axes)
+        or len(set(axes)) != len(axes)
+    ):
+        raise Refused("knowledge.axes must be a list of axes, 0 to 2")
+    widen, heights = np.array(data["widen_mps2"], np.float64), (float(low), float(high))
+    stores = [_process(data[name], count, name) for name, count in (("lateral", 2), ("vertical", 1))] if learned else []
+    known = Knowledge(data, box, speeds, heights, nodes, k, widen, initial, stores)
+    _check_chance(known, delta, k, version)
+    return known
+
+
+def _process(value: Any, outputs: int, name: str) -> Process:
+    where = f"knowledge.{name}"
+    table_of(value, _PROCESS, where)
+    x, y = rows(value["x"], 7, f"{where}.x"), rows(value["y"], outputs, f"{where}.y")
+    excess = rows([value["excess"]], outputs, f"{where}.excess")[0]
+    noise, inflation = (
+        number(value["noise_var"], f"{where}.noise_var"),
+        number(value["inflation"], f"{where}.inflation"),
+    )
+    if len(x) != len(y) or len(x) > 2000 or not (noise > 0.0 and inflation >= 1.0 and excess.min() >= 0.0):
+        raise Refused(f"{where}: as many x as y, noise above 0, inflation at least 1, excess at least 0")
+    lower = factor(value["kernel"], x, noise, f"{where}.kernel")
+    return Process(value["kernel"], lower, inflation, excess, x, y)
+
+
+def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> None:
+    """delta, k_sigma, the count of statements and the hash of the points belong together."""
+    data = known.data
+    if (data["delta"], data["k_sigma"], data["version"]) != (delta, k, version):
+        raise Refused("knowledge: delta, k_sigma and version are not the certificate's")
+    if not known.stores:
+        return
+    statements = len({DOWN, *data["axes"]}) * 2 * (known.queries * known.nodes + known.nodes - 1)
+    if data["statements"] != statements or not isinstance(version, int) or version < 1 or not 0.0 < delta < 1.0:
+        raise Refused(f"knowledge: statements must be {statements}, version at least 1, delta in 0 to 1")
+    allowed = 6.0 * delta / (math.pi * version) ** 2 / statements
+    if not math.erfc(k / math.sqrt(2.0)) <= allowed * (1.0 + 1e-9):
+        raise Refused(f"k_sigma = {k:.6g} is less than delta = {delta:g} asks for with {statements} statements")
+    digest = hashlib.sha256()
+    for store in known.stores:
+        digest.update(store.x.astype("<f8").tobytes() + store.y.astype("<f8").tobytes())
+    if data["sha256"] != digest.hexdigest():
+        raise Refused("knowledge.sha256 is not the hash of the points")

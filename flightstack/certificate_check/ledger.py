@@ -1,0 +1,151 @@
+"""The ledger: every margin by its name, and the condition's constants eta and b that follow from them, worked out anew.
+
+A source puts the predicted (e, v) off by (eps_e, eps_v), or along the motion by a time t: by (t v, t a), a the
+acceleration.  E: greatest error; S: span of the commands; d, l, r: doubt of delay, rotors' lag and rate loop.
+
+    delay           delay^2 E / 2,  (d + delay) E,  t = d
+    rotor_lag       vertical: 0,  l S / e,  t = l
+    attitude_lag    lateral: c1 r S / 2,  r S
+    estimate_error  pos + (c1 + delay) vel + c2 acc,  vel + (c1 + delay) acc
+
+    b + b_u |u| = sum of sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|     (q without gamma h)
+    eta = sum of sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|,    suprema over {h >= -eta}
+    a margin in m/s^2 = (its part of b + its part of b_u U + gamma its part of eta) / sup |dh/dv|,  U: greatest |u|
+
+Each is greatest on the edge of an ellipse, and at the greatest speed of a stopping distance.
+What holding a command costs (`zero_order_hold`) is part of q itself.  The two parts of the error make up its greatest
+value at u_low.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .condition import Condition, Piece
+from .intervals import F64
+from .reading import Refused, number, numbers, table_of
+
+MARGINS = (
+    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
+    "estimate_error",
+)  # fmt: skip
+_DOUBTS = ("pos_m", "vel_mps", "acc_mps2", "delay_s", "lag_share", "rate_lag_share")
+_CLOSE = 1e-3
+"""Share by which a stated constant may differ; beyond it, whatever lies between three rounds of eta and all of them."""
+_NEAR = 1e-6
+
+
+def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, doubts: Any, name: str) -> str:
+    """Verify an axis' margins; what was verified, in words."""
+    stated = _margins(axis["margins"], name)
+    response = numbers(axis["response"], ("c1_s", "c2_s2", "delay_s"), f"{name}.response")
+    if min(response) < 0.0:
+        raise Refused(f"{name}.response: lags and delay must be at least 0")
+    low = float(nodes[5].max())
+    if not abs(stated["gp_error"] + stated["thrust_gain"] - low) <= _NEAR:
+        raise Refused(f"{name}: gp_error and thrust_gain do not make up the error at u_low, {low:.9g} m/s^2")
+    if doubts is None:
+        raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
+    eta, rounds = 0.0, list[tuple[tuple[float, float, float], dict[str, float]]]()
+    for _ in range(30):  # eta widens the region whose suprema it comes from
+        at = _suprema(condition, nodes, eta)
+        parts = {
+            key: (
+                at["qe"] * one + at["qv"] * two + at["flow_q"] * late,
+                at["he"] * one + at["hv"] * two + at["flow_h"] * late,
+                at["qeu"] * one + at["qvu"] * two + at["flow_qu"] * late,
+            )
+            for key, (one, two, late) in _sources(name == "down", response, nodes, doubts).items()
+        }
+        rate, eta, steep = (sum(part[i] for part in parts.values()) for i in range(3))
+        eta, hardest = min(eta, 1.0), float(np.abs(nodes[3:5]).max())
+        found = {key: (b + bu * hardest + condition.gamma * h) / at["hv"] for key, (b, h, bu) in parts.items()}
+        found |= {"discretisation": 0.0, "zero_order_hold": at["hold"] / at["hv"]}
+        rounds.append(((eta, rate, steep), found))
+    for key in rounds[2][1]:
+        ends = sorted(rounds[i][1][key] for i in (2, -1))
+        if not (1.0 - _CLOSE) * ends[0] - _NEAR <= stated[key] <= (1.0 + _CLOSE) * ends[1] + _NEAR:
+            raise Refused(f"{name}: margin {key} = {stated[key]:.9g} m/s^2, its sources give {ends[1]:.9g}")
+    held = (("eta", condition.eta), ("rate_ps", condition.rate), ("rate_spm", condition.steep))
+    for (key, value), least in zip(held, rounds[2][0], strict=True):
+        if not value >= least * (1.0 - _CLOSE):
+            raise Refused(f"{name}.setting.{key} = {value:.9g} is less than the {least:.9g} that its margins need")
+    total = sum(stated.values())
+    return f"{name}: all {len(MARGINS)} margins of the ledger, {total:.4g} m/s^2 in all, held by eta and b"
+
+
+def _margins(value: Any, name: str) -> dict[str, float]:
+    if not isinstance(value, list):
+        raise Refused(f"{name}.margins must be a list")
+    stated = {}
+    for i, entry in enumerate(value):
+        table_of(entry, ("name", "mps2", "because"), f"{name}.margins[{i}]")
+        if not isinstance(entry["name"], str) or not isinstance(entry["because"], str):
+            raise Refused(f"{name}.margins[{i}]: name and because must be words")
+        stated[entry["name"]] = number(entry["mps2"], f"{name}.margins[{i}].mps2")
+    if len(value) != len(MARGINS) or set(stated) != set(MARGINS) or min(stated.values()) < 0.0:
+        raise Refused(f"{name}.margins must state each of {', '.join(MARGINS)} once, at least 0")
+    return stated
+
+
+def _sources(vertical: bool, response: list[float], nodes: F64, doubts: Any) -> dict[str, tuple[float, float, float]]:
+    """(eps_e, eps_v, t) by name."""
+    pos, vel, acc, late, share, rate_share = numbers(doubts, _DOUBTS, "knowledge.doubts")
+    if min(pos, vel, acc, late, share, rate_share) < 0.0:
+        raise Refused("knowledge.doubts must be at least 0")
+    c1, c2, delay = response
+    error, span = float(nodes[5:].max()), float((nodes[4] - nodes[3]).max())
+    lag, turn = share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
+    none = 0.0, 0.0, 0.0
+    return {
+        "delay": (0.5 * delay**2 * error, (late + delay) * error, late),
+        "rotor_lag": (0.0, lag * span / math.e, lag) if vertical else none,
+        "attitude_lag": none if vertical else (0.5 * c1 * turn * span, turn * span, 0.0),
+        "estimate_error": (pos + (c1 + delay) * vel + c2 * acc, vel + (c1 + delay) * acc, 0.0),
+    }
+
+
+def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:
+    """Greatest slopes of h, and of q without gamma h, on {h >= -eta} for all commands and accelerations."""
+    ends, error, dt = np.array([nodes[3].min(), nodes[4].max()]), float(nodes[5:].max()), condition.dt
+    half, command, most = 0.5 * dt, float(np.abs(ends).max()), dict[str, float]()
+    for piece in condition.pieces:
+        kee, cross, kvv = (float(k.hi) for k in piece.curvature())
+        kev = abs(cross)
+        v, he, hv = _edge(condition, piece, eta)
+        speed, steep, turning = float(np.abs(v).max()), float(np.abs(he).max()), he - cross * v
+        flow_h = np.abs((he * v)[:, None] + hv[:, None] * ends)
+        flow_q = np.abs((kee * v * v)[:, None] - turning[:, None] * ends)
+        flow_qu = np.abs((cross * v)[:, None] + kvv * ends)
+        bent, early = kvv + kev * dt + kee * half * half, half * command
+        kappa = dt * ((kee * half + kev) * (speed + early) + (kev * half + kvv) * command) + half * bent * error
+        held_e = kee * early + (kev + kee * half) * error
+        held_v = kev * early + dt * (kee * speed + kev * command) + kee * dt * early
+        held_v += (kvv + kev * half + dt * (kee * half + kev)) * error
+        found = {
+            "he": steep, "hv": float(np.abs(hv).max()), "flow_h": float(flow_h.max()),
+            "qe": kee * speed + held_e, "qeu": kev, "qvu": kvv, "flow_qu": float(flow_qu.max()),
+            "qv": float(np.abs(turning).max()) + held_v,
+            "flow_q": float(flow_q.max()) + held_e * speed + held_v * command,
+            "hold": steep * early + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
+            + half * bent * command**2 + (steep * half + kappa) * error,
+        }  # fmt: skip
+        most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
+    return most
+
+
+def _edge(condition: Condition, piece: Piece, eta: float) -> tuple[F64, F64, F64]:
+    """Speeds and gradients where slopes are greatest: an ellipse's edge, the ends of a stopping distance's speeds."""
+    if piece.quadratic:
+        _, cv, p11, p12, p22 = piece.p
+        angle, det = np.linspace(0.0, 2.0 * np.pi, 3601), p11 * p22 - p12 * p12
+        grown = math.sqrt(1.0 + eta)
+        dv = grown * math.sqrt(p11 / det) * np.sin(angle)
+        de = grown / math.sqrt(p11) * np.cos(angle) - p12 / p11 * dv
+        return cv + dv, -2.0 * (p11 * de + p12 * dv), -2.0 * (p12 * de + p22 * dv)
+    sign, _, reaction, brake, scale = piece.p
+    v = (condition.fastest() + eta * scale / reaction) * np.array([-1.0, 1.0])
+    return v, np.full(2, -sign / scale), -sign * (reaction + np.maximum(sign * v, -brake * reaction) / brake) / scale

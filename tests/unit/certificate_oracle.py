@@ -1,0 +1,180 @@
+"""What is true of a certificate file, by brute force: rollouts, dense grids, and the maker's own knowledge."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from certificates import MODEL, resealed
+
+from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge
+from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.posterior import Accelerations, Posterior, Process
+from flightstack.barrier.records import AxisCertificate
+from flightstack.barrier.shapes import Barrier, Quadratic
+from flightstack.gp.kernels import kernel_from_dict
+from flightstack.model import Limits
+from flightstack.types import F64
+
+CHANGES = {
+    "+1 %": lambda x: 1.01 * x,
+    "-1 %": lambda x: 0.99 * x,
+    "+10 %": lambda x: 1.1 * x,
+    "-10 %": lambda x: 0.9 * x,
+    "sign": lambda x: -x,
+    "zero": lambda x: 0.0,
+    "one more": lambda x: x + 1,
+}
+
+
+NO_CONSEQUENCE = {
+    "centre_ned_m": "where the region lies; heights above the ground are looked at",
+    "lateral_mps2": "the tilt limit says the same",
+}
+"""Numbers on which nothing that is proven depends."""
+
+
+def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where the numbers are."""
+    if isinstance(data, dict):
+        for key, part in data.items():
+            yield from leaves(part, (*path, key))
+    elif isinstance(data, list):
+        for i, part in enumerate(data):
+            yield from leaves(part, (*path, i))
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        yield path
+
+
+def changes(
+    text: str, wanted: Callable[[tuple[Any, ...]], bool]
+) -> Iterator[tuple[tuple[Any, ...], str, dict[str, Any]]]:
+    """The file's table with one number changed, in turn: where, how, and the table."""
+    data: dict[str, Any] = json.loads(text)
+    for path in [path for path in leaves(data) if wanted(path)]:
+        inner: Any = data
+        for key in path[:-1]:
+            inner = inner[key]
+        before = inner[path[-1]]
+        for name, change in CHANGES.items():
+            inner[path[-1]] = change(before)
+            if inner[path[-1]] != before:
+                yield path, name, data
+        inner[path[-1]] = before
+        if isinstance(path[-1], int) and path[-1] + 1 < len(inner) and inner[path[-1] + 1] != before:
+            inner[path[-1]], inner[path[-1] + 1] = inner[path[-1] + 1], before
+            yield path, "swap", data
+            inner[path[-1]], inner[path[-1] + 1] = before, inner[path[-1]]
+
+
+def h_at(barrier: Barrier, e: F64, v: F64) -> F64:
+    """h written down once more, for arrays."""
+    if isinstance(barrier, Quadratic):
+        e, v = e - barrier.centre_m, v - barrier.centre_mps
+        return 1.0 - barrier.p11 * e * e - 2.0 * barrier.p12 * e * v - barrier.p22 * v * v
+    b, t = barrier, barrier.reaction_s
+    up, down = np.maximum(v, -b.brake_high_mps2 * t), np.maximum(-v, -b.brake_low_mps2 * t)
+    room = np.minimum(
+        b.high_m - e - t * up - up * up / (2.0 * b.brake_high_mps2),
+        e - b.low_m - t * down - down * down / (2.0 * b.brake_low_mps2),
+    )
+    return np.asarray(2.0 * room / (b.high_m - b.low_m))
+
+
+def untrue(text: str) -> str:
+    """What brute force finds wrong with a certificate's claims; empty where it finds nothing."""
+    for axis in parse_certificate(text, "file").axes:
+        nodes = axis.authority.v_mps
+        for cell in axis.cells:
+            for i in range(len(nodes) - 1):
+                low, high = max(cell[2], nodes[i]), min(cell[3], nodes[i + 1])
+                if low < high and (found := broken(axis, cell, low, high)):
+                    return found
+        if found := uncovered(axis):
+            return found
+    return ""
+
+
+def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
+    """Where a vehicle that obeys the cell's command loses h faster than the cell claims; empty if nowhere."""
+    gamma, eta, rate, dt, steep = axis.setting
+    reach = axis.authority.reach(0.5 * (low + high))
+    share = (cell[4] - reach.u_low) / (reach.u_high - reach.u_low)
+    error = reach.error_low + share * (reach.error_high - reach.error_low)
+    e, v = np.meshgrid(np.linspace(cell[0], cell[1], 6), np.linspace(low, high, 6))
+    h = h_at(axis.barrier, e, v)
+    inside = h >= -eta + 1e-8
+    if not inside.any():
+        return ""
+    if not reach.u_low - 1e-6 <= cell[4] <= reach.u_high + 1e-6:
+        return f"command {cell[4]} is not to be had"
+    for a in (cell[4] - error, cell[4] + error):
+        for t in (0.3 * dt, dt) if dt > 0.0 else (1e-7,):
+            after = h_at(axis.barrier, e + v * t + 0.5 * a * t * t, v + a * t)
+            if np.any(
+                (after - h)[inside] / t + gamma * (h[inside] - eta) - rate - steep * abs(cell[4]) < cell[5] - 1e-5
+            ):
+                return f"cell {cell}"
+    return ""
+
+
+def uncovered(axis: AxisCertificate) -> str:
+    """A point of a fine grid of the region that lies in no cell."""
+    low_e, high_e, low_v, high_v = axis.barrier.box
+    e, v = (part.ravel() for part in np.meshgrid(np.linspace(low_e, high_e, 101), np.linspace(low_v, high_v, 101)))
+    region = h_at(axis.barrier, e, v) >= 0.0
+    e, v = e[region][:, None], v[region][:, None]
+    e0, e1, v0, v1, *_ = axis.cells.T
+    missing = ~((e0 <= e) & (e <= e1) & (v0 <= v) & (v <= v1)).any(axis=1)
+    return f"nothing at {e[missing][0]}, {v[missing][0]}" if missing.any() else ""
+
+
+def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool:
+    """Whether a change that passed did no harm: what the filter would rely on is so, by brute force."""
+    data = json.loads(text)
+    if path[0] in NO_CONSEQUENCE or path[-1] in NO_CONSEQUENCE:
+        return True
+    if path[0] == "knowledge":
+        return supported(data)
+    if path[2] == "setting" and path[3] in ("eta", "rate_ps", "rate_spm"):  # the margins need so much
+        old, new = (each["axes"][0]["setting"][path[3]] for each in (before, data))
+        return new >= old * (1.0 - 1.1e-3) and untrue(text) == ""
+    return path[2] in ("setting", "barrier", "cells") and untrue(text) == ""
+
+
+def supported(data: dict[str, Any]) -> bool:
+    """Whether the maker, which shares no code with the checker, draws the same conclusions from the knowledge."""
+    certified = parse_certificate(resealed(data), "file")
+    axis, known = certified.axes[0], data["knowledge"]
+    processes = [
+        Posterior(Process(
+            kernel_from_dict(part["kernel"]), part["noise_var"], np.array(part["x"]), np.array(part["y"]),
+            np.array(part["excess"]), part["inflation"],
+        ))
+        for part in (known["lateral"], known["vertical"])
+    ]  # fmt: skip
+    model = replace(
+        MODEL, rotor_radius_m=known["rotor_radius_m"],
+        drag_kgps=tuple(MODEL.mass_kg * each for each in known["drag_per_s"]),
+    )  # fmt: skip
+    speeds = tuple((low, high) for low, high in known["speeds_mps"])
+    envelope = Envelope(speeds, tuple(known["heights_m"]), known["nodes"], known["slice_only"], tuple(known["axes"]))
+    initial = InitialKnowledge(tuple(known["initial"]["mass_ratio"]), known["initial"]["force_weights"])
+    *_, remade = Knowledge.steps(
+        Accelerations(processes[0], processes[1], model), model, Limits(), envelope, initial=initial,
+        box=certified.budget, widen_mps2=np.array(known["widen_mps2"]),
+    )  # fmt: skip
+    assert remade is not None
+    doubts = known["doubts"]
+    _, margins = ledger(
+        2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
+        accuracy=Accuracy(*(doubts[key] for key in Accuracy._fields)),
+        doubts=Doubts(*(doubts[key] for key in Doubts._fields)), gain_part_mps2=axis.margins[1].mps2,
+    )  # fmt: skip
+    same = np.abs(remade.authorities[2].table - axis.authority.table).max() < 2e-6
+    near = [abs(a.mps2 - b.mps2) <= 1.5e-3 * b.mps2 + 2e-6 for a, b in zip(axis.margins, margins, strict=True)]
+    return bool(same and all(near) and remade.k_sigma <= certified.k_sigma + 1e-9)
