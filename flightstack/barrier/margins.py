@@ -17,10 +17,10 @@ Measurement-robust barrier functions: with q at z^ at least b, q at z is not bel
     eta >= sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
 
 over all accelerations a in reach and all states of the region; each slope of q is one at rest plus one times |u|.  (h
-is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames,
-"Guaranteeing safety of learned perception modules via measurement-robust control barrier functions", CoRL 2020,
-theorem 2.  On an ellipse every one of these is greatest on its edge: linear in e for a given v, and no interior
-maximum in v; a stopping way's are greatest at the greatest speed.
+is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so the slopes at the true state bound it.)  Source: S. Dean, A. Taylor,
+R. Cosner, B. Recht, A. Ames, "Guaranteeing safety of learned perception modules via measurement-robust control barrier
+functions", CoRL 2020, theorem 2.  On an ellipse every one of these is greatest on its edge: linear in e for a given v,
+and no interior maximum in v; a stopping way's are greatest at the greatest speed.
 
 What b and eta do not hold.  (p, v) follows z through the low pass 1 / (c1 s + 1) if v + c1 v' = z_v.  Two things come
 between: the acceleration that the model does not know, c1 E, and on lateral axes thrust that is not the F0 with which
