@@ -76,7 +76,7 @@ def render(exploration: Exploration) -> str:
             f'<dl class="figures">{figures}</dl><main><div class="grid">{"".join(parts)}</div><div class="tables">',
             f'<section class="panel wide"><h2>Margins <span class="unit">m/s²</span></h2>{ledgers}</section>',
             '<section class="panel wide"><h2>Rounds</h2><div class="scroll">',
-            f'<table class="facts">{_ROUNDS_HEAD}{rounds}</table></div>',
+            f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></div>',
             f"<h2>The independent checker</h2><ul>{checker}</ul></section></div></main>",
             "<footer>e: distance from the region's centre, v: its rate; north-east-down, so down is positive.</footer>",
             "</body></html>\n",
@@ -85,6 +85,8 @@ def render(exploration: Exploration) -> str:
 
 
 _STYLE = """
+.tables > .wide { grid-column: span 6; } .facts td:nth-child(2) { white-space: nowrap; text-align: right; }
+.facts th { width: auto; white-space: nowrap; } .rounds th, .rounds td { overflow-wrap: normal; }
 .plot { width: 100%; height: auto; font-size: 11px; } .plot text { fill: var(--muted); } .plot path { fill: none; }
 .plot .grid { stroke: var(--grid); display: initial; } .plot .first { stroke: var(--two); stroke-width: 2; }
 .plot .between { stroke: var(--three); stroke-width: 0.7; opacity: 0.6; }
