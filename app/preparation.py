@@ -16,6 +16,7 @@ from app.controllers import build
 from app.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.learning.stored import parse_stored
+from flightstack.mission import require_run_up
 from flightstack.model import Model
 from flightstack.scenario import Scenario
 from flightstack.seams import Learner
@@ -91,6 +92,7 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
+    require_run_up(scenario)
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     learned = None if options.learned is None else files.read_text(options.learned)
     model, name = Model.from_vehicle(believed), controller_name(options)

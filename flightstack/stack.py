@@ -60,12 +60,15 @@ class Stack:
         self.guard = Guard(model, self.limits)
         self.limiter = Limiter(model, self.limits)
 
-    def init(self, measurement: Measurement) -> StackState:
-        """State at the start: here is the origin, nothing is corrected, learned or carried beyond the weight."""
+    def init(self, measurement: Measurement, origin_ned_m: F64 | None = None) -> StackState:
+        """State at the start: nothing is corrected, learned or carried beyond the weight.
+
+        `origin_ned_m` (3,): where the flight began, if that is better known than from this one measurement.
+        """
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
         control = self.controller.init(measurement.t_us)
-        origin = measurement.pos_ned_m.copy()
+        origin = (measurement.pos_ned_m if origin_ned_m is None else origin_ned_m).copy()
         filtered = self.filter.init(origin)
         certifier = self.certifier.init()
         return StackState(

@@ -220,7 +220,7 @@ class Companion:
         if self._rested:  # at rest the mean says better where the vehicle stands than any one noisy sample
             self.start_ned_m = self._rest_ned_m.copy()
         self.mission = plan(self._scenario, self.start_ned_m, _yaw(measurement.q_ned_frd))
-        self._stack_state = self._stack.init(measurement)
+        self._stack_state = self._stack.init(measurement, self.start_ned_m)
         self._now.last_good_us = now_us
         self.flight_start_us = t_us
         self._phase_now = self.mission.phase(0.0)
@@ -271,7 +271,7 @@ class Companion:
             return
         self._rested = 0
         if self._stack_state is None or self._hold is None:
-            self._stack_state = self._stack.init(measurement)
+            self._stack_state = self._stack.init(measurement, self.start_ned_m)
             self._hold = _hover_at(measurement)
         self._tick(measurement, self._hold, t_us)
 
