@@ -21,9 +21,9 @@ _CLIMB_MPS = 1.2
 _YAW_RATE_RADPS = 0.7
 _REST_TO_REST_PEAK = 2.1875  # peak speed of the rest-to-rest segment, in mean speeds
 _SETTLE_S = 1.5
-_RUN_UP_S = 3.0
-_RUN_UP_STEP = 1.15
-_RUN_UP_MAX_S = 60.0
+_RUN_UPS_S = (*(3.0 * 1.15**k for k in range(22)), *(3.0 / 1.15**k for k in range(1, 10)))
+"""Durations tried in their order: 3 s, longer ones up to a minute for fast starts, shorter ones where one would have to
+come from below the ground."""
 _LEAST_HEIGHT_M = 0.4
 _LEAST_CLIMB_S = 1.5
 _ACC_MAX_MPS2 = 4.0
@@ -152,8 +152,8 @@ def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) ->
     speed_max = max(_SPEED_MAX_MPS, 1.2 * speed_mps)
     acc_max = max(_ACC_MAX_MPS2, acc_mps2)
     lowest = max(-_LEAST_HEIGHT_M + 1e-6, first.pos_ned_m[2])
-    shortest, duration = None, _RUN_UP_S
-    while duration <= _RUN_UP_MAX_S:
+    shortest = None
+    for duration in _RUN_UPS_S:
         path = minimum_snap(np.stack([above, goal]), np.array([0.0, duration]), end=end)
         points = [path.at(t) for t in np.linspace(0.0, duration, 61)]
         if all(
@@ -163,8 +163,7 @@ def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) ->
             for p in points
         ):
             return path, True
-        shortest = shortest or path
-        duration *= _RUN_UP_STEP
+        shortest = path
     return shortest, False
 
 
