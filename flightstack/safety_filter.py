@@ -77,6 +77,7 @@ class BarrierFilter:
         """Call everything that a tick may need, once: no flight waits for the compiler when a certificate comes."""
         still, row = np.zeros(3), np.zeros(len(_EMPTY))
         state = self.init(still)
+        remember(state.memory, 0.0, 0.5, still)
         level = np.zeros(20)
         level[6] = 1.0
         assess(

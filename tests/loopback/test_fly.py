@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from app import files, preparation
+from app.controllers import load_gains
 from app.flight import FlyOptions, fly
 from app.result import FlightResult
-from flightstack.control.feedback import FeedbackGains, FlatnessController
+from flightstack.control.feedback import FlatnessController
+from flightstack.control.gains import FlatnessGains
 from flightstack.seams import NoLearner
 from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
 from logs.reader import Log, read
@@ -83,8 +85,9 @@ def test_the_papers_wrong_model_shows_as_a_steady_droop_that_the_gains_explain(t
     down = np.interp(t_us, truth.t_us, truth["pos_ned_m"][:, 2])
     wanted = np.interp(t_us, reference.t_us, reference["pos_ned_m"][:, 2])
     droop = float(np.mean(down - wanted))
-    gains = FeedbackGains()
-    stiffness = gains.nominal.pole_radps[2] ** 2 / 3.0 + gains.thrust_p_ps2
+    gains = load_gains()["flatness"].groups[1]
+    assert isinstance(gains, FlatnessGains)
+    stiffness = gains.pole_z_radps**2 / 3.0 + gains.thrust_p_ps2
     assert droop == pytest.approx(0.4 * 9.80665 / stiffness, rel=0.1)
     assert result.tracking["rmse_m"] > 0.1  # the baseline that learning has to beat
 
