@@ -53,6 +53,11 @@ class FlyOptions(FlightOptions):
     realtime: bool = False
 
     @property
+    def in_real_time(self) -> bool:
+        """See ProtectionOptions."""
+        return self.realtime
+
+    @property
     def as_written(self) -> bool:
         """The flight is the one that the scenario's checks were written for."""
         return self.stack_as_written and self.truth is None and self.sensors is None

@@ -40,6 +40,11 @@ class OffboardOptions(FlightOptions):
     heartbeat_timeout_s: float = 10.0
 
     @property
+    def in_real_time(self) -> bool:
+        """See ProtectionOptions."""
+        return True
+
+    @property
     def as_written(self) -> bool:
         """The flight is the one that the scenario's checks were written for."""
         return self.stack_as_written and not self.dry_run

@@ -40,6 +40,11 @@ class ProtectionOptions:
     certificate: Path | None = None
 
     @property
+    def in_real_time(self) -> bool:
+        """Whether deadlines count: then nothing is certified in flight, which takes many ticks' time."""
+        return False
+
+    @property
     def protection_as_written(self) -> bool:
         """As a scenario means it."""
         return self.filtering and not self.as_published and self.certificate is None
@@ -81,7 +86,14 @@ def protect(
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region)
-    certifier = GivenCertificate(given) if given is not None else _online(mode, scenario, model, learner, sensors)
+    if given is not None:
+        certifier: Certifier | str = GivenCertificate(given)
+    elif options.in_real_time and region is not None:
+        certifier = (
+            "certifying in flight takes longer than a tick, for which real time does not wait; give --certificate"
+        )
+    else:
+        certifier = _online(mode, scenario, model, learner, sensors)
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", region)
     watched = WatchedCertifier(certifier, {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)})

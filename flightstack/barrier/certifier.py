@@ -6,7 +6,8 @@ The work is cut into pieces of about a millisecond, one a tick.  The scenario's 
 its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
 in it.
 
-    again        a second after the last, and taken if it is larger by 2 % and holds the vehicle, with room
+    again        a second after the last, and taken if it is larger by 2 % and holds the vehicle, with room; later and
+                 later, up to 16 s, where nothing comes of it
     falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
                  it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
                  last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
@@ -52,6 +53,7 @@ _NOISE_MPS2 = 0.15
 """What the short mean of the accelerometer, with its bias, may be off by itself."""
 _CROSS = (0.35, 0.6)
 _ROUNDS = 6
+_PATIENCE = 16.0
 _T = TypeVar("_T")
 
 
@@ -93,6 +95,8 @@ class CertifierState:
     """Of the product of the axes' regions."""
     version: int = 0
     begun_us: int = -(10**12)
+    wait_s: float = 0.0
+    """Until the next, from the beginning of the last; twice as long after each that came to nothing."""
     changes: float = 0.0
     widen_mps2: F64 = field(default_factory=lambda: np.zeros(3))
     error_mps2: F64 = field(default_factory=lambda: np.zeros(3))
@@ -147,7 +151,7 @@ class OnlineCertifier:
         if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
-        if state.work is None and measurement.t_us - state.begun_us >= 1e6 * self.config.every_s:
+        if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
             state.work = self.work(learner, learned, state.version + 1, state.widen_mps2.copy())
         if state.work is None:
@@ -156,6 +160,8 @@ class OnlineCertifier:
         if ready is None:
             return state, None
         state.work = None
+        again, most = self.config.every_s, _PATIENCE * self.config.every_s
+        state.wait_s = again if ready.axes else min(max(2.0 * state.wait_s, again), most)
         return state, self._judge(state, ready, measurement)
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:

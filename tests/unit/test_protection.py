@@ -67,6 +67,17 @@ def test_no_filter_means_none_and_the_region_still_judges() -> None:
     assert flight.protection.region is flight.scenario.region
 
 
+def test_in_real_time_nothing_is_certified_in_flight(tmp_path: Path) -> None:
+    """A certificate takes many ticks' time to make; under one that is given the filter flies."""
+    offboard = prepare_flight(OffboardOptions(connect="", scenario="paper-tracking"))
+    for flight in (prepared(realtime=True), offboard):
+        assert not flight.stack.filter.enabled
+        assert not flight.stack.certifier.enabled
+        assert flight.settings["filter"].startswith("off: certifying in flight takes longer than a tick")
+        assert flight.protection.region is flight.scenario.region
+    assert prepared(realtime=True, certificate=file_of(tmp_path)).stack.filter.enabled
+
+
 def test_a_scenario_without_a_region_flies_unfiltered_and_says_why() -> None:
     flight = prepared("hover")
     assert not flight.stack.filter.enabled
