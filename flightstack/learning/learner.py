@@ -65,13 +65,15 @@ class LearnerConfig:
 
 
 _FORWARD_EVERY = 4
+_RECOVERY_US = 1_000_000
+"""After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
 
 
 class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory",
+        "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory",
         "posterior", "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us",
         "vertical", "watch",
     )  # fmt: skip
@@ -93,6 +95,8 @@ class LearnerState:
         self.fed_forward = np.zeros(6)
         """Acceleration and jerk fed forward, as the next tick's fixed-point step takes them."""
         self.fit_us = self.valid_us = -1
+        self.changed_us = -_RECOVERY_US
+        """When a change was noticed last."""
         self.fed = self.refused = self.changes = self.steps = 0
         self.expected = np.zeros(3)
         """Mean at the state, tilt axes."""
@@ -109,6 +113,11 @@ class LearnerState:
         return np.array(
             [self.lateral.bound(lateral, 0), self.lateral.bound(lateral, 1), self.vertical.bound(vertical, 0)]
         )
+
+    def calm(self) -> F64:
+        """(3,) the same without what single errors have widened."""
+        lateral, vertical = self.posterior.tolist()
+        return np.array([self.lateral.calm(lateral, 0), self.lateral.calm(lateral, 1), self.vertical.calm(vertical, 0)])
 
 
 class GpLearner:
@@ -138,7 +147,9 @@ class GpLearner:
         expected, variance = state.expected, state.variance()
         fit = fits(sample, config.residual_max_mps2)
         if fit:
-            if self._learn(state, expected, variance, measurement.t_us):
+            recovering = measurement.t_us - state.changed_us < _RECOVERY_US
+            allowed = variance if recovering else state.calm()
+            if self._learn(state, expected, allowed, measurement.t_us):
                 variance = state.variance()
         else:
             state.refused += 1
@@ -167,7 +178,7 @@ class GpLearner:
         if both or state.steps % 2 == 1:
             state.expected[2:], state.posterior[1] = state.vertical.expect(x)
 
-    def _learn(self, state: LearnerState, expected: F64, variance: F64, t_us: int) -> bool:
+    def _learn(self, state: LearnerState, expected: F64, allowed: F64, t_us: int) -> bool:
         """A fit sample: into the window, against the alarm, and with a full window into the stores.
 
         True where prediction or bound are other ones now.
@@ -175,16 +186,16 @@ class GpLearner:
         state.fit_us = t_us
         state.fed += 1
         watch, sample = state.watch, state.sample
-        alarm = watch.step(sample, expected, variance)
+        alarm = watch.step(sample, expected, allowed)
         changes = state.changes
         if alarm and state.valid_us >= 0:
             error = watch.error
             if alarm & LATERAL and not state.lateral.renewing:
-                state.changes += 1
+                state.changes, state.changed_us = state.changes + 1, t_us
                 state.lateral.renew(error[:2], self.config.renew_points)
                 watch.reset()
             if alarm & VERTICAL and not state.vertical.renewing:
-                state.changes += 1
+                state.changes, state.changed_us = state.changes + 1, t_us
                 state.vertical.renew(error[2:], self.config.renew_points)
                 watch.reset()
         if watch.full:

@@ -78,6 +78,11 @@ class Store:
         """Calibrated variance of output `i` for a posterior variance."""
         return INFLATION * INFLATION * (variance + float(self.excess[i]))
 
+    def calm(self, variance: float, i: int) -> float:
+        """The same without what single errors have widened: what a sudden change must be compared with, for the first
+        window that it falls into widens the bound by as much."""
+        return INFLATION * INFLATION * (variance + float(self._calm[i]))
+
     def renew(self, error: F64, points: int) -> None:
         """What was learned is no longer so, by `error` (P,): widen the bound now, forget after `points` new points."""
         self._wanted = points

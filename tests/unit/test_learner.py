@@ -134,6 +134,18 @@ def test_a_dropped_payload_is_noticed_the_bound_widens_and_it_is_learned_anew() 
     assert flight.max_m < 0.2
 
 
+@pytest.mark.parametrize("ticks", range(0, 15, 3))
+def test_a_drop_is_noticed_wherever_in_a_window_it_falls(ticks: int) -> None:
+    """The window that the drop falls into widens the bound; the alarm must not take that for what it may expect."""
+    event = TimedEvent(4.0 + 0.004 * ticks, "payload", (("mass_kg", 0.0),))
+    scenario = dataclasses.replace(load_scenario("hover").with_duration(5.0), events=(event,))
+    flight = fly(scenario, QUAD, seed=9, make_stack=learning, truth=with_effects(QUAD, {"payload": {"mass_kg": 0.3}}))
+    changes = rows(flight)[:, Learned.changes.place]
+    drop = len(changes) - len(flight.errors_m) + 1000 + ticks
+    assert changes[drop - 2] == 0.0
+    assert changes[drop + 75] > 0.0, "within 0.3 s"
+
+
 def test_with_noisy_sensors_near_the_ground_nothing_fed_forward_runs_away() -> None:
     """GPS grade: what is learned depends steeply on the thrust axis; acceleration and jerk stay in their range."""
     flight = fly(load_scenario("low-pass").with_duration(8.0), QUAD, seed=1, grade="gps", make_stack=learning)
