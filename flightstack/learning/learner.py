@@ -73,7 +73,8 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral", "memory",
+        "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral",
+        "memory",
         "posterior", "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us",
         "vertical", "watch",
     )  # fmt: skip
