@@ -19,7 +19,7 @@ help:
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
-	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier.md (campaign-barrier-quick: a few)"
+	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml

@@ -3,8 +3,8 @@
 --no-filter       nothing filters
 --as-published    the paper's filter on its h_mu, with the paper's learner (a state-only Gaussian process)
 --certificate     the filter under the certificate of a file, whatever the scenario
-otherwise         where the scenario has a region: certified at the start with the initial knowledge, and in flight
-                  with what has been learned; no filter where it has none, or where nothing can be certified
+otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
+                  has none, in real time, or where the learner can't certify
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The barrier campaign: seeded exploration and adversarial flights through UDP, with the filter, without, as published.
 
-    python -m benchmarks.barrier_campaign                 all flights (make campaign-barrier), writes docs/barrier.md
+    python -m benchmarks.barrier_campaign                 all flights (make campaign-barrier), docs/barrier-campaign.md
     python -m benchmarks.barrier_campaign --quick         a few of each, into runs/campaign-barrier-quick
     python -m benchmarks.barrier_campaign --resume        go on where a campaign was cut off
     python -m benchmarks.barrier_campaign --report-only   the tables anew from results.json
@@ -11,31 +11,26 @@ runs/campaign-barrier.jsonl.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import platform
 import sys
-import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from datetime import date
-from multiprocessing import get_context
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from benchmarks import campaign
 from benchmarks.barrier_cases import COUNTS, PILOTS, QUICK, TASKS
 
-ROOT = Path(__file__).resolve().parents[1]
 SCHEMA = "flightstack.campaign-barrier/1"
 FIRST_SEED = 40_000
 Job = tuple[str, str, int]
 """Pilot, task, seed."""
 
 
-def jobs_of(*, quick: bool) -> list[Job]:
+def jobs_of(quick: bool) -> list[Job]:
     """The campaign, seed by seed: every pilot flies the same worlds."""
     counts = QUICK if quick else COUNTS
     most = max(counts.values())
@@ -59,35 +54,6 @@ def run(job: Job) -> dict[str, Any]:
         return {"pilot": pilot, "task": task, "seed": seed, "refused": False, "lost": repr(error)}
 
 
-def fly_all(jobs: list[Job], journal: Path, processes: int) -> None:
-    """Run what the journal does not hold yet; each result is a line of it."""
-    done = {(row["pilot"], row["task"], row["seed"]) for row in rows_of(journal)}
-    left = [job for job in jobs if job not in done]
-    print(f"{len(left)} flights of {len(jobs)} to do, {processes} processes", flush=True)
-    began = time.monotonic()
-    journal.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool, journal.open("a", encoding="utf-8") as out:
-        futures = [pool.submit(run, job) for job in left]
-        for count, future in enumerate(as_completed(futures), 1):
-            out.write(json.dumps(future.result()) + "\n")
-            out.flush()
-            if count % 10 == 0 or count == len(left):
-                spent = time.monotonic() - began
-                ahead = spent / count * (len(left) - count)
-                print(f"{count} of {len(left)}, {spent / 60:.1f} min, {ahead / 60:.1f} min to go", flush=True)
-
-
-def rows_of(journal: Path) -> list[dict[str, Any]]:
-    """The journal's rows; a last line that was cut off does not count."""
-    rows = []
-    for line in journal.read_text(encoding="utf-8").splitlines() if journal.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
 def summary(rows: list[dict[str, Any]], pilot: str, task: str) -> dict[str, Any]:
     """What a table's row says."""
     of = [row for row in rows if row["pilot"] == pilot and row["task"] == task]
@@ -106,7 +72,7 @@ def summary(rows: list[dict[str, Any]], pilot: str, task: str) -> dict[str, Any]
 
 
 def page(results: dict[str, Any], command: str) -> str:
-    """docs/barrier.md: the tables and what they mean."""
+    """docs/barrier-campaign.md: the tables and what they mean."""
     rows = results["flights"]
     lines = [
         "# The barrier campaign",
@@ -144,50 +110,31 @@ def _short(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}".replace("-", "−")
 
 
-def gather(journal: Path, jobs: list[Job], wall_s: float) -> dict[str, Any]:
+def gather(held: dict[campaign.Job, Any], jobs: Sequence[Any]) -> dict[str, Any]:
     """The results: the flights of these jobs, and where they were flown."""
-    from app.files import versions
-
-    held = {(row["pilot"], row["task"], row["seed"]): row for row in rows_of(journal)}
-    return {
-        "schema": SCHEMA, "date": str(date.today()), "machine": platform.machine(), "cores": os.cpu_count(),
-        "python": platform.python_version(), "git_commit": versions()["git_commit"], "wall_s": wall_s,
-        "flights": [held[job] for job in jobs if job in held],
-    }  # fmt: skip
+    return {"flights": [held[job] for job in jobs if job in held]}
 
 
-def main() -> int:
-    """Fly, gather, write; 1 where a flight with the sound filter left its region or had no safe command."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a few flights of each kind")
-    parser.add_argument("--resume", action="store_true", help="keep the flights of a campaign that was cut off")
-    parser.add_argument("--report-only", action="store_true", help="the tables anew")
-    parser.add_argument("--processes", type=int, default=2)
-    options = parser.parse_args()
-    runs = ROOT / "runs"
-    target = runs / "campaign-barrier-quick" / "barrier.md" if options.quick else ROOT / "docs" / "barrier.md"
-    command = "make campaign-barrier-quick" if options.quick else "make campaign-barrier"
-    stored = target.with_suffix("") / "results.json"
-    if options.report_only:
-        results = json.loads(stored.read_text(encoding="utf-8"))
-    else:
-        from app.compiled import ensure_compiled
+def write_results(results: dict[str, Any], path: Path) -> None:
+    """As JSON."""
+    path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
-        ensure_compiled(print)
-        journal = runs / f"campaign-barrier{'-quick' if options.quick else ''}.jsonl"
-        if not options.resume:
-            journal.unlink(missing_ok=True)
-        jobs, began = jobs_of(quick=options.quick), time.monotonic()
-        fly_all(jobs, journal, options.processes)
-        results = gather(journal, jobs, time.monotonic() - began)
-        stored.parent.mkdir(parents=True, exist_ok=True)
-        stored.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(page(results, command), encoding="utf-8")
-    print(f"wrote {target}", flush=True)
+
+def write_page(results: dict[str, Any], path: Path, command: str) -> None:
+    """The tables."""
+    path.write_text(page(results, command), encoding="utf-8")
+
+
+def passed(results: dict[str, Any]) -> bool:
+    """Whether no flight with the sound filter left its region, had no safe command or was lost."""
     sound = [summary(results["flights"], "sound", task) for task in TASKS]
-    return 1 if any(row["left"] or row["infeasible"] or row["lost"] for row in sound) else 0
+    return not any(row["left"] or row["infeasible"] or row["lost"] for row in sound)
 
+
+CAMPAIGN = campaign.Campaign(
+    "barrier", "barrier-campaign.md", (__doc__ or "").splitlines()[0], jobs_of, run, SCHEMA, gather, write_results,
+    write_page, passed,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(campaign.main(CAMPAIGN))
