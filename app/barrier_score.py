@@ -20,7 +20,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.region import Region
 from flightstack.seams import Certifier, SafetyFilter
-from flightstack.types import F64, Command, Filtered, Learned, Measurement, Tuple3
+from flightstack.types import F64, Command, Filtered, Learned, Measurement
 from logs.report.histogram import counts, edges_us
 
 ENGAGE_H = 0.05
@@ -32,6 +32,10 @@ SOLVED = 2.0
 """From this status on the filter has solved its problem."""
 FALLBACKS = (4.0, 5.0)
 """Statuses of a problem without a solution: infeasible, not solved within the budget."""
+
+
+State = Sequence[float] | F64
+"""Six numbers: position relative to the start, velocity."""
 
 
 class TimedFilter:
@@ -136,8 +140,8 @@ class RegionScore:
     certifier: WatchedCertifier | None = None
     _t_us: list[int] = field(default_factory=list)
     _in_force: list[int] = field(default_factory=list)
-    _estimated: list[F64] = field(default_factory=list)
-    _true: list[F64] = field(default_factory=list)
+    _estimated: list[State] = field(default_factory=list)
+    _true: list[State] = field(default_factory=list)
 
     @property
     def of(self) -> str | None:
@@ -146,7 +150,7 @@ class RegionScore:
             return "scenario"
         return "certificate" if self.certifier is not None else None
 
-    def add(self, t_us: int, estimated: F64, true: F64 | None = None) -> None:
+    def add(self, t_us: int, estimated: State, true: State | None = None) -> None:
         """One tick: position relative to the start and velocity (6,), as estimated and as they were."""
         if self.of is None:
             return
@@ -174,12 +178,13 @@ class RegionScore:
             found["left_s"] = float(since_s[outside[0]]) if len(outside) else None
         return found
 
-    def _values(self, states: Sequence[F64]) -> F64:
-        return np.array([self._value(state, count) for state, count in zip(states, self._in_force, strict=True)])
+    def _values(self, states: Sequence[State]) -> F64:
+        table = np.array(states).reshape(-1, 6)
+        if self.region is not None:
+            return self.region.values(table[:, :3], table[:, 3:])
+        return np.array([self._value(state, count) for state, count in zip(table, self._in_force, strict=True)])
 
     def _value(self, state: F64, adopted: int) -> float:
-        if self.region is not None:
-            return self.region.value(state[:3], state[3:])
         if self.certifier is None or adopted == 0:
             return math.nan
         return certified_value(self.certifier.adopted[adopted - 1], state[:3], state[3:])
@@ -219,8 +224,3 @@ def qp_summary(safety_filter: SafetyFilter, infeasible: int) -> dict[str, Any]:
     edges = edges_us(np.array(solve_us or [0.0]))
     histogram = {"edges_us": edges.tolist(), "counts": counts(np.array(solve_us), edges)} if solve_us else None
     return {"solve_us": percentiles(solve_us), "infeasible": infeasible, "histogram": histogram}
-
-
-def relative_state(pos_ned_m: F64 | Tuple3, start_ned_m: F64 | Tuple3, vel_ned_mps: F64 | Tuple3) -> F64:
-    """(6,) position relative to the start, velocity."""
-    return np.concatenate([np.subtract(pos_ned_m, start_ned_m), vel_ned_mps])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary, relative_state
+from app.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary
 from app.calibration import gp_summary
 from app.preparation import Prepared
 from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
@@ -65,8 +65,8 @@ class FlightScore:
             return
         if self.region.of is not None:
             estimate = record.measurement
-            state = relative_state(estimate.pos_ned_m, companion.start_ned_m, estimate.vel_ned_mps)
-            true = None if truth is None else relative_state(truth.pos_ned_m, start_ned_m, truth.vel_ned_mps)
+            state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
+            true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
             self.region.add(record.t_us, state, true)
         if not 0.0 <= track_s <= self.prepared.scenario.duration_s:
             return

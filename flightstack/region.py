@@ -25,6 +25,10 @@ class Region:
 
     def value(self, pos_ned_m: F64, vel_ned_mps: F64) -> float:
         """h at a position relative to the start (3,) and a velocity (3,)."""
+        return float(self.values(pos_ned_m, vel_ned_mps))
+
+    def values(self, pos_ned_m: F64, vel_ned_mps: F64) -> F64:
+        """(...,) h at many: positions relative to the start and velocities, (..., 3) each."""
         terms = ((pos_ned_m - np.array(self.centre_ned_m)) / np.array(self.semi_axes_m)) ** 2
         terms = terms + (vel_ned_mps / np.array(self.semi_axes_mps)) ** 2
-        return float(1.0 - terms.max()) if self.kind == "axes" else float(1.0 - terms.sum())
+        return np.asarray(1.0 - (terms.max(axis=-1) if self.kind == "axes" else terms.sum(axis=-1)))

@@ -85,7 +85,7 @@ def region_h(barrier: Barrier) -> Samples | None:
     if barrier.region is None or barrier.state is None:
         return None
     shown = signals.thin(barrier.state, 2 * POINTS)
-    return Samples(shown.t_s, np.array([[barrier.region.value(row[:3], row[3:])] for row in shown.values]))
+    return Samples(shown.t_s, barrier.region.values(shown.values[:, :3], shown.values[:, 3:])[:, None])
 
 
 def _strip(status: Samples) -> tuple[Span, ...]:
