@@ -47,6 +47,8 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 """Modes in memory: engaged, engaged with a certificate for another region come in; 0 not engaged."""
 ROWS = 9
 """Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
+INSIDE_PS = 10.0
+"""The filter's alpha beyond the certificate's, at h = 1: over the longest hold h falls by half of itself at most."""
 _DT_RANGE_S = (0.001, 0.05)
 _CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING, _RESPONSE, _CHAIN = 0, 3, 6, 9, 12, 27, 36
 _BOUNDS = _CHAIN + CHAIN
@@ -257,7 +259,7 @@ def _barriers(
         for piece in pieces:
             out[0] = min(out[0], piece_at(piece, e, v)[0])
             out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
-        low[i], high[i], margin = interval(pieces, e, v, _setting(flat, i), reach)
+        low[i], high[i], margin = interval(pieces, e, v, _setting(flat, i), reach, INSIDE_PS)
         out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
         out[29 + i] = max(reach[2], reach[3])
         feasible = feasible and margin >= 0.0
@@ -337,7 +339,7 @@ def _least_margin(flat: F64, out: F64) -> float:
         reach = _reach(_table(flat, i), out[26 + i])
         for piece in _pieces(flat, i):
             setting, u = _setting(flat, i), out[11 + i]
-            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach)
+            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach, INSIDE_PS)
             least = min(least, (a * u + b) * u + c - setting.rate_spm * abs(u))
     return least
 

@@ -14,14 +14,18 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + gamma (h - eta) - b - b_u |u| >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - eta) - b - b_u |u| >= 0
+    alpha(x) = gamma x + inside max(x, 0)^2
 
 eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
 in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
 a gentle command costs little).  q is concave in u, so the commands that meet it are an interval, in closed form.
 
-Where q >= 0 holds, h - eta falls by at most the share gamma t in a time t: the true h never becomes negative, neither
-between two commands nor where they come early.  The published form is dt = 0, E = k sigma, eta = b = b_u = 0.
+Where q >= 0 holds, h - eta falls in a time t by t alpha(h - eta) at most, which is less than itself: the true h never
+becomes negative, neither between two commands nor where they come early.  The cover proves it with inside = 0; the
+filter's alpha is larger well inside: what meets the certificate's condition meets the filter's too, and a command far
+from the edge is left alone.  (A region that closes asks for a small gamma, with which nothing might move outwards at a
+fair speed.)  The published form is dt = 0, E = k sigma, eta = b = b_u = inside = 0.
 """
 
 from __future__ import annotations
@@ -60,7 +64,9 @@ class Reach(NamedTuple):
 
 
 @njit
-def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
+def coefficients(
+    row: F64, e: float, v: float, setting: Setting, reach: Reach, inside: float = 0.0
+) -> tuple[float, float, float]:
     """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0."""
     h, he, hv = piece_at(row, e, v)
     gamma, eta, rate, dt, _ = setting
@@ -78,13 +84,16 @@ def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -
     swing = (swing_high - swing_low) / span if span > 0.0 else 0.0
     a = -half * (kvv + abs(kev) * dt + kee * half * half)
     b = hv - dt * kev * v + swing - doubt * slope
-    c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start + gamma * (h - eta) - rate
+    c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
+    c += gamma * (h - eta) + inside * max(h - eta, 0.0) ** 2
     c += swing_low - swing * u_low
     return a, b, c
 
 
 @njit
-def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
+def interval(
+    rows: F64, e: float, v: float, setting: Setting, reach: Reach, inside: float = 0.0
+) -> tuple[float, float, float]:
     """Least and greatest command in reach that meets the condition of every piece, and the margin q of the best one.
 
     `rows` (n, ROW).  A negative margin: there is none, and both ends are the best command of the worst piece.  What is
@@ -95,7 +104,7 @@ def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> t
     if not low <= high:
         return low, low, -np.inf
     for i in range(rows.shape[0]):
-        a, b, c = coefficients(rows[i], e, v, setting, reach)
+        a, b, c = coefficients(rows[i], e, v, setting, reach, inside)
         q, top, left, right = _half(a, b + setting[4], c, reach[0], min(reach[1], 0.0))
         other, at, first, last = _half(a, b - setting[4], c, max(reach[0], 0.0), reach[1])
         if np.isnan(q) or np.isnan(other):
