@@ -53,7 +53,7 @@ class CertifierConfig:
     """Constants of a certifier."""
 
     axes: tuple[int, ...] = (0, 1, 2)
-    gamma_ps: float = 1.0
+    gamma_ps: float = 0.5
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05
@@ -66,7 +66,7 @@ class CertifierConfig:
     """The filter's steering law: 1 / T."""
     lateral_need_mps2: float = 1.5
     """Acceleration to either side that the budget leaves beyond what balances forces."""
-    thrust_least_share: float = 0.8
+    thrust_least_share: float = 0.85
     """Of hover: the least thrust of the budget."""
     every_s: float = 1.0
     growth: float = 1.02
@@ -212,7 +212,7 @@ class OnlineCertifier:
         """
         config = self.config
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box, lead = self._budget(accelerations)
+        box = self._budget(accelerations)
         yield None
         knowledge = yield from _last(Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
@@ -220,7 +220,7 @@ class OnlineCertifier:
         ))  # fmt: skip
         axes: list[AxisCertificate] = []
         for axis in config.axes:
-            found = yield from self._largest(axis, knowledge, learned, lead, ratios.get(axis))
+            found = yield from self._largest(axis, knowledge, learned, ratios.get(axis))
             if found is None:
                 ratios.pop(axis, None)
                 axes.clear()
@@ -247,8 +247,8 @@ class OnlineCertifier:
             self.config.axes,
         )
 
-    def _budget(self, learned: Accelerations) -> tuple[Budget, float]:
-        """The budget that balances what is known and leaves the need; and F0."""
+    def _budget(self, learned: Accelerations) -> Budget:
+        """The budget that balances what is known and leaves the need."""
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
@@ -260,14 +260,13 @@ class OnlineCertifier:
             abs(float(mean[0])) + 3.0 * float(sigma[0])
             for mean, sigma in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
-        box = budget(
+        return budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
             low_mps2=config.thrust_least_share * hover, hover_mps2=hover,
         )  # fmt: skip
-        return box, max(hover, 0.5 * (box.low_mps2 + box.high_mps2))
 
     def _largest(
-        self, axis: int, knowledge: Knowledge, learned: Learned, lead: float, near: Ratios | None
+        self, axis: int, knowledge: Knowledge, learned: Learned, near: Ratios | None
     ) -> Generator[None, None, tuple[AxisCertificate, Ratios] | None]:
         """One axis' largest ellipse, and where the search for it ended."""
         model, box, config = self.model, knowledge.budget, self.config
@@ -278,6 +277,7 @@ class OnlineCertifier:
             response = Response(model.motor_lag_s, 0.0, delay)
         else:
             response = Response(steer, steer * model.rate_lag_s, delay)
+            lead = max(knowledge.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2))
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
 
@@ -321,7 +321,7 @@ def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 
         start = 0.0 if origin_ned_m is None else float(origin_ned_m[i])
         e = float(measurement.pos_ned_m[i]) - start - certificate.centre_ned_m[i]
         v = float(measurement.vel_ned_mps[i])
-        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v))
+        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v) - each.setting.inner)
     return least
 
 

@@ -14,18 +14,19 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - eta) - b - b_u |u| >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - b_u |u| >= 0
     alpha(x) = gamma x + inside max(x, 0)^2
 
 eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
 in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
-a gentle command costs little).  q is concave in u, so the commands that meet it are an interval, in closed form.
+a gentle command costs little).  inner: h that z keeps, so that (p, v), off from means of z by what z leaves out, keeps
+h >= 0.  q is concave in u, so the commands that meet it are an interval, in closed form.
 
-Where q >= 0 holds, h - eta falls in a time t by t alpha(h - eta) at most, which is less than itself: the true h never
+Where q >= 0 holds, x = h - inner - eta falls in a time t by t alpha(x) at most, less than itself: the true h never
 becomes negative, neither between two commands nor where they come early.  The cover proves it with inside = 0; the
 filter's alpha is larger well inside: what meets the certificate's condition meets the filter's too, and a command far
 from the edge is left alone.  (A region that closes asks for a small gamma, with which nothing might move outwards at a
-fair speed.)  The published form is dt = 0, E = k sigma, eta = b = b_u = inside = 0.
+fair speed.)  The published form is dt = 0, E = k sigma, eta = inner = b = b_u = inside = 0.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ class Setting(NamedTuple):
     """Longest time between two commands."""
     rate_spm: float = 0.0
     """b_u: doubt about q for each m/s^2 of the command's size, s/m."""
+    inner: float = 0.0
+    """h that the predicted state keeps, for position and velocity to keep 0."""
 
 
 class Reach(NamedTuple):
@@ -69,7 +72,7 @@ def coefficients(
 ) -> tuple[float, float, float]:
     """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0."""
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt, _ = setting
+    gamma, eta, rate, dt, _, inner = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -85,7 +88,8 @@ def coefficients(
     a = -half * (kvv + abs(kev) * dt + kee * half * half)
     b = hv - dt * kev * v + swing - doubt * slope
     c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
-    c += gamma * (h - eta) + inside * max(h - eta, 0.0) ** 2
+    x = h - inner - eta
+    c += gamma * x + inside * max(x, 0.0) ** 2
     c += swing_low - swing * u_low
     return a, b, c
 

@@ -26,6 +26,7 @@ _SLANTS, _SPEEDS = (0.2, 0.35, 0.5), (0.7, 0.85, 1.0)
 _STEPS = ((0.12, 0.12), (0.06, 0.06))
 _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
 _ROUNDS = 6
+_GROWING = ("eta", "rate_ps", "rate_spm", "inner")
 _LEAST_BRAKE_MPS2 = 0.05
 
 
@@ -105,13 +106,11 @@ def _grown(axis: Axis, ledger: Ledger, shape: Quadratic) -> Generator[None, None
             return None
         assert isinstance(design.barrier, Quadratic)
         own, margins = ledger(design.barrier)
-        if own.eta <= setting.eta and own.rate_ps <= setting.rate_ps and own.rate_spm <= setting.rate_spm:
+        if all(getattr(own, part) <= getattr(setting, part) for part in _GROWING):
             return AxisCertificate(
                 axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
             )
         setting = setting._replace(
-            eta=1.02 * max(own.eta, setting.eta),
-            rate_ps=1.02 * max(own.rate_ps, setting.rate_ps),
-            rate_spm=1.02 * max(own.rate_spm, setting.rate_spm),
+            **{part: 1.02 * max(getattr(own, part), getattr(setting, part)) for part in _GROWING}
         )
     return None

@@ -84,6 +84,8 @@ class Knowledge:
     widen: F64
     initial: tuple[float, float, float] | None
     stores: list[Process]
+    lead: float = 0.0
+    """Thrust that lateral axes are steered with, m/s^2: known with the tables."""
 
     @property
     def queries(self) -> int:
@@ -192,7 +194,8 @@ def tables(known: Knowledge) -> dict[int, F64]:
     gain = (middle[1] - middle[0]) / span
     floored, still = np.maximum(gain, 1e-3), int(np.argmin(np.abs(known.at(DOWN))))
     hover = min(max(float(middle[1, still] / floored[still]) + box.low, box.low), box.high)
-    wanted = float(floored.min()) * box.lean * max(hover, 0.5 * (box.low + box.high))
+    known.lead = max(hover, 0.5 * (box.low + box.high))
+    wanted = float(floored.min()) * box.lean * known.lead
     hulls |= {axis: known.hull(axis, (floored, hover)) for axis in known.data["axes"] if axis != DOWN}
     out = {}
     for axis, hull in hulls.items():
