@@ -28,7 +28,7 @@ from logs.writer import FlightLog
 
 DEFAULT_CONTROLLER = "flatness"
 STATE_ONLY_CONTROLLER = "state-gp"
-"""Its learner knows the state alone, as the paper words it: beside the thrust's error it claims what physics refutes."""
+"""Its learner knows the state alone, as the paper words it: with a wrong mass it claims what physics refutes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

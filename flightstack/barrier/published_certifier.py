@@ -96,7 +96,7 @@ class PublishedCertifier:
     def _along(self, known: Accelerations, axis: int, v_mps: F64, thrust_mps2: float) -> tuple[F64, F64]:
         """Mean and sigma of an axis' acceleration at speeds along it, thrust leaning as balances forces from aside.
 
-        What the lean takes from the vertical is what physics allows no mu to forget; a sideways axis has thrust upright.
+        No mu may forget what the lean takes from the vertical; a sideways axis has thrust upright.
         """
         speed, thrust = np.zeros((2, len(v_mps), 3))
         speed[:, axis], thrust[:, _DOWN] = v_mps, thrust_mps2
