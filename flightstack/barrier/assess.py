@@ -48,7 +48,7 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 ROWS = 9
 """Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
 INSIDE_PS = 10.0
-"""The filter's alpha beyond the certificate's, at h = 1: over the longest hold h falls by half of itself at most."""
+"""The filter's alpha beyond the certificate's: over the longest hold h falls by half of itself at most."""
 _DT_RANGE_S = (0.001, 0.05)
 _CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING = 0, 3, 6, 9, 12
 _NUMBERS = len(Setting._fields)

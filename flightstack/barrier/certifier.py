@@ -6,8 +6,8 @@ a millisecond, one a tick.  The scenario's region gives the safe set of each axi
 its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
 in it.
 
-    again        a second after the last, and taken if it is larger by 2 % and holds the vehicle, with room; later and
-                 later, up to 16 s, where nothing comes of it
+    again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a fifth, and holds
+                 the vehicle, with room; later and later, up to 16 s, where nothing comes of it
     falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
                  it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
                  last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
@@ -70,6 +70,8 @@ class CertifierConfig:
     """Of hover: the least thrust of the budget."""
     every_s: float = 1.0
     growth: float = 1.02
+    surer: float = 0.8
+    """Share of the held bounds of acceleration that are worth a certificate of the same size."""
     room_h: float = 0.05
     """h that the vehicle must have in a certificate that is taken."""
 
@@ -167,8 +169,7 @@ class OnlineCertifier:
             state.error_mps2 += _MEAN_SHARE * (observed - state.error_mps2)
         allowed = np.full(3, math.inf)
         for each in certificate.axes:
-            most = max(each.authority.error_low_mps2.max(), each.authority.error_high_mps2.max())
-            allowed[each.axis] = most + _NOISE_MPS2
+            allowed[each.axis] = _doubt(each) + _NOISE_MPS2
         excess = np.abs(state.error_mps2) - allowed
         state.beyond = state.beyond + 1 if (excess > 0.0).any() else 0
         if state.beyond >= _BEYOND_TICKS:
@@ -196,12 +197,21 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and area > self.config.growth * state.area:
+        elif holds and self._pays(ready, area, state):
             issued = ready
         else:
             return None
         state.certificate, state.area, state.version = issued, area, issued.version
         return issued
+
+    def _pays(self, ready: Certificate, area: float, state: CertifierState) -> bool:
+        """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
+        held = state.certificate
+        if held is None or area > self.config.growth * state.area:
+            return True
+        before = {each.axis: _doubt(each) for each in held.axes}
+        surer = all(_doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
+        return surer and area * self.config.growth > state.area
 
     def work(
         self, learner: LearnerState, learned: Learned, version: int, *, widen_mps2: F64, ratios: dict[int, Ratios]
@@ -311,6 +321,11 @@ def observed_error(certificate: Certificate, model: Model, measurement: Measurem
         i, table = each.axis, each.authority
         error[i] = measured[i] - (float(np.interp(vel[i], table.v_mps, table.offset_mps2)) - gain * thrust[i])
     return error
+
+
+def _doubt(axis: AxisCertificate) -> float:
+    """The greatest bound of an axis' acceleration, m/s^2."""
+    return float(max(axis.authority.error_low_mps2.max(), axis.authority.error_high_mps2.max()))
 
 
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:

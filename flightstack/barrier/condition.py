@@ -15,7 +15,7 @@ and curvature at most K, at every time t from 0 to dt,
 and the condition is
 
     q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - b_u |u| >= 0
-    alpha(x) = gamma x + inside max(x, 0)^2
+    alpha(x) = gamma x + inside x min(x / 0.1, 1) where x > 0, gamma x elsewhere
 
 eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
 in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
@@ -38,6 +38,9 @@ import numpy as np
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, piece_at
 from flightstack.jit import njit
 from flightstack.types import F64
+
+_NEAR_H = 0.1
+"""Within so much h of the edge alpha comes down to the certificate's."""
 
 
 class Setting(NamedTuple):
@@ -89,7 +92,7 @@ def coefficients(
     b = hv - dt * kev * v + swing - doubt * slope
     c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
     x = h - inner - eta
-    c += gamma * x + inside * max(x, 0.0) ** 2
+    c += gamma * x + inside * max(x, 0.0) * min(max(x, 0.0) / _NEAR_H, 1.0)
     c += swing_low - swing * u_low
     return a, b, c
 
