@@ -1,10 +1,10 @@
 """The proof that a command exists everywhere in a region: boxes that cover it, each with one command right for it all.
 
 At a fixed command u, with one line of alpha, q of `condition` is concave in e and concave in v in a box that no kink of
-the barrier cuts: the least q of the box is at one of its four corners, exactly.  (Where a barrier's cross term makes q curve upwards along v,
-the most that can be gained is taken off.)  So a box is proven by four evaluations of the very function that the filter
-enforces; one that fails is halved.  Boxes wholly outside {h >= inner - eta} are dropped; what the certificate says of a
-box holds in all of it, not only inside the region.
+the barrier cuts: the least q of the box is at one of its four corners, exactly.  (Where a barrier's cross term makes q
+curve upwards along v, the most that can be gained is taken off.)  So a box is proven by four evaluations of the very
+function that the filter enforces; one that fails is halved.  Boxes wholly outside {h >= inner - eta} are dropped; what
+the certificate says of a box holds in all of it, not only inside the region.
 
 Branch and bound; the published certificate's balls with one Lipschitz constant, L. Wang, E. Theodorou, M. Egerstedt,
 "Safe Learning of Quadrotor Dynamics Using Barrier Certificates", 2018, lemma III.1, need many more.
