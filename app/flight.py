@@ -28,14 +28,13 @@ from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket, connected_pair
 from sim.grade import Grade, load_grade
-from sim.plant import Truth
+from sim.plant import Truth, make_plant
 from sim.server import Server
 from sim.shell import ONBOARD, Shell
 from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from sim.streams import LinkKind
 from sim.warmup import warm_up as warm_up_simulator
 
-PLANT = "native"
 TICK_MS = 4
 LOCKSTEP_TIMEOUT_S = 2.0
 FLIGHT_TIME_LIMIT_S = 180.0
@@ -50,6 +49,7 @@ class FlyOptions(FlightOptions):
     truth: str | None = None
     sensors: str | None = None
     seed: int = 0
+    plant: str = "native"
     realtime: bool = False
 
     @property
@@ -74,6 +74,7 @@ class Setup:
     flight: Prepared
     truth: Vehicle
     grade: Grade
+    plant: str = "native"
 
 
 def prepare(options: FlyOptions) -> Setup:
@@ -88,18 +89,28 @@ def prepare(options: FlyOptions) -> Setup:
         "truth": truth.name,
         "seed": str(options.seed),
         "sensors": sensors,
-        "plant": PLANT,
+        "plant": options.plant,
         "pace": "realtime" if options.realtime else "lockstep",
     }
     flight = flight.with_more(settings, {"truth.toml": vehicle_to_toml(truth)})
-    return Setup(flight, truth, load_grade(sensors))
+    check_plant(options.plant, truth, flight.scenario)
+    return Setup(flight, truth, load_grade(sensors), options.plant)
+
+
+def check_plant(plant: str, truth: Vehicle, scenario: Scenario) -> None:
+    """InputError where the plant can't fly this vehicle, or not with what becomes of it in the scenario's events."""
+    if plant == "native":
+        return
+    trial = make_plant(plant, truth, seed=0)
+    for event in scenario.events:
+        trial.set_effect(event.effect, dict(event.values))
 
 
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
     warm_up_stack(setup.flight.stack, setup.flight.scenario)
-    warm_up_simulator(setup.truth, setup.grade)
+    warm_up_simulator(setup.truth, setup.grade, setup.plant)
 
 
 class SimulatedFlight:
@@ -110,7 +121,7 @@ class SimulatedFlight:
         self.scenario = prepared.scenario
         self._log = log
         self.vehicle: SimulatedVehicle = simulated_vehicle(
-            prepared.believed, setup.truth, setup.grade, seed=options.seed
+            prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant
         )
         self._ours, self._theirs = connected_pair()
         self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
@@ -235,7 +246,7 @@ def fly_setup(
         completed=flight.companion.completed,
         checked=options.as_written,
         seed=options.seed,
-        plant=PLANT,
+        plant=setup.plant,
     )
     files.write_flight_report(log_path, out / "report.html", result)
     return result

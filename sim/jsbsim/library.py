@@ -1,0 +1,158 @@
+"""JSBSim itself: the installed library, its log kept silent, an aircraft loaded, its properties by checked names."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+from flightstack.types import InputError
+from sim.jsbsim.aircraft import Aircraft
+
+CHECKED_VERSIONS: Final = ("1.3",)
+"""Versions that this plant was held against closed forms with; properties and frames changed between others."""
+SECOND_ORDER: Final = 3
+EULER: Final = 1
+"""JSBSim's numbers of integrators: Adams-Bashforth of second order, and Euler's."""
+INTEGRATORS: Final = tuple(
+    f"simulation/integrator/{what}/{how}" for what in ("rate", "position") for how in ("rotational", "translational")
+)
+
+
+def library() -> ModuleType:
+    """The module `jsbsim`; InputError where it is missing or of a version that this plant doesn't know."""
+    try:
+        import jsbsim
+    except ImportError as error:
+        raise InputError(
+            f"--plant jsbsim: JSBSim is not installed ({error}): pip install 'jsbsim>=1.3,<1.4' (wheels exist for "
+            "x86-64 only), or fly --plant native"
+        ) from None
+    version = str(getattr(jsbsim, "__version__", "unknown"))
+    if ".".join(version.split(".")[:2]) not in CHECKED_VERSIONS:
+        raise InputError(
+            f"--plant jsbsim: JSBSim {version} is installed; this plant was checked with {', '.join(CHECKED_VERSIONS)}: "
+            "pip install 'jsbsim>=1.3,<1.4', or fly --plant native"
+        )
+    module: ModuleType = jsbsim
+    return module
+
+
+class Fdm:
+    """One loaded aircraft, initialised; `get` and `set` give a property's own functions, once its name is checked."""
+
+    def __init__(self, aircraft: Aircraft, initial: Mapping[str, float], *, dt_s: float) -> None:
+        jsbsim = library()
+        heard: list[str] = []
+        jsbsim.set_logger(_logger(jsbsim, heard))
+        try:
+            self._exec = self._load(jsbsim, aircraft)
+            self._properties = self._exec.get_property_manager()
+            self.write(initial)
+            self._exec.set_dt(dt_s)
+            if not self._exec.run_ic():
+                raise RuntimeError("the initial state was refused")
+            self.write({f"simulation/models/FG{name}/enabled": 0.0 for name in aircraft.idle})
+            self.write(aircraft.first)
+        except InputError:
+            raise
+        except Exception as error:  # the library raises several kinds, some of them its own
+            said = " ".join(" ".join(heard[-4:]).split())
+            raise InputError(
+                f"--plant jsbsim: JSBSim {jsbsim.__version__} cannot fly this vehicle: {error} {said}".rstrip()
+            ) from None
+
+    def settle(self, aircraft: Aircraft, states: Mapping[str, float]) -> None:
+        """Let forces and delays take on the carried-over states, without time passing: before the first step."""
+        held = [states.get(name, 0.0) * aircraft.speed_unit for name in aircraft.speeds]
+        self._exec.suspend_integration()
+        for _ in range(aircraft.delay_frames + 2):
+            self.write(dict(zip(aircraft.commands, held, strict=True)))
+            self.write(states)
+            self._exec.run()
+        self.write(states)
+        self._exec.resume_integration()
+        self.write(dict.fromkeys(INTEGRATORS, EULER))  # JSBSim has no accelerations of the past to extrapolate
+
+    def first_run(self, then: Callable[[Callable[[], bool]], None]) -> Callable[[], bool]:
+        """Runs the first frame; hands what runs all later ones to `then`."""
+
+        def run() -> bool:
+            done = bool(self._exec.run())
+            self.write(dict.fromkeys(INTEGRATORS, SECOND_ORDER))
+            then(self._exec.run)
+            return done
+
+        return run
+
+    @staticmethod
+    def _load(jsbsim: ModuleType, aircraft: Aircraft) -> Any:
+        """JSBSim reads aircraft from files only: a folder that is gone once it is loaded."""
+        fdm = jsbsim.FGFDMExec(None)
+        fdm.set_debug_level(0)
+        with tempfile.TemporaryDirectory(prefix="flightstack-jsbsim-") as folder:
+            home = Path(folder) / aircraft.name
+            home.mkdir()
+            for name, content in aircraft.files.items():
+                (home / name).write_text(content, encoding="utf-8")
+            fdm.set_aircraft_path(folder)
+            if not fdm.load_model(aircraft.name):
+                raise RuntimeError("the aircraft was refused")
+        return fdm
+
+    def check(self, names: Iterable[str]) -> None:
+        """InputError where a property doesn't exist: JSBSim itself would silently make a new one."""
+        for name in names:
+            if not self._properties.hasNode(name):
+                raise InputError(f"--plant jsbsim: JSBSim has no property {name}; its version is not the one expected")
+
+    def get(self, name: str) -> Callable[[], float]:
+        """Reads a property."""
+        self.check((name,))
+        read: Callable[[], float] = self._properties.get_node(name).get_double_value
+        return read
+
+    def set(self, name: str) -> Callable[[float], bool]:
+        """Writes a property."""
+        self.check((name,))
+        write: Callable[[float], bool] = self._properties.get_node(name).set_double_value
+        return write
+
+    def read(self, names: Iterable[str]) -> dict[str, float]:
+        """Properties and their values."""
+        return {name: self.get(name)() for name in names}
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Give properties their values."""
+        for name, value in values.items():
+            self.set(name)(value)
+
+
+def _logger(jsbsim: ModuleType, heard: list[str]) -> Any:
+    """A logger that says nothing and keeps warnings and errors: the debug level alone does not silence JSBSim."""
+
+    class Silent(jsbsim.FGLogger):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.kept = False
+
+        def set_level(self, level: int) -> None:
+            self.kept = jsbsim.LogLevel.WARN <= level <= jsbsim.LogLevel.FATAL
+
+        def file_location(self, filename: str, line: int) -> None:
+            pass
+
+        def message(self, message: str) -> None:
+            if self.kept:
+                heard.append(message)
+                del heard[:-20]
+
+        def format(self, format: int) -> None:
+            pass
+
+        def flush(self) -> None:
+            pass
+
+    return Silent()
