@@ -49,8 +49,10 @@ class Aircraft:
     states: tuple[str, ...]
     """What an aircraft with changed effects takes over from the one before; not the rigid body's state."""
     voltage: str | None
-    delay_frames: int
-    """Steps that a command can be on its way."""
+    settle_frames: int
+    """Steps in which forces, delays and motors take on what they are given."""
+    rest_height_m: float
+    """Of the CoM over the ground, at rest; flights begin there, and call it 0."""
     idle: tuple[str, ...]
     """JSBSim's models that have nothing to do in this aircraft."""
     first: Mapping[str, float] = field(default_factory=dict)
@@ -152,7 +154,8 @@ class _Writer:
             speed_unit=1.0,
             states=(*(f"motor/u-{i + 1}" for i in ROTORS), *battery, *gusts.first),
             voltage=_VOLTAGE if vehicle.battery is not None else None,
-            delay_frames=math.ceil(effects("transport_delay", "delay_s") / self.dt_s),
+            settle_frames=2 + math.ceil(effects("transport_delay", "delay_s") / self.dt_s),
+            rest_height_m=0.0,
             idle=IDLE if needs_air else (*IDLE, "Auxiliary"),
             first={**first, **air.wind(effects)},
         )

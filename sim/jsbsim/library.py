@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -19,6 +19,8 @@ EULER: Final = 1
 INTEGRATORS: Final = tuple(
     f"simulation/integrator/{what}/{how}" for what in ("rate", "position") for how in ("rotational", "translational")
 )
+
+_MOTION: Final = "simulation/models/FGPropagate/enabled"
 
 
 def library() -> ModuleType:
@@ -64,16 +66,17 @@ class Fdm:
                 f"--plant jsbsim: JSBSim {jsbsim.__version__} cannot fly this vehicle: {error} {said}".rstrip()
             ) from None
 
-    def settle(self, aircraft: Aircraft, states: Mapping[str, float]) -> None:
-        """Let forces and delays take on the carried-over states, without time passing: before the first step."""
-        held = [states.get(name, 0.0) * aircraft.speed_unit for name in aircraft.speeds]
-        self._exec.suspend_integration()
-        for _ in range(aircraft.delay_frames + 2):
-            self.write(dict(zip(aircraft.commands, held, strict=True)))
-            self.write(states)
+    def settle(self, aircraft: Aircraft, states: Mapping[str, float], commands: Sequence[float]) -> None:
+        """Let forces, delays and motors take on what was carried over, the body standing still: before the first step.
+
+        `commands`: what the motors are told meanwhile, for as long as they need.
+        """
+        held = {**dict(zip(aircraft.commands, commands, strict=True)), **states}
+        self.write({_MOTION: 0.0})
+        for _ in range(aircraft.settle_frames):
+            self.write(held)
             self._exec.run()
-        self.write(states)
-        self._exec.resume_integration()
+        self.write({**states, _MOTION: 1.0})
         self.write(dict.fromkeys(INTEGRATORS, EULER))  # JSBSim has no accelerations of the past to extrapolate
 
     def first_run(self, then: Callable[[Callable[[], bool]], None]) -> Callable[[], bool]:

@@ -8,6 +8,7 @@ the new one.  An effect that changes makes a new aircraft, which takes over stat
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -16,8 +17,9 @@ from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, with_effects
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
 from sim.geodesy import PX4_SIH
+from sim.jsbsim import f450
 from sim.jsbsim.aircraft import Aircraft, write
-from sim.jsbsim.library import Fdm
+from sim.jsbsim.library import Fdm, library
 from sim.jsbsim.readings import (
     F_PER_POUND,
     F_RADII,
@@ -94,7 +96,7 @@ class JsbsimPlant:
         self.gyro_bias_frd_radps = np.zeros(3)
         self.misalignment_q = np.zeros(4)
         self._frame = np.zeros(0)
-        self._load(vehicle, {_PLACE[0]: _LATITUDE_RAD, _PLACE[1]: _LONGITUDE_RAD, _PLACE[2]: 0.0}, {})
+        self._load(vehicle, {_PLACE[0]: _LATITUDE_RAD, _PLACE[1]: _LONGITUDE_RAD, _PLACE[2]: 0.0}, {}, [0.0] * 4)
         self._rest()
 
     @property
@@ -159,11 +161,14 @@ class JsbsimPlant:
         changed = with_effects(self.vehicle, {name: values}, source="event")
         fdm, shown = self._fdm, self._row.copy()
         where = dict(zip(_PLACE, (fdm.get(name)() for name in _SHOWN_PLACE), strict=True))
+        where[_PLACE[2]] -= self._aircraft.rest_height_m / FOOT_M
         turning = zip(_START_EULER, (fdm.get(name)() for name in _EULER), strict=True)
         moving = zip(_START_VELOCITY, (fdm.get(name)() for name in _VELOCITY), strict=True)
         rates = zip(_START_RATES, (fdm.get(name)() for name in _RATES), strict=True)
         carried = fdm.read(self._aircraft.states)
-        self._load(changed, {**where, **dict(turning), **dict(moving), **dict(rates)}, carried)
+        named = self._aircraft.speeds if self._aircraft.speeds[0] in carried else self._aircraft.commands
+        commands = [fdm.get(name)() for name in named]
+        self._load(changed, {**where, **dict(turning), **dict(moving), **dict(rates)}, carried, commands)
         self._row[:R_LAST_FORCE] = shown[:R_LAST_FORCE]  # no time has passed
 
     def place(
@@ -186,16 +191,20 @@ class JsbsimPlant:
         state = dict(zip(_PLACE, where, strict=True)) | dict(zip(_START_EULER, euler_rad, strict=True))
         state |= {name: value / FOOT_M for name, value in zip(_START_VELOCITY, vel_ned_mps, strict=True)}
         state |= dict(zip(_START_RATES, rate_frd_radps, strict=True))
-        self._load(self.vehicle, state, dict.fromkeys(self._aircraft.speeds, motor_u / self._aircraft.speed_unit))
+        self._load(self.vehicle, state, dict.fromkeys(self._aircraft.speeds, motor_u), [motor_u] * 4)
         self._rest()
 
-    def _load(self, vehicle: Vehicle, state: Mapping[str, float], carried: Mapping[str, float]) -> None:
+    def _load(
+        self, vehicle: Vehicle, state: dict[str, float], carried: Mapping[str, float], commands: Sequence[float]
+    ) -> None:
         """A fresh aircraft in this state (JSBSim's `ic` properties), its motors, gusts and battery as carried over."""
         seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
-        aircraft = write(vehicle, dt_us=self.dt_us, gravity_mps2=GRAVITY_MPS2, seed=seed, ground=self._ground)
-        initial = {"ic/terrain-elevation-ft": PX4_SIH.altitude_m / FOOT_M, **state}
+        aircraft = self._aircraft_of(vehicle, seed)
+        ground_m = PX4_SIH.altitude_m - aircraft.rest_height_m
+        initial = {"ic/terrain-elevation-ft": ground_m / FOOT_M, **state}
+        initial[_PLACE[2]] += aircraft.rest_height_m / FOOT_M
         fdm = Fdm(aircraft, initial, dt_s=1e-6 * self.dt_us)
-        fdm.settle(aircraft, {name: value for name, value in carried.items() if name in aircraft.states})
+        fdm.settle(aircraft, {name: value for name, value in carried.items() if name in aircraft.states}, commands)
         self.vehicle, self._aircraft, self._fdm = vehicle, aircraft, fdm
         self._take_over_names()
         row = parameter_row(vehicle, dt_us=self.dt_us)
@@ -203,6 +212,12 @@ class JsbsimPlant:
         self.gyro_bias_frd_radps[:] = gyro_bias.bias(row)
         self.misalignment_q[:] = attitude_misalignment.rotation(row)
         self._show()
+
+    def _aircraft_of(self, vehicle: Vehicle, seed: int) -> Aircraft:
+        if vehicle.name == f450.NAME:
+            shipped = Path(library().get_default_root_dir())
+            return f450.write(vehicle, shipped, dt_s=1e-6 * self.dt_us, gravity_mps2=GRAVITY_MPS2, seed=seed)
+        return write(vehicle, dt_us=self.dt_us, gravity_mps2=GRAVITY_MPS2, seed=seed, ground=self._ground)
 
     def _take_over_names(self) -> None:
         """Every property that a step or a snapshot touches, found once."""

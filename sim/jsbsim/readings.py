@@ -34,8 +34,11 @@ def read(
 ) -> float:  # fmt: skip
     """Write one step's end into `row`: ECEF (ft), velocity NED (ft/s), Euler angles, rates (rad/s), force FRD (lb).
 
-    Returns the height, m.
+    Returns the height, m.  Numbers that are none (a wreck that spins faster than a step can follow) leave the row as
+    it is.
     """
+    if not math.isfinite(x + y + z + vn + ve + vd + p + q + r + fx + fy + fz):
+        return float(-row[R_POS + 2])
     dx, dy, dz = x - frame[F_ORIGIN], y - frame[F_ORIGIN + 1], z - frame[F_ORIGIN + 2]
     for i in range(3):
         at = F_TURN + 3 * i
