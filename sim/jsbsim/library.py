@@ -20,6 +20,9 @@ INTEGRATORS: Final = tuple(
     f"simulation/integrator/{what}/{how}" for what in ("rate", "position") for how in ("rotational", "translational")
 )
 
+_GRAVITY_MODEL: Final = "simulation/gravity-model"
+_ROUND: Final = 0.0
+"""JSBSim's number of the gravity of a ball."""
 _MOTION: Final = "simulation/models/FGPropagate/enabled"
 
 
@@ -45,14 +48,16 @@ def library() -> ModuleType:
 class Fdm:
     """One loaded aircraft, initialised; `get` and `set` give a property's own functions, once its name is checked."""
 
-    def __init__(self, aircraft: Aircraft, initial: Mapping[str, float], *, dt_s: float) -> None:
+    def __init__(self, aircraft: Aircraft, initial: Mapping[str, float], *, dt_s: float, planet: str = "") -> None:
         jsbsim = library()
         heard: list[str] = []
         jsbsim.set_logger(_logger(jsbsim, heard))
         try:
-            self._exec = self._load(jsbsim, aircraft)
+            self._exec = self._load(jsbsim, aircraft, planet)
             self._properties = self._exec.get_property_manager()
             self.write(initial)
+            if planet:
+                self.write({_GRAVITY_MODEL: _ROUND})
             self._exec.set_dt(dt_s)
             if not self._exec.run_ic():
                 raise RuntimeError("the initial state was refused")
@@ -91,7 +96,7 @@ class Fdm:
         return run
 
     @staticmethod
-    def _load(jsbsim: ModuleType, aircraft: Aircraft) -> Any:
+    def _load(jsbsim: ModuleType, aircraft: Aircraft, planet: str) -> Any:
         """JSBSim reads aircraft from files only: a folder that is gone once it is loaded."""
         fdm = jsbsim.FGFDMExec(None)
         fdm.set_debug_level(0)
@@ -100,6 +105,10 @@ class Fdm:
             home.mkdir()
             for name, content in aircraft.files.items():
                 (home / name).write_text(content, encoding="utf-8")
+            if planet:
+                path = Path(folder) / "planet.xml"
+                path.write_text(planet, encoding="utf-8")
+                fdm.load_planet(str(path), False)
             fdm.set_aircraft_path(folder)
             if not fdm.load_model(aircraft.name):
                 raise RuntimeError("the aircraft was refused")

@@ -16,9 +16,9 @@ import numpy as np
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, with_effects
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
-from sim.geodesy import PX4_SIH
 from sim.jsbsim import f450
 from sim.jsbsim.aircraft import Aircraft, write
+from sim.jsbsim.earth import ALTITUDE_M, LATITUDE_RAD, LONGITUDE_RAD, TURNING, Earth
 from sim.jsbsim.library import Fdm, library
 from sim.jsbsim.readings import (
     F_PER_POUND,
@@ -31,14 +31,12 @@ from sim.jsbsim.readings import (
     R_RATE,
     R_VEL,
     READINGS,
-    local_frame,
     read,
 )
 from sim.jsbsim.text import FOOT_M, POUND_N, SLUG_KG
 from sim.parameters import parameter_row
 from sim.plant import Truth
 
-_LATITUDE_RAD, _LONGITUDE_RAD = math.radians(PX4_SIH.latitude_deg), math.radians(PX4_SIH.longitude_deg)
 _ECEF = tuple(f"position/ecef-{axis}-ft" for axis in "xyz")
 _VELOCITY = tuple(f"velocities/v-{name}-fps" for name in ("north", "east", "down"))
 _EULER = tuple(f"attitude/{name}-rad" for name in ("phi", "theta", "psi"))
@@ -55,21 +53,6 @@ _GROUND_MARGIN_M = 1.0
 """Height over a vehicle's reach from which it can't come down in a step."""
 
 
-def effective_gravity_mps2(latitude_rad: float, altitude_m: float) -> float:
-    """Gravity and the turning earth's pull together, as a hovering vehicle feels it.
-
-    Normal gravity of WGS 84 (Somigliana's formula and its series in height; NIMA TR8350.2, equations 4-1 and 4-3).
-    """
-    a, f, m = 6_378_137.0, 1.0 / 298.257223563, 0.00344978650684
-    sin2 = math.sin(latitude_rad) ** 2
-    ground = 9.7803253359 * (1.0 + 0.00193185265241 * sin2) / math.sqrt(1.0 - 0.00669437999014 * sin2)
-    return ground * (1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * sin2) * altitude_m + 3.0 * (altitude_m / a) ** 2)
-
-
-GRAVITY_MPS2 = effective_gravity_mps2(_LATITUDE_RAD, PX4_SIH.altitude_m)
-"""Where the plant's flights begin."""
-
-
 class JsbsimPlant:
     """One vehicle in JSBSim; a `Plant`.  Same vehicle, seed and commands give the same flight.
 
@@ -77,12 +60,15 @@ class JsbsimPlant:
     the vehicle somewhere else.
     """
 
-    def __init__(self, vehicle: Vehicle, *, seed: int, dt_us: int = 1000, ground: bool = True) -> None:
+    def __init__(
+        self, vehicle: Vehicle, *, seed: int, dt_us: int = 1000, ground: bool = True, earth: Earth = TURNING
+    ) -> None:
         if not 100 <= dt_us <= 10_000:
             raise InputError(f"plant: dt_us = {dt_us} is not allowed; it must be 100 to 10000 us")
         self.dt_us = dt_us
         self.t_us = 0
         self._ground = ground
+        self._earth = earth
         self._seeds = np.random.SeedSequence(seed)
         row = self._row = np.zeros(READINGS)
         row[R_Q] = 1.0
@@ -96,7 +82,7 @@ class JsbsimPlant:
         self.gyro_bias_frd_radps = np.zeros(3)
         self.misalignment_q = np.zeros(4)
         self._frame = np.zeros(0)
-        self._load(vehicle, {_PLACE[0]: _LATITUDE_RAD, _PLACE[1]: _LONGITUDE_RAD, _PLACE[2]: 0.0}, {}, [0.0] * 4)
+        self._load(vehicle, {_PLACE[0]: LATITUDE_RAD, _PLACE[1]: LONGITUDE_RAD, _PLACE[2]: 0.0}, {}, [0.0] * 4)
         self._rest()
 
     @property
@@ -178,20 +164,20 @@ class JsbsimPlant:
         vel_ned_mps: Sequence[float] = (0.0, 0.0, 0.0),
         euler_rad: Sequence[float] = (0.0, 0.0, 0.0),
         rate_frd_radps: Sequence[float] = (0.0, 0.0, 0.0),
-        motor_u: float = 0.0,
+        motor_u: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
-        """Put the vehicle near the origin in this state; Euler angles: roll, pitch, yaw; `motor_u`: all four motors'."""
+        """Put the vehicle near the origin in this state, its battery full; Euler angles: roll, pitch, yaw."""
         north, east, down = pos_ned_m
         radius_n, radius_e = self._frame[F_RADII : F_RADII + 2].tolist()
         where = (
-            _LATITUDE_RAD + north / radius_n,
-            _LONGITUDE_RAD + east / (radius_e * math.cos(_LATITUDE_RAD)),
+            LATITUDE_RAD + north / radius_n,
+            LONGITUDE_RAD + east / (radius_e * math.cos(LATITUDE_RAD)),
             -down / FOOT_M,
         )
         state = dict(zip(_PLACE, where, strict=True)) | dict(zip(_START_EULER, euler_rad, strict=True))
         state |= {name: value / FOOT_M for name, value in zip(_START_VELOCITY, vel_ned_mps, strict=True)}
         state |= dict(zip(_START_RATES, rate_frd_radps, strict=True))
-        self._load(self.vehicle, state, dict.fromkeys(self._aircraft.speeds, motor_u), [motor_u] * 4)
+        self._load(self.vehicle, state, dict(zip(self._aircraft.speeds, motor_u, strict=True)), motor_u)
         self._rest()
 
     def _load(
@@ -200,10 +186,10 @@ class JsbsimPlant:
         """A fresh aircraft in this state (JSBSim's `ic` properties), its motors, gusts and battery as carried over."""
         seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
         aircraft = self._aircraft_of(vehicle, seed)
-        ground_m = PX4_SIH.altitude_m - aircraft.rest_height_m
+        ground_m = ALTITUDE_M - aircraft.rest_height_m
         initial = {"ic/terrain-elevation-ft": ground_m / FOOT_M, **state}
         initial[_PLACE[2]] += aircraft.rest_height_m / FOOT_M
-        fdm = Fdm(aircraft, initial, dt_s=1e-6 * self.dt_us)
+        fdm = Fdm(aircraft, initial, dt_s=1e-6 * self.dt_us, planet=self._earth.planet)
         fdm.settle(aircraft, {name: value for name, value in carried.items() if name in aircraft.states}, commands)
         self.vehicle, self._aircraft, self._fdm = vehicle, aircraft, fdm
         self._take_over_names()
@@ -216,8 +202,8 @@ class JsbsimPlant:
     def _aircraft_of(self, vehicle: Vehicle, seed: int) -> Aircraft:
         if vehicle.name == f450.NAME:
             shipped = Path(library().get_default_root_dir())
-            return f450.write(vehicle, shipped, dt_s=1e-6 * self.dt_us, gravity_mps2=GRAVITY_MPS2, seed=seed)
-        return write(vehicle, dt_us=self.dt_us, gravity_mps2=GRAVITY_MPS2, seed=seed, ground=self._ground)
+            return f450.write(vehicle, shipped, dt_s=1e-6 * self.dt_us, gravity_mps2=self._earth.gravity_mps2, seed=seed)
+        return write(vehicle, dt_us=self.dt_us, gravity_mps2=self._earth.gravity_mps2, seed=seed, ground=self._ground)
 
     def _take_over_names(self) -> None:
         """Every property that a step or a snapshot touches, found once."""
@@ -231,7 +217,7 @@ class JsbsimPlant:
         self._get_voltage = fdm.get(aircraft.voltage) if aircraft.voltage is not None else None
         if not self._frame.size:
             origin = np.array([fdm.get(name)() for name in _ECEF])
-            self._frame = local_frame(origin, _LATITUDE_RAD, _LONGITUDE_RAD, PX4_SIH.altitude_m, 1e-6 * self.dt_us)
+            self._frame = self._earth.frame(origin, 1e-6 * self.dt_us)
         self._ground_works = True
         self._ground_below_m = _GROUND_MARGIN_M + float(np.max(np.linalg.norm(self.vehicle.rotors.position_m, axis=1)))
         self._frame[F_PER_POUND] = POUND_N / (SLUG_KG * fdm.get("inertia/mass-slugs")())

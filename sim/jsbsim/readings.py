@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from flightstack.jit import njit
 from flightstack.types import F64
 
@@ -22,9 +20,6 @@ F_ORIGIN, F_TURN, F_RADII, F_DT, F_PER_POUND = 0, 3, 12, 14, 15
 FRAME = 16
 """Origin (ECEF, ft), ECEF to NED (row by row), radii of curvature (north, east; m), the step (s), m/s^2 per pound."""
 _FOOT_M = 0.3048
-SEMI_MAJOR_M = 6_378_137.0
-FLATTENING = 1.0 / 298.257223563
-"""The ellipsoid WGS 84, JSBSim's default earth."""
 
 
 @njit
@@ -67,22 +62,3 @@ def _attitude(row: F64, phi: float, theta: float, psi: float) -> None:
     if w * row[R_Q] + x * row[R_Q + 1] + y * row[R_Q + 2] + z * row[R_Q + 3] < 0.0:
         w, x, y, z = -w, -x, -y, -z
     row[R_Q], row[R_Q + 1], row[R_Q + 2], row[R_Q + 3] = w, x, y, z
-
-
-def local_frame(origin_ecef_ft: F64, latitude_rad: float, longitude_rad: float, altitude_m: float, dt_s: float) -> F64:
-    """The frame row (FRAME,) of an origin; the force's scale is left at 0."""
-    frame = np.zeros(FRAME)
-    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
-    sin_lon, cos_lon = math.sin(longitude_rad), math.cos(longitude_rad)
-    frame[F_ORIGIN : F_ORIGIN + 3] = origin_ecef_ft
-    frame[F_TURN : F_TURN + 9] = (
-        -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat,
-        -sin_lon, cos_lon, 0.0,
-        -cos_lat * cos_lon, -cos_lat * sin_lon, -sin_lat,
-    )  # fmt: skip
-    squared = FLATTENING * (2.0 - FLATTENING)
-    w = 1.0 - squared * sin_lat**2
-    frame[F_RADII] = SEMI_MAJOR_M * (1.0 - squared) / w**1.5 + altitude_m
-    frame[F_RADII + 1] = SEMI_MAJOR_M / math.sqrt(w) + altitude_m
-    frame[F_DT] = dt_s
-    return frame
