@@ -28,7 +28,7 @@ from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket, connected_pair
 from sim.grade import Grade, load_grade
-from sim.plant import Truth, make_plant
+from sim.plant import Truth
 from sim.server import Server
 from sim.shell import ONBOARD, Shell
 from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
@@ -92,18 +92,13 @@ def prepare(options: FlyOptions) -> Setup:
         "plant": options.plant,
         "pace": "realtime" if options.realtime else "lockstep",
     }
-    flight = flight.with_more(settings, {"truth.toml": vehicle_to_toml(truth)})
-    check_plant(options.plant, truth, flight.scenario)
-    return Setup(flight, truth, load_grade(sensors), options.plant)
+    carried = {"truth.toml": vehicle_to_toml(truth)}
+    if options.plant == "jsbsim":
+        from sim.jsbsim.trial import try_out
 
-
-def check_plant(plant: str, truth: Vehicle, scenario: Scenario) -> None:
-    """InputError where the plant can't fly this vehicle, or not with what becomes of it in the scenario's events."""
-    if plant == "native":
-        return
-    trial = make_plant(plant, truth, seed=0)
-    for event in scenario.events:
-        trial.set_effect(event.effect, dict(event.values))
+        tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
+        settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
+    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant)
 
 
 def warm_up_all(setup: Setup) -> None:

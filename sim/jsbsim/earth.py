@@ -18,18 +18,27 @@ ALTITUDE_M: Final = PX4_SIH.altitude_m
 """Where flights begin."""
 _SEMI_MAJOR_M: Final = 6_378_137.0
 _FLATTENING: Final = 1.0 / 298.257223563
+_GM_M3PS2: Final = 3.986004418e14
+_J2: Final = 1.08262982e-3
+_TURN_RADPS: Final = 7.292115e-5
 _BALL_M: Final = 6_371_000.0
 
 
-def effective_gravity_mps2(latitude_rad: float, altitude_m: float) -> float:
-    """Gravity and the turning earth's pull together, as a hovering vehicle feels it.
+def effective_gravity_mps2() -> float:
+    """Gravity and the turning earth's pull together, as a hovering vehicle feels it where flights begin.
 
-    Normal gravity of WGS 84: Somigliana's formula and its series in height (NIMA TR8350.2, equations 4-1 and 4-3).
+    JSBSim's field: a point mass and the oblateness J2 (Stevens and Lewis, Aircraft Control and Simulation, section 1.4),
+    with the constants of WGS 84.  It lies 4e-6 over normal gravity, which knows the higher terms as well.
     """
-    a, f, m = _SEMI_MAJOR_M, _FLATTENING, 0.00344978650684
-    sin2 = math.sin(latitude_rad) ** 2
-    ground = 9.7803253359 * (1.0 + 0.00193185265241 * sin2) / math.sqrt(1.0 - 0.00669437999014 * sin2)
-    return ground * (1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * sin2) * altitude_m + 3.0 * (altitude_m / a) ** 2)
+    squared = _FLATTENING * (2.0 - _FLATTENING)
+    sin, cos = math.sin(LATITUDE_RAD), math.cos(LATITUDE_RAD)
+    across = _SEMI_MAJOR_M / math.sqrt(1.0 - squared * sin * sin)
+    x, z = (across + ALTITUDE_M) * cos, (across * (1.0 - squared) + ALTITUDE_M) * sin
+    radius = math.hypot(x, z)
+    oblate, polar = 1.5 * _J2 * (_SEMI_MAJOR_M / radius) ** 2, 5.0 * (z / radius) ** 2
+    pull = _GM_M3PS2 / radius**3
+    inwards = pull * x * (1.0 + oblate * (1.0 - polar)) - _TURN_RADPS**2 * x
+    return math.hypot(inwards, pull * z * (1.0 + oblate * (3.0 - polar)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +71,7 @@ class Earth:
         return row
 
 
-TURNING: Final = Earth(effective_gravity_mps2(LATITUDE_RAD, ALTITUDE_M), _SEMI_MAJOR_M, _FLATTENING)
+TURNING: Final = Earth(effective_gravity_mps2(), _SEMI_MAJOR_M, _FLATTENING)
 STILL: Final = Earth(
     STANDARD_GRAVITY_MPS2,
     _BALL_M,

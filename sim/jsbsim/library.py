@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ INTEGRATORS: Final = tuple(
 _GRAVITY_MODEL: Final = "simulation/gravity-model"
 _ROUND: Final = 0.0
 """JSBSim's number of the gravity of a ball."""
+_READ: Final = re.compile(r"<property>([^<]*)</property>")
+_LONGEST: Final = 300
 _MOTION: Final = "simulation/models/FGPropagate/enabled"
 
 
@@ -55,6 +58,7 @@ class Fdm:
         try:
             self._exec = self._load(jsbsim, aircraft, planet)
             self._properties = self._exec.get_property_manager()
+            self._check_functions(aircraft)
             self.write(initial)
             if planet:
                 self.write({_GRAVITY_MODEL: _ROUND})
@@ -63,12 +67,14 @@ class Fdm:
                 raise RuntimeError("the initial state was refused")
             self.write({f"simulation/models/FG{name}/enabled": 0.0 for name in aircraft.idle})
             self.write(aircraft.first)
+            if not self.get("inertia/mass-slugs")() > 0.0:
+                raise RuntimeError("it has no mass")
         except InputError:
             raise
         except Exception as error:  # the library raises several kinds, some of them its own
-            said = " ".join(" ".join(heard[-4:]).split())
+            why = " ".join(f"{error}: {' '.join(heard[-2:])}".split())
             raise InputError(
-                f"--plant jsbsim: JSBSim {jsbsim.__version__} cannot fly this vehicle: {error} {said}".rstrip()
+                f"--plant jsbsim: JSBSim {jsbsim.__version__} cannot fly {aircraft.name}: {why[:_LONGEST]}"
             ) from None
 
     def settle(self, aircraft: Aircraft, states: Mapping[str, float], commands: Sequence[float]) -> None:
@@ -114,11 +120,26 @@ class Fdm:
                 raise RuntimeError("the aircraft was refused")
         return fdm
 
+    def _check_functions(self, aircraft: Aircraft) -> None:
+        """Every property that the aircraft's functions read exists; JSBSim would abort the whole process over one."""
+        read = {name.strip() for content in aircraft.files.values() for name in _READ.findall(content)}
+        missing = sorted(name for name in read if not self._properties.hasNode(name))
+        for name in missing:
+            self._exec.set_property_value(name, 0.0)  # it reads them once more when it is thrown away
+        self.check_known(missing)
+
+    @staticmethod
+    def check_known(missing: Sequence[str]) -> None:
+        """InputError that names what JSBSim doesn't know."""
+        if missing:
+            raise InputError(
+                f"--plant jsbsim: JSBSim has no property {', '.join(missing)}: its version is not the one expected, "
+                "or the name is misspelled"
+            )
+
     def check(self, names: Iterable[str]) -> None:
         """InputError where a property doesn't exist: JSBSim itself would silently make a new one."""
-        for name in names:
-            if not self._properties.hasNode(name):
-                raise InputError(f"--plant jsbsim: JSBSim has no property {name}; its version is not the one expected")
+        self.check_known([name for name in names if not self._properties.hasNode(name)])
 
     def get(self, name: str) -> Callable[[], float]:
         """Reads a property."""

@@ -111,10 +111,7 @@ def delayed(source: str, output: str, frames: int) -> str:
     """A component that hands `source` on after so many steps."""
     delay = f'<delay type="frames">{frames + 1}</delay>' if frames else ""
     component = output.replace("/", "-")
-    return (
-        f'<pure_gain name="fcs/{component}"><input>{source}</input><gain>1</gain>{delay}'
-        f"<output>{output}</output></pure_gain>"
-    )
+    return f'<actuator name="fcs/{component}"><input>{source}</input>{delay}<output>{output}</output></actuator>'
 
 
 def location(frd_m: XYZ, *, name: str = "") -> str:
