@@ -1,9 +1,10 @@
 """The two plants on the same commands: how far they come apart, effect by effect, and the same flights over UDP.
 
-Open loop: an autopilot flies the native plant for 10 s along a lively path; its motor commands, a thousand a second, then
-drive both plants from the same state with nobody steering, so that every difference between them adds up.  Expected
-differences are taken out by closed forms first: the native plant's gravity is 9.80665 m/s^2, JSBSim's that of its
-turning ellipsoid.  Closed loop: whole flights through `fly` on either plant.
+Open loop: an autopilot flies the native plant for 10 s along a lively path; its motor commands, a thousand a second,
+then drive both plants from the same state with nobody steering, so that every difference between them adds up: once
+over a still ball with the native plant's gravity, where only the vehicle's physics can differ, and once over JSBSim's
+turning earth (the fall through its other gravity, in closed form, is taken out).  Closed loop: whole flights through
+`fly` on either plant.
 
 `python -m benchmarks.plants_crosscheck [--flights]` prints the tables of docs/physics.md; exit code 1 if a tolerance is
 missed.
@@ -58,14 +59,17 @@ class Apart(NamedTuple):
         return self.position_m <= limit.position_m and self.attitude_rad <= limit.attitude_rad
 
 
+_STILL, _TURNING = Apart(0.02, 2e-4), Apart(0.1, 1.5e-3)
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An effect, its values, and how far the plants may be apart after 10 s: over a still ball, over the turning earth."""
+    """An effect, its values, and how far apart the plants may be after 10 s: over the still ball, the turning earth."""
 
     name: str
     effects: Mapping[str, Mapping[str, float]]
-    still: Apart = Apart(0.02, 2e-4)
-    turning: Apart = Apart(0.1, 1.5e-3)
+    still: Apart = _STILL
+    turning: Apart = _TURNING
     height_m: float = HEIGHT_M
 
 
@@ -164,7 +168,7 @@ class Start(NamedTuple):
 
 
 def flown_commands(believed: Vehicle, vehicle: Vehicle, height_m: float, seconds: float) -> tuple[Start, F64]:
-    """A state in flight, and the (steps, 4) motor commands of an autopilot that flies the native plant on from there."""
+    """A state in flight, and the (steps, 4) motor commands of an autopilot that flies the native plant from there."""
     control = FlightControl(believed, airframe_params(believed))
     plant = NativePlant(vehicle, seed=0)
     flown = SimulatedVehicle(plant, Sensors(perfect(), seed=0), control)
@@ -275,7 +279,7 @@ def show_open_loop(rows: list[Row]) -> str:
 def show_flights(pairs: list[Pair]) -> str:
     """The second table."""
     lines = [
-        "| scenario | rms from the path, native / JSBSim: mm | paths apart, rms: mm | least h, native / JSBSim | violations |",
+        "| scenario | rms from the path: mm, native / JSBSim | paths apart: mm rms | least h | violations |",
         "| --- | --- | ---: | --- | --- |",
     ]
     for pair in pairs:

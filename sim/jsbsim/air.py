@@ -1,4 +1,4 @@
-"""The aircraft's surroundings in JSBSim's words: air-relative velocity, wind, gusts, a constant force, its frame file."""
+"""An aircraft's surroundings in JSBSim's words: velocity through the air, wind, gusts, a constant force."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from sim.jsbsim import text
-from sim.jsbsim.text import FOOT_M, XYZ, minus, over, prop, times, total
+from sim.jsbsim.text import FOOT_M, XYZ, minus, prop, times, total
 
 if TYPE_CHECKING:
     from sim.jsbsim.aircraft import Effects

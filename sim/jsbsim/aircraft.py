@@ -126,9 +126,7 @@ class _Writer:
 
     def aircraft(self) -> Aircraft:
         vehicle, effects = self.vehicle, self.effects
-        body = text.mass_balance(
-            vehicle.mass_kg, self._inertia(), self.com, effects("payload", "mass_kg")
-        )
+        body = text.mass_balance(vehicle.mass_kg, self._inertia(), self.com, effects("payload", "mass_kg"))
         gusts = air.gusts(effects, self.dt_s, self.seed) if self.acts("turbulence") else air.STILL
         components = self._commands() + self._lags() + self._battery() + "".join(gusts.components)
         first = {**self._declared(), **gusts.first}
@@ -248,7 +246,9 @@ class _Writer:
             parts.append(air.hub_air(n, self._arm(i)))
         if self.acts("vortex_ring"):
             parts.append(text.function(f"rotor/early-{n}", self._thrust(i)))
-        parts.append(text.function(f"rotor/thrust-{n}", self._vortex(n) if self.acts("vortex_ring") else self._thrust(i)))
+        parts.append(
+            text.function(f"rotor/thrust-{n}", self._vortex(n) if self.acts("vortex_ring") else self._thrust(i))
+        )
         return "".join(parts)
 
     def _arm(self, i: int) -> XYZ:

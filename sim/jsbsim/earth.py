@@ -1,4 +1,4 @@
-"""The earths that JSBSim flies over: its own, round and turning, and a still ball on which only the vehicle is tested."""
+"""The earths that JSBSim flies over: its own, round and turning, and a still ball that leaves the vehicle alone."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _BALL_M: Final = 6_371_000.0
 def effective_gravity_mps2() -> float:
     """Gravity and the turning earth's pull together, as a hovering vehicle feels it where flights begin.
 
-    JSBSim's field: a point mass and the oblateness J2 (Stevens and Lewis, Aircraft Control and Simulation, section 1.4),
-    with the constants of WGS 84.  It lies 4e-6 over normal gravity, which knows the higher terms as well.
+    JSBSim's field: a point mass and the oblateness J2 (Stevens and Lewis, Aircraft Control and Simulation, section
+    1.4), with the constants of WGS 84.  It lies 4e-6 over normal gravity, which knows the higher terms as well.
     """
     squared = _FLATTENING * (2.0 - _FLATTENING)
     sin, cos = math.sin(LATITUDE_RAD), math.cos(LATITUDE_RAD)

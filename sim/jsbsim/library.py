@@ -41,7 +41,7 @@ def library() -> ModuleType:
     version = str(getattr(jsbsim, "__version__", "unknown"))
     if ".".join(version.split(".")[:2]) not in CHECKED_VERSIONS:
         raise InputError(
-            f"--plant jsbsim: JSBSim {version} is installed; this plant was checked with {', '.join(CHECKED_VERSIONS)}: "
+            f"--plant jsbsim: JSBSim {version} is installed, this plant knows {', '.join(CHECKED_VERSIONS)}: "
             "pip install 'jsbsim>=1.3,<1.4', or fly --plant native"
         )
     module: ModuleType = jsbsim

@@ -8,8 +8,9 @@ the new one.  An effect that changes makes a new aircraft, which takes over stat
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -120,18 +121,18 @@ class JsbsimPlant:
 
     def truth(self) -> Truth:
         """A snapshot."""
-        row = self._row.tolist()
+        row: Any = tuple(self._row.tolist())
         u1, u2, u3, u4 = (get() * self._aircraft.speed_unit for get in self._get_speeds)
         t1, t2, t3, t4 = (get() * self._aircraft.thrust_unit_n for get in self._get_thrusts)
         north, east, down = (get() * FOOT_M for get in self._get_wind)
         return Truth(
             self.t_us,
-            tuple(row[R_POS : R_POS + 3]),
-            tuple(row[R_VEL : R_VEL + 3]),
-            tuple(row[R_Q : R_Q + 4]),
-            tuple(row[R_RATE : R_RATE + 3]),
-            tuple(row[R_FORCE : R_FORCE + 3]),
-            tuple(row[R_ANGULAR : R_ANGULAR + 3]),
+            row[R_POS : R_POS + 3],
+            row[R_VEL : R_VEL + 3],
+            row[R_Q : R_Q + 4],
+            row[R_RATE : R_RATE + 3],
+            row[R_FORCE : R_FORCE + 3],
+            row[R_ANGULAR : R_ANGULAR + 3],
             (u1, u2, u3, u4),
             (t1, t2, t3, t4),
             (north, east, down),
@@ -202,7 +203,9 @@ class JsbsimPlant:
     def _aircraft_of(self, vehicle: Vehicle, seed: int) -> Aircraft:
         if vehicle.name == f450.NAME:
             shipped = Path(library().get_default_root_dir())
-            return f450.write(vehicle, shipped, dt_s=1e-6 * self.dt_us, gravity_mps2=self._earth.gravity_mps2, seed=seed)
+            return f450.write(
+                vehicle, shipped, dt_s=1e-6 * self.dt_us, gravity_mps2=self._earth.gravity_mps2, seed=seed
+            )
         return write(vehicle, dt_us=self.dt_us, gravity_mps2=self._earth.gravity_mps2, seed=seed, ground=self._ground)
 
     def _take_over_names(self) -> None:

@@ -102,8 +102,7 @@ def state(name: str, value: Term) -> str:
     """A component that gives the property `name` a new value each step; the value may read the property's last one."""
     component = name.replace("/", "-")
     return (
-        f'<fcs_function name="fcs/{component}"><function>{term(value)}</function>'
-        f"<output>{name}</output></fcs_function>"
+        f'<fcs_function name="fcs/{component}"><function>{term(value)}</function><output>{name}</output></fcs_function>'
     )
 
 
@@ -118,9 +117,7 @@ def location(frd_m: XYZ, *, name: str = "") -> str:
     """A place given in FRD from the file's origin, in JSBSim's structural frame (aft, right, up; inches)."""
     x, y, z = frd_m
     named = f' name="{name}"' if name else ""
-    return (
-        f'<location{named} unit="IN"><x>{-x / INCH_M!r}</x><y>{y / INCH_M!r}</y><z>{-z / INCH_M!r}</z></location>'
-    )
+    return f'<location{named} unit="IN"><x>{-x / INCH_M!r}</x><y>{y / INCH_M!r}</y><z>{-z / INCH_M!r}</z></location>'
 
 
 def _direction(axis: XYZ) -> str:

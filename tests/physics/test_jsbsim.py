@@ -15,11 +15,9 @@ from scipy.spatial.transform import Rotation
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from sim.jsbsim import aircraft
-
-pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
-
 from sim.jsbsim.plant import JsbsimPlant
 
+pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim
 OFF = np.zeros(4)
 LATITUDE = math.radians(47.397742)
@@ -30,7 +28,7 @@ CLOSE = 0.001
 
 
 def earth_gravity() -> float:
-    """Gravitation with the oblateness J2, less what the turning earth takes: WGS 84's constants, vectors from its centre."""
+    """Gravitation with the oblateness J2, less what the turning earth takes; vectors from its centre, WGS 84."""
     gm, a, f, j2, turn = 3.986004418e14, 6378137.0, 1 / 298.257223563, 1.08262982e-3, 7.292115e-5
     n = a / math.sqrt(1 - f * (2 - f) * math.sin(LATITUDE) ** 2)
     x = (n + ALTITUDE_M) * math.cos(LATITUDE)
@@ -106,7 +104,9 @@ def test_a_thrust_step_climbs_as_the_closed_form_says() -> None:
 
     def speed(t: float) -> float:
         d = before - after
-        squares = after**2 * t + 2 * after * d * tau * -math.expm1(-t / tau) + d * d * tau / 2 * -math.expm1(-2 * t / tau)
+        squares = (
+            after**2 * t + 2 * after * d * tau * -math.expm1(-t / tau) + d * d * tau / 2 * -math.expm1(-2 * t / tau)
+        )
         return G * t - scale * squares
 
     plant = high(u=before)
@@ -218,7 +218,7 @@ def test_delayed_commands_act_late_by_the_delay(delay_ms: float) -> None:
 
 
 def test_gusts_have_the_dryden_forms_spread_and_memory() -> None:
-    """10 m/s past a length of 2 m: tau 0.2 s; exp(-1) of the longitudinal gust is left after it, half of that across."""
+    """10 m/s past a length of 2 m: tau 0.2 s; then exp(-1) of the longitudinal gust is left, half of that across."""
     wind = {"north_mps": 10.0}
     vehicle = quad(turbulence={"sigma_mps": 1.5, "length_m": 2.0}, steady_wind=wind)
     plant = JsbsimPlant(vehicle, seed=4)

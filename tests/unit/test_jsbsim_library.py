@@ -1,4 +1,4 @@
-"""JSBSim as a library: what is missing, foreign or misspelled is said in one line before the flight, and nothing else."""
+"""JSBSim as a library: what is missing, foreign or misspelled is said in one line, before the flight."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from app.flight import FlyOptions, prepare
 from flightstack.types import InputError
 from flightstack.vehicle import vehicle_to_toml, with_effects
 from sim.jsbsim import aircraft
-
-jsbsim = pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
-
 from sim.jsbsim.library import Fdm, library
 from sim.jsbsim.plant import JsbsimPlant
+
+jsbsim = pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 
 pytestmark = pytest.mark.jsbsim
 QUAD = load_vehicle("quad-x")
@@ -109,9 +108,7 @@ def test_the_shipped_f450_takes_what_acts_from_outside_and_refuses_the_rest_by_n
     one_line(error)
 
 
-def test_fly_refuses_a_hidden_slung_load_before_it_flies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fly_refuses_a_hidden_slung_load_before_it_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = tmp_path / "truth.toml"
     truth.write_text(vehicle_to_toml(with_effects(QUAD, LOAD)))
     with pytest.raises(SystemExit) as ended:
