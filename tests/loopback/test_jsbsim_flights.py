@@ -51,16 +51,12 @@ def test_jsbsim_s_f450_flies_its_own_motors_and_propellers(tmp_path: Path) -> No
     result, log = flown(tmp_path, "hover", vehicle="f450", duration_s=4.0)
     assert result.completed, result.reason
     assert result.tracking["rmse_m"] < 0.03
-    thrust = np.sum(log.tables["/truth"]["rotor_thrust_n"], axis=1)
-    assert np.median(thrust) == pytest.approx(1.4 * 9.8069, rel=0.02)
-
-
-def test_the_same_seed_flies_the_same_flight(tmp_path: Path) -> None:
-    paths = []
-    for name in ("one", "two"):
-        _, log = flown(tmp_path / name, "hover", duration_s=1.0, seed=5)
-        paths.append(log.tables["/truth"]["pos_ned_m"])
-    assert np.array_equal(*paths)
+    truth = log.tables["/truth"]
+    hovering = np.linalg.norm(truth["vel_ned_mps"], axis=1) < 0.1
+    hovering &= truth["pos_ned_m"][:, 2] < truth["pos_ned_m"][:, 2].min() + 0.1
+    thrust = np.sum(truth["rotor_thrust_n"], axis=1)[hovering]
+    assert len(thrust) > 500
+    assert np.median(thrust) == pytest.approx(1.4 * 9.8069, rel=0.01)
 
 
 def test_sim_alone_flies_jsbsim_too(tmp_path: Path) -> None:
