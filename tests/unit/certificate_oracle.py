@@ -101,13 +101,15 @@ def untrue(text: str) -> str:
 
 def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
     """Where a vehicle that obeys the cell's command loses h faster than the cell claims; empty if nowhere."""
-    gamma, eta, rate, dt, steep = axis.setting
+    gamma, eta, rate, dt, steep, inner, more = axis.setting
     reach = axis.authority.reach(0.5 * (low + high))
     share = (cell[4] - reach.u_low) / (reach.u_high - reach.u_low)
     error = reach.error_low + share * (reach.error_high - reach.error_low)
     e, v = np.meshgrid(np.linspace(cell[0], cell[1], 6), np.linspace(low, high, 6))
     h = h_at(axis.barrier, e, v)
-    inside = h >= -eta + 1e-8
+    inside = h >= inner - eta + 1e-8
+    x = h - inner - eta
+    alpha = np.maximum(gamma * x, (gamma + more) * x - 0.05 * more)
     if not inside.any():
         return ""
     if not reach.u_low - 1e-6 <= cell[4] <= reach.u_high + 1e-6:
@@ -115,9 +117,7 @@ def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
     for a in (cell[4] - error, cell[4] + error):
         for t in (0.3 * dt, dt) if dt > 0.0 else (1e-7,):
             after = h_at(axis.barrier, e + v * t + 0.5 * a * t * t, v + a * t)
-            if np.any(
-                (after - h)[inside] / t + gamma * (h[inside] - eta) - rate - steep * abs(cell[4]) < cell[5] - 1e-5
-            ):
+            if np.any((after - h + t * alpha)[inside] / t - rate - steep * abs(cell[4]) < cell[5] - 1e-5):
                 return f"cell {cell}"
     return ""
 

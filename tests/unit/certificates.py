@@ -39,7 +39,7 @@ def uniform_cells(barrier: Barrier, setting: Setting, table: Authority, across: 
     for i in range(len(es) - 1):
         for j in range(len(vs) - 1):
             box = es[i], es[i + 1], vs[j], vs[j + 1]
-            if touches(barrier, setting.eta, box):
+            if touches(barrier, setting.eta - setting.inner, box):
                 u, q = best_command(barrier, setting, table.reach(0.5 * (vs[j] + vs[j + 1])), box)
                 cells.append([*box, u, q])
     return np.array(cells)
@@ -52,13 +52,18 @@ def touches(barrier: Barrier, eta: float, box: tuple[float, ...]) -> bool:
 
 
 def best_command(barrier: Barrier, setting: Setting, reach: Reach, box: tuple[float, ...]) -> tuple[float, float]:
-    """The best of 41 commands, and its least q at the corners, a little rounded down."""
-    corners = [coefficients(row, e, v, setting, reach) for row in barrier.rows for e in box[:2] for v in box[2:]]
-    a, b, c = np.array(corners).T
+    """The best of 41 commands, and its least q at the corners with the better line of alpha, a little rounded down."""
     us = np.linspace(reach.u_low, reach.u_high, 41)
-    q = (a[:, None] * us * us + b[:, None] * us + c[:, None]).min(axis=0) - setting.rate_spm * np.abs(us)
-    best = int(np.argmax(q))
-    return float(us[best]), float(q[best]) - 1e-7
+    found = []
+    for steep in (False, True):
+        corners = [
+            coefficients(row, e, v, setting, reach, steep) for row in barrier.rows for e in box[:2] for v in box[2:]
+        ]
+        a, b, c = np.array(corners).T
+        q = (a[:, None] * us * us + b[:, None] * us + c[:, None]).min(axis=0) - setting.rate_spm * np.abs(us)
+        best = int(np.argmax(q))
+        found.append((float(us[best]), float(q[best]) - 1e-7))
+    return max(found, key=lambda pair: pair[1])
 
 
 def _brakes(barrier: Barrier) -> list[tuple[float, float]]:
@@ -109,6 +114,7 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
         accuracy=ACCURACY,
         doubts=DOUBTS,
         gain_part_mps2=known.gain_part_mps2[2],
+        inside_ps=8.0,
     )
     axis = AxisCertificate(
         2, barrier, setting, RESPONSE, table, margins, uniform_cells(barrier, setting, table, across)

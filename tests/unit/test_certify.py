@@ -79,7 +79,7 @@ def test_the_planner_begins_on_the_track_and_flies_leg_after_leg_without_a_step(
     mission = plan(scenario, np.zeros(3))
     watched = WatchedCertifier(NoCertifier())
     watched.adopted.append(certificate_of(axis_of(FAST)))
-    planner = ExplorationPlanner(Explorer(ExploreConfig(rounds_max=2, axes=(2,))), watched)
+    planner = ExplorationPlanner(Explorer(ExploreConfig(rounds_max=2, axes=(2,), identify_first=1)), watched)
     assert planner.step(mission, mission.track_start_s - 0.01, _record(mission, 0.0)) is mission
     assert planner.state is None
     mission, points = _flown(planner, mission, 60.0)

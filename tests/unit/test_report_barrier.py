@@ -97,8 +97,8 @@ def test_a_log_gives_what_the_filter_said_and_the_state_relative_to_the_start(tm
     assert seen.region is not None
     h = barrier.region_h(seen)
     assert h is not None
-    # the paper's region: 1.5 m and 1.35 m/s along east, the centre 1.5 m up
-    expected = 1.0 - (0.5 * math.sin(5.0) / 1.5) ** 2 - (0.5 * math.cos(5.0) / 1.35) ** 2
+    # the scenario's region: 1.5 m and 1.8 m/s along east, the centre 1.5 m up
+    expected = 1.0 - (0.5 * math.sin(5.0) / 1.5) ** 2 - (0.5 * math.cos(5.0) / 1.8) ** 2
     assert h.values[500, 0] == pytest.approx(expected)
     blind = from_log(write_circle(tmp_path / "g.mcap", truth=False)).barrier
     assert blind is not None
