@@ -21,7 +21,6 @@ from benchmarks.gap_flights import (
     DT_US,
     L_FORCE,
     L_MOTOR,
-    L_NORMAL,
     L_POS,
     L_Q,
     L_RATE,
