@@ -1,0 +1,361 @@
+"""The simulator at the measured states: what the sensors would have shown if it were right, and how that depends.
+
+Rotors, load and battery run through the flight from its first sample with the simulator's own code; then one compiled
+call evaluates forces and torques at all samples.  An effect's regressor is the difference of two such predictions:
+there is no second formula of any effect.  Sensor effects change what is shown and the states that the physics is
+evaluated at, never the physics.
+
+Turbulence has no regressor: its mean is nothing, it shows as spectrum only, through `steady_wind`'s columns.
+A steady wind shows through the drag effects that the vehicle has; without one its columns are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle, with_effects
+from gap.records import Samples
+from gap.rotor_state import load_work, run_battery, run_load, run_rotors
+from gap.scales import natural_scale
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, track
+from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
+from sim.layout import (
+    D_DELAY_STEPS,
+    P_DT,
+    P_EMPTY_V,
+    P_FULL_V,
+    P_HAS_BATTERY,
+    P_RESISTANCE,
+    S_ANGULAR,
+    S_CHARGE,
+    S_COMMAND,
+    S_CURSOR,
+    S_FORCE,
+    S_LOAD_DIR,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_RING,
+    S_THRUST,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+)
+from sim.parameters import derive, parameter_row
+from sim.plant import evaluate_rows, run_rows, state_rows
+
+_CHUNK = 8192
+_STEP_SHARE = 0.02
+_NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
+_MOVES_ROTORS = ("motor_lag", "transport_delay")
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "battery_sag": ("battery_v",),
+    "linear_drag": ("vel_ned_mps", "q_ned_frd"),
+    "rotor_drag": ("vel_ned_mps", "q_ned_frd"),
+    "induced_inflow": ("vel_ned_mps", "q_ned_frd"),
+    "parasitic_drag": ("vel_ned_mps", "q_ned_frd"),
+    "translational_lift": ("vel_ned_mps", "q_ned_frd"),
+    "blade_flapping": ("vel_ned_mps", "q_ned_frd"),
+    "vortex_ring": ("vel_ned_mps", "q_ned_frd"),
+    "steady_wind": ("vel_ned_mps", "q_ned_frd"),
+    "turbulence": ("vel_ned_mps", "q_ned_frd"),
+    "ground_effect": ("height_m",),
+    "constant_force": ("q_ned_frd",),
+    "slung_load": ("q_ned_frd",),
+    "attitude_misalignment": ("q_ned_frd",),
+    "accelerometer_bias": ("accel_frd_mps2",),
+    "gyro_bias": ("rate_frd_radps",),
+    "angular_damping": ("rate_frd_radps",),
+    "rotor_gyroscopic": ("rate_frd_radps",),
+}
+"""Signals without which a log can't show an effect, whatever is flown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """One parameter of one effect, and the values of that effect round which it is turned."""
+
+    effect: str
+    parameter: str
+    at: Mapping[str, float] = field(default_factory=dict)
+    """On top of what the vehicle has of the effect: the faulty rotor's number, a load's length."""
+
+
+def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...]:
+    """All continuous parameters of an effect (a fault's rotor and other whole numbers are choices: give them `at`)."""
+    return tuple(Knob(effect, p.name, dict(at or {})) for p in EFFECT_SPECS[effect].params if not p.integer)
+
+
+def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
+    """Signals that the log lacks and without which it can't show this effect."""
+    missing = track(samples).missing
+    return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
+
+
+def predict(vehicle: Vehicle, samples: Samples) -> F64:
+    """What the sensors would show if the simulator were right, (N, 12), before the common low-pass.
+
+    Columns 0-2 specific force (m/s^2), 3-5 angular acceleration (rad/s^2), 6-8 body rates as the attitude's derivative
+    says (rad/s), 9-11 specific force as the velocity's derivative says (m/s^2); all body FRD, each as its sensor
+    shows it.  Compare with `gap.track.track(samples).measured`, both through its `lowpass`.
+    """
+    run = _Run(vehicle, track(samples))
+    return run.shown(vehicle)
+
+
+def sensitivity(
+    vehicle: Vehicle, samples: Samples, effect: str, parameter: str, at: Mapping[str, float] | None = None
+) -> F64:
+    """d predict / d parameter, (N, 12), through the common low-pass; see `sensitivities`."""
+    return sensitivities(vehicle, samples, [Knob(effect, parameter, at or {})])[:, :, 0]
+
+
+def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], every: int = 1) -> F64:
+    """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
+
+    Central differences through the simulator, one-sided where the range ends.  Columns that the log can't measure are
+    NaN; an effect that the log can't show (`unseen`) is 0 everywhere.
+    """
+    flight = track(samples)
+    base = _Run(vehicle, flight)
+    count = len(range(0, len(samples.t_s), every))
+    out = np.zeros((count, COLUMNS, len(columns)))
+    for k, knob in enumerate(columns):
+        if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
+            out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
+    return out
+
+
+def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
+    """A parameter as the vehicle has it: the effect's, else its null value, else the vehicle's own; NaN where none."""
+    spec = _spec(effect, parameter)
+    given = vehicle.effects.get(effect, {}).get(parameter, spec.null)
+    if given is not None:
+        return float(given)
+    own = {"thrust_model_factor": vehicle.rotors.thrust_model_factor, "time_constant_s": vehicle.rotors.time_constant_s}
+    return own.get(parameter, float("nan"))
+
+
+def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Vehicle:
+    """The vehicle with some of an effect's parameters changed, the others kept."""
+    return with_effects(vehicle, {effect: {**vehicle.effects.get(effect, {}), **values}})
+
+
+def _spec(effect: str, parameter: str) -> ParamSpec:
+    return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+
+
+def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
+    centre = with_value(vehicle, knob.effect, knob.at) if knob.at else vehicle
+    now = value(centre, knob.effect, knob.parameter)
+    spec = _spec(knob.effect, knob.parameter)
+    step = _STEP_SHARE * natural_scale(vehicle, knob.effect, knob.parameter)
+    high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
+    up = with_value(centre, knob.effect, {knob.parameter: high})
+    down = with_value(centre, knob.effect, {knob.parameter: low})
+    if knob.effect in _MOVES_ROTORS or knob.effect == "slung_load":
+        shown = _Run(up, base.track).shown(up) - _Run(down, base.track).shown(down)
+    else:
+        shown = base.shown(up) - base.shown(down)
+    return shown / (high - low)
+
+
+def params_row(vehicle: Vehicle, step_s: float) -> F64:
+    """The plant's parameter row (PARAMS,) for a run-through: no ground contact, no gusts, this step."""
+    p = parameter_row(vehicle, dt_us=1000, ground=False)
+    p[P_DT] = step_s
+    p[turbulence.SIGMA] = 0.0
+    derive(p)
+    return p
+
+
+class _Run:
+    """One vehicle run through one flight: what is remembered at every sample, and the state rows to evaluate at."""
+
+    __slots__ = ("load", "state", "track", "u", "voltage")
+
+    def __init__(self, vehicle: Vehicle, flight: Track) -> None:
+        self.track = flight
+        p = params_row(vehicle, flight.step_s)
+        count = len(flight.samples.t_s)
+        self.u = _rotors(p, flight)
+        self.load = _load(p, flight)
+        self.voltage = flight.samples.battery_v
+        self.state = np.zeros((count, S_RING))
+        self.state[:, S_POS : S_POS + 3] = flight.pos_ned_m
+        self.state[:, S_VEL : S_VEL + 3] = flight.vel_ned_mps
+        self.state[:, S_LOAD_DIR : S_LOAD_DIR + 6] = self.load
+        self.state[:, S_U : S_U + 4] = self.u
+        if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
+            self._drain(p)
+        self.state[:, S_VOLTAGE] = self.voltage
+
+    def _drain(self, p: F64) -> None:
+        """No voltage in the log: the battery runs along, full at the start."""
+        self.state[:, S_VOLTAGE] = p[P_FULL_V]
+        self._evaluate(p, self.track.q_ned_frd, self.track.rate_frd_radps)
+        slow = p.copy()
+        slow[P_DT] = self.track.samples.dt_s
+        self.voltage = np.zeros(len(self.state))
+        run_battery(
+            slow, self.state[:, S_THRUST : S_THRUST + 4].copy(), state_rows(p[None], dt_us=1000)[0], self.voltage
+        )
+
+    def _evaluate(self, p: F64, q: F64, rate: F64) -> None:
+        self.state[:, S_Q : S_Q + 4] = q
+        self.state[:, S_RATE : S_RATE + 3] = rate
+        rows = np.tile(p, (min(_CHUNK, len(self.state)), 1))
+        for at in range(0, len(self.state), _CHUNK):
+            part = self.state[at : at + _CHUNK]
+            evaluate_rows(part, rows[: len(part)])
+
+    def shown(self, vehicle: Vehicle) -> F64:
+        """What the sensors would show (N, 12) with this vehicle's physics and sensor effects at this run's states."""
+        flight = self.track
+        p = params_row(vehicle, flight.step_s)
+        q, rate = true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p)
+        self._evaluate(p, q, rate)
+        force = self.state[:, S_FORCE : S_FORCE + 3]
+        angular = simpson(self.state[:, S_ANGULAR : S_ANGULAR + 3])
+        misalignment = attitude_misalignment.rotation(p)[None, :]
+        bias = accelerometer_bias.bias(p)
+        out = np.empty((len(self.state), COLUMNS))
+        if flight.averaged[0]:
+            out[:, 0:3] = simpson(rotate(misalignment, force, inverse=True))
+        else:
+            out[:, 0:3] = force + bias
+        out[:, 3:6] = rotate(misalignment, angular, inverse=True) if "rate_frd_radps" in flight.missing else angular
+        out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
+        out[:, 9:12] = rotate(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2, inverse=True) + bias
+        out[:, np.isnan(flight.measured).all(axis=0)] = np.nan
+        return out
+
+
+def true_attitude(p: F64, flight: Track) -> F64:
+    """(N, 4) attitude without the misalignment of this parameter row."""
+    return multiply(flight.q_ned_frd, conjugate(attitude_misalignment.rotation(p)))
+
+
+def first_command(flight: Track) -> F64:
+    """(4,) what the rotors are taken to have turned at before the first sample: the first second's mean."""
+    return np.asarray(flight.commands[: max(1, round(1.0 / flight.step_s))].mean(axis=0))
+
+
+def _rotors(p: F64, flight: Track) -> F64:
+    """Motors' u (N, 4) at the samples."""
+    row = state_rows(p[None], dt_us=max(1, int(1e6 * flight.step_s)))[0]
+    start = np.clip(first_command(flight), 0.0, 1.0)
+    row[S_RING:] = np.tile(start, (len(row) - S_RING) // 4)
+    row[S_U : S_U + 4] = start
+    out = np.empty((len(flight.samples.t_s), 4))
+    run_rotors(p, flight.commands, flight.every, row, out)
+    return out
+
+
+def _load(p: F64, flight: Track) -> F64:
+    """The slung load's direction and its rate (N, 6); hanging at rest at the first sample."""
+    out = np.zeros((len(flight.samples.t_s), 6))
+    out[:, 2] = 1.0
+    if p[slung_load.MASS] != 0.0:
+        slow = p.copy()
+        slow[P_DT] = flight.samples.dt_s
+        row = np.zeros(S_RING)
+        slung_load.hang(row)
+        run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), row, np.zeros((4, load_work())), out)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rollout:
+    """Many simulations at once, each from a measured state, all driven by the logged commands: (S, n + 1, ...).
+
+    Velocities and positions over ground, the attitude as the sensors would show it, true rates.
+    """
+
+    starts: F64
+    """(S,) index of the sample where each begins."""
+    pos_ned_m: F64
+    vel_ned_mps: F64
+    q_ned_frd: F64
+    rate_frd_radps: F64
+
+
+def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | F64, horizon_s: float) -> Rollout:
+    """Simulate from the measured state at each of these samples for `horizon_s` (rounded to samples)."""
+    return rollouts([vehicle], samples, starts, horizon_s)[0]
+
+
+def rollouts(
+    vehicles: Sequence[Vehicle], samples: Samples, starts: Sequence[int] | F64, horizon_s: float
+) -> list[Rollout]:
+    """`rollout` of several vehicles over the same starts, all in one batch."""
+    flight = track(samples)
+    at = np.asarray(starts, dtype=np.int64)
+    steps = max(1, round(horizon_s / samples.dt_s))
+    at = at[at + steps < len(samples.t_s)]
+    batch = _Batch(vehicles, flight, at)
+    shown = np.empty((steps + 1, len(vehicles) * len(at), S_LOAD_DIR))
+    shown[0] = batch.state[:, :S_LOAD_DIR]
+    for k in range(steps):
+        batch.advance(k)
+        shown[k + 1] = batch.state[:, :S_LOAD_DIR]
+    shown = shown.reshape(steps + 1, len(vehicles), len(at), S_LOAD_DIR).transpose(1, 2, 0, 3)
+    out = []
+    for i in range(len(vehicles)):
+        part = shown[i]
+        q = multiply(part[:, :, S_Q : S_Q + 4], attitude_misalignment.rotation(batch.params[i * len(at)]))
+        out.append(
+            Rollout(at, part[:, :, S_POS : S_POS + 3], part[:, :, S_VEL : S_VEL + 3], q, part[:, :, S_RATE:S_LOAD_DIR])
+        )
+    return out
+
+
+class _Batch:
+    """State and parameter rows of V vehicles times S starts, vehicle by vehicle."""
+
+    __slots__ = ("_at", "_flight", "_voltage", "params", "state")
+
+    def __init__(self, vehicles: Sequence[Vehicle], flight: Track, at: F64) -> None:
+        self._at, self._flight = at, flight
+        rows = [params_row(vehicle, flight.step_s) for vehicle in vehicles]
+        entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
+        self.params = np.repeat(np.stack(rows), len(at), axis=0)
+        self.state = np.zeros((len(self.params), S_RING + 4 * entries))
+        voltage = []
+        for i, (vehicle, p) in enumerate(zip(vehicles, rows, strict=True)):
+            run = _Run(vehicle, flight)
+            own = self.state[i * len(at) : (i + 1) * len(at)]
+            own[:, :S_RING] = run.state[at]
+            own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
+            own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
+            own[:, S_RING:] = _ring(flight, at, entries)
+            voltage.append(run.voltage)
+        self.state[:, S_CURSOR] = entries - 1
+        self.state[:, S_CHARGE] = 1.0
+        self._voltage = np.stack(voltage)
+        self.params[:, P_RESISTANCE] = 0.0
+
+    def advance(self, k: int) -> None:
+        """From the k-th sample after each start to the next, on the logged voltage."""
+        flight, count = self._flight, len(self._at)
+        volts = self._voltage[:, self._at + k].ravel()
+        self.state[:, S_VOLTAGE] = volts
+        self.params[:, P_FULL_V] = self.params[:, P_EMPTY_V] = volts
+        for j in range(flight.every):
+            commands = flight.commands[(self._at + k) * flight.every + j]
+            self.state[:, S_COMMAND : S_COMMAND + 4] = np.tile(commands, (len(self.state) // max(count, 1), 1))
+            run_rows(self.state, self.params, _NO_NORMALS, 1)
+
+
+def _ring(flight: Track, at: F64, entries: int) -> F64:
+    """(S, 4 * entries) the commands before each start, the newest last."""
+    before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
+    commands = flight.commands[np.maximum(before, 0)]
+    commands[before < 0] = first_command(flight)
+    return np.asarray(commands.reshape(len(at), -1))

@@ -1,0 +1,1 @@
+"""What each kind of log calls the signals of a flight."""

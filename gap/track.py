@@ -1,0 +1,275 @@
+"""A flight made ready for comparison: smoothed states, what the sensors say of its motion, and the common low-pass.
+
+Twelve columns are compared.  The first six (`gap.records.SIGNALS`) are the physics: specific force and angular
+acceleration.  The last six (`gap.records.KINEMATICS`) hold no physics at all: body rates against the attitude's
+derivative and specific force against the velocity's; only sensor effects show there, which is what tells them from
+forces and torques.
+
+A derivative is a central difference, and whatever it is compared with passes Simpson's mean over the same two steps;
+then both pass the same zero-phase Butterworth low-pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from gap.records import Samples
+
+COLUMNS = 12
+CUTOFF_HZ = 20.0
+"""Of the common low-pass, where the log's bandwidth allows it: above it the gyro's derivative is mostly noise."""
+CROSSOVER_HZ = 0.4
+"""Below, velocity is the measured one; above, that of the integrated accelerometer."""
+SETTLE_S = 1.0
+"""At the start of a log nobody knows what the rotors did before: never judged."""
+_SLOWEST_STEP_S = 0.004
+_HIGH_M = 1e6
+GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One flight, ready: arrays of N samples."""
+
+    samples: Samples
+    pos_ned_m: F64
+    """(N, 3) smoothed; its last entry is minus the height over ground (very high where that is unknown)."""
+    path_ned_m: F64
+    """(N, 3) smoothed position in the log's own coordinates."""
+    vel_ned_mps: F64
+    q_ned_frd: F64
+    rate_frd_radps: F64
+    acc_ned_mps2: F64
+    """(N, 3) acceleration over ground, of the accelerometer where there is one."""
+    vel_rate_ned_mps2: F64
+    """(N, 3) derivative of the measured velocity, not smoothed further."""
+    turn_frd_radps: F64
+    """(N, 3) body rates that the attitude's derivative says."""
+    measured: F64
+    """(N, 12) what the sensors say, before the low-pass; NaN columns where they don't."""
+    averaged: tuple[bool, ...]
+    """Of each of the six physical columns: is it measured by a central difference?"""
+    usable: NDArray[np.bool_]
+    """(N,) valid, rotors known, and away from gaps and ends by what the filters reach."""
+    commands: F64
+    """(N * every, 4) motor commands for the run-through."""
+    every: int
+    """Steps of the run-through in a sample."""
+    cutoff_hz: float
+    missing: frozenset[str]
+    """Names of signals that the log lacks."""
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step of the run-through."""
+        return self.samples.dt_s / self.every
+
+    def lowpass(self, columns: F64) -> F64:
+        """The common low-pass along the first axis; NaN columns stay NaN."""
+        return _filtered(columns, self.cutoff_hz, self.samples.dt_s)
+
+
+def simpson(x: F64) -> F64:
+    """Mean over the two steps round each sample along the first axis: what a central difference of the integral sees."""
+    out = x.copy()
+    out[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
+    return out
+
+
+def derivative(x: F64, dt_s: float) -> F64:
+    """Central differences along the first axis, one-sided at the ends."""
+    return np.gradient(x, dt_s, axis=0)
+
+
+def rotate(q: F64, v: F64, *, inverse: bool = False) -> F64:
+    """Turn (N, 3) body vectors into the world by (N, 4) quaternions, or back."""
+    axis = -q[:, 1:] if inverse else q[:, 1:]
+    t = 2.0 * np.cross(axis, v)
+    return v + q[:, :1] * t + np.cross(axis, t)
+
+
+def multiply(a: F64, b: F64) -> F64:
+    """Hamilton product of (N, 4) or (4,) with (N, 4) or (4,)."""
+    w1, x1, y1, z1 = np.moveaxis(a, -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: F64) -> F64:
+    """Inverse of unit quaternions (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotation_vector(q: F64) -> F64:
+    """(N, 3) rotation vectors of (N, 4) unit quaternions, the short way round."""
+    q = np.where(q[:, :1] < 0.0, -q, q)
+    norm = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(norm, q[:, :1])
+    return q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0)
+
+
+@lru_cache(maxsize=8)
+def track(samples: Samples) -> Track:
+    """Make a flight ready; kept for the last few flights, as every step of the workflow asks for it."""
+    dt = samples.dt_s
+    missing = frozenset(
+        name
+        for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
+        if not np.isfinite(getattr(samples, name)).any()
+    ) | (frozenset() if np.any(samples.battery_v > 0.0) else frozenset({"battery_v"}))
+    cutoff = _cutoff(samples)
+    q = _smooth_attitude(samples, cutoff, missing)
+    turn = _turn(q, dt)
+    raw_rate = turn if "rate_frd_radps" in missing else _filled(samples.rate_frd_radps)
+    velocity = _velocity(samples, missing)
+    vel_rate = derivative(velocity, dt)
+    derived = "accel_frd_mps2" in missing or "accel_frd_mps2" in samples.derived
+    kinematic_force = rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True)
+    force = kinematic_force if derived else _filled(samples.accel_frd_mps2)
+    acc = rotate(q, force) + GRAVITY_NED_MPS2
+    measured = np.full((len(q), COLUMNS), np.nan)
+    no_velocity = "vel_ned_mps" in missing and "pos_ned_m" in missing
+    if not derived or not no_velocity:
+        measured[:, 0:3] = force
+    measured[:, 3:6] = derivative(raw_rate, dt)
+    if "rate_frd_radps" not in missing and "q_ned_frd" not in missing:
+        measured[:, 6:9] = simpson(raw_rate)
+    if not derived and not no_velocity and "q_ned_frd" not in missing:
+        measured[:, 9:12] = simpson(force)
+    commands, every = _commands(samples)
+    smooth = _smooth_velocity(velocity, acc, derived or no_velocity or "q_ned_frd" in missing, cutoff, dt)
+    return Track(
+        samples,
+        _position(samples, missing),
+        _integrated(smooth, dt)
+        if "pos_ned_m" in missing
+        else _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt),
+        smooth,
+        q,
+        _filtered(raw_rate, cutoff, dt),
+        acc,
+        vel_rate,
+        turn,
+        measured,
+        (derived,) * 3 + (True,) * 3,
+        _usable(samples, cutoff),
+        commands,
+        every,
+        cutoff,
+        missing,
+    )
+
+
+def _cutoff(samples: Samples) -> float:
+    """What the log carries, kept well below its Nyquist frequency."""
+    band = samples.bandwidth_hz if samples.bandwidth_hz > 0.0 else 0.5 / samples.dt_s
+    return min(CUTOFF_HZ, 0.8 * band, 0.35 / samples.dt_s)
+
+
+def _filtered(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
+    flat = columns.reshape(len(columns), -1)
+    out = np.full_like(flat, np.nan)
+    seen = np.isfinite(flat).any(axis=0)
+    if not seen.any():
+        return out.reshape(columns.shape)
+    sos = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
+    pad = min(len(flat) - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
+    out[:, seen] = sosfiltfilt(sos, _filled(flat[:, seen]), axis=0, padlen=pad)
+    return out.reshape(columns.shape)
+
+
+def _filled(x: F64) -> F64:
+    """NaN rows by linear interpolation, all-NaN columns as 0."""
+    bad = ~np.isfinite(x)
+    if not bad.any():
+        return x
+    out = x.copy()
+    at = np.arange(len(x))
+    for j in range(x.shape[1]):
+        good = ~bad[:, j]
+        out[:, j] = np.interp(at, at[good], x[good, j]) if good.any() else 0.0
+    return out
+
+
+def _position(samples: Samples, missing: frozenset[str]) -> F64:
+    pos = _filled(samples.pos_ned_m).copy()
+    pos[:, 2] = -_HIGH_M if "height_m" in missing else -_filled(samples.height_m[:, None])[:, 0]
+    return pos
+
+
+def _velocity(samples: Samples, missing: frozenset[str]) -> F64:
+    if "vel_ned_mps" in missing and "pos_ned_m" not in missing:
+        return derivative(_filled(samples.pos_ned_m), samples.dt_s)
+    return _filled(samples.vel_ned_mps)
+
+
+def _smooth_velocity(velocity: F64, acc: F64, alone: bool, cutoff_hz: float, dt_s: float) -> F64:
+    """Measured velocity at low frequencies, integrated acceleration at high ones; the low-passed one if `alone`."""
+    if alone:
+        return _filtered(velocity, cutoff_hz, dt_s)
+    return _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff_hz), dt_s)
+
+
+def _integrated(rate: F64, dt_s: float) -> F64:
+    """Integral along the first axis from 0, trapezoidal."""
+    out = np.zeros_like(rate)
+    out[1:] = np.cumsum(0.5 * dt_s * (rate[1:] + rate[:-1]), axis=0)
+    return out
+
+
+def _complementary(slow: F64, rate: F64, crossover_hz: float, dt_s: float) -> F64:
+    """`slow` below the crossover, the integral of `rate` above it; no phase, and a constant error of `rate` is nothing."""
+    inertial = _integrated(rate, dt_s)
+    return inertial + _filtered(slow - inertial, crossover_hz, dt_s)
+
+
+def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:
+    if "q_ned_frd" in missing:
+        return np.tile([1.0, 0.0, 0.0, 0.0], (len(samples.t_s), 1))
+    q = _filled(samples.q_ned_frd)
+    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
+    q = q * np.concatenate([[1.0], flips])[:, None]
+    q = _filtered(q, cutoff_hz, samples.dt_s)
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def _turn(q: F64, dt_s: float) -> F64:
+    """Body rates of an attitude's central differences."""
+    out = np.empty((len(q), 3))
+    out[1:-1] = rotation_vector(multiply(conjugate(q[:-2]), q[2:])) / (2.0 * dt_s)
+    out[0], out[-1] = out[1], out[-2]
+    return out
+
+
+def _commands(samples: Samples) -> tuple[F64, int]:
+    """Commands of the run-through's steps: interpolated, or held where the log itself holds them for several samples."""
+    motor = _filled(samples.motor)
+    every = max(1, int(np.ceil(samples.dt_s / _SLOWEST_STEP_S - 1e-6)))
+    following = np.vstack([motor[1:], motor[-1:]])
+    repeated = np.mean(np.all(motor == following, axis=1))
+    share = (np.arange(every) + 0.5) / every * (0.0 if repeated > 0.3 else 1.0)
+    steps = motor[:, None, :] + share[None, :, None] * (following - motor)[:, None, :]
+    return np.ascontiguousarray(steps.reshape(-1, 4)), every
+
+
+def _usable(samples: Samples, cutoff_hz: float) -> NDArray[np.bool_]:
+    reach = int(np.ceil(0.5 / (cutoff_hz * samples.dt_s)))
+    good = samples.valid & np.isfinite(samples.motor).all(axis=1)
+    bad = np.convolve(~good, np.ones(2 * reach + 1), mode="same") > 0.5
+    out = ~bad & (samples.t_s >= samples.t_s[0] + SETTLE_S)
+    out[len(out) - reach :] = False
+    return np.asarray(out)
