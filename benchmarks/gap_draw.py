@@ -26,7 +26,7 @@ _RHO = 1.225
 
 
 def vehicle(rng: Rng, *, drag: bool) -> Vehicle:
-    """An X quadrotor between a 100 g racer and a 4 kg carrier; half of the files know effects, all those with `drag`."""
+    """An X quadrotor from a 100 g racer to a 4 kg carrier; half of the files know effects, all those with `drag`."""
     size = float(math.exp(rng.uniform(math.log(0.45), math.log(1.5))))
     mass = 1.2 * size**3 * rng.uniform(0.85, 1.15)
     x, y = 0.13 * size * rng.uniform(0.9, 1.2), 0.15 * size * rng.uniform(0.9, 1.2)

@@ -221,8 +221,8 @@ def fly(
     normals = rng.standard_normal((steps if gusty else 0, turbulence.NORMALS))
     log = np.zeros((steps, L_SIZE))
     crashed = _fly(
-        plant.params_row, plant.state_row, believed_row(believed, latency_s(truth)), reference, outside, plant.misalignment_q,
-        plant.gyro_bias_frd_radps, noise, normals, log,
+        plant.params_row, plant.state_row, believed_row(believed, latency_s(truth)), reference, outside,
+        plant.misalignment_q, plant.gyro_bias_frd_radps, noise, normals, log,
     )  # fmt: skip
     return Flown(log, bool(crashed))
 

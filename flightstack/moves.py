@@ -1,8 +1,8 @@
-"""A trajectory of moves from rest to rest: short ones are doublets of thrust or of body rate, long ones carry it about.
+"""A trajectory of moves from rest to rest: short ones are doublets of thrust or of body rate, long ones go places.
 
-Each move is the minimum-snap segment 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 (D. Mellinger, V. Kumar, "Minimum snap trajectory
-generation and control for quadrotors", 2011): over the distance d in the time T its speed peaks at 2.19 d/T, its
-acceleration, one period of about a sine, at 7.5 d/T^2.
+Each move is the minimum-snap segment 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 (D. Mellinger, V. Kumar, "Minimum snap
+trajectory generation and control for quadrotors", 2011): over the distance d in the time T its speed peaks at 2.19 d/T,
+its acceleration, one period of about a sine, at 7.5 d/T^2.
 """
 
 from __future__ import annotations
