@@ -53,6 +53,7 @@ def vehicle(rng: Rng, *, drag: bool) -> Vehicle:
             4.15 * cells, 4.2 * cells, 3.3 * cells, round(capacity, 0), round(0.05 * 4 * cells / hover_w * cells, 4)
         )
     inertia = np.round(mass * gyration**2, 9)
+    inertia[2] = min(float(inertia[2]), round(0.99 * float(inertia[0] + inertia[1]), 9))
     plain = Vehicle(f"blind-{rng.integers(1_000_000):06d}", round(mass, 5), inertia, rotors, battery)
     known: Effects = {}
     if drag or rng.random() < 0.5:
@@ -102,7 +103,12 @@ def _com_offset(rng: Rng, v: Vehicle) -> dict[str, float]:
 
 
 def _inertia(rng: Rng, v: Vehicle) -> dict[str, float]:
-    return {f"scale_{axis}": float(rng.choice([rng.uniform(0.7, 0.9), rng.uniform(1.12, 1.5)])) for axis in "xyz"}
+    """Of a body that can exist: no moment exceeds the sum of the other two."""
+    while True:
+        scale = np.where(rng.random(3) < 0.5, rng.uniform(0.7, 0.9, 3), rng.uniform(1.12, 1.5, 3))
+        turned = scale * v.inertia_kgm2
+        if 2.0 * turned.max() <= turned.sum():
+            return {f"scale_{axis}": float(scale[i]) for i, axis in enumerate("xyz")}
 
 
 def _linear_drag(rng: Rng, v: Vehicle) -> dict[str, float]:
