@@ -100,28 +100,33 @@ def _make(kind: str, rng: np.random.Generator) -> Case | None:
         reference = gap_draw.plan(rng, believed, rich=rich)
         scale = float(np.exp(rng.uniform(np.log(0.4), np.log(2.0))))
         senses = Senses(0.003 * scale, 0.02 * scale, 0.006 * scale)
-        flown = fly(believed, truth, reference, outside, seed=int(rng.integers(2**31)), senses=senses)
+        rate_hz = int(rng.choice(RATES_HZ))
+        hold_ms = int(rng.choice([2, 1000 // rate_hz]))  # logged whole, or sampled from a faster loop
+        flown = fly(believed, truth, reference, outside, seed=int(rng.integers(2**31)), senses=senses, hold_ms=hold_ms)
     except InputError:  # too stiff for the plant's step
         return None
     if flown.crashed or float(np.max(np.linalg.norm(flown.rows[:, :3], axis=1))) > 60.0:
         return None
-    csv, notes = measure(flown, truth, rng, scale)
+    csv, notes = measure(flown, truth, rng, scale, rate_hz)
+    notes["hold_ms"] = hold_ms
     return Case(believed, csv, Answer(hidden, outside_name, depends_on, rich, notes), truth, flown)
 
 
-def measure(flown: Flown, truth: Vehicle, rng: np.random.Generator, scale: float) -> tuple[str, dict[str, float]]:
+def measure(
+    flown: Flown, truth: Vehicle, rng: np.random.Generator, scale: float, rate_hz: int
+) -> tuple[str, dict[str, float]]:
     """The flight as a CSV of the contract: sampled, late by topic, noisy; and what was drawn."""
     rows = flown.rows
-    rate_hz = int(rng.choice(RATES_HZ))
     late = {
         "position": float(rng.choice([0.0, rng.uniform(0.004, 0.04)])),
         "imu": float(rng.choice([0.0, 0.0, 0.0, rng.uniform(-0.006, 0.006)])),
     }
-    t_s = np.arange(0.05, (len(rows) - 60) * 1e-6 * DT_US, 1.0 / rate_hz)
+    stamps = np.arange(10 * (1000 // rate_hz), len(rows) - 60, 1000 // rate_hz)  # ms; row k ends at k + 1
+    t_s = 1e-6 * DT_US * stamps
     noise = {"pos": 0.002, "vel": 0.015, "q": 0.0012, "rate": 0.003, "accel": 0.06, "battery": 0.01}
 
     def at(columns: slice, late_s: float = 0.0) -> F64:
-        index = np.clip(np.rint((t_s - late_s) / (1e-6 * DT_US)).astype(int), 0, len(rows) - 1)
+        index = np.clip(np.rint((t_s - late_s) / (1e-6 * DT_US)).astype(int) - 1, 0, len(rows) - 1)
         return np.asarray(rows[index, columns])
 
     def noisy(values: F64, name: str) -> F64:
@@ -129,7 +134,7 @@ def measure(flown: Flown, truth: Vehicle, rng: np.random.Generator, scale: float
 
     def mean(columns: slice) -> F64:
         totals = np.cumsum(np.vstack([np.zeros(columns.stop - columns.start), rows[:, columns]]), axis=0)
-        end = np.clip(np.rint((t_s - late["imu"]) / (1e-6 * DT_US)).astype(int) + 1, IMU_MS, len(rows))
+        end = np.clip(np.rint((t_s - late["imu"]) / (1e-6 * DT_US)).astype(int), IMU_MS, len(rows))
         return np.asarray((totals[end] - totals[end - IMU_MS]) / IMU_MS)
 
     biased = truth.effects.get("accelerometer_bias", {}), truth.effects.get("gyro_bias", {})
@@ -141,7 +146,7 @@ def measure(flown: Flown, truth: Vehicle, rng: np.random.Generator, scale: float
         _attitude(at(slice(L_Q, L_Q + 4)), truth, scale * noise["q"], rng),
         noisy(mean(slice(L_RATE, L_RATE + 3)), "rate") + gyro_bias,
         noisy(mean(slice(L_FORCE, L_FORCE + 3)), "accel") + accel_bias,
-        np.round(at(slice(L_MOTOR, L_MOTOR + 4)), 6),
+        np.round(rows[stamps, L_MOTOR : L_MOTOR + 4], 6),  # sent at the stamp
     ]
     columns = HEADER.split(",")
     if truth.battery is None:

@@ -136,6 +136,7 @@ def _fly(
     p: F64,
     row: F64,
     b: F64,
+    hold: int,
     reference: F64,
     x: F64,
     misalignment: F64,
@@ -144,7 +145,7 @@ def _fly(
     normals: F64,
     log: F64,
 ) -> bool:
-    """The whole flight; `noise` (n_outer, 9) position, velocity, rate; True where it crashed."""
+    """The whole flight; `noise` (n_outer, 9) position, velocity, rate; `hold`: steps between commands; True: crashed."""
     dt = 1e-6 * DT_US
     work = np.empty((3, EVALUATED))
     memory, force, slosh, base = np.zeros(M_SIZE), np.zeros(3), np.zeros(4), np.zeros(3)
@@ -166,9 +167,10 @@ def _fly(
             q[2] = w * m2 - i1 * m3 + i2 * m0 + i3 * m1
             q[3] = w * m3 + i1 * m2 - i2 * m1 + i3 * m0
             outer(b, memory, reference[at], pos, vel, q)
-        for j in range(3):
-            rate[j] = row[S_RATE + j] + gyro_bias[j] + noise[at, 6 + j]
-        inner(b, memory, rate, dt, motor)
+        if k % hold == 0:
+            for j in range(3):
+                rate[j] = row[S_RATE + j] + gyro_bias[j] + noise[at, 6 + j]
+            inner(b, memory, rate, hold * dt, motor)
         for i in range(4):
             row[S_COMMAND + i] = motor[i]
             p[D_GAIN + i] = gain[i] * max(0.0, 1.0 - x[X_FADE] * k * dt)
@@ -209,9 +211,19 @@ def latency_s(truth: Vehicle) -> float:
 
 
 def fly(
-    believed: Vehicle, truth: Vehicle, reference: F64, outside: F64, *, seed: int, senses: Senses = Senses()
+    believed: Vehicle,
+    truth: Vehicle,
+    reference: F64,
+    outside: F64,
+    *,
+    seed: int,
+    senses: Senses = Senses(),
+    hold_ms: int = 1,
 ) -> Flown:
-    """Fly `reference` (n, R_SIZE) on the native plant; `outside` (X_SIZE,) is what no effect of the table explains."""
+    """Fly `reference` (n, R_SIZE) on the native plant; `outside` (X_SIZE,) is what no effect of the table explains.
+
+    The rate loop makes a motor command every `hold_ms`.
+    """
     plant = NativePlant(truth, seed=seed, dt_us=DT_US)
     rng = np.random.default_rng(seed + 1)
     steps = len(reference) * (OUTER_US // DT_US)
@@ -221,7 +233,7 @@ def fly(
     normals = rng.standard_normal((steps if gusty else 0, turbulence.NORMALS))
     log = np.zeros((steps, L_SIZE))
     crashed = _fly(
-        plant.params_row, plant.state_row, believed_row(believed, latency_s(truth)), reference, outside,
+        plant.params_row, plant.state_row, believed_row(believed, latency_s(truth) + 5e-4 * hold_ms), hold_ms, reference, outside,
         plant.misalignment_q, plant.gyro_bias_frd_radps, noise, normals, log,
     )  # fmt: skip
     return Flown(log, bool(crashed))
