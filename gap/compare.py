@@ -63,7 +63,7 @@ def rollout_starts(samples: Samples, mask: NDArray[np.bool_], horizon_s: float =
     steps, stride = round(horizon_s / samples.dt_s), max(1, round(EVERY_S / samples.dt_s))
     at = np.arange(0, len(good) - steps, stride)
     bad = np.concatenate([[0], np.cumsum(~good)])
-    return at[bad[at + steps + 1] == bad[at]]
+    return np.asarray(at[bad[at + steps + 1] == bad[at]])
 
 
 def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float = HORIZON_S) -> F64:
@@ -75,7 +75,7 @@ def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], h
     flown = rollout(vehicle, samples, starts, horizon_s)
     steps = flown.pos_ned_m.shape[1] - 1
     moved = flight.path_ned_m[starts + steps] - flight.path_ned_m[starts]
-    return flown.pos_ned_m[:, -1] - flown.pos_ned_m[:, 0] - moved
+    return np.asarray(flown.pos_ned_m[:, -1] - flown.pos_ned_m[:, 0] - moved)
 
 
 def _rms(x: F64) -> float | None:

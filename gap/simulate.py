@@ -12,9 +12,10 @@ A steady wind shows through the drag effects that the vehicle has; without one i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
@@ -22,7 +23,7 @@ from flightstack.vehicle import Vehicle, with_effects
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
-from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, track
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, step_commands, track
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
@@ -49,8 +50,9 @@ from sim.layout import (
 from sim.parameters import derive, parameter_row
 from sim.plant import evaluate_rows, run_rows, state_rows
 
-_CHUNK = 8192
+_CHUNK = 1024
 _STEP_SHARE = 0.02
+_TIMING_STEP_S = 0.001
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 _MOVES_ROTORS = ("motor_lag", "transport_delay")
 
@@ -132,6 +134,19 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     return out
 
 
+def timing(vehicle: Vehicle, samples: Samples) -> F64:
+    """d predict / d (commands act later), (N, 12) per second, through the common low-pass.
+
+    A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
+    """
+    flight = track(samples)
+    shown = [
+        _Run(vehicle, replace(flight, commands=step_commands(samples, flight.every, late_s))).shown(vehicle)
+        for late_s in (-_TIMING_STEP_S, _TIMING_STEP_S)
+    ]
+    return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
+
+
 def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """A parameter as the vehicle has it: the effect's, else its null value, else the vehicle's own; NaN where none."""
     spec = _spec(effect, parameter)
@@ -152,6 +167,7 @@ def _spec(effect: str, parameter: str) -> ParamSpec:
 
 
 def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
+    """Difference quotient of what is shown, (N, 12), before the low-pass."""
     centre = with_value(vehicle, knob.effect, knob.at) if knob.at else vehicle
     now = value(centre, knob.effect, knob.parameter)
     spec = _spec(knob.effect, knob.parameter)
@@ -159,11 +175,11 @@ def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
     high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
     up = with_value(centre, knob.effect, {knob.parameter: high})
     down = with_value(centre, knob.effect, {knob.parameter: low})
-    if knob.effect in _MOVES_ROTORS or knob.effect == "slung_load":
-        shown = _Run(up, base.track).shown(up) - _Run(down, base.track).shown(down)
-    else:
-        shown = base.shown(up) - base.shown(down)
-    return shown / (high - low)
+    if EFFECT_SPECS[knob.effect].kind == "sensor":
+        return (base.shown(up) - base.shown(down)) / (high - low)
+    own = knob.effect in _MOVES_ROTORS or knob.effect == "slung_load"
+    moved = [(_Run(v, base.track) if own else base).moved(params_row(v, base.track.step_s)) for v in (up, down)]
+    return base.felt(params_row(centre, base.track.step_s), (moved[0] - moved[1]) / (high - low))
 
 
 def params_row(vehicle: Vehicle, step_s: float) -> F64:
@@ -215,30 +231,45 @@ class _Run:
             part = self.state[at : at + _CHUNK]
             evaluate_rows(part, rows[: len(part)])
 
+    def moved(self, p: F64) -> F64:
+        """Specific force and angular acceleration (N, 6) of this parameter row at this run's states."""
+        flight = self.track
+        self._evaluate(p, true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p))
+        return self.state[:, S_FORCE : S_ANGULAR + 3].copy()
+
+    def felt(self, p: F64, moved: F64) -> F64:
+        """A motion (N, 6), or a change of it, as the sensors show it but for their biases; (N, 12)."""
+        flight = self.track
+        out = np.zeros((len(moved), COLUMNS))
+        out[:, :6] = moved
+        misalignment = attitude_misalignment.rotation(p)[None, :]
+        if flight.averaged[0]:
+            out[:, 0:3] = simpson(rotate(misalignment, out[:, 0:3], inverse=True))
+        out[:, 3:6] = simpson(out[:, 3:6])
+        if "rate_frd_radps" in flight.missing:
+            out[:, 3:6] = rotate(misalignment, out[:, 3:6], inverse=True)
+        out[:, flight.blind] = np.nan
+        return out
+
     def shown(self, vehicle: Vehicle) -> F64:
         """What the sensors would show (N, 12) with this vehicle's physics and sensor effects at this run's states."""
         flight = self.track
         p = params_row(vehicle, flight.step_s)
-        q, rate = true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p)
-        self._evaluate(p, q, rate)
-        force = self.state[:, S_FORCE : S_FORCE + 3]
-        angular = simpson(self.state[:, S_ANGULAR : S_ANGULAR + 3])
-        misalignment = attitude_misalignment.rotation(p)[None, :]
+        out = self.felt(p, self.moved(p))
         bias = accelerometer_bias.bias(p)
-        out = np.empty((len(self.state), COLUMNS))
-        if flight.averaged[0]:
-            out[:, 0:3] = simpson(rotate(misalignment, force, inverse=True))
-        else:
-            out[:, 0:3] = force + bias
-        out[:, 3:6] = rotate(misalignment, angular, inverse=True) if "rate_frd_radps" in flight.missing else angular
+        if not flight.averaged[0]:
+            out[:, 0:3] += bias
+        q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
         out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
         out[:, 9:12] = rotate(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2, inverse=True) + bias
-        out[:, np.isnan(flight.measured).all(axis=0)] = np.nan
+        out[:, flight.blind] = np.nan
         return out
 
 
 def true_attitude(p: F64, flight: Track) -> F64:
     """(N, 4) attitude without the misalignment of this parameter row."""
+    if not np.any(p[attitude_misalignment.ROLL : attitude_misalignment.YAW + 1]):
+        return flight.q_ned_frd
     return multiply(flight.q_ned_frd, conjugate(attitude_misalignment.rotation(p)))
 
 
@@ -278,7 +309,7 @@ class Rollout:
     Velocities and positions over ground, the attitude as the sensors would show it, true rates.
     """
 
-    starts: F64
+    starts: NDArray[np.int64]
     """(S,) index of the sample where each begins."""
     pos_ned_m: F64
     vel_ned_mps: F64
@@ -286,13 +317,13 @@ class Rollout:
     rate_frd_radps: F64
 
 
-def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | F64, horizon_s: float) -> Rollout:
+def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | NDArray[np.int64], horizon_s: float) -> Rollout:
     """Simulate from the measured state at each of these samples for `horizon_s` (rounded to samples)."""
     return rollouts([vehicle], samples, starts, horizon_s)[0]
 
 
 def rollouts(
-    vehicles: Sequence[Vehicle], samples: Samples, starts: Sequence[int] | F64, horizon_s: float
+    vehicles: Sequence[Vehicle], samples: Samples, starts: Sequence[int] | NDArray[np.int64], horizon_s: float
 ) -> list[Rollout]:
     """`rollout` of several vehicles over the same starts, all in one batch."""
     flight = track(samples)
@@ -305,10 +336,10 @@ def rollouts(
     for k in range(steps):
         batch.advance(k)
         shown[k + 1] = batch.state[:, :S_LOAD_DIR]
-    shown = shown.reshape(steps + 1, len(vehicles), len(at), S_LOAD_DIR).transpose(1, 2, 0, 3)
+    paths = shown.reshape(steps + 1, len(vehicles), len(at), S_LOAD_DIR).transpose(1, 2, 0, 3)
     out = []
     for i in range(len(vehicles)):
-        part = shown[i]
+        part = paths[i]
         q = multiply(part[:, :, S_Q : S_Q + 4], attitude_misalignment.rotation(batch.params[i * len(at)]))
         out.append(
             Rollout(at, part[:, :, S_POS : S_POS + 3], part[:, :, S_VEL : S_VEL + 3], q, part[:, :, S_RATE:S_LOAD_DIR])
@@ -321,7 +352,7 @@ class _Batch:
 
     __slots__ = ("_at", "_flight", "_voltage", "params", "state")
 
-    def __init__(self, vehicles: Sequence[Vehicle], flight: Track, at: F64) -> None:
+    def __init__(self, vehicles: Sequence[Vehicle], flight: Track, at: NDArray[np.int64]) -> None:
         self._at, self._flight = at, flight
         rows = [params_row(vehicle, flight.step_s) for vehicle in vehicles]
         entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
@@ -353,7 +384,7 @@ class _Batch:
             run_rows(self.state, self.params, _NO_NORMALS, 1)
 
 
-def _ring(flight: Track, at: F64, entries: int) -> F64:
+def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:
     """(S, 4 * entries) the commands before each start, the newest last."""
     before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
     commands = flight.commands[np.maximum(before, 0)]

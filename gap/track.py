@@ -29,6 +29,7 @@ CROSSOVER_HZ = 0.4
 SETTLE_S = 1.0
 """At the start of a log nobody knows what the rotors did before: never judged."""
 _SLOWEST_STEP_S = 0.004
+_HELD_SHARE = 0.3
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -55,6 +56,8 @@ class Track:
     """(N, 12) what the sensors say, before the low-pass; NaN columns where they don't."""
     averaged: tuple[bool, ...]
     """Of each of the six physical columns: is it measured by a central difference?"""
+    blind: NDArray[np.int64]
+    """Columns that the log can't measure."""
     usable: NDArray[np.bool_]
     """(N,) valid, rotors known, and away from gaps and ends by what the filters reach."""
     commands: F64
@@ -76,7 +79,7 @@ class Track:
 
 
 def simpson(x: F64) -> F64:
-    """Mean over the two steps round each sample along the first axis: what a central difference of the integral sees."""
+    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees."""
     out = x.copy()
     out[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
     return out
@@ -84,14 +87,21 @@ def simpson(x: F64) -> F64:
 
 def derivative(x: F64, dt_s: float) -> F64:
     """Central differences along the first axis, one-sided at the ends."""
-    return np.gradient(x, dt_s, axis=0)
+    return np.asarray(np.gradient(x, dt_s, axis=0))
 
 
 def rotate(q: F64, v: F64, *, inverse: bool = False) -> F64:
-    """Turn (N, 3) body vectors into the world by (N, 4) quaternions, or back."""
-    axis = -q[:, 1:] if inverse else q[:, 1:]
-    t = 2.0 * np.cross(axis, v)
-    return v + q[:, :1] * t + np.cross(axis, t)
+    """Turn (N, 3) body vectors into the world by (N, 4) or (1, 4) quaternions, or back."""
+    w, x, y, z = q.T
+    if inverse:
+        x, y, z = -x, -y, -z
+    vx, vy, vz = v.T
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    out = np.empty_like(v)
+    out[:, 0] = vx + w * tx + y * tz - z * ty
+    out[:, 1] = vy + w * ty + z * tx - x * tz
+    out[:, 2] = vz + w * tz + x * ty - y * tx
+    return out
 
 
 def multiply(a: F64, b: F64) -> F64:
@@ -119,7 +129,7 @@ def rotation_vector(q: F64) -> F64:
     q = np.where(q[:, :1] < 0.0, -q, q)
     norm = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
     angle = 2.0 * np.arctan2(norm, q[:, :1])
-    return q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0)
+    return np.asarray(q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0))
 
 
 @lru_cache(maxsize=8)
@@ -150,7 +160,7 @@ def track(samples: Samples) -> Track:
         measured[:, 6:9] = simpson(raw_rate)
     if not derived and not no_velocity and "q_ned_frd" not in missing:
         measured[:, 9:12] = simpson(force)
-    commands, every = _commands(samples)
+    every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
     smooth = _smooth_velocity(velocity, acc, derived or no_velocity or "q_ned_frd" in missing, cutoff, dt)
     return Track(
         samples,
@@ -166,8 +176,9 @@ def track(samples: Samples) -> Track:
         turn,
         measured,
         (derived,) * 3 + (True,) * 3,
+        np.flatnonzero(np.isnan(measured).all(axis=0)),
         _usable(samples, cutoff),
-        commands,
+        step_commands(samples, every),
         every,
         cutoff,
         missing,
@@ -184,6 +195,9 @@ def _filtered(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
     flat = columns.reshape(len(columns), -1)
     out = np.full_like(flat, np.nan)
     seen = np.isfinite(flat).any(axis=0)
+    still = seen & ~np.any(flat, axis=0)  # no need to filter nothing, and sensitivities are mostly that
+    out[:, still] = 0.0
+    seen &= ~still
     if not seen.any():
         return out.reshape(columns.shape)
     sos = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
@@ -232,7 +246,7 @@ def _integrated(rate: F64, dt_s: float) -> F64:
 
 
 def _complementary(slow: F64, rate: F64, crossover_hz: float, dt_s: float) -> F64:
-    """`slow` below the crossover, the integral of `rate` above it; no phase, and a constant error of `rate` is nothing."""
+    """`slow` below the crossover, the integral of `rate` above it: no phase, no drift by a constant error."""
     inertial = _integrated(rate, dt_s)
     return inertial + _filtered(slow - inertial, crossover_hz, dt_s)
 
@@ -244,7 +258,7 @@ def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]
     flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
     q = q * np.concatenate([[1.0], flips])[:, None]
     q = _filtered(q, cutoff_hz, samples.dt_s)
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 def _turn(q: F64, dt_s: float) -> F64:
@@ -255,15 +269,21 @@ def _turn(q: F64, dt_s: float) -> F64:
     return out
 
 
-def _commands(samples: Samples) -> tuple[F64, int]:
-    """Commands of the run-through's steps: interpolated, or held where the log itself holds them for several samples."""
+def step_commands(samples: Samples, every: int, late_s: float = 0.0) -> F64:
+    """(N * every, 4) commands of the run-through's steps, all `late_s` late.
+
+    Between samples they are interpolated: a log holds samples of a faster loop's commands.  Where the log itself holds
+    them for several samples, they are held.
+    """
     motor = _filled(samples.motor)
-    every = max(1, int(np.ceil(samples.dt_s / _SLOWEST_STEP_S - 1e-6)))
-    following = np.vstack([motor[1:], motor[-1:]])
-    repeated = np.mean(np.all(motor == following, axis=1))
-    share = (np.arange(every) + 0.5) / every * (0.0 if repeated > 0.3 else 1.0)
-    steps = motor[:, None, :] + share[None, :, None] * (following - motor)[:, None, :]
-    return np.ascontiguousarray(steps.reshape(-1, 4)), every
+    count = len(motor)
+    held = np.mean(np.all(motor[1:] == motor[:-1], axis=1)) > _HELD_SHARE
+    at = np.repeat(np.arange(count), every) + (0.0 if held else np.tile((np.arange(every) + 0.5) / every, count))
+    at = np.clip(at - late_s / samples.dt_s, 0.0, count - 1.0)
+    before = at.astype(np.int64)
+    share = (at - before)[:, None]
+    after = np.minimum(before + 1, count - 1)
+    return np.asarray((1.0 - share) * motor[before] + share * motor[after])
 
 
 def _usable(samples: Samples, cutoff_hz: float) -> NDArray[np.bool_]:
