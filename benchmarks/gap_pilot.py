@@ -30,8 +30,10 @@ R_SIZE = 16
 (m/s^2, upwards in the body), and 1 while the motors idle on the ground."""
 
 # --- the pilot's memory
-M_ACC_INTEGRAL, M_RATE_INTEGRAL, M_RATE_DEMAND, M_THRUST = 0, 3, 6, 9
-M_SIZE = 10
+M_ACC_INTEGRAL, M_RATE_INTEGRAL, M_RATE_DEMAND, M_THRUST, M_RATE = 0, 3, 6, 9, 10
+M_SIZE = 13
+_GYRO_S = 1.0 / (2.0 * math.pi * 40.0)
+"""The gyro's low-pass: 40 Hz."""
 
 
 def believed_row(vehicle: Vehicle, latency_s: float) -> F64:
@@ -122,8 +124,10 @@ def inner(b: F64, m: F64, rate: F64, dt: float, motor: F64) -> None:
             motor[i] = 0.05
         return
     torque = np.empty(3)
+    keep = math.exp(-dt / _GYRO_S)
     for j in range(3):
-        error = m[M_RATE_DEMAND + j] - rate[j]
+        m[M_RATE + j] = keep * m[M_RATE + j] + (1.0 - keep) * rate[j]
+        error = m[M_RATE_DEMAND + j] - m[M_RATE + j]
         share = 0.4 if j == 2 else 1.0
         m[M_RATE_INTEGRAL + j] += share * b[B_RATE_INTEGRAL] * error * dt
         m[M_RATE_INTEGRAL + j] = min(max(m[M_RATE_INTEGRAL + j], -40.0), 40.0)
