@@ -39,7 +39,7 @@ HEADER = (
 )
 RATES_HZ = (100, 125, 200, 250)
 IMU_MS = 4
-"""Gyro and accelerometer are means over so many milliseconds."""
+"""Gyro and accelerometer are means over so many milliseconds, half of them before the stamp."""
 TRIES = 20
 
 
@@ -134,7 +134,7 @@ def measure(
 
     def mean(columns: slice) -> F64:
         totals = np.cumsum(np.vstack([np.zeros(columns.stop - columns.start), rows[:, columns]]), axis=0)
-        end = np.clip(np.rint((t_s - late["imu"]) / (1e-6 * DT_US)).astype(int), IMU_MS, len(rows))
+        end = np.rint((t_s - late["imu"]) / (1e-6 * DT_US)).astype(int) + IMU_MS // 2
         return np.asarray((totals[end] - totals[end - IMU_MS]) / IMU_MS)
 
     biased = truth.effects.get("accelerometer_bias", {}), truth.effects.get("gyro_bias", {})
