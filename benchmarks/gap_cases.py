@@ -69,8 +69,10 @@ class Case:
     flown: Flown
 
 
-def make(kind: str, seed: int) -> Case:
+def make(kind: str, seed: int, *, plant: str = "native") -> Case:
     """A case of `kind`: clean, one:NAME, two, three, outside:NAME; a flight that crashes is drawn anew."""
+    if plant != "native":
+        raise ValueError(f"plant {plant}: blind cases fly on the native plant")
     for attempt in range(TRIES):
         rng = np.random.default_rng([seed, attempt, *kind.encode()])
         case = _make(kind, rng)

@@ -145,7 +145,7 @@ def _fly(
     normals: F64,
     log: F64,
 ) -> bool:
-    """The whole flight; `noise` (n_outer, 9) position, velocity, rate; `hold`: steps between commands; True: crashed."""
+    """The whole flight; `noise` (n_outer, 9) position, velocity, rate; `hold`: steps a command; True: crashed."""
     dt = 1e-6 * DT_US
     work = np.empty((3, EVALUATED))
     memory, force, slosh, base = np.zeros(M_SIZE), np.zeros(3), np.zeros(4), np.zeros(3)
@@ -232,9 +232,9 @@ def fly(
     gusty = bool(plant.params_row[turbulence.SIGMA] != 0.0)
     normals = rng.standard_normal((steps if gusty else 0, turbulence.NORMALS))
     log = np.zeros((steps, L_SIZE))
+    pilot = believed_row(believed, latency_s(truth) + 5e-4 * hold_ms)
     crashed = _fly(
-        plant.params_row, plant.state_row, believed_row(believed, latency_s(truth) + 5e-4 * hold_ms), hold_ms, reference, outside,
-        plant.misalignment_q, plant.gyro_bias_frd_radps, noise, normals, log,
+        plant.params_row, plant.state_row, pilot, hold_ms, reference, outside, plant.misalignment_q, plant.gyro_bias_frd_radps, noise, normals, log,
     )  # fmt: skip
     return Flown(log, bool(crashed))
 

@@ -32,7 +32,9 @@ def effects(report: GapReport) -> str:
         return '<p class="missing">Nothing: model and measurement agree within the noise.</p>'
     if report.learner:
         names = ", ".join(words.effect(name) for name in report.learner)
-        parts.append(f'<p class="note">The companion\'s model can\'t express {escape(names)}: its learner takes it.</p>')
+        parts.append(
+            f"<p class=\"note\">The companion's model can't express {escape(names)}: its learner takes it.</p>"
+        )
     return "".join(parts)
 
 
@@ -48,8 +50,8 @@ def _effect(found: Found) -> str:
     return (
         f'<div class="effect" data-effect="{escape(found.name)}"><h3>{escape(name[0].upper() + name[1:])}</h3>'
         f'<table class="parameters">{rows}</table>{twin}'
-        f'<p class="evidence">ΔBIC {words.number(found.delta_bic)}, explains {words.percent(found.holdout_gain)} of the held-out '
-        f"gap that can be explained, by chance {chance}</p></div>"
+        f'<p class="evidence">ΔBIC {words.number(found.delta_bic)}, explains {words.percent(found.holdout_gain)} of '
+        f"the held-out gap that can be explained, by chance {chance}</p></div>"
     )
 
 
@@ -82,7 +84,8 @@ def _range_svg(value: Estimate) -> str:
         span = f'<line class="span" x1="{x(value.low):.1f}" x2="{x(value.high):.1f}" y1="8" y2="8"/>'
     was = f'<line class="was" x1="{x(value.before):.1f}" x2="{x(value.before):.1f}" y1="2" y2="14"/>'
     return (
-        '<svg class="bar" viewBox="0 0 200 16" preserveAspectRatio="none"><line class="axis" x1="0" x2="200" y1="8" y2="8"/>'
+        '<svg class="bar" viewBox="0 0 200 16" preserveAspectRatio="none">'
+        '<line class="axis" x1="0" x2="200" y1="8" y2="8"/>'
         f'{span}<circle class="at" cx="{x(value.estimate):.1f}" cy="8" r="3.2"/>'
         f"{was if math.isfinite(value.before) else ''}</svg>"
     )
@@ -175,7 +178,7 @@ def _log(log: LogQuality) -> str:
     )
     offsets = "".join(f'<p class="finding">{escape(_offset(offset))}</p>' for offset in log.offsets)
     notes = "".join(f'<p class="finding note">{escape(note)}</p>' for note in log.notes)
-    return f"<h3>{escape(log.name)} <span class=\"note\">{escape(log.kind)}, {log.seconds:.1f} s used</span></h3>" + (
+    return f'<h3>{escape(log.name)} <span class="note">{escape(log.kind)}, {log.seconds:.1f} s used</span></h3>' + (
         findings + offsets + notes
     )
 

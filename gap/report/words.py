@@ -110,7 +110,9 @@ def _depends(unexplained: Unexplained) -> list[str]:
 
 
 def _doubt(found: tuple[Found, ...]) -> list[str]:
-    return [f"to settle which: {each.manoeuvre}" for each in found if each.indistinguishable_from and each.manoeuvre][:1]
+    return [f"to settle which: {each.manoeuvre}" for each in found if each.indistinguishable_from and each.manoeuvre][
+        :1
+    ]
 
 
 def percent(share: float) -> str:

@@ -1,4 +1,4 @@
-"""A gap analysis in closed form, as its report takes it: a payload and a drag that has a twin, a remainder, two logs."""
+"""A gap analysis in closed form, as its report takes it: a payload, a drag that has a twin, a remainder, a log."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def gap_result() -> GapReport:
                 "rotor_drag", {"k_d_kg_per_rad": Estimate(0.0, 1.6e-4, 1.4e-4, 1.8e-4)}, -310.0, 0.07, 1e-12,
                 ("linear_drag",), "fly excite-yaw-at-speed with turns of 2 g",
             ),
-            Found("rotor_fault", {"rotor": Estimate(2.0, 2.0, 2.0, 2.0), "effectiveness": Estimate(1.0, 0.9, 0.89, 0.91)},
+            Found("rotor_fault", {"rotor": Estimate(2, 2, 2, 2), "effectiveness": Estimate(1.0, 0.9, 0.89, 0.91)},
                   -90.0, 0.02, 1e-5),
         ),
-        rejected=(Rejected("induced_inflow", 6.1, "explains no more than its parameters cost"), Rejected("inertia", 3.0)),
+        rejected=(Rejected("induced_inflow", 6.1, "no more than its parameters cost"), Rejected("inertia", 3.0)),
         unexplained=Unexplained(True, ("position", "height"), 0.06),
         where=tuple(
             Where(signal, 1.9 / (k + 1), "m/s^2" if k < 3 else "rad/s^2", 0.15, "fast_forward", "airspeed")
@@ -62,7 +62,7 @@ def gap_result() -> GapReport:
                 ("columns as in the contract",),
             ),
         ),
-        checks=(("whiteness", "what is left is white to 12 Hz"), ("flown again", "0.11 m from the logged path, before 0.9 m")),
+        checks=(("whiteness", "what is left is white to 12 Hz"), ("flown again", "0.11 m from the logged path, was 0.9 m")),
         learner=("rotor_drag",),
         settings={"seed": "0"},
     )  # fmt: skip
