@@ -71,10 +71,8 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "constant_force": ("q_ned_frd",),
     "slung_load": ("q_ned_frd",),
     "attitude_misalignment": ("q_ned_frd",),
-    "accelerometer_bias": ("accel_frd_mps2",),
-    "gyro_bias": ("rate_frd_radps",),
-    "angular_damping": ("rate_frd_radps",),
-    "rotor_gyroscopic": ("rate_frd_radps",),
+    "accelerometer_bias": ("accel_frd_mps2", "vel_ned_mps", "q_ned_frd"),
+    "gyro_bias": ("rate_frd_radps", "q_ned_frd"),
 }
 """Signals without which a log can't show an effect, whatever is flown."""
 
@@ -140,11 +138,14 @@ def timing(vehicle: Vehicle, samples: Samples) -> F64:
     A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
     """
     flight = track(samples)
-    shown = [
-        _Run(vehicle, replace(flight, commands=step_commands(samples, flight.every, late_s))).shown(vehicle)
-        for late_s in (-_TIMING_STEP_S, _TIMING_STEP_S)
-    ]
+    shown = [_Run(vehicle, later(flight, change_s)).shown(vehicle) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
     return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
+
+
+def later(flight: Track, late_s: float) -> Track:
+    """The flight with its commands acting this much later still."""
+    samples = flight.samples
+    return replace(flight, commands=step_commands(samples, flight.every, samples.command_late_s + late_s))
 
 
 def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
@@ -243,8 +244,10 @@ class _Run:
         out = np.zeros((len(moved), COLUMNS))
         out[:, :6] = moved
         misalignment = attitude_misalignment.rotation(p)[None, :]
+        if "accel_frd_mps2" in flight.missing:
+            out[:, 0:3] = rotate(misalignment, out[:, 0:3], inverse=True)
         if flight.averaged[0]:
-            out[:, 0:3] = simpson(rotate(misalignment, out[:, 0:3], inverse=True))
+            out[:, 0:3] = simpson(out[:, 0:3])
         out[:, 3:6] = simpson(out[:, 3:6])
         if "rate_frd_radps" in flight.missing:
             out[:, 3:6] = rotate(misalignment, out[:, 3:6], inverse=True)
@@ -257,7 +260,7 @@ class _Run:
         p = params_row(vehicle, flight.step_s)
         out = self.felt(p, self.moved(p))
         bias = accelerometer_bias.bias(p)
-        if not flight.averaged[0]:
+        if "accel_frd_mps2" not in flight.missing:
             out[:, 0:3] += bias
         q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
         out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)

@@ -30,6 +30,7 @@ SETTLE_S = 1.0
 """At the start of a log nobody knows what the rotors did before: never judged."""
 _SLOWEST_STEP_S = 0.004
 _HELD_SHARE = 0.3
+_SAME_MPS2 = 1e-6
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -66,7 +67,7 @@ class Track:
     """Steps of the run-through in a sample."""
     cutoff_hz: float
     missing: frozenset[str]
-    """Names of signals that the log lacks."""
+    """Names of signals that the log lacks, those derived from others included."""
 
     @property
     def step_s(self) -> float:
@@ -121,7 +122,13 @@ def multiply(a: F64, b: F64) -> F64:
 
 def conjugate(q: F64) -> F64:
     """Inverse of unit quaternions (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def turned(phi: F64) -> F64:
+    """(N, 4) unit quaternions of (N, 3) rotation vectors."""
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    return np.hstack([np.cos(half), 0.5 * phi * np.sinc(half / np.pi)])
 
 
 def rotation_vector(q: F64) -> F64:
@@ -136,53 +143,80 @@ def rotation_vector(q: F64) -> F64:
 def track(samples: Samples) -> Track:
     """Make a flight ready; kept for the last few flights, as every step of the workflow asks for it."""
     dt = samples.dt_s
-    missing = frozenset(
-        name
-        for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
-        if not np.isfinite(getattr(samples, name)).any()
-    ) | (frozenset() if np.any(samples.battery_v > 0.0) else frozenset({"battery_v"}))
+    missing = _missing(samples)
     cutoff = _cutoff(samples)
     q = _smooth_attitude(samples, cutoff, missing)
     turn = _turn(q, dt)
-    raw_rate = turn if "rate_frd_radps" in missing else _filled(samples.rate_frd_radps)
+    rate = turn if "rate_frd_radps" in missing else _filled(samples.rate_frd_radps)
     velocity = _velocity(samples, missing)
     vel_rate = derivative(velocity, dt)
-    derived = "accel_frd_mps2" in missing or "accel_frd_mps2" in samples.derived
-    kinematic_force = rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True)
-    force = kinematic_force if derived else _filled(samples.accel_frd_mps2)
+    force, differentiated = _force(samples, q, vel_rate, missing)
     acc = rotate(q, force) + GRAVITY_NED_MPS2
-    measured = np.full((len(q), COLUMNS), np.nan)
-    no_velocity = "vel_ned_mps" in missing and "pos_ned_m" in missing
-    if not derived or not no_velocity:
-        measured[:, 0:3] = force
-    measured[:, 3:6] = derivative(raw_rate, dt)
-    if "rate_frd_radps" not in missing and "q_ned_frd" not in missing:
-        measured[:, 6:9] = simpson(raw_rate)
-    if not derived and not no_velocity and "q_ned_frd" not in missing:
-        measured[:, 9:12] = simpson(force)
+    inertial = not differentiated and not {"q_ned_frd", "vel_ned_mps"} & missing
+    smooth = (
+        _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff), dt) if inertial else _filtered(velocity, cutoff, dt)
+    )
+    path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
+    measured = _measured(force, rate, dt, missing, differentiated)
     every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
-    smooth = _smooth_velocity(velocity, acc, derived or no_velocity or "q_ned_frd" in missing, cutoff, dt)
     return Track(
         samples,
-        _position(samples, missing),
-        _integrated(smooth, dt)
-        if "pos_ned_m" in missing
-        else _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt),
+        _position(path, samples, missing),
+        _integrated(smooth, dt) if "pos_ned_m" in missing else path,
         smooth,
         q,
-        _filtered(raw_rate, cutoff, dt),
+        _filtered(rate, cutoff, dt),
         acc,
         vel_rate,
         turn,
         measured,
-        (derived,) * 3 + (True,) * 3,
+        (differentiated,) * 3 + (True,) * 3,
         np.flatnonzero(np.isnan(measured).all(axis=0)),
         _usable(samples, cutoff),
-        step_commands(samples, every),
+        step_commands(samples, every, samples.command_late_s),
         every,
         cutoff,
         missing,
     )
+
+
+def _missing(samples: Samples) -> frozenset[str]:
+    names = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
+    gone = {name for name in names if not np.isfinite(getattr(samples, name)).any()}
+    gone |= {name for name in ("rate_frd_radps", "accel_frd_mps2") if name in samples.derived}
+    if "vel_ned_mps" in gone and "pos_ned_m" not in gone:
+        gone.remove("vel_ned_mps")
+    return frozenset(gone if np.any(samples.battery_v > 0.0) else gone | {"battery_v"})
+
+
+def _force(samples: Samples, q: F64, vel_rate: F64, missing: frozenset[str]) -> tuple[F64, bool]:
+    """Measured specific force (N, 3), and whether it is the velocity's derivative.
+
+    A derived one is turned again with the smoothed attitude; it may also come from an acceleration that was logged.
+    """
+    if "accel_frd_mps2" not in missing:
+        return _filled(samples.accel_frd_mps2), False
+    if not np.isfinite(samples.accel_frd_mps2).any():
+        return rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True), True
+    raw = _filled(samples.q_ned_frd)
+    acc = rotate(raw / np.linalg.norm(raw, axis=1, keepdims=True), _filled(samples.accel_frd_mps2)) + GRAVITY_NED_MPS2
+    if np.median(np.abs(acc - vel_rate)) < _SAME_MPS2:
+        acc = vel_rate
+    return rotate(q, acc - GRAVITY_NED_MPS2, inverse=True), acc is vel_rate
+
+
+def _measured(force: F64, rate: F64, dt_s: float, missing: frozenset[str], differentiated: bool) -> F64:
+    """(N, 12) before the low-pass."""
+    out = np.full((len(force), COLUMNS), np.nan)
+    if not differentiated or not {"q_ned_frd", "vel_ned_mps"} & missing:
+        out[:, 0:3] = force
+    if not {"rate_frd_radps", "q_ned_frd"} <= missing:
+        out[:, 3:6] = derivative(rate, dt_s)
+    if not {"rate_frd_radps", "q_ned_frd"} & missing:
+        out[:, 6:9] = simpson(rate)
+    if not {"accel_frd_mps2", "vel_ned_mps", "q_ned_frd"} & missing:
+        out[:, 9:12] = simpson(force)
+    return out
 
 
 def _cutoff(samples: Samples) -> float:
@@ -219,23 +253,16 @@ def _filled(x: F64) -> F64:
     return out
 
 
-def _position(samples: Samples, missing: frozenset[str]) -> F64:
-    pos = _filled(samples.pos_ned_m).copy()
+def _position(path: F64, samples: Samples, missing: frozenset[str]) -> F64:
+    pos = path.copy()
     pos[:, 2] = -_HIGH_M if "height_m" in missing else -_filled(samples.height_m[:, None])[:, 0]
     return pos
 
 
 def _velocity(samples: Samples, missing: frozenset[str]) -> F64:
-    if "vel_ned_mps" in missing and "pos_ned_m" not in missing:
+    if not np.isfinite(samples.vel_ned_mps).any() and "pos_ned_m" not in missing:
         return derivative(_filled(samples.pos_ned_m), samples.dt_s)
     return _filled(samples.vel_ned_mps)
-
-
-def _smooth_velocity(velocity: F64, acc: F64, alone: bool, cutoff_hz: float, dt_s: float) -> F64:
-    """Measured velocity at low frequencies, integrated acceleration at high ones; the low-passed one if `alone`."""
-    if alone:
-        return _filtered(velocity, cutoff_hz, dt_s)
-    return _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff_hz), dt_s)
 
 
 def _integrated(rate: F64, dt_s: float) -> F64:

@@ -1,0 +1,281 @@
+"""Name what is missing: the effects that explain the residuals of these flights, or none.
+
+    search (gap.naming.search)  ->  which subset explains most for its price, every one fitted in earnest
+    verdict (this file)         ->  what of it may be said: significant, constant, better on held-out data, not a proxy
+    classes (gap.classes)       ->  what else would explain the flights as well
+    remainder (gap.remainder)   ->  what is left and on what it depends; too much of it, and nothing is named
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.classes import alternatives, splitting_manoeuvre
+from gap.compare import residual
+from gap.locate import locate
+from gap.naming.bench import SimulatorBench, simulator_bench
+from gap.naming.candidates import negligible
+from gap.naming.drivers import block_means
+from gap.naming.estimate import Estimates, estimate
+from gap.naming.evidence import fit_subsets
+from gap.naming.search import Fit, Search, search
+from gap.naming.whitening import Mask
+from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
+from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
+from gap.simulate import Knob, sensitivities, value
+
+_LEAST_EVIDENCE = 25.0
+"""Fall of the score from which an effect is named."""
+_LEAST_P = 1e-4
+"""After Holm's correction for all candidates."""
+_LEAST_SIZES = 3.0
+"""Smallest effect that is named, in negligible sizes."""
+_NOT_CONSTANT_P = 1e-6
+_ABSTAIN_SHARE = 0.15
+"""Of what can be explained, the part that depends on something else than the named effects."""
+_TOLD_SHARE = 0.1
+_CI = 1.959964
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Naming:
+    """The verdict."""
+
+    found: tuple[Found, ...]
+    """Strongest first; empty where model and flights agree, and where too much stays unexplained."""
+    rejected: tuple[Rejected, ...]
+    """Every other effect of the table, and why not."""
+    vehicle: Vehicle
+    """The vehicle with the found effects at their estimates; the given one where nothing was found."""
+    unexplained: Unexplained
+    where: tuple[Where, ...]
+
+
+def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
+    """Name the missing effects of `vehicle` from flights; masks (N,) by flight: samples to learn from, to judge by.
+
+    The masks must leave a guard of two seconds between them.  Samples that are not `valid` are never used.  Nothing
+    raises on odd data: what can't be judged is not named.
+    """
+    valid = [s.valid for s in flights]
+    bench = simulator_bench(
+        vehicle,
+        flights,
+        [m & v for m, v in zip(fit, valid, strict=True)],
+        [m & v for m, v in zip(holdout, valid, strict=True)],
+    )
+    where = locate([residual(vehicle, s) for s in flights], flights)
+    if not any(m.any() for m in bench.fit):
+        return Naming((), (), vehicle, Unexplained(False), where)
+    state = search(bench, vehicle)
+    best = _pruned(state)
+    judged = _judge(state, best)
+    rests = _rests(bench, vehicle, judged.estimates)
+    told = {group: r for group, r in rests.items() if r.drivers and r.share > _TOLD_SHARE}
+    abstain = any(r.share > _ABSTAIN_SHARE for r in told.values())
+    unexplained = _unexplained(told, rests)
+    if abstain or not judged.found:
+        reason = "too much is left that depends on something else" if abstain else ""
+        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where)
+    return Naming(
+        judged.found,
+        _rejected(state, best, tuple(f.name for f in judged.found), ""),
+        judged.estimates.vehicle,
+        unexplained,
+        where,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    found: tuple[Found, ...]
+    estimates: Estimates
+
+
+def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+    """Chi-square of the named effects but one, the others fitted again, on the columns at the best."""
+    point = state.point
+    members = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects and c.effect != gone)
+    gram = point.gram()
+    subset = fit_subsets(gram, [members], point.columns, point.low, point.high)[0]
+    return gram.c - (subset.gain if np.isfinite(subset.gain) else 0.0)
+
+
+def _pruned(state: Search) -> Fit:
+    """The best fit, less the members whose own evidence is too thin or whose size is trifling."""
+    best = state.best
+    while best.effects:
+        weakest, drop = "", np.inf
+        for effect in best.effects:
+            fall = _evidence(state, best, effect)
+            if _size(state, best, effect) < _LEAST_SIZES:
+                fall = min(fall, 0.0)
+            if fall < drop:
+                weakest, drop = effect, fall
+        if drop >= _LEAST_EVIDENCE:
+            return best
+        rest_of = frozenset(best.effects) - {weakest}
+        same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
+        best = min(same, key=lambda f: f.score) if same else _refit(state, best, weakest)
+    return best
+
+
+def _evidence(state: Search, best: Fit, effect: str) -> float:
+    """By how much the score would rise without the effect."""
+    used = len(best.effects[effect])
+    price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
+    return _without(state, best.effects, effect) - best.chi2 - float(price)
+
+
+def _refit(state: Search, best: Fit, gone: str) -> Fit:
+    left = {e: v for e, v in best.effects.items() if e != gone}
+    made = estimate(state, left)
+    effects = {e: dict(made.vehicle.effects[e]) for e in left}
+    return Fit(effects, made.vehicle, made.rows, state.metric.chi2(made.rows), len(made.slots), np.inf)
+
+
+def _size(state: Search, best: Fit, effect: str) -> float:
+    """The effect's largest change in negligible sizes."""
+    sizes = []
+    for spec in EFFECT_SPECS[effect].params:
+        origin = value(state.start, effect, spec.name)
+        if not spec.integer and not spec.required and np.isfinite(origin):
+            change = abs(best.effects[effect][spec.name] - origin)
+            sizes.append(change / negligible(best.vehicle, effect, spec.name))
+    return max(sizes, default=0.0)
+
+
+def _judge(state: Search, best: Fit) -> _Judged:
+    made = estimate(state, best.effects)
+    if not best.effects:
+        return _Judged((), made)
+    chosen, held = state.point.fit_rows(), state.point.layout.keep & state.point.layout.held
+    start_rows = state.point.layout.stack(state.bench.residual(state.start))
+    gaps = _gap(start_rows, held), _gap(made.rows, held)
+    found = []
+    count = len(EFFECT_SPECS)
+    for effect in best.effects:
+        mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
+        fall = _evidence(state, best, effect)
+        p_value = _p_value(made, mine, state)
+        others = alternatives(state, best, effect)
+        lost = _held_out_loss(state, made, mine, held)
+        gain = lost / max(gaps[0] - gaps[1] + 1e-9, lost, 1e-9)
+        if p_value * count > _LEAST_P or lost <= 0.0:
+            continue
+        found.append(
+            (
+                fall,
+                Found(
+                    effect,
+                    _parameters(state, made, effect),
+                    -fall,
+                    float(gain),
+                    p_value,
+                    others,
+                    splitting_manoeuvre((effect, *others)) if others else "",
+                ),
+            )
+        )
+    if len(found) < len(best.effects):
+        left = {f.name: best.effects[f.name] for _, f in found}
+        made = estimate(state, left)
+    found.sort(key=lambda item: -item[0])
+    return _Judged(tuple(f for _, f in found), made)
+
+
+def _gap(rows: F64, chosen: Mask) -> float:
+    return float(rows[chosen] @ rows[chosen])
+
+
+def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) -> float:
+    """How much worse the held-out rows would be predicted without these coefficients, to first order."""
+    if not held.any():
+        return 1.0
+    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
+    moved = np.where(np.isfinite(origin), made.values[mine] - np.nan_to_num(origin), 0.0)
+    without = made.rows[held] + made.x[held][:, mine] @ moved
+    return float(without @ without) - _gap(made.rows, held)
+
+
+def _p_value(made: Estimates, mine: list[int], state: Search) -> float:
+    """Wald test of the effect's coefficients against where they started."""
+    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
+    use = [i for i, o in zip(mine, origin, strict=True) if np.isfinite(o) and made.covariance[i, i] > 0.0]
+    if not use:
+        return 1.0
+    d = made.values[use] - np.array([value(state.start, *made.slots[i]) for i in use])
+    covariance = made.covariance[np.ix_(use, use)]
+    statistic = float(d @ np.linalg.pinv(covariance, hermitian=True) @ d)
+    return float(chi2_distribution.sf(statistic, len(use)))
+
+
+def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:
+    found: dict[str, Estimate] = {}
+    for spec in EFFECT_SPECS[effect].params:
+        before = value(state.start, effect, spec.name)
+        now = value(made.vehicle, effect, spec.name)
+        if spec.integer:
+            found[spec.name] = Estimate(before, now, now, now)
+            continue
+        i = made.slots.index((effect, spec.name))
+        reach = _CI * float(np.sqrt(max(made.covariance[i, i], 0.0)))
+        if reach == 0.0:
+            found[spec.name] = Estimate(before, now, spec.minimum, spec.maximum)
+        else:
+            found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
+    return found
+
+
+def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
+    masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
+    after = [residual(made.vehicle, s).y for s in bench.flights]
+    before = [residual(start, s).y for s in bench.flights]
+    columns = [sensitivities(made.vehicle, s, [Knob(e, p) for e, p in made.slots]) for s in bench.flights]
+    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
+    first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    return {group: rest(first.y, blocks, group) for group in GROUPS}
+
+
+def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:
+    return list(zip(bench.flights, bench.fit, bench.holdout, bench.every, strict=True))
+
+
+def _unexplained(told: Mapping[str, Rest], rests: Mapping[str, Rest]) -> Unexplained:
+    fraction = max((r.share for r in rests.values()), default=0.0)
+    drivers: list[str] = []
+    for r in sorted(told.values(), key=lambda r: -r.driven):
+        drivers += [d for d in r.drivers if d not in drivers]
+    return Unexplained(bool(told), tuple(drivers), float(fraction))
+
+
+def _rejected(state: Search, best: Fit, found: tuple[str, ...], reason: str) -> tuple[Rejected, ...]:
+    """Every effect that was not named with what it would change on top of those that were."""
+    point = state.point
+    gram = point.gram()
+    base = tuple(m for m, c in enumerate(point.candidates) if c.effect in best.effects)
+    without = fit_subsets(gram, [base], point.columns, point.low, point.high)[0]
+    out = []
+    for effect in EFFECT_SPECS:
+        if effect in found:
+            continue
+        if effect in best.effects:
+            out.append(Rejected(effect, -_evidence(state, best, effect), reason or "too thin"))
+            continue
+        tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]
+        if not tried:
+            out.append(Rejected(effect, 0.0, "this log can't show it"))
+            continue
+        subsets = fit_subsets(gram, tried, point.columns, point.low, point.high)
+        gains = [s.gain - without.gain - (s.used - without.used) * np.log(gram.rows) for s in subsets]
+        gain = max((g for g in gains if np.isfinite(g)), default=0.0)
+        out.append(Rejected(effect, float(-gain), reason or "explains nothing more"))
+    return tuple(out)

@@ -1,0 +1,60 @@
+"""The flights as a bench (`gap.naming.design.Bench`): residuals and columns through the simulator, thinned out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.compare import residual
+from gap.naming.inputs import with_smooth_commands
+from gap.naming.whitening import Mask
+from gap.records import Samples
+from gap.simulate import Knob, sensitivities
+from gap.track import track
+
+SMOOTH = False
+_ROWS_PER_CUTOFF = 2.5
+"""Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatorBench:
+    """Several flights at their own rates, each thinned to what its low-pass leaves."""
+
+    flights: tuple[Samples, ...]
+    every: tuple[int, ...]
+    """Samples for each row, by flight."""
+    fit: list[Mask]
+    holdout: list[Mask]
+
+    def residual(self, vehicle: Vehicle) -> list[F64]:
+        """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
+        return [residual(vehicle, s).y[::k] for s, k in zip(self.flights, self.every, strict=True)]
+
+    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+        """Derivatives of the simulated (N, 12, K) of each flight."""
+        return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
+
+    def rate(self, flight: int) -> float:
+        """Rows a second of one flight."""
+        return 1.0 / (self.flights[flight].dt_s * self.every[flight])
+
+    def times(self) -> list[F64]:
+        """(N,) seconds of the rows of each flight."""
+        return [s.t_s[::k] for s, k in zip(self.flights, self.every, strict=True)]
+
+
+def simulator_bench(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> SimulatorBench:
+    """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
+    flights = [with_smooth_commands(s, vehicle) for s in flights] if SMOOTH else list(flights)
+    every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
+    return SimulatorBench(
+        tuple(flights),
+        every,
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
+    )
