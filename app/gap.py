@@ -33,14 +33,11 @@ def find_gap(
     """Run the workflow and write its three files into `options.out`; InputError, one line, where that can't be done."""
     from gap.workflow import analyse
 
-    from app.compiled import ensure_compiled
-
     vehicle, file = files.load_vehicle(options.vehicle)
     for path in (*options.logs, *options.holdout):
         if not path.is_file():
             raise InputError(f"log {path}: there is no such file; check the path")
     _make_folder(options.out)
-    ensure_compiled(lambda text: on_progress(0.0, text))
     result = analyse(
         options.logs,
         vehicle,

@@ -19,7 +19,6 @@ from sim.effects import turbulence
 from sim.layout import (
     D_GAIN,
     D_INERTIA,
-    D_MASS,
     EVALUATED,
     S_ANGULAR,
     S_COMMAND,
@@ -234,12 +233,7 @@ def fly(
     log = np.zeros((steps, L_SIZE))
     pilot = believed_row(believed, latency_s(truth) + 5e-4 * hold_ms)
     crashed = _fly(
-        plant.params_row, plant.state_row, pilot, hold_ms, reference, outside, plant.misalignment_q, plant.gyro_bias_frd_radps, noise, normals, log,
+        plant.params_row, plant.state_row, pilot, hold_ms, reference, outside, plant.misalignment_q,
+        plant.gyro_bias_frd_radps, noise, normals, log,
     )  # fmt: skip
     return Flown(log, bool(crashed))
-
-
-def slosh_mass_kg(truth: Vehicle, share: float) -> float:
-    """That share of what flies."""
-    plant = NativePlant(truth, seed=0)
-    return float(share * plant.params_row[D_MASS])

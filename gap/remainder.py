@@ -70,9 +70,7 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
         best_names: tuple[str, ...] = ()
         driven = 0.0
     else:
-        best_names = tuple(
-            sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0])
-        )
+        best_names = tuple(sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0]))
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     return Rest(power_before, power_after, driven, best_names)

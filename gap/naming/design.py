@@ -228,4 +228,3 @@ def _layout(bench: Bench, errors: list[F64], ok: list[Mask]) -> Layout:
         np.concatenate(held or none).astype(bool),
         np.concatenate(keep or none).astype(bool),
     )
-

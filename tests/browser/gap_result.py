@@ -62,7 +62,7 @@ def gap_result() -> GapReport:
                 ("columns as in the contract",),
             ),
         ),
-        checks=(("whiteness", "what is left is white to 12 Hz"), ("flown again", "0.11 m from the logged path, was 0.9 m")),
+        checks=(("whiteness", "white to 12 Hz"), ("flown again", "0.11 m from the logged path, was 0.9 m")),
         learner=("rotor_drag",),
         settings={"seed": "0"},
     )  # fmt: skip

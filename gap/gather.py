@@ -1,0 +1,116 @@
+"""What the page shows beside the result itself: the waterfall's steps, regimes, curves over time, data quality."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flightstack.model import Model
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle, with_effects
+from gap import pooled
+from gap.compare import residual, sensor_noise
+from gap.locate import regimes
+from gap.name import Naming
+from gap.pooled import Mask, Split
+from gap.records import REGIMES, SIGNALS, Checked, Gap
+from gap.report.record import GapReport, LogQuality, RegimeRow, Step, Trace
+from gap.simulate import predict
+from gap.track import track
+
+_LEAST_REGIME_S = 0.5
+_COLUMNS = len(SIGNALS)
+
+
+def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence[Checked], sentence: str) -> GapReport:
+    """Everything the page shows; `logs` in the order of the split's flights."""
+    drawn = _drawn_first(of)
+    return GapReport(
+        sentence=sentence,
+        vehicle=vehicle.name,
+        gap=gap,
+        found=naming.found,
+        rejected=naming.rejected,
+        unexplained=naming.unexplained,
+        where=naming.where,
+        steps=_steps(vehicle, naming, of, gap),
+        regimes=_regimes(vehicle, naming.vehicle, of),
+        traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
+        logs=tuple(_quality(checked) for checked in logs),
+        learner=_left_to_learner(naming),
+    )
+
+
+def _drawn_first(of: Split) -> list[int]:
+    """The flight that holds most of what is held out."""
+    return [int(np.argmax([int(mask.sum()) for mask in of.holdout]))]
+
+
+def _steps(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Step, ...]:
+    """The held-out figures with one effect after the other, each at its final values."""
+    steps = [Step("", gap.before)]
+    now = vehicle
+    for found in naming.found:
+        now = with_effects(now, {found.name: naming.vehicle.effects[found.name]})
+        last = found is naming.found[-1]
+        steps.append(Step(found.name, gap.after if last else pooled.figures(now, of)))
+    return tuple(steps)
+
+
+def _regimes(before: Vehicle, after: Vehicle, of: Split) -> tuple[RegimeRow, ...]:
+    """Rms by regime and channel over all that was flown."""
+    was = [residual(before, samples).y[:, :_COLUMNS] for samples in of.flights]
+    now = [residual(after, samples).y[:, :_COLUMNS] for samples in of.flights]
+    masks = [regimes(samples) for samples in of.flights]
+    rows = []
+    for regime in REGIMES:
+        chosen = [m[regime] & s.valid for m, s in zip(masks, of.flights, strict=True)]
+        seconds = sum(float(m.sum()) * s.dt_s for m, s in zip(chosen, of.flights, strict=True))
+        if seconds >= _LEAST_REGIME_S:
+            rows.append(RegimeRow(regime, seconds, _rms(was, chosen), _rms(now, chosen)))
+    return tuple(rows)
+
+
+def _rms(values: list[F64], masks: list[Mask]) -> F64:
+    rows = np.concatenate([y[m] for y, m in zip(values, masks, strict=True)])
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    total = np.where(known, rows, 0.0) ** 2
+    return np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan)
+
+
+def _trace(before: Vehicle, after: Vehicle, of: Split, k: int) -> Trace:
+    """One flight's channels as the figures see them."""
+    samples = of.flights[k]
+    flight = track(samples)
+    curves = [flight.lowpass(x)[:, :_COLUMNS] for x in (flight.measured, predict(before, samples))]
+    curves.append(flight.lowpass(predict(after, samples))[:, :_COLUMNS])
+    curves[0] = np.where(flight.usable[:, None], curves[0], np.nan)
+    t_s = samples.t_s - samples.t_s[0]
+    return Trace(samples.name, t_s, *curves, sensor_noise(samples)[:_COLUMNS], _spans(t_s, of.holdout[k]))
+
+
+def _spans(t_s: F64, mask: Mask) -> tuple[tuple[float, float], ...]:
+    """First and last time of each stretch of a mask; stretches less than a second apart are one."""
+    edges = np.diff(np.concatenate([[0], mask.astype(int), [0]]))
+    spans: list[list[float]] = []
+    for start, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True):
+        if spans and t_s[start] - spans[-1][1] < 1.0:
+            spans[-1][1] = float(t_s[end])
+        else:
+            spans.append([float(t_s[start]), float(t_s[end])])
+    return tuple((start, end) for start, end in spans)
+
+
+def _quality(checked: Checked) -> LogQuality:
+    samples = checked.samples
+    seconds = 0.0 if samples is None else float(samples.valid.sum()) * samples.dt_s
+    flight = checked.flight
+    return LogQuality(flight.name, flight.kind, seconds, checked.findings, checked.offsets, flight.notes)
+
+
+def _left_to_learner(naming: Naming) -> tuple[str, ...]:
+    """Found effects that the companion's model can't express."""
+    left = Model.from_vehicle(naming.vehicle).left_to_learner
+    return tuple(found.name for found in naming.found if found.name in left)
