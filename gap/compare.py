@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import Figures, Residual, Samples
-from gap.simulate import params_row, predict, rollout, true_attitude
+from gap.rollouts import rollout
+from gap.simulate import params_row, predict, true_attitude
 from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, multiply, rotate, track, turned
 from sim.effects import accelerometer_bias, gyro_bias
 

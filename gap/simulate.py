@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
@@ -27,15 +26,11 @@ from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rot
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
+    D_TAU,
     P_DT,
-    P_EMPTY_V,
     P_FULL_V,
     P_HAS_BATTERY,
-    P_RESISTANCE,
     S_ANGULAR,
-    S_CHARGE,
-    S_COMMAND,
-    S_CURSOR,
     S_FORCE,
     S_LOAD_DIR,
     S_POS,
@@ -48,7 +43,7 @@ from sim.layout import (
     S_VOLTAGE,
 )
 from sim.parameters import derive, parameter_row
-from sim.plant import evaluate_rows, run_rows, state_rows
+from sim.plant import evaluate_rows, state_rows
 
 _CHUNK = 1024
 _STEP_SHARE = 0.02
@@ -105,7 +100,7 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     says (rad/s), 9-11 specific force as the velocity's derivative says (m/s^2); all body FRD, each as its sensor
     shows it.  Compare with `gap.track.track(samples).measured`, both through its `lowpass`.
     """
-    run = _Run(vehicle, track(samples))
+    run = Run(vehicle, track(samples))
     return run.shown(vehicle)
 
 
@@ -123,7 +118,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     NaN; an effect that the log can't show (`unseen`) is 0 everywhere.
     """
     flight = track(samples)
-    base = _Run(vehicle, flight)
+    base = Run(vehicle, flight)
     count = len(range(0, len(samples.t_s), every))
     out = np.zeros((count, COLUMNS, len(columns)))
     for k, knob in enumerate(columns):
@@ -138,7 +133,7 @@ def timing(vehicle: Vehicle, samples: Samples) -> F64:
     A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
     """
     flight = track(samples)
-    shown = [_Run(vehicle, later(flight, change_s)).shown(vehicle) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
+    shown = [Run(vehicle, later(flight, change_s)).shown(vehicle) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
     return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
 
 
@@ -167,7 +162,7 @@ def _spec(effect: str, parameter: str) -> ParamSpec:
     return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
 
 
-def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
+def _difference(vehicle: Vehicle, base: Run, knob: Knob) -> F64:
     """Difference quotient of what is shown, (N, 12), before the low-pass."""
     centre = with_value(vehicle, knob.effect, knob.at) if knob.at else vehicle
     now = value(centre, knob.effect, knob.parameter)
@@ -179,7 +174,7 @@ def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
     if EFFECT_SPECS[knob.effect].kind == "sensor":
         return (base.shown(up) - base.shown(down)) / (high - low)
     own = knob.effect in _MOVES_ROTORS or knob.effect == "slung_load"
-    moved = [(_Run(v, base.track) if own else base).moved(params_row(v, base.track.step_s)) for v in (up, down)]
+    moved = [(Run(v, base.track) if own else base).moved(params_row(v, base.track.step_s)) for v in (up, down)]
     return base.felt(params_row(centre, base.track.step_s), (moved[0] - moved[1]) / (high - low))
 
 
@@ -192,16 +187,21 @@ def params_row(vehicle: Vehicle, step_s: float) -> F64:
     return p
 
 
-class _Run:
+class Run:
     """One vehicle run through one flight: what is remembered at every sample, and the state rows to evaluate at."""
 
     __slots__ = ("load", "state", "track", "u", "voltage")
 
-    def __init__(self, vehicle: Vehicle, flight: Track) -> None:
+    def __init__(self, vehicle: Vehicle, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
+        """`known`: rotors' states that were run through before, by what they depend on; they are taken and kept."""
         self.track = flight
         p = params_row(vehicle, flight.step_s)
         count = len(flight.samples.t_s)
-        self.u = _rotors(p, flight)
+        known = {} if known is None else known
+        key = (float(id(flight.commands)), p[D_TAU], p[D_DELAY_STEPS])
+        if key not in known:
+            known[key] = _rotors(p, flight)
+        self.u = known[key]
         self.load = _load(p, flight)
         self.voltage = flight.samples.battery_v
         self.state = np.zeros((count, S_RING))
@@ -303,93 +303,3 @@ def _load(p: F64, flight: Track) -> F64:
         slung_load.hang(row)
         run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), row, np.zeros((4, load_work())), out)
     return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rollout:
-    """Many simulations at once, each from a measured state, all driven by the logged commands: (S, n + 1, ...).
-
-    Velocities and positions over ground, the attitude as the sensors would show it, true rates.
-    """
-
-    starts: NDArray[np.int64]
-    """(S,) index of the sample where each begins."""
-    pos_ned_m: F64
-    vel_ned_mps: F64
-    q_ned_frd: F64
-    rate_frd_radps: F64
-
-
-def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | NDArray[np.int64], horizon_s: float) -> Rollout:
-    """Simulate from the measured state at each of these samples for `horizon_s` (rounded to samples)."""
-    return rollouts([vehicle], samples, starts, horizon_s)[0]
-
-
-def rollouts(
-    vehicles: Sequence[Vehicle], samples: Samples, starts: Sequence[int] | NDArray[np.int64], horizon_s: float
-) -> list[Rollout]:
-    """`rollout` of several vehicles over the same starts, all in one batch."""
-    flight = track(samples)
-    at = np.asarray(starts, dtype=np.int64)
-    steps = max(1, round(horizon_s / samples.dt_s))
-    at = at[at + steps < len(samples.t_s)]
-    batch = _Batch(vehicles, flight, at)
-    shown = np.empty((steps + 1, len(vehicles) * len(at), S_LOAD_DIR))
-    shown[0] = batch.state[:, :S_LOAD_DIR]
-    for k in range(steps):
-        batch.advance(k)
-        shown[k + 1] = batch.state[:, :S_LOAD_DIR]
-    paths = shown.reshape(steps + 1, len(vehicles), len(at), S_LOAD_DIR).transpose(1, 2, 0, 3)
-    out = []
-    for i in range(len(vehicles)):
-        part = paths[i]
-        q = multiply(part[:, :, S_Q : S_Q + 4], attitude_misalignment.rotation(batch.params[i * len(at)]))
-        out.append(
-            Rollout(at, part[:, :, S_POS : S_POS + 3], part[:, :, S_VEL : S_VEL + 3], q, part[:, :, S_RATE:S_LOAD_DIR])
-        )
-    return out
-
-
-class _Batch:
-    """State and parameter rows of V vehicles times S starts, vehicle by vehicle."""
-
-    __slots__ = ("_at", "_flight", "_voltage", "params", "state")
-
-    def __init__(self, vehicles: Sequence[Vehicle], flight: Track, at: NDArray[np.int64]) -> None:
-        self._at, self._flight = at, flight
-        rows = [params_row(vehicle, flight.step_s) for vehicle in vehicles]
-        entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
-        self.params = np.repeat(np.stack(rows), len(at), axis=0)
-        self.state = np.zeros((len(self.params), S_RING + 4 * entries))
-        voltage = []
-        for i, (vehicle, p) in enumerate(zip(vehicles, rows, strict=True)):
-            run = _Run(vehicle, flight)
-            own = self.state[i * len(at) : (i + 1) * len(at)]
-            own[:, :S_RING] = run.state[at]
-            own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
-            own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
-            own[:, S_RING:] = _ring(flight, at, entries)
-            voltage.append(run.voltage)
-        self.state[:, S_CURSOR] = entries - 1
-        self.state[:, S_CHARGE] = 1.0
-        self._voltage = np.stack(voltage)
-        self.params[:, P_RESISTANCE] = 0.0
-
-    def advance(self, k: int) -> None:
-        """From the k-th sample after each start to the next, on the logged voltage."""
-        flight, count = self._flight, len(self._at)
-        volts = self._voltage[:, self._at + k].ravel()
-        self.state[:, S_VOLTAGE] = volts
-        self.params[:, P_FULL_V] = self.params[:, P_EMPTY_V] = volts
-        for j in range(flight.every):
-            commands = flight.commands[(self._at + k) * flight.every + j]
-            self.state[:, S_COMMAND : S_COMMAND + 4] = np.tile(commands, (len(self.state) // max(count, 1), 1))
-            run_rows(self.state, self.params, _NO_NORMALS, 1)
-
-
-def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:
-    """(S, 4 * entries) the commands before each start, the newest last."""
-    before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
-    commands = flight.commands[np.maximum(before, 0)]
-    commands[before < 0] = first_command(flight)
-    return np.asarray(commands.reshape(len(at), -1))

@@ -11,6 +11,7 @@ from flightstack.vehicle import Vehicle
 LEAST_THRUST = 0.25
 """Of the weight: with less than this commanded, and not falling, a vehicle stands."""
 _CLEAR_M = 0.1
+_DIP_S = 1.0
 _EDGE_S = 0.5
 """Left out after take-off and before landing: legs on the ground, a detector that is late."""
 
@@ -35,7 +36,7 @@ def flying(
         up &= landed < 0.5
     if height_m is not None and landed is not None:
         up &= ~(height_m < _CLEAR_M)
-    return _trimmed(up, round(_EDGE_S / step_s))
+    return _trimmed(_bridged(up, round(_DIP_S / step_s)), round(_EDGE_S / step_s))
 
 
 def _smoothed(values: F64, window: int) -> F64:
@@ -43,6 +44,16 @@ def _smoothed(values: F64, window: int) -> F64:
     return np.convolve(
         np.pad(values, (window // 2, window - 1 - window // 2), mode="edge"), np.ones(window) / window, "valid"
     )
+
+
+def _bridged(up: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
+    """Low thrust for a moment between two stretches in the air is a manoeuvre, not a landing."""
+    out = up.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], up, [True]]).astype(np.int8)))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if begin > 0 and end < len(up) and end - begin <= longest:
+            out[begin:end] = True
+    return out
 
 
 def _trimmed(up: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:

@@ -49,6 +49,12 @@ def on_grid(signal: Signal, t_s: F64) -> tuple[F64, NDArray[np.bool_]]:
     return value_at, near(signal, t_s)
 
 
+def held(signal: Signal, t_s: F64) -> F64:
+    """The last value at or before each time."""
+    at = np.searchsorted(signal.t_s, t_s + 1e-9, side="right") - 1
+    return signal.value[np.clip(at, 0, len(signal.t_s) - 1)]
+
+
 def near(signal: Signal, t_s: F64) -> NDArray[np.bool_]:
     """Whether a grid time lies between two samples not further apart than three of the topic's periods."""
     most = _GAP_PERIODS * period_s(signal)

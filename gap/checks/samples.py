@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 from gap.checks.flying import flying
-from gap.checks.grid import attitude_on_grid, grid_period_s, motors_on_grid, on_grid, period_s
+from gap.checks.grid import attitude_on_grid, grid_period_s, held, motors_on_grid, on_grid, period_s
+from gap.checks.motion import rates_of
 from gap.checks.noise import white_noise
 from gap.records import Samples, Signal
-from logs.turn import conjugate, multiply, rotate_inverse
+from logs.turn import rotate_inverse
 
 _G_NED = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 _BANDWIDTH = 0.4
@@ -29,11 +30,7 @@ def make_samples(name: str, signals: Mapping[str, Signal], vehicle: Vehicle, gro
         return None
     columns, valid, derived = _columns(used, t_s, dt_s)
     height = _height(used, columns, t_s, ground_d_m)
-    landed = on_grid(used["landed"], t_s)[0] if "landed" in used and len(used["landed"].t_s) > 1 else None
-    motor = columns["motor"] if "motor" in used else None
-    up = np.ones(len(t_s), np.bool_)
-    if motor is not None or landed is not None:
-        up = flying(vehicle, dt_s, motor, landed, height if np.isfinite(height).any() else None)
+    up = _in_the_air(used, vehicle, t_s, dt_s, ground_d_m)
     valid &= up
     rows = np.flatnonzero(valid)
     if len(rows) * dt_s < 0.5:
@@ -48,9 +45,33 @@ def make_samples(name: str, signals: Mapping[str, Signal], vehicle: Vehicle, gro
         valid=valid[keep],
         noise=noise,
         derived=tuple(derived),
-        bandwidth_hz=_bandwidth(used),
+        bandwidth_hz=_bandwidth(used, dt_s),
         **{key: value[keep] for key, value in columns.items()},
     )
+
+
+def flying_span(signals: Mapping[str, Signal], vehicle: Vehicle, ground_d_m: float) -> tuple[float, float] | None:
+    """First and last time in the air; None where it never flies."""
+    used = dict(signals)
+    t_s, dt_s = _grid(used)
+    if len(t_s) < 8:
+        return None
+    up = _in_the_air(used, vehicle, t_s, dt_s, ground_d_m)
+    rows = np.flatnonzero(up)
+    return (float(t_s[rows[0]]), float(t_s[rows[-1]])) if len(rows) else None
+
+
+def _in_the_air(
+    used: dict[str, Signal], vehicle: Vehicle, t_s: F64, dt_s: float, ground_d_m: float
+) -> NDArray[np.bool_]:
+    motor = motors_on_grid(used["motor"], t_s)[0] if "motor" in used and len(used["motor"].t_s) > 3 else None
+    landed = held(used["landed"], t_s) if "landed" in used else None
+    height = None
+    if "pos_ned_m" in used and len(used["pos_ned_m"].t_s) > 3:
+        height = ground_d_m - on_grid(used["pos_ned_m"], t_s)[0][:, 2]
+    if motor is None and landed is None:
+        return np.ones(len(t_s), np.bool_)
+    return flying(vehicle, dt_s, motor, landed, height)
 
 
 def _grid(signals: dict[str, Signal]) -> tuple[F64, float]:
@@ -101,7 +122,7 @@ def _derive(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, dt_s: fl
         derived.append("pos_ned_m")
     has_attitude, has_velocity = "q_ned_frd" in used, "vel_ned_mps" in used or "pos_ned_m" in used
     if "rate_frd_radps" not in used and has_attitude:
-        columns["rate_frd_radps"] = body_rates(columns["q_ned_frd"], dt_s)
+        columns["rate_frd_radps"] = rates_of(columns["q_ned_frd"], dt_s)
         derived.append("rate_frd_radps")
     if "accel_frd_mps2" not in used and has_attitude and ("acc_ned_mps2" in used or has_velocity):
         if "acc_ned_mps2" in used:
@@ -111,18 +132,6 @@ def _derive(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, dt_s: fl
         columns["accel_frd_mps2"] = rotate_inverse(columns["q_ned_frd"], acceleration - _G_NED)
         derived.append("accel_frd_mps2")
     return derived
-
-
-def body_rates(q: F64, dt_s: float) -> F64:
-    """Body rates (N, 3) of attitudes on a grid, by central differences: half the rotation over two steps."""
-    out = np.empty((len(q), 3))
-    turn = multiply(conjugate(q[:-2]), q[2:])
-    turn *= np.where(turn[:, :1] < 0.0, -1.0, 1.0)
-    size = np.linalg.norm(turn[:, 1:], axis=1)
-    angle = 2.0 * np.arctan2(size, turn[:, 0])
-    out[1:-1] = turn[:, 1:] * (angle / np.maximum(size, 1e-12) / (2.0 * dt_s))[:, None]
-    out[0], out[-1] = out[1], out[-2]
-    return out
 
 
 def _height(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, ground_d_m: float) -> F64:
@@ -152,9 +161,9 @@ def _noise(
     return out
 
 
-def _bandwidth(used: dict[str, Signal]) -> float:
+def _bandwidth(used: dict[str, Signal], dt_s: float) -> float:
     wanted: tuple[str, ...] = ("q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "motor")
     names = [name for name in wanted if name in used]
     if "accel_frd_mps2" not in used:
         names += ["vel_ned_mps"] if "vel_ned_mps" in used else []
-    return _BANDWIDTH / max((period_s(used[name]) for name in names), default=np.inf)
+    return _BANDWIDTH / max(dt_s, *(period_s(used[name]) for name in names))
