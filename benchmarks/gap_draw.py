@@ -269,7 +269,8 @@ def _chirp(plan: Plan, rng: Rng, v: Vehicle) -> None:
 
 def _low_pass(plan: Plan, rng: Rng, v: Vehicle) -> None:
     """Down to a rotor's radius or two, along a line, and up again."""
-    low = -max(v.rotors.radius_m * rng.uniform(1.0, 2.0), 0.08)
+    reach = float(np.linalg.norm(v.rotors.position_m[0, :2]))
+    low = -max(v.rotors.radius_m * rng.uniform(1.0, 2.0), 0.35 * reach + 0.1)  # tilted, it must not touch
     back, course = plan.here.copy(), rng.uniform(-math.pi, math.pi)
     along = np.array([math.cos(course), math.sin(course), 0.0]) * rng.uniform(2.0, 4.0)
     down = plan.here + along / 2.0

@@ -7,6 +7,7 @@ refused with a reason (`InputError`); what the flights can't show is said, not g
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from flightstack.types import InputError
@@ -16,12 +17,12 @@ from gap.check import check
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
-from gap.records import Checked, Figures, Gap, Samples
+from gap.records import Checked, Gap, Samples
+from gap.refine import refine
 from gap.report.words import sentence
 from gap.result import GapResult, closed
 
 OnProgress = Callable[[float, str], None]
-_NOTHING = Figures(None, None, None)
 
 
 def analyse(
@@ -46,6 +47,9 @@ def analyse(
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout)
+    if naming.found:
+        on_progress(0.6, "refining")
+        naming, of = _refined(vehicle, naming, of)
     on_progress(0.75, "verifying")
     gap = _verdict(vehicle, naming, of)
     on_progress(0.9, "drawing")
@@ -80,18 +84,13 @@ def _checked(
         on_progress(0.2 * k / count, f"reading {path.name}")
         read = flight(path, vehicle, columns)
         on_progress(0.2 * (k + 0.5) / count, f"checking {path.name}")
-        done.append(check(read, vehicle, ground_d_m=ground_d_m))
-        _refuse(path, done[-1], kinematics_only)
+        done.append(check(read, vehicle, ground_d_m=ground_d_m, kinematics_only=kinematics_only))
+        _refuse(path, done[-1])
     return done[: len(logs)], done[len(logs) :]
 
 
-def _refuse(path: Path, checked: Checked, kinematics_only: bool) -> None:
+def _refuse(path: Path, checked: Checked) -> None:
     """InputError with the check's own reason where a log can't be used."""
-    if "motor" not in checked.flight.signals and not kinematics_only:
-        raise InputError(
-            f"log {path}: holds no motor commands, without which no force can be compared; "
-            "record them, or check data and sensors alone with --kinematics-only"
-        )
     if checked.samples is None:
         reasons = [finding.text for finding in checked.findings if finding.level == "refused"]
         raise InputError(f"log {path}: {reasons[0] if reasons else 'no part of it can be used'}")
@@ -100,6 +99,19 @@ def _refuse(path: Path, checked: Checked, kinematics_only: bool) -> None:
 def _usable(checked: Checked) -> Samples:
     assert checked.samples is not None  # `_refuse` saw to it
     return checked.samples
+
+
+def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split]:
+    """The named effects' parameters by output error through the simulator, and when the commands really acted."""
+    refined = refine(vehicle, naming.vehicle, of.flights, of.fit, [found.name for found in naming.found])
+    if refined is None:
+        return naming, of
+    found = tuple(
+        replace(each, parameters={**each.parameters, **refined.parameters.get(each.name, {})}) for each in naming.found
+    )
+    late = zip(of.flights, refined.late_s, strict=True)
+    flights = tuple(replace(samples, command_late_s=late_s) for samples, late_s in late)
+    return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=flights)
 
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
