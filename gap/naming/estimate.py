@@ -54,7 +54,7 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
     slots = tuple((e, p) for e in effects for p in fitted(vehicle, e, vehicle.effects[e]).parameters)
     rows = layout.stack(state.bench.residual(vehicle))
     x = np.zeros((len(rows), 0))
-    for _ in range(_STEPS):
+    for _ in range(_STEPS if slots else 0):
         raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
         x = layout.stack([np.nan_to_num(values) for values in raw])
         step = _step(vehicle, slots, x[chosen], rows[chosen])
@@ -94,6 +94,8 @@ def _step(vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F6
 
 def _covariance(state: Search, x: F64, rows: F64, chosen: Mask) -> F64:
     """Sandwich over time: scores of all channels at one time belong together, neighbours in time by Bartlett weights."""
+    if x.shape[1] == 0:
+        return np.zeros((0, 0))
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
     gram = xs.T @ xs
