@@ -10,19 +10,27 @@ from numpy.typing import NDArray
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import Figures, Residual, Samples
-from gap.simulate import predict, rollout
-from gap.track import track
+from gap.rollouts import rollout
+from gap.simulate import params_row, predict, true_attitude
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, multiply, rotate, track, turned
+from sim.effects import accelerometer_bias, gyro_bias
 
 HORIZON_S = 1.0
 EVERY_S = 0.5
 
 
 def residual(vehicle: Vehicle, samples: Samples) -> Residual:
-    """Measured minus simulated, both through the common low-pass; NaN rows where the samples are not usable."""
+    """Measured minus simulated, both through the common low-pass; NaN rows where the samples are not usable.
+
+    The kinematic columns hold no physics, so their own scatter is their noise.
+    """
     flight = track(samples)
     y = flight.lowpass(flight.measured - predict(vehicle, samples))
     y[~flight.usable] = np.nan
-    return Residual(y, sensor_noise(samples), np.full(12, 0.5 / flight.cutoff_hz))
+    noise = sensor_noise(samples)
+    if flight.usable.any():
+        noise[6:] = np.std(y[flight.usable, 6:], axis=0)
+    return Residual(y, noise, np.full(COLUMNS, 0.5 / flight.cutoff_hz))
 
 
 def sensor_noise(samples: Samples) -> F64:
@@ -32,23 +40,29 @@ def sensor_noise(samples: Samples) -> F64:
     impulse = np.zeros((2 * round(2.0 / flight.cutoff_hz / dt) + 1, 1))
     impulse[len(impulse) // 2] = 1.0
     shape = flight.lowpass(impulse)
-    plain, slope = math.sqrt(float(np.sum(shape**2))), math.sqrt(float(np.sum(np.gradient(shape, dt, axis=0) ** 2)))
+    plain, slope = math.sqrt(float(np.sum(shape**2))), math.sqrt(float(np.sum(derivative(shape, dt) ** 2)))
+    accel, gyro, velocity = (_white(samples, name) for name in ("accel_frd_mps2", "rate_frd_radps", "vel_ned_mps"))
+    turning = 2.0 * float(np.max(_white(samples, "q_ned_frd")))
+    # The accelerometer carries the smoothed velocity at these frequencies; without it there is the velocity alone.
+    force = slope * velocity if "accel_frd_mps2" in flight.missing else plain * accel
+    angular = slope * (turning / dt / math.sqrt(2.0) if "rate_frd_radps" in flight.missing else gyro)
+    turn = np.hypot(slope * turning, plain * gyro)
+    kinematic = np.hypot(slope * np.mean(velocity), plain * accel)
+    noise = np.concatenate([force, angular * np.ones(3), turn, kinematic])
+    noise[flight.blind] = np.nan
+    return noise
 
-    def white(name: str, signal: F64) -> float:
-        return samples.noise[name] if name in samples.noise else _white(signal)
 
-    accel, gyro = white("accel_frd_mps2", samples.accel_frd_mps2), white("rate_frd_radps", samples.rate_frd_radps)
-    velocity, attitude = white("vel_ned_mps", samples.vel_ned_mps), 2.0 * white("q_ned_frd", samples.q_ned_frd)
-    kinematic = math.hypot(slope * velocity, plain * accel)
-    force = slope * velocity if flight.averaged[0] else plain * accel
-    turn = math.hypot(slope * attitude, plain * gyro)
-    return np.repeat([force, slope * gyro, turn, kinematic], 3)
-
-
-def _white(x: F64) -> float:
-    """Standard deviation of white noise on a smooth signal: third differences leave little else."""
-    d = np.diff(x[np.isfinite(x).all(axis=1)], n=3, axis=0)
-    return float(np.sqrt(np.mean(d**2) / 20.0)) if len(d) else 0.0
+def _white(samples: Samples, name: str) -> F64:
+    """(3,) standard deviation of a signal's white noise: what the data check found, else of its third differences."""
+    keys = [f"{name}_{axis}" for axis in "xyz"]
+    if all(key in samples.noise for key in keys):
+        return np.array([samples.noise[key] for key in keys])
+    if name in samples.noise:
+        return np.full(3, samples.noise[name])
+    value = getattr(samples, name)
+    third = np.diff(value[np.isfinite(value).all(axis=1)], n=3, axis=0)[:, -3:]
+    return np.sqrt(np.mean(third**2, axis=0) / 20.0) if len(third) else np.zeros(3)
 
 
 def figures(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
@@ -63,19 +77,66 @@ def rollout_starts(samples: Samples, mask: NDArray[np.bool_], horizon_s: float =
     steps, stride = round(horizon_s / samples.dt_s), max(1, round(EVERY_S / samples.dt_s))
     at = np.arange(0, len(good) - steps, stride)
     bad = np.concatenate([[0], np.cumsum(~good)])
-    return at[bad[at + steps + 1] == bad[at]]
+    return np.asarray(at[bad[at + steps + 1] == bad[at]])
 
 
 def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float = HORIZON_S) -> F64:
     """(S, 3) simulated minus measured position after the horizon, m, NED; empty without position or velocity."""
-    flight = track(samples)
     starts = rollout_starts(samples, mask, horizon_s)
-    if len(starts) == 0 or {"vel_ned_mps", "q_ned_frd"} & flight.missing:
+    if not _can_roll(samples, starts):
         return np.empty((0, 3))
     flown = rollout(vehicle, samples, starts, horizon_s)
     steps = flown.pos_ned_m.shape[1] - 1
-    moved = flight.path_ned_m[starts + steps] - flight.path_ned_m[starts]
-    return flown.pos_ned_m[:, -1] - flown.pos_ned_m[:, 0] - moved
+    return np.asarray(flown.pos_ned_m[:, -1] - flown.pos_ned_m[:, 0] - _moved(samples, starts, steps))
+
+
+def noise_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
+    """What the figures of a simulator without any error would be: the sensors' noise alone.
+
+    One step: the sensors' white noise through the low-pass.  Rollouts: from the same measured start, but with the
+    specific force and the rates that were measured in place of the simulated ones (less the vehicle's sensor biases);
+    what is left is the noise of the start, of the end and of the way, whatever its colour.
+    """
+    noise = sensor_noise(samples)
+    force, angular = float(np.sqrt(np.sum(noise[0:3] ** 2))), float(np.sqrt(np.sum(noise[3:6] ** 2)))
+    return Figures(
+        None if math.isnan(force) else force,
+        None if math.isnan(angular) else angular,
+        _rms(strapdown_error(vehicle, samples, mask)),
+    )
+
+
+def strapdown_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float = HORIZON_S) -> F64:
+    """(S, 3) error of the position after the horizon when measured specific force and rates are integrated, m, NED."""
+    starts = rollout_starts(samples, mask, horizon_s)
+    if not _can_roll(samples, starts):
+        return np.empty((0, 3))
+    flight, dt = track(samples), samples.dt_s
+    p = params_row(vehicle, flight.step_s)
+    rate = flight.rate_frd_radps - gyro_bias.bias(p)
+    # A derived specific force is turned by the measured attitude as it is; an accelerometer's has its bias.
+    derived = "accel_frd_mps2" in flight.missing
+    force = flight.measured[:, 0:3] - (0.0 if derived else accelerometer_bias.bias(p))
+    start = flight.q_ned_frd if derived else true_attitude(p, flight)
+    q, vel = start[starts], flight.vel_ned_mps[starts]
+    way = np.zeros_like(vel)
+    steps = round(horizon_s / dt)
+    for k in range(steps):
+        now, then = starts + k, starts + k + 1
+        after = multiply(q, turned(0.5 * dt * (rate[now] + rate[then])))
+        acc = 0.5 * (rotate(q, force[now]) + rotate(after, force[then])) + GRAVITY_NED_MPS2
+        way += dt * vel + 0.5 * dt * dt * acc
+        vel, q = vel + dt * acc, after
+    return np.asarray(way - _moved(samples, starts, steps))
+
+
+def _can_roll(samples: Samples, starts: NDArray[np.int64]) -> bool:
+    return len(starts) > 0 and not {"vel_ned_mps", "q_ned_frd"} & track(samples).missing
+
+
+def _moved(samples: Samples, starts: NDArray[np.int64], steps: int) -> F64:
+    path = track(samples).path_ned_m
+    return np.asarray(path[starts + steps] - path[starts])
 
 
 def _rms(x: F64) -> float | None:

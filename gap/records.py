@@ -135,6 +135,8 @@ class Samples:
     derived: tuple[str, ...] = ()
     bandwidth_hz: float = 0.0
     """Up to here the slowest topic in use carries information."""
+    command_late_s: float = 0.0
+    """How much later the commands acted than the motor column says, where a log can't tell: within half a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

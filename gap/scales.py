@@ -13,10 +13,10 @@ def natural_scale(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """A change of this parameter that moves the motion by some percent; positive, in the parameter's unit."""
     mass, weight = vehicle.total_mass_kg, vehicle.weight_n
     inertia = float(vehicle.inertia_kgm2.mean())
-    arm = float((vehicle.rotors.position_m[:, :2] ** 2).sum(axis=1).mean() ** 0.5)
+    arm = float((vehicle.rotors.position_m[:, :2] ** 2).sum(axis=1).mean()) ** 0.5
     hover = min(1.0, (vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / vehicle.max_total_thrust_n) ** 0.5)
     turning = 4.0 * hover * vehicle.rotors.max_speed_radps  # sum of the rotors' speeds in hover
-    own = {
+    own: dict[str, float] = {
         "payload": 0.05 * mass,
         "thrust_scale": 0.05,
         "thrust_curve": 0.1,
@@ -44,4 +44,4 @@ def natural_scale(vehicle: Vehicle, effect: str, parameter: str) -> float:
         "gyro_bias": 0.01,
         "attitude_misalignment": 0.01,
     }
-    return own[effect]
+    return float(own[effect])

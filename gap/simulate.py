@@ -12,7 +12,7 @@ A steady wind shows through the drag effects that the vehicle has; without one i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,19 +22,15 @@ from flightstack.vehicle import Vehicle, with_effects
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
-from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, track
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, step_commands, track
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
+    D_TAU,
     P_DT,
-    P_EMPTY_V,
     P_FULL_V,
     P_HAS_BATTERY,
-    P_RESISTANCE,
     S_ANGULAR,
-    S_CHARGE,
-    S_COMMAND,
-    S_CURSOR,
     S_FORCE,
     S_LOAD_DIR,
     S_POS,
@@ -47,10 +43,11 @@ from sim.layout import (
     S_VOLTAGE,
 )
 from sim.parameters import derive, parameter_row
-from sim.plant import evaluate_rows, run_rows, state_rows
+from sim.plant import evaluate_rows, state_rows
 
-_CHUNK = 8192
+_CHUNK = 1024
 _STEP_SHARE = 0.02
+_TIMING_STEP_S = 0.001
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 _MOVES_ROTORS = ("motor_lag", "transport_delay")
 
@@ -69,10 +66,8 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "constant_force": ("q_ned_frd",),
     "slung_load": ("q_ned_frd",),
     "attitude_misalignment": ("q_ned_frd",),
-    "accelerometer_bias": ("accel_frd_mps2",),
-    "gyro_bias": ("rate_frd_radps",),
-    "angular_damping": ("rate_frd_radps",),
-    "rotor_gyroscopic": ("rate_frd_radps",),
+    "accelerometer_bias": ("accel_frd_mps2", "vel_ned_mps", "q_ned_frd"),
+    "gyro_bias": ("rate_frd_radps", "q_ned_frd"),
 }
 """Signals without which a log can't show an effect, whatever is flown."""
 
@@ -105,7 +100,7 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     says (rad/s), 9-11 specific force as the velocity's derivative says (m/s^2); all body FRD, each as its sensor
     shows it.  Compare with `gap.track.track(samples).measured`, both through its `lowpass`.
     """
-    run = _Run(vehicle, track(samples))
+    run = Run(vehicle, track(samples))
     return run.shown(vehicle)
 
 
@@ -123,13 +118,29 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     NaN; an effect that the log can't show (`unseen`) is 0 everywhere.
     """
     flight = track(samples)
-    base = _Run(vehicle, flight)
+    base = Run(vehicle, flight)
     count = len(range(0, len(samples.t_s), every))
     out = np.zeros((count, COLUMNS, len(columns)))
     for k, knob in enumerate(columns):
         if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
             out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
     return out
+
+
+def timing(vehicle: Vehicle, samples: Samples) -> F64:
+    """d predict / d (commands act later), (N, 12) per second, through the common low-pass.
+
+    A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
+    """
+    flight = track(samples)
+    shown = [Run(vehicle, later(flight, change_s)).shown(vehicle) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
+    return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
+
+
+def later(flight: Track, late_s: float) -> Track:
+    """The flight with its commands acting this much later still."""
+    samples = flight.samples
+    return replace(flight, commands=step_commands(samples, flight.every, samples.command_late_s + late_s))
 
 
 def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
@@ -151,7 +162,8 @@ def _spec(effect: str, parameter: str) -> ParamSpec:
     return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
 
 
-def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
+def _difference(vehicle: Vehicle, base: Run, knob: Knob) -> F64:
+    """Difference quotient of what is shown, (N, 12), before the low-pass."""
     centre = with_value(vehicle, knob.effect, knob.at) if knob.at else vehicle
     now = value(centre, knob.effect, knob.parameter)
     spec = _spec(knob.effect, knob.parameter)
@@ -159,11 +171,11 @@ def _difference(vehicle: Vehicle, base: _Run, knob: Knob) -> F64:
     high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
     up = with_value(centre, knob.effect, {knob.parameter: high})
     down = with_value(centre, knob.effect, {knob.parameter: low})
-    if knob.effect in _MOVES_ROTORS or knob.effect == "slung_load":
-        shown = _Run(up, base.track).shown(up) - _Run(down, base.track).shown(down)
-    else:
-        shown = base.shown(up) - base.shown(down)
-    return shown / (high - low)
+    if EFFECT_SPECS[knob.effect].kind == "sensor":
+        return (base.shown(up) - base.shown(down)) / (high - low)
+    own = knob.effect in _MOVES_ROTORS or knob.effect == "slung_load"
+    moved = [(Run(v, base.track) if own else base).moved(params_row(v, base.track.step_s)) for v in (up, down)]
+    return base.felt(params_row(centre, base.track.step_s), (moved[0] - moved[1]) / (high - low))
 
 
 def params_row(vehicle: Vehicle, step_s: float) -> F64:
@@ -175,16 +187,21 @@ def params_row(vehicle: Vehicle, step_s: float) -> F64:
     return p
 
 
-class _Run:
+class Run:
     """One vehicle run through one flight: what is remembered at every sample, and the state rows to evaluate at."""
 
     __slots__ = ("load", "state", "track", "u", "voltage")
 
-    def __init__(self, vehicle: Vehicle, flight: Track) -> None:
+    def __init__(self, vehicle: Vehicle, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
+        """`known`: rotors' states that were run through before, by what they depend on; they are taken and kept."""
         self.track = flight
         p = params_row(vehicle, flight.step_s)
         count = len(flight.samples.t_s)
-        self.u = _rotors(p, flight)
+        known = {} if known is None else known
+        key = (float(id(flight.commands)), p[D_TAU], p[D_DELAY_STEPS])
+        if key not in known:
+            known[key] = _rotors(p, flight)
+        self.u = known[key]
         self.load = _load(p, flight)
         self.voltage = flight.samples.battery_v
         self.state = np.zeros((count, S_RING))
@@ -215,30 +232,47 @@ class _Run:
             part = self.state[at : at + _CHUNK]
             evaluate_rows(part, rows[: len(part)])
 
+    def moved(self, p: F64) -> F64:
+        """Specific force and angular acceleration (N, 6) of this parameter row at this run's states."""
+        flight = self.track
+        self._evaluate(p, true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p))
+        return self.state[:, S_FORCE : S_ANGULAR + 3].copy()
+
+    def felt(self, p: F64, moved: F64) -> F64:
+        """A motion (N, 6), or a change of it, as the sensors show it but for their biases; (N, 12)."""
+        flight = self.track
+        out = np.zeros((len(moved), COLUMNS))
+        out[:, :6] = moved
+        misalignment = attitude_misalignment.rotation(p)[None, :]
+        if "accel_frd_mps2" in flight.missing:
+            out[:, 0:3] = rotate(misalignment, out[:, 0:3], inverse=True)
+        if flight.averaged[0]:
+            out[:, 0:3] = simpson(out[:, 0:3])
+        out[:, 3:6] = simpson(out[:, 3:6])
+        if "rate_frd_radps" in flight.missing:
+            out[:, 3:6] = rotate(misalignment, out[:, 3:6], inverse=True)
+        out[:, flight.blind] = np.nan
+        return out
+
     def shown(self, vehicle: Vehicle) -> F64:
         """What the sensors would show (N, 12) with this vehicle's physics and sensor effects at this run's states."""
         flight = self.track
         p = params_row(vehicle, flight.step_s)
-        q, rate = true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p)
-        self._evaluate(p, q, rate)
-        force = self.state[:, S_FORCE : S_FORCE + 3]
-        angular = simpson(self.state[:, S_ANGULAR : S_ANGULAR + 3])
-        misalignment = attitude_misalignment.rotation(p)[None, :]
+        out = self.felt(p, self.moved(p))
         bias = accelerometer_bias.bias(p)
-        out = np.empty((len(self.state), COLUMNS))
-        if flight.averaged[0]:
-            out[:, 0:3] = simpson(rotate(misalignment, force, inverse=True))
-        else:
-            out[:, 0:3] = force + bias
-        out[:, 3:6] = rotate(misalignment, angular, inverse=True) if "rate_frd_radps" in flight.missing else angular
+        if "accel_frd_mps2" not in flight.missing:
+            out[:, 0:3] += bias
+        q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
         out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
         out[:, 9:12] = rotate(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2, inverse=True) + bias
-        out[:, np.isnan(flight.measured).all(axis=0)] = np.nan
+        out[:, flight.blind] = np.nan
         return out
 
 
 def true_attitude(p: F64, flight: Track) -> F64:
     """(N, 4) attitude without the misalignment of this parameter row."""
+    if not np.any(p[attitude_misalignment.ROLL : attitude_misalignment.YAW + 1]):
+        return flight.q_ned_frd
     return multiply(flight.q_ned_frd, conjugate(attitude_misalignment.rotation(p)))
 
 
@@ -269,93 +303,3 @@ def _load(p: F64, flight: Track) -> F64:
         slung_load.hang(row)
         run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), row, np.zeros((4, load_work())), out)
     return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rollout:
-    """Many simulations at once, each from a measured state, all driven by the logged commands: (S, n + 1, ...).
-
-    Velocities and positions over ground, the attitude as the sensors would show it, true rates.
-    """
-
-    starts: F64
-    """(S,) index of the sample where each begins."""
-    pos_ned_m: F64
-    vel_ned_mps: F64
-    q_ned_frd: F64
-    rate_frd_radps: F64
-
-
-def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | F64, horizon_s: float) -> Rollout:
-    """Simulate from the measured state at each of these samples for `horizon_s` (rounded to samples)."""
-    return rollouts([vehicle], samples, starts, horizon_s)[0]
-
-
-def rollouts(
-    vehicles: Sequence[Vehicle], samples: Samples, starts: Sequence[int] | F64, horizon_s: float
-) -> list[Rollout]:
-    """`rollout` of several vehicles over the same starts, all in one batch."""
-    flight = track(samples)
-    at = np.asarray(starts, dtype=np.int64)
-    steps = max(1, round(horizon_s / samples.dt_s))
-    at = at[at + steps < len(samples.t_s)]
-    batch = _Batch(vehicles, flight, at)
-    shown = np.empty((steps + 1, len(vehicles) * len(at), S_LOAD_DIR))
-    shown[0] = batch.state[:, :S_LOAD_DIR]
-    for k in range(steps):
-        batch.advance(k)
-        shown[k + 1] = batch.state[:, :S_LOAD_DIR]
-    shown = shown.reshape(steps + 1, len(vehicles), len(at), S_LOAD_DIR).transpose(1, 2, 0, 3)
-    out = []
-    for i in range(len(vehicles)):
-        part = shown[i]
-        q = multiply(part[:, :, S_Q : S_Q + 4], attitude_misalignment.rotation(batch.params[i * len(at)]))
-        out.append(
-            Rollout(at, part[:, :, S_POS : S_POS + 3], part[:, :, S_VEL : S_VEL + 3], q, part[:, :, S_RATE:S_LOAD_DIR])
-        )
-    return out
-
-
-class _Batch:
-    """State and parameter rows of V vehicles times S starts, vehicle by vehicle."""
-
-    __slots__ = ("_at", "_flight", "_voltage", "params", "state")
-
-    def __init__(self, vehicles: Sequence[Vehicle], flight: Track, at: F64) -> None:
-        self._at, self._flight = at, flight
-        rows = [params_row(vehicle, flight.step_s) for vehicle in vehicles]
-        entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
-        self.params = np.repeat(np.stack(rows), len(at), axis=0)
-        self.state = np.zeros((len(self.params), S_RING + 4 * entries))
-        voltage = []
-        for i, (vehicle, p) in enumerate(zip(vehicles, rows, strict=True)):
-            run = _Run(vehicle, flight)
-            own = self.state[i * len(at) : (i + 1) * len(at)]
-            own[:, :S_RING] = run.state[at]
-            own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
-            own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
-            own[:, S_RING:] = _ring(flight, at, entries)
-            voltage.append(run.voltage)
-        self.state[:, S_CURSOR] = entries - 1
-        self.state[:, S_CHARGE] = 1.0
-        self._voltage = np.stack(voltage)
-        self.params[:, P_RESISTANCE] = 0.0
-
-    def advance(self, k: int) -> None:
-        """From the k-th sample after each start to the next, on the logged voltage."""
-        flight, count = self._flight, len(self._at)
-        volts = self._voltage[:, self._at + k].ravel()
-        self.state[:, S_VOLTAGE] = volts
-        self.params[:, P_FULL_V] = self.params[:, P_EMPTY_V] = volts
-        for j in range(flight.every):
-            commands = flight.commands[(self._at + k) * flight.every + j]
-            self.state[:, S_COMMAND : S_COMMAND + 4] = np.tile(commands, (len(self.state) // max(count, 1), 1))
-            run_rows(self.state, self.params, _NO_NORMALS, 1)
-
-
-def _ring(flight: Track, at: F64, entries: int) -> F64:
-    """(S, 4 * entries) the commands before each start, the newest last."""
-    before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
-    commands = flight.commands[np.maximum(before, 0)]
-    commands[before < 0] = first_command(flight)
-    return np.asarray(commands.reshape(len(at), -1))

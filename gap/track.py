@@ -29,6 +29,8 @@ CROSSOVER_HZ = 0.4
 SETTLE_S = 1.0
 """At the start of a log nobody knows what the rotors did before: never judged."""
 _SLOWEST_STEP_S = 0.004
+_HELD_SHARE = 0.3
+_SAME_MPS2 = 1e-6
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -55,6 +57,8 @@ class Track:
     """(N, 12) what the sensors say, before the low-pass; NaN columns where they don't."""
     averaged: tuple[bool, ...]
     """Of each of the six physical columns: is it measured by a central difference?"""
+    blind: NDArray[np.int64]
+    """Columns that the log can't measure."""
     usable: NDArray[np.bool_]
     """(N,) valid, rotors known, and away from gaps and ends by what the filters reach."""
     commands: F64
@@ -63,7 +67,7 @@ class Track:
     """Steps of the run-through in a sample."""
     cutoff_hz: float
     missing: frozenset[str]
-    """Names of signals that the log lacks."""
+    """Names of signals that the log lacks, those derived from others included."""
 
     @property
     def step_s(self) -> float:
@@ -76,7 +80,7 @@ class Track:
 
 
 def simpson(x: F64) -> F64:
-    """Mean over the two steps round each sample along the first axis: what a central difference of the integral sees."""
+    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees."""
     out = x.copy()
     out[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
     return out
@@ -84,14 +88,21 @@ def simpson(x: F64) -> F64:
 
 def derivative(x: F64, dt_s: float) -> F64:
     """Central differences along the first axis, one-sided at the ends."""
-    return np.gradient(x, dt_s, axis=0)
+    return np.asarray(np.gradient(x, dt_s, axis=0))
 
 
 def rotate(q: F64, v: F64, *, inverse: bool = False) -> F64:
-    """Turn (N, 3) body vectors into the world by (N, 4) quaternions, or back."""
-    axis = -q[:, 1:] if inverse else q[:, 1:]
-    t = 2.0 * np.cross(axis, v)
-    return v + q[:, :1] * t + np.cross(axis, t)
+    """Turn (N, 3) body vectors into the world by (N, 4) or (1, 4) quaternions, or back."""
+    w, x, y, z = q.T
+    if inverse:
+        x, y, z = -x, -y, -z
+    vx, vy, vz = v.T
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    out = np.empty_like(v)
+    out[:, 0] = vx + w * tx + y * tz - z * ty
+    out[:, 1] = vy + w * ty + z * tx - x * tz
+    out[:, 2] = vz + w * tz + x * ty - y * tx
+    return out
 
 
 def multiply(a: F64, b: F64) -> F64:
@@ -111,7 +122,13 @@ def multiply(a: F64, b: F64) -> F64:
 
 def conjugate(q: F64) -> F64:
     """Inverse of unit quaternions (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def turned(phi: F64) -> F64:
+    """(N, 4) unit quaternions of (N, 3) rotation vectors."""
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    return np.hstack([np.cos(half), 0.5 * phi * np.sinc(half / np.pi)])
 
 
 def rotation_vector(q: F64) -> F64:
@@ -119,59 +136,87 @@ def rotation_vector(q: F64) -> F64:
     q = np.where(q[:, :1] < 0.0, -q, q)
     norm = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
     angle = 2.0 * np.arctan2(norm, q[:, :1])
-    return q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0)
+    return np.asarray(q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0))
 
 
 @lru_cache(maxsize=8)
 def track(samples: Samples) -> Track:
     """Make a flight ready; kept for the last few flights, as every step of the workflow asks for it."""
     dt = samples.dt_s
-    missing = frozenset(
-        name
-        for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
-        if not np.isfinite(getattr(samples, name)).any()
-    ) | (frozenset() if np.any(samples.battery_v > 0.0) else frozenset({"battery_v"}))
+    missing = _missing(samples)
     cutoff = _cutoff(samples)
     q = _smooth_attitude(samples, cutoff, missing)
     turn = _turn(q, dt)
-    raw_rate = turn if "rate_frd_radps" in missing else _filled(samples.rate_frd_radps)
+    rate = turn if "rate_frd_radps" in missing else _filled(samples.rate_frd_radps)
     velocity = _velocity(samples, missing)
     vel_rate = derivative(velocity, dt)
-    derived = "accel_frd_mps2" in missing or "accel_frd_mps2" in samples.derived
-    kinematic_force = rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True)
-    force = kinematic_force if derived else _filled(samples.accel_frd_mps2)
+    force, differentiated = _force(samples, q, vel_rate, missing)
     acc = rotate(q, force) + GRAVITY_NED_MPS2
-    measured = np.full((len(q), COLUMNS), np.nan)
-    no_velocity = "vel_ned_mps" in missing and "pos_ned_m" in missing
-    if not derived or not no_velocity:
-        measured[:, 0:3] = force
-    measured[:, 3:6] = derivative(raw_rate, dt)
-    if "rate_frd_radps" not in missing and "q_ned_frd" not in missing:
-        measured[:, 6:9] = simpson(raw_rate)
-    if not derived and not no_velocity and "q_ned_frd" not in missing:
-        measured[:, 9:12] = simpson(force)
-    commands, every = _commands(samples)
-    smooth = _smooth_velocity(velocity, acc, derived or no_velocity or "q_ned_frd" in missing, cutoff, dt)
+    inertial = not differentiated and not {"q_ned_frd", "vel_ned_mps"} & missing
+    smooth = (
+        _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff), dt) if inertial else _filtered(velocity, cutoff, dt)
+    )
+    path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
+    measured = _measured(force, rate, dt, missing, differentiated)
+    every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
     return Track(
         samples,
-        _position(samples, missing),
-        _integrated(smooth, dt)
-        if "pos_ned_m" in missing
-        else _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt),
+        _position(path, samples, missing),
+        _integrated(smooth, dt) if "pos_ned_m" in missing else path,
         smooth,
         q,
-        _filtered(raw_rate, cutoff, dt),
+        _filtered(rate, cutoff, dt),
         acc,
         vel_rate,
         turn,
         measured,
-        (derived,) * 3 + (True,) * 3,
+        (differentiated,) * 3 + (True,) * 3,
+        np.flatnonzero(np.isnan(measured).all(axis=0)),
         _usable(samples, cutoff),
-        commands,
+        step_commands(samples, every, samples.command_late_s),
         every,
         cutoff,
         missing,
     )
+
+
+def _missing(samples: Samples) -> frozenset[str]:
+    names = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
+    gone = {name for name in names if not np.isfinite(getattr(samples, name)).any()}
+    gone |= {name for name in ("rate_frd_radps", "accel_frd_mps2") if name in samples.derived}
+    if "vel_ned_mps" in gone and "pos_ned_m" not in gone:
+        gone.remove("vel_ned_mps")
+    return frozenset(gone if np.any(samples.battery_v > 0.0) else gone | {"battery_v"})
+
+
+def _force(samples: Samples, q: F64, vel_rate: F64, missing: frozenset[str]) -> tuple[F64, bool]:
+    """Measured specific force (N, 3), and whether it is the velocity's derivative.
+
+    A derived one is turned again with the smoothed attitude; it may also come from an acceleration that was logged.
+    """
+    if "accel_frd_mps2" not in missing:
+        return _filled(samples.accel_frd_mps2), False
+    if not np.isfinite(samples.accel_frd_mps2).any():
+        return rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True), True
+    raw = _filled(samples.q_ned_frd)
+    acc = rotate(raw / np.linalg.norm(raw, axis=1, keepdims=True), _filled(samples.accel_frd_mps2)) + GRAVITY_NED_MPS2
+    if np.median(np.abs(acc - vel_rate)) < _SAME_MPS2:
+        acc = vel_rate
+    return rotate(q, acc - GRAVITY_NED_MPS2, inverse=True), acc is vel_rate
+
+
+def _measured(force: F64, rate: F64, dt_s: float, missing: frozenset[str], differentiated: bool) -> F64:
+    """(N, 12) before the low-pass."""
+    out = np.full((len(force), COLUMNS), np.nan)
+    if not differentiated or not {"q_ned_frd", "vel_ned_mps"} & missing:
+        out[:, 0:3] = force
+    if not {"rate_frd_radps", "q_ned_frd"} <= missing:
+        out[:, 3:6] = derivative(rate, dt_s)
+    if not {"rate_frd_radps", "q_ned_frd"} & missing:
+        out[:, 6:9] = simpson(rate)
+    if not {"accel_frd_mps2", "vel_ned_mps", "q_ned_frd"} & missing:
+        out[:, 9:12] = simpson(force)
+    return out
 
 
 def _cutoff(samples: Samples) -> float:
@@ -184,6 +229,9 @@ def _filtered(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
     flat = columns.reshape(len(columns), -1)
     out = np.full_like(flat, np.nan)
     seen = np.isfinite(flat).any(axis=0)
+    still = seen & ~np.any(flat, axis=0)  # no need to filter nothing, and sensitivities are mostly that
+    out[:, still] = 0.0
+    seen &= ~still
     if not seen.any():
         return out.reshape(columns.shape)
     sos = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
@@ -205,23 +253,16 @@ def _filled(x: F64) -> F64:
     return out
 
 
-def _position(samples: Samples, missing: frozenset[str]) -> F64:
-    pos = _filled(samples.pos_ned_m).copy()
+def _position(path: F64, samples: Samples, missing: frozenset[str]) -> F64:
+    pos = path.copy()
     pos[:, 2] = -_HIGH_M if "height_m" in missing else -_filled(samples.height_m[:, None])[:, 0]
     return pos
 
 
 def _velocity(samples: Samples, missing: frozenset[str]) -> F64:
-    if "vel_ned_mps" in missing and "pos_ned_m" not in missing:
+    if not np.isfinite(samples.vel_ned_mps).any() and "pos_ned_m" not in missing:
         return derivative(_filled(samples.pos_ned_m), samples.dt_s)
     return _filled(samples.vel_ned_mps)
-
-
-def _smooth_velocity(velocity: F64, acc: F64, alone: bool, cutoff_hz: float, dt_s: float) -> F64:
-    """Measured velocity at low frequencies, integrated acceleration at high ones; the low-passed one if `alone`."""
-    if alone:
-        return _filtered(velocity, cutoff_hz, dt_s)
-    return _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff_hz), dt_s)
 
 
 def _integrated(rate: F64, dt_s: float) -> F64:
@@ -232,7 +273,7 @@ def _integrated(rate: F64, dt_s: float) -> F64:
 
 
 def _complementary(slow: F64, rate: F64, crossover_hz: float, dt_s: float) -> F64:
-    """`slow` below the crossover, the integral of `rate` above it; no phase, and a constant error of `rate` is nothing."""
+    """`slow` below the crossover, the integral of `rate` above it: no phase, no drift by a constant error."""
     inertial = _integrated(rate, dt_s)
     return inertial + _filtered(slow - inertial, crossover_hz, dt_s)
 
@@ -244,7 +285,7 @@ def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]
     flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
     q = q * np.concatenate([[1.0], flips])[:, None]
     q = _filtered(q, cutoff_hz, samples.dt_s)
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 def _turn(q: F64, dt_s: float) -> F64:
@@ -255,15 +296,21 @@ def _turn(q: F64, dt_s: float) -> F64:
     return out
 
 
-def _commands(samples: Samples) -> tuple[F64, int]:
-    """Commands of the run-through's steps: interpolated, or held where the log itself holds them for several samples."""
+def step_commands(samples: Samples, every: int, late_s: float = 0.0) -> F64:
+    """(N * every, 4) commands of the run-through's steps, all `late_s` late.
+
+    Between samples they are interpolated: a log holds samples of a faster loop's commands.  Where the log itself holds
+    them for several samples, they are held.
+    """
     motor = _filled(samples.motor)
-    every = max(1, int(np.ceil(samples.dt_s / _SLOWEST_STEP_S - 1e-6)))
-    following = np.vstack([motor[1:], motor[-1:]])
-    repeated = np.mean(np.all(motor == following, axis=1))
-    share = (np.arange(every) + 0.5) / every * (0.0 if repeated > 0.3 else 1.0)
-    steps = motor[:, None, :] + share[None, :, None] * (following - motor)[:, None, :]
-    return np.ascontiguousarray(steps.reshape(-1, 4)), every
+    count = len(motor)
+    held = np.mean(np.all(motor[1:] == motor[:-1], axis=1)) > _HELD_SHARE
+    at = np.repeat(np.arange(count), every) + (0.0 if held else np.tile((np.arange(every) + 0.5) / every, count))
+    at = np.clip(at - late_s / samples.dt_s, 0.0, count - 1.0)
+    before = at.astype(np.int64)
+    share = (at - before)[:, None]
+    after = np.minimum(before + 1, count - 1)
+    return np.asarray((1.0 - share) * motor[before] + share * motor[after])
 
 
 def _usable(samples: Samples, cutoff_hz: float) -> NDArray[np.bool_]:

@@ -100,7 +100,7 @@ def fly(
 ) -> Flown:
     """Closed loop at 250 Hz over rates at 1 kHz, from the reference's own start in the air; logged every `every_ms`.
 
-    `dither`: amplitude (rad) of pseudo-random roll, pitch and yaw doublets on the attitude wanted: excitation.
+    `dither`: amplitude (rad) of pseudo-random roll, pitch and yaw doublets (0.4 s) on the attitude wanted: excitation.
     """
     rng = np.random.default_rng([seed, 77])
     plant = NativePlant(truth, seed=seed, ground=True)
@@ -113,7 +113,7 @@ def fly(
     plant.pos_ned_m[:] = reference(0.0)[0]
     plant.motor_u[:] = hover_command(believed)
     integral = np.zeros(3)
-    rows = []
+    rows, commands = [], []
     signs = np.zeros(3)
     for tick in range(round(seconds * 250)):
         t = tick * 0.004
@@ -129,21 +129,22 @@ def fly(
         lift[:2] = np.clip(lift[:2], -8.0, 8.0)
         lift[2] = min(lift[2], -2.0)
         thrust = believed.mass_kg * float(np.linalg.norm(lift))
-        if tick % 75 == 0:
+        if tick % 100 == 0:
             signs = rng.choice([-1.0, 0.0, 1.0], 3)
-        twist = dither * signs * (1.0 if tick % 75 < 38 else -1.0)
+        twist = dither * signs * np.sin(2.0 * np.pi * (tick % 100) / 100.0)
         attitude.step(state[6:10], _attitude(lift, yaw, twist), 0.0)
         p, q, r = attitude.rate_setpoint_frd_radps.tolist()
         norm = thrust_to_norm(thrust, believed.max_total_thrust_n, believed.rotors.thrust_model_factor)
         rates.set_target((p, q, r), norm, armed=True, hold_integral=False)
-        loop.run(4)
+        for _ in range(4):
+            loop.run(1)
+            commands.append(rates.motor_command.copy())
         if (tick * 4 + 4) % every_ms == 0:
             rows.append(
                 np.concatenate(
                     [
                         sensors.state[:10],
                         sensors.mean_imu,
-                        rates.motor_command,
                         [plant.battery_v],
                         plant.state_row[S_POS : S_RATE + 3],
                         plant.motor_u,
@@ -153,11 +154,20 @@ def fly(
                 )
             )
     table = np.array(rows)
-    cuts = np.cumsum([3, 3, 4, 3, 3, 4, 1, 3, 3, 4, 3, 4, 3])
+    cuts = np.cumsum([3, 3, 4, 3, 3, 1, 3, 3, 4, 3, 4, 3])
     parts = np.split(table, cuts, axis=1)
-    parts[6] = parts[6][:, 0]
+    parts[5] = parts[5][:, 0]
     dt = 0.001 * every_ms
+    parts.insert(5, _means(np.array(commands), every_ms))
     return Flown(dt * (1.0 + np.arange(len(table))), dt, *parts)
+
+
+def _means(commands: F64, every_ms: int) -> F64:
+    """What each sample stands for: the commands' mean over the log's period round it."""
+    total = np.vstack([np.zeros(4), np.cumsum(commands, axis=0)])
+    at = np.arange(every_ms, len(commands) + 1, every_ms)
+    low, high = at - every_ms // 2, np.minimum(at + every_ms // 2, len(commands))
+    return (total[high] - total[low]) / (high - low)[:, None]
 
 
 def _attitude(lift: F64, yaw: float, twist: F64) -> F64:
