@@ -238,9 +238,10 @@ def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, 
     masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
     after = [residual(made.vehicle, s).y for s in bench.flights]
     before = [residual(start, s).y for s in bench.flights]
-    columns = [sensitivities(made.vehicle, s, [Knob(e, p) for e, p in made.slots]) for s in bench.flights]
-    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
+    knobs = [Knob(e, p) for e, p in made.slots]
+    columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
+    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     return {group: rest(first.y, blocks, group) for group in GROUPS}
 

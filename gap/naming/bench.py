@@ -13,9 +13,11 @@ from gap.compare import residual
 from gap.naming.inputs import with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, sensitivities
+from gap.simulate import Knob, sensitivities, timing
 from gap.track import track
 
+_TIMING_SAMPLES = 0.3
+"""How far, in samples, commands may have acted beside their stamps (one standard deviation)."""
 SMOOTH = False
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
@@ -38,6 +40,11 @@ class SimulatorBench:
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
         """Derivatives of the simulated (N, 12, K) of each flight."""
         return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
+
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
+        """Columns (N, 12, K) of what no log tells, and how large each may be (K,): when the commands really acted."""
+        columns = [timing(vehicle, s)[::k, :, None] for s, k in zip(self.flights, self.every, strict=True)]
+        return columns, np.array([_TIMING_SAMPLES * float(np.mean([s.dt_s for s in self.flights]))])
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""

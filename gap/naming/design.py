@@ -34,6 +34,9 @@ class Bench(Protocol):
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
         """Derivatives of the simulated by these parameters at the vehicle: (N, channels, K) for each flight."""
 
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
+        """Columns (N, channels, K) of what is neither known nor an effect, and the size (K,) of each."""
+
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""
 
@@ -101,6 +104,10 @@ class Linearised:
     layout: Layout
     x: F64
     """(R, n)."""
+    nuisance: F64
+    """(R, k) columns of what is neither known nor an effect."""
+    nuisance_size: F64
+    """(k,) its standard deviation."""
     y: F64
     """(R,) as if every named effect were at its origin, to first order."""
     rest: F64
@@ -136,8 +143,11 @@ class Linearised:
     def gram(self, rows: Mask | None = None) -> Gram:
         """Robust normal equations over these rows (default: all to learn from)."""
         chosen = self.fit_rows() if rows is None else rows
-        x, y = self.x[chosen], self.y[chosen]
-        return robust(x.T @ x, x.T @ y, float(y @ y), float(len(y)), self.negligible)
+        x, y = np.hstack([self.x[chosen], self.nuisance[chosen]]), self.y[chosen]
+        sizes = np.concatenate([self.negligible, self.nuisance_size])
+        whole = robust(x.T @ x, x.T @ y, float(y @ y), float(len(y)), sizes)
+        n = len(self.slots)
+        return Gram(whole.k[:n, :n], whole.b[:n], whole.c, whole.rows)
 
 
 def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout | None = None) -> Linearised:
@@ -154,9 +164,11 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
     if layout is None:
         layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]))
     x = layout.stack(raw_x)
+    raw_nuisance, sizes = bench.nuisance(vehicle)
+    nuisance = layout.stack([np.nan_to_num(columns) for columns in raw_nuisance])
     rest = layout.stack(raw_y)
     moved = np.array([slot.value - slot.origin for slot in slots])
-    return Linearised(vehicle, group, slots, layout, x, rest + x @ moved, rest)
+    return Linearised(vehicle, group, slots, layout, x, nuisance, sizes, rest + x @ moved, rest)
 
 
 def _slot(m: int, candidate: Candidate, parameter: str, size: float, vehicle: Vehicle, start: Vehicle) -> Slot:

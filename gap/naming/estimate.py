@@ -21,6 +21,8 @@ from gap.naming.whitening import Mask
 from gap.simulate import Knob, value, with_value
 
 _STEPS = 4
+_STILL = 0.05
+"""Standard deviations that another step would move."""
 _SEGMENTS = 6
 _ALLOWED_SPREAD = 0.1
 """Share by which a coefficient of a good model may differ from segment to segment."""
@@ -54,20 +56,18 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
     slots = tuple((e, p) for e in effects for p in fitted(vehicle, e, vehicle.effects[e]).parameters)
     rows = layout.stack(state.bench.residual(vehicle))
     x = np.zeros((len(rows), 0))
-    for _ in range(_STEPS):
+    for _ in range(_STEPS if slots else 0):
         raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
         x = layout.stack([np.nan_to_num(values) for values in raw])
-        step = _step(vehicle, slots, x[chosen], rows[chosen])
+        step = _step(state, vehicle, slots, x, rows, chosen)
         moved = vehicle
         now = np.array([value(vehicle, e, p) for e, p in slots])
         for (e, p), v in zip(slots, now + step, strict=True):
             moved = with_value(moved, e, {p: _clipped(vehicle, e, p, v)})
         fresh = layout.stack(state.bench.residual(moved))
-        gained = float(rows[chosen] @ rows[chosen] - fresh[chosen] @ fresh[chosen])
-        if gained <= 0.0:
-            break
+        still = float(np.max(np.abs(step) / np.sqrt(np.maximum(np.diag(_covariance(state, x, rows, chosen)), 1e-300))))
         vehicle, rows = moved, fresh
-        if gained < 0.01:
+        if still < _STILL:
             break
     covariance = _covariance(state, x, rows, chosen)
     values = np.array([value(vehicle, e, p) for e, p in slots])
@@ -87,20 +87,38 @@ def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, 
     return np.array([s.minimum for s in specs]) - now, np.array([s.maximum for s in specs]) - now
 
 
-def _step(vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64) -> F64:
+def _step(
+    state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
+) -> F64:
     low, high = _bounds(vehicle, slots)
-    return bounded_step(x.T @ x, x.T @ rows, low, high)[0]
+    both = np.hstack([x, state.point.nuisance])[chosen]
+    k = both.T @ both + np.diag(np.concatenate([np.zeros(len(slots)), 1.0 / state.point.nuisance_size**2]))
+    b = both.T @ rows[chosen]
+    # the nuisance is solved for and left out again
+    n = len(slots)
+    shift = k[:n, n:] @ np.linalg.inv(k[n:, n:])
+    return bounded_step(k[:n, :n] - shift @ k[n:, :n], b[:n] - shift @ b[n:], low, high)[0]
 
 
 def _covariance(state: Search, x: F64, rows: F64, chosen: Mask) -> F64:
+    """Of the coefficients, what is neither known nor an effect being fitted beside them with its prior."""
+    nuisance, size = state.point.nuisance, state.point.nuisance_size
+    if x.shape[1] == 0:
+        return np.zeros((0, 0))
+    count = x.shape[1]
+    prior = np.concatenate([np.zeros(count), 1.0 / size**2])
+    return _sandwich(state, np.hstack([x, nuisance]), rows, chosen, prior)[:count, :count]
+
+
+def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64:
     """Sandwich over time: scores of all channels at one time belong together, neighbours in time by Bartlett weights."""
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
-    gram = xs.T @ xs
+    gram = xs.T @ xs + np.diag(prior)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
     scores = xs * e[:, None]
-    middle = np.zeros_like(gram)
+    middle = np.diag(prior)
     for flight in np.unique(layout.flight[chosen]):
         mine = layout.flight[chosen] == flight
         at = layout.at[chosen][mine]

@@ -98,8 +98,8 @@ class Metric:
 def metric_of(point: Linearised) -> Metric:
     """The metric at a point."""
     rows = point.fit_rows()
-    x = np.ascontiguousarray(point.x[rows])
-    t = 1.0 / point.negligible
+    x = np.hstack([point.x[rows], point.nuisance[rows]])
+    t = 1.0 / np.concatenate([point.negligible, point.nuisance_size])
     inner = np.linalg.inv((x.T @ x) / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
     return Metric(rows, x, inner)
 
