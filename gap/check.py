@@ -15,7 +15,7 @@ import numpy as np
 from flightstack.vehicle import Vehicle
 from gap.checks import contact, conventions, quality
 from gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
-from gap.checks.offsets import find_offsets, is_certain, shared, shifted
+from gap.checks.offsets import find_offsets, is_certain, shifted
 from gap.checks.rotors import judge_vehicle, moves
 from gap.checks.samples import flying_span, make_samples
 from gap.checks.say import ok, refused, warning
@@ -51,7 +51,7 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         return Checked(flight, None, tuple(findings), ())
     signals, more = conventions.settle(signals, span)
     findings += [*more, *judge_rates(signals, span)]
-    offsets = shared(find_offsets(signals, span), signals)
+    offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)
     read = replace(flight, signals=signals)

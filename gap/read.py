@@ -13,7 +13,7 @@ import numpy as np
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.records import Flight, Signal
-from gap.sources import mcap, ulog
+from gap.sources import DERIVED, crazyflie, mcap, ulog
 from logs.columns import PLACES, ColumnMap, apply, parse_columns
 from logs.reader import Log, read
 from logs.readers.csv_file import TABLE
@@ -65,7 +65,16 @@ def _crazyflie(log: Log, vehicle: Vehicle, mapped: ColumnMap | None) -> tuple[di
     """Of the table that has the most rows: the one logged at a fixed rate."""
     table = max(log.tables.values(), key=len)
     values, sources, places = apply(mapped or column_map("crazyflie"), table.columns, f"log {log.path}")
-    return _signals(table.t_us, values, sources, places, vehicle)
+    notes = []
+    if "q_ned_frd" not in values and "acc_ned_mps2" in values:
+        attitude = crazyflie.attitude_from_tilt(table.t_us, table.columns, values["acc_ned_mps2"])
+        if attitude is not None:
+            values["q_ned_frd"], sources["q_ned_frd"] = attitude, f"{DERIVED} roll, yaw and acceleration"
+            notes.append(
+                "attitude: the log has roll and yaw only; pitch was taken from the acceleration, drag neglected"
+            )
+    signals, more = _signals(table.t_us, values, sources, places, vehicle)
+    return signals, [*notes, *more]
 
 
 def _signals(

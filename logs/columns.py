@@ -27,6 +27,7 @@ _RATE = {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3}
 _ANGLE = {"rad": 1.0, "deg": _DEG}
 _VOLTAGE = {"V": 1.0, "mV": 1e-3}
 _WORLDS, _BODIES = ("ned", "enu", "nwu"), ("frd", "flu")
+_VECTORS = (*_WORLDS, "neu")
 PLACES = ("front right", "rear left", "front left", "rear right")
 """Where rotors can sit, in PX4's order."""
 
@@ -53,7 +54,7 @@ _SECTIONS: dict[str, _Section] = {
     "height": _Section("height_m", 1, _LENGTH),
     "landed": _Section("landed", 1, {"": 1.0}),
 }
-_FRAMES = {"position": _WORLDS, "velocity": _WORLDS, "kinematic_acceleration": _WORLDS, "rates": _BODIES,
+_FRAMES = {"position": _VECTORS, "velocity": _VECTORS, "kinematic_acceleration": _VECTORS, "rates": _BODIES,
            "specific_force": _BODIES}  # fmt: skip
 _ORDERS = ("wxyz", "xyzw", "rpy")
 

@@ -26,9 +26,15 @@ _LONGEST_S = 120.0
 _LOW_HZ, _HIGH_HZ = 0.15, 4.0
 _MARGIN = 0.12
 """By so much must the sum of correlations grow before a convention is changed."""
+_NEARLY, _SHARE = 0.03, 0.2
+"""Or by so much, where less than this share is then left to perfect agreement."""
+_CHANCE = 0.45
+"""Greatest correlation, over shifts and conventions, that two noises of some seconds may have."""
 _GOOD = 0.15
 """So near to perfect no other convention is tried."""
 _WORLDS = ("ned", "enu", "nwu")
+_VECTORS = (*_WORLDS, "neu")
+"""North, east, up is no right-handed frame, but vectors are logged so."""
 _TURNS = {"ned": (1.0, 0.0, 0.0, 0.0), "nwu": (0.0, 1.0, 0.0, 0.0), "enu": (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)}
 _SPEED_UNITS = {"mm/s": 1e3, "cm/s": 1e2, "km/h": 3.6, "ft/s": 1.0 / 0.3048, "knots": 1.0 / 0.514444}
 _LENGTH_UNITS = {"mm": 1e3, "cm": 1e2, "ft": 1.0 / 0.3048, "km": 1e-3}
@@ -125,8 +131,20 @@ def correlation(a: F64, b: F64, dt_s: float) -> tuple[float, float, float]:
     return float(shifted[best]) / np.sqrt(power_a * power_b), float(shifted[best]) / power_b, (best - most) * dt_s
 
 
+def agreement(a: F64, b: F64, dt_s: float) -> float:
+    """Correlation as far as it is none that noise has by chance: else nothing."""
+    found = correlation(a, b, dt_s)[0]
+    return found if found > _CHANCE else 0.0
+
+
 def _limited(values: F64, dt_s: float) -> F64:
     return band(values, dt_s, _LOW_HZ, _HIGH_HZ)
+
+
+def _is_better(new: float, kept: float, perfect: float = 1.0) -> bool:
+    """Whether one sum of correlations is beyond doubt better than another."""
+    gain = new - kept
+    return gain > _MARGIN or (gain > _NEARLY and perfect - new < _SHARE * (perfect - kept))
 
 
 def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
@@ -139,7 +157,7 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
     if scores[kept][0] < _parts(seen) - _GOOD:
         scores |= {each: _score(each, seen) for each in _CONVENTIONS if each != kept}
     best = max(scores, key=lambda each: scores[each][0] - 0.01 * each.changes)
-    chosen = best if scores[best][0] - scores[kept][0] > _MARGIN else kept
+    chosen = best if _is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
     _, gyro_frame, velocity_frame = scores[chosen]
     columns = dict(seen.columns)
     if chosen != kept:
@@ -150,7 +168,7 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
     if gyro_frame == "flu":
         _turn(out, columns, "rate_frd_radps", lambda v: body_to_frd(v, "flu"))
         findings.append(warning("frames", "gyro: was in FLU; turned into FRD"))
-    if velocity_frame in ("enu", "nwu"):
+    if velocity_frame in ("enu", "nwu", "neu"):
         _turn(out, columns, "vel_ned_mps", lambda v: world_to_ned(v, velocity_frame))
         findings.append(warning("frames", f"velocity: was {velocity_frame.upper()}; turned into NED"))
     elif velocity_frame in ("frd", "flu"):
@@ -176,10 +194,10 @@ def _score(each: _Convention, seen: Motion) -> tuple[float, str, str]:
     if "rate_frd_radps" in seen:
         turning = _limited(rates_of(q, dt_s), dt_s)
         given = {
-            frame: correlation(turning, _limited(body_to_frd(seen["rate_frd_radps"], frame), dt_s), dt_s)[0]
+            frame: agreement(turning, _limited(body_to_frd(seen["rate_frd_radps"], frame), dt_s), dt_s)
             for frame in ("frd", "flu")
         }
-        gyro_frame = "flu" if given["flu"] - given["frd"] > _MARGIN else "frd"
+        gyro_frame = "flu" if _is_better(given["flu"], given["frd"]) else "frd"
         total += given[gyro_frame] - (0.02 if gyro_frame == "flu" else 0.0)
     if "accel_frd_mps2" not in seen:
         return total, gyro_frame, velocity_frame
@@ -189,14 +207,14 @@ def _score(each: _Convention, seen: Motion) -> tuple[float, str, str]:
     if "vel_ned_mps" in seen:
         felt = _limited(world + G_NED, dt_s)
         velocity = seen["vel_ned_mps"]
-        tried = {frame: world_to_ned(velocity, frame) for frame in _WORLDS}
+        tried = {frame: world_to_ned(velocity, frame) for frame in _VECTORS}
         tried |= {frame: rotate(q, body_to_frd(velocity, frame)) for frame in ("frd", "flu")}
         given = {
-            frame: correlation(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)[0]
+            frame: agreement(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)
             for frame, value in tried.items()
         }
         best = max(given, key=lambda frame: given[frame])
-        velocity_frame = best if given[best] - given["ned"] > _MARGIN else "ned"
+        velocity_frame = best if _is_better(given[best], given["ned"]) else "ned"
         total += given[velocity_frame] - (0.02 if velocity_frame != "ned" else 0.0)
     return total, gyro_frame, velocity_frame
 
@@ -275,10 +293,11 @@ def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         frame: correlation(
             velocity, _limited(np.gradient(world_to_ned(seen["pos_ned_m"], frame), dt_s, axis=0), dt_s), dt_s
         )
-        for frame in _WORLDS
+        for frame in _VECTORS
     }
-    best = max(given, key=lambda frame: given[frame][0])
-    if given[best][0] - given["ned"][0] > _MARGIN:
+    agreed = {frame: each[0] if each[0] > _CHANCE else 0.0 for frame, each in given.items()}
+    best = max(agreed, key=lambda frame: agreed[frame])
+    if _is_better(agreed[best], agreed["ned"]):
         _turn(out, dict(seen.columns), "pos_ned_m", lambda v: world_to_ned(v, best))
         findings.append(warning("frames", f"position: was {best.upper()}; turned into NED"))
     else:

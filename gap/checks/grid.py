@@ -52,7 +52,7 @@ def on_grid(signal: Signal, t_s: F64) -> tuple[F64, NDArray[np.bool_]]:
 def held(signal: Signal, t_s: F64) -> F64:
     """The last value at or before each time."""
     at = np.searchsorted(signal.t_s, t_s + 1e-9, side="right") - 1
-    return signal.value[np.clip(at, 0, len(signal.t_s) - 1)]
+    return np.asarray(signal.value[np.clip(at, 0, len(signal.t_s) - 1)])
 
 
 def near(signal: Signal, t_s: F64) -> NDArray[np.bool_]:
@@ -68,7 +68,8 @@ def near(signal: Signal, t_s: F64) -> NDArray[np.bool_]:
 
 def _averaged(stamps: F64, value: F64, t_s: F64, step: float) -> F64:
     """Mean over one grid period round each grid time, of the straight lines between the samples."""
-    ends = np.concatenate([t_s - 0.5 * step, [t_s[-1] + 0.5 * step]])
+    ends = np.clip(np.concatenate([t_s - 0.5 * step, [t_s[-1] + 0.5 * step]]), stamps[0], stamps[-1])
+    covered = np.maximum(np.diff(ends), 1e-3 * step)[:, None]
     columns = value.reshape(len(stamps), -1)
     width = np.diff(stamps)[:, None]
     area = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(0.5 * width * (columns[1:] + columns[:-1]), 0)])
@@ -76,7 +77,7 @@ def _averaged(stamps: F64, value: F64, t_s: F64, step: float) -> F64:
     into = np.clip(ends - stamps[at], 0.0, np.diff(stamps)[at])[:, None]
     slope = (columns[at + 1] - columns[at]) / np.diff(stamps)[at][:, None]
     integral = area[at] + into * (columns[at] + 0.5 * slope * into)
-    return (np.diff(integral, axis=0) / step).reshape((len(t_s), *value.shape[1:]))
+    return (np.diff(integral, axis=0) / covered).reshape((len(t_s), *value.shape[1:]))
 
 
 def attitude_on_grid(signal: Signal, t_s: F64) -> tuple[F64, NDArray[np.bool_]]:

@@ -18,8 +18,8 @@ def white_noise(values: F64) -> F64:
     """(k,) standard deviation of the white noise on the columns of `values` (N, k).
 
     From third differences, which leave next to nothing of a smooth motion, by their median absolute value, which a few
-    knocks don't move.  Rows that were filled in by straight lines have next to none; then every second, third ... row is
-    taken.  NaN with less than 20 rows.
+    knocks don't move.  Rows filled in by straight lines have next to none; then every second, third
+    ... row is taken.  NaN with less than 20 rows.
     """
     columns = values.reshape(len(values), -1)
     columns = columns[np.isfinite(columns).all(axis=1)]

@@ -54,9 +54,17 @@ def find_offsets(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> 
     if "q_ned_frd" not in signals:
         return tuple(_unknown(name) for name in TOPICS if name in signals)
     found: dict[str, Offset] = {}
-    for names in (("rate_frd_radps",), ("vel_ned_mps", "accel_frd_mps2")):
-        if set(names) <= signals.keys():
-            found |= _settled(dict(signals), span_s, names)
+    known = dict(signals)
+    if "rate_frd_radps" in signals:
+        found |= _settled(known, span_s, ("rate_frd_radps",))
+        gyro = found["rate_frd_radps"]
+        if _one_topic(signals) and np.isfinite(gyro.low_s):
+            found["accel_frd_mps2"] = Offset("accel_frd_mps2", gyro.offset_s, gyro.low_s, gyro.high_s)
+            old = signals["accel_frd_mps2"]
+            known["accel_frd_mps2"] = Signal(old.t_s - gyro.offset_s, old.value, old.source)
+    if {"vel_ned_mps", "accel_frd_mps2"} <= signals.keys():
+        sought = ("vel_ned_mps",) if "accel_frd_mps2" in found else ("vel_ned_mps", "accel_frd_mps2")
+        found |= _settled(known, span_s, sought)
     if "pos_ned_m" in signals and "vel_ned_mps" in signals:
         found |= _position(shifted(signals, tuple(found.values())), span_s, found.get("vel_ned_mps"))
     return tuple(found.get(name, _unknown(name)) for name in TOPICS if name in signals)
@@ -72,25 +80,21 @@ def shifted(signals: Mapping[str, Signal], offsets: tuple[Offset, ...]) -> dict[
     return out
 
 
-def shared(offsets: tuple[Offset, ...], signals: Mapping[str, Signal]) -> tuple[Offset, ...]:
-    """Gyro and accelerometer of one topic have the same stamps: what is known of the one holds for the other."""
-    by_name = {each.signal: each for each in offsets}
-    gyro, force = by_name.get("rate_frd_radps"), by_name.get("accel_frd_mps2")
-    if gyro is None or force is None or not np.isfinite(gyro.low_s):
-        return offsets
-    topics = {signals[name].source.partition(" ")[0] for name in ("rate_frd_radps", "accel_frd_mps2")}
-    wider = not force.high_s - force.low_s < gyro.high_s - gyro.low_s
-    if len(topics) > 1 or not wider:
-        return offsets
-    by_name["accel_frd_mps2"] = Offset("accel_frd_mps2", gyro.offset_s, gyro.low_s, gyro.high_s)
-    return tuple(by_name[each.signal] for each in offsets)
+def _one_topic(signals: Mapping[str, Signal]) -> bool:
+    """Whether gyro and accelerometer come in one message, and so have the same stamps."""
+    names = ("rate_frd_radps", "accel_frd_mps2")
+    if not set(names) <= signals.keys():
+        return False
+    gyro, force = (signals[name] for name in names)
+    topic = gyro.source.partition(" ")[0]
+    same = topic == force.source.partition(" ")[0] and not topic.endswith(",")
+    return same and len(gyro.t_s) == len(force.t_s) and bool(np.all(gyro.t_s == force.t_s))
 
 
 def is_certain(offset: Offset) -> bool:
-    """Whether an offset is known and differs from nothing."""
-    return bool(
-        np.isfinite(offset.low_s) and offset.low_s * offset.high_s > 0.0 and abs(offset.offset_s) > _LEAST_SHIFT_S
-    )
+    """Whether an offset is known and differs from nothing at about three standard errors: what is put right."""
+    half = 0.5 * (offset.high_s - offset.low_s)
+    return bool(abs(offset.offset_s) > max(1.5 * half, _LEAST_SHIFT_S))
 
 
 def _settled(signals: dict[str, Signal], span_s: tuple[float, float], names: tuple[str, ...]) -> dict[str, Offset]:
@@ -102,7 +106,8 @@ def _settled(signals: dict[str, Signal], span_s: tuple[float, float], names: tup
         for place, name in enumerate(names):
             old = original[name]
             signals[name] = Signal(old.t_s - total[place], old.value, old.source)
-        used = {name: signals[name] for name in (*names, "q_ned_frd")}
+        needed = ("rate_frd_radps",) if names[0] == "rate_frd_radps" else ("vel_ned_mps", "accel_frd_mps2")
+        used = {name: signals[name] for name in (*needed, "q_ned_frd")}
         slowest = min(rate_hz(each) for each in used.values())
         seen = motion(used, span_s, _grid_s(slowest))
         if seen is None:
@@ -111,7 +116,7 @@ def _settled(signals: dict[str, Signal], span_s: tuple[float, float], names: tup
         if turn == 0:
             total += _coarse(seen, names, high_hz)
             continue
-        fit = _rates_fit(seen, high_hz) if len(names) == 1 else _velocity_fit(seen, min(high_hz, 6.0))
+        fit = _rates_fit(seen, high_hz) if len(needed) == 1 else _velocity_fit(seen, min(high_hz, 6.0), len(names))
         if fit is None:
             break
         step = np.where(fit.error[: len(names)] < 3.0 * _WIDEST_S, fit.value[: len(names)], 0.0)
@@ -144,9 +149,9 @@ def _coarse(seen: Motion, names: tuple[str, ...], high_hz: float) -> F64:
     level = correlation(felt[:, :2], moved[:, :2], dt_s)
     upright = correlation(felt[:, 2:], moved[:, 2:], dt_s)
     if level[0] < 0.6:
-        return np.zeros(2)
+        return np.zeros(len(names))
     accelerometer = level[2] - upright[2] if upright[0] > 0.6 else 0.0
-    return np.array([level[2], accelerometer])
+    return np.array([level[2], accelerometer][: len(names)])
 
 
 def _rates_fit(seen: Motion, high_hz: float) -> _Fit | None:
@@ -159,8 +164,8 @@ def _rates_fit(seen: Motion, high_hz: float) -> _Fit | None:
                       [np.stack([late[:, axis]], axis=1) for axis in range(3)], seen)  # fmt: skip
 
 
-def _velocity_fit(seen: Motion, high_hz: float) -> _Fit | None:
-    """Unknowns: the velocity's lateness, the accelerometer's, and the accelerometer's bias along its three axes."""
+def _velocity_fit(seen: Motion, high_hz: float, sought: int) -> _Fit | None:
+    """Unknowns: the lateness of the velocity, of the accelerometer (where 2 are sought), and its bias on each axis."""
     dt_s = seen.dt_s
     q, force = seen["q_ned_frd"], seen["accel_frd_mps2"]
 
@@ -170,13 +175,15 @@ def _velocity_fit(seen: Motion, high_hz: float) -> _Fit | None:
     felt = rotate(q, force) + G_NED
     difference = limited(seen["vel_ned_mps"] - integrated(felt, dt_s))
     smooth = band(force, dt_s, 0.0, high_hz)
-    columns = [-limited(felt), limited(integrated(rotate(q, np.gradient(smooth, dt_s, axis=0)), dt_s))]
+    columns = [-limited(felt), limited(integrated(rotate(q, np.gradient(smooth, dt_s, axis=0)), dt_s))][:sought]
     for axis in range(3):
         unit = np.zeros((1, 3))
         unit[0, axis] = 1.0
         columns.append(limited(integrated(rotate(q, np.repeat(unit, len(q), axis=0)), dt_s)))
     table = np.stack(columns, axis=-1)
-    return _clustered([difference[:, axis] for axis in range(3)], [table[:, axis] for axis in range(3)], seen, free=2)
+    return _clustered(
+        [difference[:, axis] for axis in range(3)], [table[:, axis] for axis in range(3)], seen, free=sought
+    )
 
 
 def _position(signals: Mapping[str, Signal], span_s: tuple[float, float], velocity: Offset | None) -> dict[str, Offset]:

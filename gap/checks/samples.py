@@ -14,6 +14,7 @@ from gap.checks.grid import attitude_on_grid, grid_period_s, held, motors_on_gri
 from gap.checks.motion import rates_of
 from gap.checks.noise import white_noise
 from gap.records import Samples, Signal
+from gap.sources import DERIVED
 from logs.turn import rotate_inverse
 
 _G_NED = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -111,7 +112,7 @@ def _columns(used: dict[str, Signal], t_s: F64, dt_s: float) -> tuple[dict[str, 
 
 def _derive(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, dt_s: float) -> list[str]:
     """Fill what the log lacks from what it has."""
-    derived = []
+    derived = [name for name in columns if name in used and used[name].source.startswith(DERIVED)]
     if "vel_ned_mps" not in used and "pos_ned_m" in used:
         columns["vel_ned_mps"] = np.gradient(columns["pos_ned_m"], dt_s, axis=0)
         derived.append("vel_ned_mps")
