@@ -6,8 +6,10 @@ Gauss-Newton on that difference, weighted by its own covariance: each channel's 
 from the residuals (generalised least squares), and the intervals are of the sandwich kind over windows, with their
 neighbours' correlation (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
 
-When the commands acted is known to half a sample only; each flight has that shift as a parameter of its own, held by
-a prior of a uniform distribution's width.  Sensor effects are not moved: the kinematic columns know them better.
+Two nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
+a prior of a uniform distribution's width (beside a transport delay it can't be told from, it stays 0 and widens the
+delay's interval).  And what is left of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects
+themselves are not moved: the kinematic columns know them better.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from scipy.stats import t as student
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
+from gap.compare import residual
 from gap.records import Estimate, Samples
 from gap.rollouts import Rollout, rollouts
 from gap.scales import natural_scale
@@ -40,6 +43,14 @@ _PRIOR_SCALES = 30.0
 _RAW_RATES_BELOW_HZ = 12.0
 _CONVERGED = 0.02
 _TIMING_STEP_S = 0.001
+_BIAS_STD_MPS2 = 0.1
+"""Of an accelerometer in use, before the kinematic columns are looked at."""
+_BLOCK_S = 4.0
+_SAMPLING = 0.05
+"""Of a sample: how well a lag can be known from sampled commands, one standard deviation."""
+_GAIN = 1e-3
+"""How well an inertia's scale can be, for the same reason."""
+_NUISANCES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +97,8 @@ def refine(
             float(max(theta[k] - half[k], low)),
             float(min(theta[k] + half[k], high)),
         )
-    late = tuple(s.command_late_s + float(x) for s, x in zip(flights, theta[len(unknowns) :], strict=True))
+    shifts = theta[len(unknowns) :: _NUISANCES]
+    late = tuple(s.command_late_s + float(x) for s, x in zip(flights, shifts, strict=True))
     return Refined(problem.vehicle_at(theta), found, late, problem.count)
 
 
@@ -142,8 +154,24 @@ def _gathered(run: Rollout, windows: _Windows) -> F64:
     return np.concatenate([np.diff(sums, axis=1), np.diff(rate, axis=1)], axis=2)
 
 
+def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[F64, F64]:
+    """Mean and standard deviation (3,) of the accelerometer's bias beyond the vehicle's, m/s^2."""
+    flight = track(samples)
+    none = np.zeros(3), np.full(3, 1e-6)
+    if "accel_frd_mps2" in flight.missing:
+        return none
+    y = residual(vehicle, samples).y[mask & flight.usable, 9:12]
+    length = round(_BLOCK_S / samples.dt_s)
+    blocks = [y[k : k + length].mean(axis=0) for k in range(0, len(y) - length + 1, length)]
+    if len(blocks) < 3 or not np.isfinite(blocks).all():
+        return np.zeros(3), np.full(3, _BIAS_STD_MPS2)
+    seen = np.var(blocks, axis=0, ddof=1) / len(blocks)
+    trust = _BIAS_STD_MPS2**2 / (_BIAS_STD_MPS2**2 + seen)
+    return trust * np.mean(blocks, axis=0), np.sqrt(trust * seen)
+
+
 class _Problem:
-    """Parameters (K) and command shifts (F) as one vector, residuals and derivatives over all windows."""
+    """Parameters (K) and each flight's nuisances (shift, three biases) as one vector, over all windows."""
 
     def __init__(
         self,
@@ -160,13 +188,21 @@ class _Problem:
         ]
         self.count = sum(len(w.starts) for w in self._windows)
         scales = [natural_scale(vehicle, effect, parameter) for effect, parameter in unknowns]
-        self._step = np.array([_STEP_SHARE * scale for scale in scales] + [_TIMING_STEP_S] * len(flights))
-        self._start = np.array([value(vehicle, *unknown) for unknown in unknowns] + [0.0] * len(flights))
-        shifts = [s.dt_s / math.sqrt(12.0) for s in flights]
-        self._prior_std = np.array([_PRIOR_SCALES * scale for scale in scales] + shifts)
-        limits = [_limits(*unknown) for unknown in unknowns]
-        self._low = np.array([low for low, _ in limits] + [-s.dt_s for s in flights])
-        self._high = np.array([high for _, high in limits] + [s.dt_s for s in flights])
+        self._delayed = ("transport_delay", "delay_s") in unknowns
+        own = np.array([value(vehicle, *unknown) for unknown in unknowns])
+        limits = np.array([_limits(*unknown) for unknown in unknowns]).reshape(-1, 2)
+        means, stds, steps, reach = [own], [_PRIOR_SCALES * np.array(scales)], [_STEP_SHARE * np.array(scales)], []
+        for s, mask in zip(flights, masks, strict=True):
+            bias, bias_std = _bias_prior(vehicle, s, mask)
+            shift_std = 1e-9 if self._delayed else s.dt_s / math.sqrt(12.0)
+            means.append(np.array([0.0, *bias]))
+            stds.append(np.array([shift_std, *bias_std]))
+            steps.append(np.array([_TIMING_STEP_S, 1.0, 1.0, 1.0]))
+            reach.append(np.array([s.dt_s, 10.0, 10.0, 10.0]))
+        self._start, self._prior_std, self._step = np.concatenate(means), np.concatenate(stds), np.concatenate(steps)
+        self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
+        self._high = np.concatenate([limits[:, 1], *reach])
+        self._sampling_s = max((s.dt_s for s in flights), default=0.0)
 
     def vehicle_at(self, theta: F64) -> Vehicle:
         """The vehicle with these parameters."""
@@ -176,7 +212,7 @@ class _Problem:
         return changed
 
     def solve(self) -> tuple[F64, F64]:
-        """Estimate and covariance (K + F, K + F)."""
+        """Estimate and covariance of all parameters and nuisances."""
         theta = self._start.copy()
         covariance = np.diag(self._prior_std**2)
         for _ in range(_ROUNDS):
@@ -191,18 +227,25 @@ class _Problem:
             theta = moved
             if done:
                 break
+        for k, (effect, _) in enumerate(self._unknowns):
+            if effect == "transport_delay":
+                covariance[k, k] += self._sampling_s**2 / 12.0
+            elif effect == "motor_lag":
+                covariance[k, k] += (_SAMPLING * self._sampling_s) ** 2
+            elif effect == "inertia":
+                covariance[k, k] += _GAIN**2
         return theta, covariance
 
     def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
-        """Residual (S, n, 6) and its explanation by each parameter (S, n, 6, K + F) of one flight."""
+        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 4 F) of one flight."""
         windows = self._windows[f]
         jacobian = np.zeros((*windows.gathered.shape, len(theta)))
         if len(windows.starts) == 0:
             return windows.gathered, jacobian
-        own = [*range(len(self._unknowns)), len(self._unknowns) + f]
+        late = len(self._unknowns) + _NUISANCES * f
+        own = [*range(len(self._unknowns)), late]
         sign = np.where(theta + self._step > self._high, -1.0, 1.0)
         points = [theta] + [theta + sign[k] * self._step[k] * np.eye(len(theta))[k] for k in own]
-        late = len(self._unknowns) + f
         runs = rollouts(
             [(self.vehicle_at(x), float(x[late])) for x in points],
             windows.flight.samples,
@@ -212,7 +255,12 @@ class _Problem:
         base = _gathered(runs[0], windows)
         for k, run in zip(own, runs[1:], strict=True):
             jacobian[..., k] = (_gathered(run, windows) - base) / (sign[k] * self._step[k])
-        return windows.gathered - base, jacobian
+        span = np.diff(windows.edges) * windows.flight.samples.dt_s
+        for axis in range(3):
+            jacobian[:, :, axis, late + 1 + axis] = span
+        y = windows.gathered - base - jacobian[..., late + 1 : late + 4] @ theta[late + 1 : late + 4]
+        # The first piece's change of rate holds the start's own error with the opposite sign: that looks like damping.
+        return y[:, 1:], jacobian[:, 1:]
 
     def _step_from(self, theta: F64, parts: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
         """Gauss-Newton step and the sandwich covariance, all windows of all flights together."""
