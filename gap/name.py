@@ -30,6 +30,7 @@ from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
 from gap.simulate import Knob, sensitivities, value
+from gap.track import track
 
 _LEAST_EVIDENCE = 25.0
 """Fall of the score from which an effect is named."""
@@ -38,9 +39,12 @@ _LEAST_P = 1e-4
 _LEAST_SIZES = 3.0
 """Smallest effect that is named, in negligible sizes."""
 _NOT_CONSTANT_P = 1e-6
-_ABSTAIN_SHARE = 0.15
+_ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
-_TOLD_SHARE = 0.1
+_TOLD_SHARE = 0.05
+_MATTERS_MPS2 = 0.02
+_MATTERS_SHARE = 0.03
+"""What is left matters from this specific force on, or this share of the angular acceleration flown."""
 _CI = 1.959964
 
 
@@ -56,6 +60,8 @@ class Naming:
     """The vehicle with the found effects at their estimates; the given one where nothing was found."""
     unexplained: Unexplained
     where: tuple[Where, ...]
+    constant: Mapping[str, float]
+    """Effect -> p-value of its being the same in all stretches of the flights."""
 
 
 def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
@@ -73,23 +79,30 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     )
     where = locate([residual(vehicle, s) for s in flights], flights)
     if not any(m.any() for m in bench.fit):
-        return Naming((), (), vehicle, Unexplained(False), where)
+        return Naming((), (), vehicle, Unexplained(False), where, {})
     state = search(bench, vehicle)
     best = _pruned(state)
     judged = _judge(state, best)
     rests = _rests(bench, vehicle, judged.estimates)
-    told = {group: r for group, r in rests.items() if r.drivers and r.share > _TOLD_SHARE}
+    told = {
+        group: r
+        for group, r in rests.items()
+        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > _matters(bench, group)
+    }
+    fickle = [e for e, p in judged.constant.items() if p < _NOT_CONSTANT_P]
     abstain = any(r.share > _ABSTAIN_SHARE for r in told.values())
     unexplained = _unexplained(told, rests)
+    del fickle
     if abstain or not judged.found:
         reason = "too much is left that depends on something else" if abstain else ""
-        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where)
+        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where, judged.constant)
     return Naming(
         judged.found,
         _rejected(state, best, tuple(f.name for f in judged.found), ""),
         judged.estimates.vehicle,
         unexplained,
         where,
+        judged.constant,
     )
 
 
@@ -97,6 +110,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
 class _Judged:
     found: tuple[Found, ...]
     estimates: Estimates
+    constant: Mapping[str, float]
 
 
 def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
@@ -155,7 +169,7 @@ def _size(state: Search, best: Fit, effect: str) -> float:
 def _judge(state: Search, best: Fit) -> _Judged:
     made = estimate(state, best.effects)
     if not best.effects:
-        return _Judged((), made)
+        return _Judged((), made, {})
     chosen, held = state.point.fit_rows(), state.point.layout.keep & state.point.layout.held
     start_rows = state.point.layout.stack(state.bench.residual(state.start))
     gaps = _gap(start_rows, held), _gap(made.rows, held)
@@ -188,7 +202,10 @@ def _judge(state: Search, best: Fit) -> _Judged:
         left = {f.name: best.effects[f.name] for _, f in found}
         made = estimate(state, left)
     found.sort(key=lambda item: -item[0])
-    return _Judged(tuple(f for _, f in found), made)
+    constant: dict[str, float] = {}
+    for (effect, _), p in zip(made.slots, made.spread, strict=True):
+        constant[effect] = min(constant.get(effect, 1.0), float(p))
+    return _Judged(tuple(f for _, f in found), made, constant)
 
 
 def _gap(rows: F64, chosen: Mask) -> float:
@@ -244,6 +261,14 @@ def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, 
     blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     return {group: rest(first.y, blocks, group) for group in GROUPS}
+
+
+def _matters(bench: SimulatorBench, group: str) -> float:
+    """What a remainder of this group must reach to be told, root mean square."""
+    if group == "force":
+        return _MATTERS_MPS2
+    flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
+    return _MATTERS_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
 
 
 def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:

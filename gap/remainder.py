@@ -22,7 +22,9 @@ _LENGTHS = (0.5, 1.5)
 _TIME_LENGTHS = (0.3, 1.0)
 _RATIOS = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
 """Signal to noise variance."""
-_MOST_BLOCKS = 450
+_MOST_BLOCKS = 300
+_REMEMBERED = ("acceleration", "rate")
+"""Drivers whose past is looked at as well."""
 GROUPS = {"force": (0, 1, 2), "torque": (3, 4, 5)}
 _EVIDENCE = 12.0
 """Natural logarithm of the likelihood ratio from which a driver counts."""
@@ -42,6 +44,8 @@ class Rest:
     """What of `after` the best driver predicts where it has not looked."""
     drivers: tuple[str, ...]
     """Best first; empty where nothing is significant."""
+    driven_rms: float = 0.0
+    """Root of `driven` in the channels' own unit."""
 
     @property
     def share(self) -> float:
@@ -64,6 +68,11 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
     for name, x in blocks.drivers.items():
         y = world if name == "position" else bare
         scores[name] = _driver(x[::thin], y[::thin], blocks.fold[::thin], _TIME_LENGTHS if name == "time" else _LENGTHS)
+    for name in _REMEMBERED:
+        if name in blocks.past:
+            late = _filtered_driver(blocks.past[name][::thin], bare[::thin], blocks.fold[::thin])
+            if late[0] > scores[name][0]:
+                scores[name] = late
     best = max(scores, key=lambda name: scores[name][0])
     evidence, driven = scores[best]
     if evidence < _EVIDENCE or driven <= 0.0:
@@ -73,7 +82,8 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
         best_names = tuple(sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0]))
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
-    return Rest(power_before, power_after, driven, best_names)
+    unit = float(np.sqrt(np.mean(noise**2)))
+    return Rest(power_before, power_after, driven, best_names, unit * float(np.sqrt(driven)))
 
 
 def _noise(y: F64) -> float:
@@ -112,6 +122,18 @@ def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[floa
         if evidence > best[0]:
             best = (evidence, _predicted(kernel, centred, fold, ratios))
     return best
+
+
+def _filtered_driver(x: F64, y: F64, fold: F64) -> tuple[float, float]:
+    """The same for a linear filter of the driver's last seconds, (B, lags * d): what swings remembers."""
+    spread = x.std(axis=0)
+    if not np.any(spread > 1e-9):
+        return -np.inf, 0.0
+    z = (x - x.mean(axis=0))[:, spread > 1e-9] / spread[spread > 1e-9]
+    kernel = z @ z.T / z.shape[1]
+    centred = y - y.mean(axis=0)
+    evidence, ratios = _evidence(kernel, centred)
+    return evidence, _predicted(kernel, centred, fold, ratios)
 
 
 def _evidence(kernel: F64, y: F64) -> tuple[float, F64]:

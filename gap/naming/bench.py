@@ -10,15 +10,19 @@ import numpy as np
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
-from gap.naming.inputs import with_smooth_commands
+from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, sensitivities, timing
+from gap.simulate import Knob, predict, sensitivities, timing
 from gap.track import track
 
 _TIMING_SAMPLES = 0.3
 """How far, in samples, commands may have acted beside their stamps (one standard deviation)."""
-SMOOTH = False
+_GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
+_GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
+"""Of those gains, one standard deviation for each second between samples."""
+_FOLDED = ((0, 1, 2), (3,), (4,), (5,))
+"""Channels of each part of the commands' noise."""
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
 
@@ -28,6 +32,8 @@ class SimulatorBench:
     """Several flights at their own rates, each thinned to what its low-pass leaves."""
 
     flights: tuple[Samples, ...]
+    calm: tuple[Samples, ...]
+    """The same with smooth commands (`gap.naming.inputs`)."""
     every: tuple[int, ...]
     """Samples for each row, by flight."""
     fit: list[Mask]
@@ -42,9 +48,27 @@ class SimulatorBench:
         return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
-        """Columns (N, 12, K) of what no log tells, and how large each may be (K,): when the commands really acted."""
-        columns = [timing(vehicle, s)[::k, :, None] for s, k in zip(self.flights, self.every, strict=True)]
-        return columns, np.array([_TIMING_SAMPLES * float(np.mean([s.dt_s for s in self.flights]))])
+        """Columns (N, 12, K) of what no log tells, and how large each may be (K,).
+
+        When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
+        loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
+        unsteadiness is folded in by sampling, for the force and for each torque: the change if none were real.
+        """
+        columns = []
+        for s, calm, k in zip(self.flights, self.calm, self.every, strict=True):
+            late = timing(vehicle, s)[::k, :, None]
+            base = predict(vehicle, s)
+            change = track(s).lowpass(predict(vehicle, calm) - base)[::k]
+            bent = track(s).lowpass(predict(vehicle, with_sharp_commands(s)) - base)[::k, :, None]
+            folded = np.zeros((*change.shape, len(_FOLDED)))
+            for j, channels in enumerate(_FOLDED):
+                folded[:, channels, j] = change[:, channels]
+            gains = np.nan_to_num(sensitivities(vehicle, s, _GAINS, k))
+            gains[:, 3:, 0] = 0.0
+            columns.append(np.concatenate([late, bent, folded, gains], axis=2))
+        period = float(np.mean([s.dt_s for s in self.flights]))
+        sizes = [_TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
+        return columns, np.array(sizes)
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""
@@ -59,10 +83,10 @@ def simulator_bench(
     vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
 ) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
-    flights = [with_smooth_commands(s, vehicle) for s in flights] if SMOOTH else list(flights)
     every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
     return SimulatorBench(
         tuple(flights),
+        tuple(with_smooth_commands(s, vehicle) for s in flights),
         every,
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],

@@ -74,8 +74,15 @@ class Layout:
         parts = []
         for f, flight in enumerate(values):
             for c, whitener in enumerate(self.whiteners[f]):
-                if whitener.usable:
-                    parts.append(apply(whitener, flight[:, c], self.ok[f][:, c])[self.windows[f][c]])
+                if not whitener.usable:
+                    continue
+                rows, seen = flight[:, c], np.any(flight[:, c], axis=0)
+                white = np.zeros(rows.shape)
+                if rows.ndim == 1 or seen.all():
+                    white = apply(whitener, rows, self.ok[f][:, c])
+                elif seen.any():  # most columns are nothing in most channels
+                    white[:, seen] = apply(whitener, rows[:, seen], self.ok[f][:, c])
+                parts.append(white[self.windows[f][c]])
         return np.concatenate(parts) if parts else np.empty(0)
 
 

@@ -13,6 +13,9 @@ from gap.records import DRIVERS, Samples
 from gap.track import track
 
 _SMOOTH_S = 0.4
+_LAGS = 10
+"""Blocks that a driver is remembered for."""
+_REMEMBERED = ("acceleration", "rate")
 _INTERFERENCE_M = 1.0
 """Added to the height where its inverse is taken."""
 
@@ -29,6 +32,8 @@ class Blocks:
     """(B, 6, K) columns of what has been named."""
     drivers: dict[str, F64]
     """Driver -> (B, d); absent where the log can't tell."""
+    past: dict[str, F64]
+    """Driver -> (B, lags * d): its last two seconds."""
     fold: NDArray[np.int64]
     """(B,) for cross-validation: stretches of a few seconds in turn."""
 
@@ -44,7 +49,7 @@ def block_means(
     folds: int,
 ) -> Blocks:
     """Blocks of all flights; residuals (N, >= 6), columns (N, >= 6, K) and masks (N,) at the flights' own rates."""
-    parts: list[tuple[F64, F64, F64, dict[str, F64], NDArray[np.int64]]] = []
+    parts: list[tuple[F64, F64, F64, dict[str, F64], dict[str, F64], NDArray[np.int64]]] = []
     for samples, y, x, mask in zip(flights, residuals, columns, masks, strict=True):
         size = max(1, round(block_s / samples.dt_s))
         good = mask & np.isfinite(y[:, :6]).any(axis=1)
@@ -56,13 +61,15 @@ def block_means(
             return np.asarray(cut.mean(axis=1)[whole])
 
         number = np.flatnonzero(whole)
+        known = quantities(samples)
         fold = (number * block_s // stretch_s).astype(np.int64) % folds
         parts.append(
             (
                 mean(np.nan_to_num(y[:, :6])),
                 mean(_to_world(samples, np.nan_to_num(y[:, :3]))),
                 mean(np.nan_to_num(x[:, :6])),
-                {name: mean(values) for name, values in quantities(samples).items()},
+                {name: mean(values) for name, values in known.items()},
+                {name: mean(_lagged(known[name], size)) for name in _REMEMBERED if name in known},
                 fold,
             )
         )
@@ -72,8 +79,14 @@ def block_means(
         np.concatenate([p[1] for p in parts]),
         np.concatenate([p[2] for p in parts]),
         {name: np.concatenate([p[3][name] for p in parts]) for name in shared},
-        np.concatenate([p[4] for p in parts]),
+        {name: np.concatenate([p[4][name] for p in parts]) for name in _REMEMBERED if name in shared},
+        np.concatenate([p[5] for p in parts]),
     )
+
+
+def _lagged(x: F64, size: int) -> F64:
+    """(N, d) beside itself up to `_LAGS` blocks ago."""
+    return np.hstack([np.vstack([np.repeat(x[:1], k * size, axis=0), x[: len(x) - k * size]]) for k in range(_LAGS + 1)])
 
 
 def quantities(samples: Samples) -> dict[str, F64]:
