@@ -80,7 +80,7 @@ class Track:
 
     def lowpass(self, columns: F64) -> F64:
         """The common low-pass along the first axis; NaN columns stay NaN."""
-        return _filtered(columns, self.cutoff_hz, self.samples.dt_s)
+        return lowpass(columns, self.cutoff_hz, self.samples.dt_s)
 
 
 def simpson(x: F64) -> F64:
@@ -157,7 +157,7 @@ def track(samples: Samples) -> Track:
     force, differentiated = _force(samples, q, vel_rate, missing)
     acc = rotate(q, force) + GRAVITY_NED_MPS2
     inertial = not differentiated and not {"q_ned_frd", "vel_ned_mps"} & missing
-    smooth, velocity_std = _filtered(velocity, cutoff, dt), np.zeros(3)
+    smooth, velocity_std = lowpass(velocity, cutoff, dt), np.zeros(3)
     if inertial:
         smooth, velocity_std = _fused(velocity, samples, acc, missing)
     path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
@@ -170,7 +170,7 @@ def track(samples: Samples) -> Track:
         smooth,
         velocity_std,
         q,
-        _filtered(rate, cutoff, dt),
+        lowpass(rate, cutoff, dt),
         acc,
         vel_rate,
         turn,
@@ -230,7 +230,8 @@ def _cutoff(samples: Samples) -> float:
     return min(CUTOFF_HZ, 0.8 * band, 0.35 / samples.dt_s)
 
 
-def _filtered(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
+def lowpass(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
+    """Zero-phase second-order Butterworth, forwards and backwards, along the first axis; NaN columns stay NaN."""
     flat = columns.reshape(len(columns), -1)
     out = np.full_like(flat, np.nan)
     seen = np.isfinite(flat).any(axis=0)
@@ -315,7 +316,7 @@ def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]
     q = _filled(samples.q_ned_frd)
     flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
     q = q * np.concatenate([[1.0], flips])[:, None]
-    q = _filtered(q, cutoff_hz, samples.dt_s)
+    q = lowpass(q, cutoff_hz, samples.dt_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
