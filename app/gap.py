@@ -9,7 +9,7 @@ from pathlib import Path
 
 from app import files
 from flightstack.types import InputError
-from flightstack.vehicle import vehicle_to_toml
+from gap.add import vehicle_file
 from gap.report import write_report
 from gap.result import GapResult, as_json
 
@@ -49,7 +49,7 @@ def find_gap(
         on_progress=on_progress,
     )
     on_progress(0.98, "writing")
-    _write_whole(options.out / "vehicle.toml", vehicle_to_toml(result.corrected))
+    _write_whole(options.out / "vehicle.toml", _vehicle_file(result))
     try:
         write_report(result.report, options.out / "report.html")
     except OSError as error:
@@ -57,6 +57,12 @@ def find_gap(
     files.write_json(options.out / "gap.json.part", as_json(result))
     (options.out / "gap.json.part").replace(options.out / "gap.json")  # last: it says that all is there
     return result
+
+
+def _vehicle_file(result: GapResult) -> str:
+    """The corrected vehicle's text, checked to say what was found."""
+    values = {f.name: {name: value.estimate for name, value in f.parameters.items()} for f in result.found}
+    return vehicle_file(result.corrected, values)
 
 
 def _make_folder(out: Path) -> None:

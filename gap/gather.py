@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flightstack.model import Model
-from flightstack.types import F64
+from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, with_effects
 from gap import pooled
+from gap.add import companion
 from gap.compare import residual, sensor_noise
 from gap.locate import regimes
 from gap.name import Naming
@@ -18,6 +18,7 @@ from gap.records import REGIMES, SIGNALS, Checked, Gap
 from gap.report.record import GapReport, LogQuality, RegimeRow, Step, Trace
 from gap.simulate import predict
 from gap.track import track
+from gap.verify import reflight, whiteness
 
 _LEAST_REGIME_S = 0.5
 _COLUMNS = len(SIGNALS)
@@ -38,7 +39,8 @@ def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence
         regimes=_regimes(vehicle, naming.vehicle, of),
         traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
         logs=tuple(_quality(checked) for checked in logs),
-        learner=_left_to_learner(naming),
+        checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
+        **_companion(vehicle, naming),
     )
 
 
@@ -110,7 +112,39 @@ def _quality(checked: Checked) -> LogQuality:
     return LogQuality(flight.name, flight.kind, seconds, checked.findings, checked.offsets, flight.notes)
 
 
-def _left_to_learner(naming: Naming) -> tuple[str, ...]:
-    """Found effects that the companion's model can't express."""
-    left = Model.from_vehicle(naming.vehicle).left_to_learner
-    return tuple(found.name for found in naming.found if found.name in left)
+def _whiteness(corrected: Vehicle, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+    """Whether what is left on held-out data is noise."""
+    tested = whiteness(corrected, of.flights[k], of.holdout[k])
+    if not tested:
+        return ()
+    coloured = [each.signal.replace("_", " ") for each in tested if not each.white]
+    text = f"white in {len(tested) - len(coloured)} of {len(tested)} channels"
+    return (("what is left", f"{text}; not in {', '.join(coloured)}" if coloured else text),)
+
+
+def _flown_again(vehicle: Vehicle, naming: Naming, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+    """The logged path flown once more in the simulator, with the model as it was and with the corrected one."""
+    if not naming.found:
+        return ()
+    runs = reflight(vehicle, [vehicle, naming.vehicle], of.flights[k], of.holdout[k])
+    if not runs:
+        return ()
+    was, now = runs
+    return (
+        ("flown again", f"{now.seconds:.0f} s of the logged path, closed loop, by the simulated autopilot"),
+        ("leans off by", f"{np.degrees(was.lean_rad):.2f}° → {np.degrees(now.lean_rad):.2f}°"),
+        ("mean command off by", f"{100.0 * was.collective:.2f} % → {100.0 * now.collective:.2f} %"),
+    )
+
+
+def _companion(vehicle: Vehicle, naming: Naming) -> dict[str, tuple[str, ...]]:
+    """What the companion's model takes of the correction, and which found effects it leaves to its learner."""
+    try:
+        made = companion(vehicle, naming.vehicle)
+    except InputError as error:
+        return {"takes": (f"nothing: {error}",)}
+    names = {found.name for found in naming.found}
+    return {
+        "takes": tuple(f"{t.name} {t.before:.4g} → {t.after:.4g} {t.unit}".strip() for t in made.takes),
+        "learner": tuple(name for name in made.left_to_learner if name in names),
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from flightstack.vehicle import Vehicle
 from gap import compare
 from gap.records import Figures, Samples
+from gap.sampled import sampling_floor
 
 Mask = NDArray[np.bool_]
 
@@ -57,9 +58,25 @@ def figures(vehicle: Vehicle, of: Split) -> Figures:
     return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))
 
 
-def noise_floor(vehicle: Vehicle, of: Split) -> Figures:
-    """The held-out figures of a simulator without any error."""
-    return _pooled(of, lambda samples, mask: compare.noise_floor(vehicle, samples, mask))
+def noise_floor(vehicle: Vehicle, of: Split, after: Figures) -> Figures:
+    """The held-out figures of a simulator without any error: the sensors' noise, and what sampling hides of commands.
+
+    How much sampling hides is known as an upper bound only (a log may hold every command): what is left in `after`
+    is counted as that up to the bound, never more.
+    """
+    sensors = _pooled(of, lambda samples, mask: compare.noise_floor(vehicle, samples, mask))
+    hidden = _pooled(of, lambda samples, mask: Figures(*sampling_floor(vehicle, samples, mask), None))
+    return replace(
+        sensors,
+        one_step_mps2=_with(sensors.one_step_mps2, hidden.one_step_mps2, after.one_step_mps2),
+        one_step_radps2=_with(sensors.one_step_radps2, hidden.one_step_radps2, after.one_step_radps2),
+    )
+
+
+def _with(sensors: float | None, hidden: float | None, after: float | None) -> float | None:
+    if sensors is None or hidden is None or after is None:
+        return sensors
+    return min(math.hypot(sensors, hidden), max(sensors, after))
 
 
 def _pooled(of: Split, figures_of: Callable[[Samples, Mask], Figures]) -> Figures:

@@ -116,6 +116,6 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
     before = pooled.figures(vehicle, of)
-    floor = pooled.noise_floor(naming.vehicle, of)
     after = pooled.figures(naming.vehicle, of) if naming.found else before
+    floor = pooled.noise_floor(naming.vehicle, of, after)
     return Gap(before, after, floor, closed(before, after, floor))

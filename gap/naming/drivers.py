@@ -86,7 +86,9 @@ def block_means(
 
 def _lagged(x: F64, size: int) -> F64:
     """(N, d) beside itself up to `_LAGS` blocks ago."""
-    return np.hstack([np.vstack([np.repeat(x[:1], k * size, axis=0), x[: len(x) - k * size]]) for k in range(_LAGS + 1)])
+    return np.hstack(
+        [np.vstack([np.repeat(x[:1], k * size, axis=0), x[: len(x) - k * size]]) for k in range(_LAGS + 1)]
+    )
 
 
 def quantities(samples: Samples) -> dict[str, F64]:

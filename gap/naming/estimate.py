@@ -87,9 +87,7 @@ def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, 
     return np.array([s.minimum for s in specs]) - now, np.array([s.maximum for s in specs]) - now
 
 
-def _step(
-    state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
-) -> F64:
+def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask) -> F64:
     low, high = _bounds(vehicle, slots)
     both = np.hstack([x, state.point.nuisance])[chosen]
     k = both.T @ both + np.diag(np.concatenate([np.zeros(len(slots)), 1.0 / state.point.nuisance_size**2]))

@@ -93,6 +93,8 @@ class GapReport:
     logs: tuple[LogQuality, ...] = ()
     checks: tuple[tuple[str, str], ...] = ()
     """What else was verified: name and finding in words."""
+    takes: tuple[str, ...] = ()
+    """Numbers of the companion's model that the correction changes, in words."""
     learner: tuple[str, ...] = ()
     """Effects that the companion's model can't express: its learner has to take them."""
     settings: Mapping[str, str] | None = None

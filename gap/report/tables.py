@@ -30,11 +30,11 @@ def effects(report: GapReport) -> str:
         )
     if not parts:
         return '<p class="missing">Nothing: model and measurement agree within the noise.</p>'
+    if report.takes:
+        parts.append(f'<p class="note">The companion takes {escape(", ".join(report.takes))} into its model.</p>')
     if report.learner:
         names = ", ".join(words.effect(name) for name in report.learner)
-        parts.append(
-            f"<p class=\"note\">The companion's model can't express {escape(names)}: its learner takes it.</p>"
-        )
+        parts.append(f'<p class="note">It can\'t express {escape(names)}: its learner takes that.</p>')
     return "".join(parts)
 
 
