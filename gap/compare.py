@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
-from gap.simulate import params_row, predict, true_attitude
+from gap.simulate import Run, params_row, predict, true_attitude
 from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, multiply, rotate, track, turned
 from sim.effects import accelerometer_bias, gyro_bias
 
@@ -93,17 +94,32 @@ def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], h
 def noise_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
     """What the figures of a simulator without any error would be: the sensors' noise alone.
 
-    One step: the sensors' white noise through the low-pass.  Rollouts: from the same measured start, but with the
+    One step: the sensors' white noise through the low-pass, and what an error of the smoothed velocity does through
+    the vehicle's drag.  Rollouts: from the same measured start, but with the
     specific force and the rates that were measured in place of the simulated ones (less the vehicle's sensor biases);
     what is left is the noise of the start, of the end and of the way, whatever its colour.
     """
-    noise = sensor_noise(samples)
+    noise = np.hypot(sensor_noise(samples), velocity_noise(vehicle, samples))
     force, angular = float(np.sqrt(np.sum(noise[0:3] ** 2))), float(np.sqrt(np.sum(noise[3:6] ** 2)))
     return Figures(
         None if math.isnan(force) else force,
         None if math.isnan(angular) else angular,
         _rms(strapdown_error(vehicle, samples, mask)),
     )
+
+
+def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:
+    """(12,) rms that the smoothed velocity's error leaves in what the simulator predicts."""
+    flight = track(samples)
+    total = np.zeros(COLUMNS)
+    if not flight.vel_std_mps.any():
+        return total
+    base = Run(vehicle, flight).shown(vehicle)
+    for axis in range(3):
+        moved = flight.vel_ned_mps + flight.vel_std_mps[axis] * np.eye(3)[axis]
+        change = Run(vehicle, replace(flight, vel_ned_mps=moved)).shown(vehicle) - base
+        total += np.mean(change**2, axis=0)
+    return np.sqrt(total)
 
 
 def strapdown_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float = HORIZON_S) -> F64:

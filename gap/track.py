@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from gap.fusion import crossovers
 from gap.records import Samples
 
 COLUMNS = 12
@@ -31,6 +32,7 @@ SETTLE_S = 1.0
 _SLOWEST_STEP_S = 0.004
 _HELD_SHARE = 0.3
 _SAME_MPS2 = 1e-6
+_LEAST_FUSED_S = 24.0
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -45,6 +47,8 @@ class Track:
     path_ned_m: F64
     """(N, 3) smoothed position in the log's own coordinates."""
     vel_ned_mps: F64
+    vel_std_mps: F64
+    """(3,) NED, of the smoothed velocity's error; 0 where unknown."""
     q_ned_frd: F64
     rate_frd_radps: F64
     acc_ned_mps2: F64
@@ -76,7 +80,7 @@ class Track:
 
     def lowpass(self, columns: F64) -> F64:
         """The common low-pass along the first axis; NaN columns stay NaN."""
-        return _filtered(columns, self.cutoff_hz, self.samples.dt_s)
+        return lowpass(columns, self.cutoff_hz, self.samples.dt_s)
 
 
 def simpson(x: F64) -> F64:
@@ -153,9 +157,9 @@ def track(samples: Samples) -> Track:
     force, differentiated = _force(samples, q, vel_rate, missing)
     acc = rotate(q, force) + GRAVITY_NED_MPS2
     inertial = not differentiated and not {"q_ned_frd", "vel_ned_mps"} & missing
-    smooth = (
-        _complementary(velocity, acc, min(CROSSOVER_HZ, cutoff), dt) if inertial else _filtered(velocity, cutoff, dt)
-    )
+    smooth, velocity_std = lowpass(velocity, cutoff, dt), np.zeros(3)
+    if inertial:
+        smooth, velocity_std = _fused(velocity, samples, acc, missing)
     path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
     measured = _measured(force, rate, dt, missing, differentiated)
     every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
@@ -164,8 +168,9 @@ def track(samples: Samples) -> Track:
         _position(path, samples, missing),
         _integrated(smooth, dt) if "pos_ned_m" in missing else path,
         smooth,
+        velocity_std,
         q,
-        _filtered(rate, cutoff, dt),
+        lowpass(rate, cutoff, dt),
         acc,
         vel_rate,
         turn,
@@ -225,7 +230,8 @@ def _cutoff(samples: Samples) -> float:
     return min(CUTOFF_HZ, 0.8 * band, 0.35 / samples.dt_s)
 
 
-def _filtered(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
+def lowpass(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
+    """Zero-phase second-order Butterworth, forwards and backwards, along the first axis; NaN columns stay NaN."""
     flat = columns.reshape(len(columns), -1)
     out = np.full_like(flat, np.nan)
     seen = np.isfinite(flat).any(axis=0)
@@ -265,6 +271,23 @@ def _velocity(samples: Samples, missing: frozenset[str]) -> F64:
     return _filled(samples.vel_ned_mps)
 
 
+def _fused(velocity: F64, samples: Samples, acc: F64, missing: frozenset[str]) -> tuple[F64, F64]:
+    """Velocity out of all that measures it, and its standard deviation (0 where nothing says)."""
+    dt = samples.dt_s
+    if "pos_ned_m" in missing or {"pos_ned_m", "vel_ned_mps"} & set(samples.derived) or len(acc) * dt < _LEAST_FUSED_S:
+        return _complementary(velocity, acc, CROSSOVER_HZ, dt), np.zeros(3)
+    position = _filled(samples.pos_ned_m)
+    chosen, std = crossovers(velocity, position, acc, dt)
+    out = np.empty_like(velocity)
+    for axis, (low, high) in enumerate(chosen):
+        own = slice(axis, axis + 1)
+        slow = velocity[:, own]
+        if low > 0.0:
+            slow = slow + _slow_part(derivative(position[:, own], dt) - slow, low, dt)
+        out[:, own] = _complementary(slow, acc[:, own], high, dt)
+    return out, std
+
+
 def _integrated(rate: F64, dt_s: float) -> F64:
     """Integral along the first axis from 0, trapezoidal."""
     out = np.zeros_like(rate)
@@ -275,7 +298,16 @@ def _integrated(rate: F64, dt_s: float) -> F64:
 def _complementary(slow: F64, rate: F64, crossover_hz: float, dt_s: float) -> F64:
     """`slow` below the crossover, the integral of `rate` above it: no phase, no drift by a constant error."""
     inertial = _integrated(rate, dt_s)
-    return inertial + _filtered(slow - inertial, crossover_hz, dt_s)
+    return inertial + _slow_part(slow - inertial, crossover_hz, dt_s)
+
+
+def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
+    """Zero-phase low-pass of a noisy signal that may drift: its ends' own noise must not bend what lies near them."""
+    at = np.linspace(-1.0, 1.0, len(x))[:, None]
+    trend = x.mean(axis=0) + at * (np.sum(at * x, axis=0) / np.sum(at * at))
+    sos = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
+    pad = min(len(x) - 1, int(2.0 / (cutoff_hz * dt_s)) + 3)
+    return np.asarray(trend + sosfiltfilt(sos, x - trend, axis=0, padtype="even", padlen=pad))
 
 
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:
@@ -284,7 +316,7 @@ def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]
     q = _filled(samples.q_ned_frd)
     flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
     q = q * np.concatenate([[1.0], flips])[:, None]
-    q = _filtered(q, cutoff_hz, samples.dt_s)
+    q = lowpass(q, cutoff_hz, samples.dt_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
