@@ -19,6 +19,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.classes import alternatives, splitting_manoeuvre
 from gap.compare import residual
+from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
@@ -45,6 +46,8 @@ _TOLD_SHARE = 0.05
 _MATTERS_MPS2 = 0.02
 _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
+_DRIFT_MARGIN = 10.0
+"""Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
 
 
@@ -62,6 +65,8 @@ class Naming:
     where: tuple[Where, ...]
     constant: Mapping[str, float]
     """Effect -> p-value of its being the same in all stretches of the flights."""
+    identifiable: tuple[Identifiable, ...] = ()
+    """What these flights could have shown at all (`gap.identify`)."""
 
 
 def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
@@ -89,13 +94,14 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         for group, r in rests.items()
         if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > _matters(bench, group)
     }
-    fickle = [e for e, p in judged.constant.items() if p < _NOT_CONSTANT_P]
-    abstain = any(r.share > _ABSTAIN_SHARE for r in told.values())
-    unexplained = _unexplained(told, rests)
-    del fickle
+    drifting = any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates)
+    fickle = any(p < _NOT_CONSTANT_P for p in judged.constant.values())
+    abstain = drifting or any(r.share > _ABSTAIN_SHARE or fickle for r in told.values())
+    unexplained = Unexplained(True, ("time", "battery"), 1.0) if drifting else _unexplained(told, rests)
+    seen = identify(state.point)
     if abstain or not judged.found:
         reason = "too much is left that depends on something else" if abstain else ""
-        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where, judged.constant)
+        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where, judged.constant, seen)
     return Naming(
         judged.found,
         _rejected(state, best, tuple(f.name for f in judged.found), ""),
@@ -103,6 +109,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         unexplained,
         where,
         judged.constant,
+        seen,
     )
 
 
@@ -249,6 +256,25 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
         else:
             found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
     return found
+
+
+def _drifts_as_well(state: Search, made: Estimates) -> bool:
+    """Whether a thrust that only drifts with time explains the flights as well as the battery's voltage does."""
+    layout = state.point.layout
+    thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
+    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
+    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
+    others = [i for i in range(len(made.slots)) if i not in sag]
+    moved = made.values[sag] - np.array([value(state.start, *made.slots[i]) for i in sag])
+    without = made.rows + made.x[:, sag] @ moved
+    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
+    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
+    return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
+
+
+def _along(count: int) -> F64:
+    """(N, 1, 1) from -1 to 1 along a flight."""
+    return np.linspace(-1.0, 1.0, count)[:, None, None]
 
 
 def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:

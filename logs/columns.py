@@ -28,6 +28,8 @@ _ANGLE = {"rad": 1.0, "deg": _DEG}
 _VOLTAGE = {"V": 1.0, "mV": 1e-3}
 _WORLDS, _BODIES = ("ned", "enu", "nwu"), ("frd", "flu")
 _VECTORS = (*_WORLDS, "neu")
+_MOST = 1e9
+"""What is greater is no measurement, whatever its unit."""
 PLACES = ("front right", "rear left", "front left", "rear right")
 """Where rotors can sit, in PX4's order."""
 
@@ -175,6 +177,7 @@ def apply(
                                  f"{', '.join(list(table)[:40])}")  # fmt: skip
             continue
         raw = np.stack([np.asarray(table[name], np.float64) for name in entry.columns], axis=-1)
+        raw = np.where(np.abs(raw) < _MOST, raw, np.nan)
         signals[signal] = _signal(entry, raw * entry.scale * np.array(entry.signs))
         sources[signal] = ", ".join(entry.columns)
         if "places" in entry.said:

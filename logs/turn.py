@@ -75,7 +75,7 @@ def euler_to_quaternion(rpy_rad: F64) -> F64:
 def world_to_ned(v: F64, frame: str) -> F64:
     """Vectors given in `frame` (ned, enu, nwu, neu) in NED."""
     if frame == "neu":
-        return v * np.array([1.0, 1.0, -1.0])
+        return np.asarray(v * np.array([1.0, 1.0, -1.0]))
     if frame == "enu":
         return np.stack([v[:, 1], v[:, 0], -v[:, 2]], axis=-1)
     return v * np.array([1.0, -1.0, -1.0]) if frame == "nwu" else v

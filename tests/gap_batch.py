@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
@@ -41,26 +42,25 @@ def fly(
     rng = np.random.default_rng(seed)
     arms, ratio = believed.rotors.position_m, believed.rotors.torque_ratio_m
     unmix = np.linalg.inv(np.stack([np.ones(4), -arms[:, 1], arms[:, 0], ratio]))
-    plant.pos_ned_m[:] = _path(0.0)[0]
+    paths = _reference(seconds)
+    plant.pos_ned_m[:] = paths[0][0]
     plant.motor_u[:] = np.sqrt(believed.mass_kg * _G[2] / 4.0 / believed.rotors.max_thrust_n)
     rows = []
     integral, turn_integral = np.zeros((count, 3)), np.zeros((count, 3))
     bias = _sensor(truths, "accelerometer_bias"), _sensor(truths, "gyro_bias")
     tilt = _misalignment(truths)
-    for tick in range(round(seconds / TICK_S)):
-        t = tick * TICK_S
-        pos, vel, acc, yaw, doublet, chirp = _path(t)
+    for tick, (pos, vel, acc, yaw, doublet, chirp) in enumerate(zip(*paths, strict=True)):
         q = multiply(plant.q_ned_frd, tilt)
         rate = plant.rate_frd_radps + bias[1]
         error = pos - plant.pos_ned_m
         integral = np.clip(integral + 1.5 * TICK_S * error, -4.0, 4.0)
-        lift = acc + 4.0 * np.clip(error, -1.5, 1.5) + 3.0 * (vel - plant.vel_ned_mps) + integral - _G
+        lift = acc + 3.0 * np.clip(error, -1.5, 1.5) + 2.5 * (vel - plant.vel_ned_mps) + integral - _G
         z = _column(q, 2)
         thrust = believed.mass_kg * np.maximum(-(lift * z).sum(axis=1), 2.0) + believed.mass_kg * chirp
-        wanted = 9.0 * _tilt_error(q, lift, yaw) * np.array([1.0, 1.0, 0.4]) + doublet
+        wanted = 6.5 * _tilt_error(q, lift, yaw) * np.array([1.0, 1.0, 0.4]) + doublet
         rate_error = wanted - rate
-        turn_integral = np.clip(turn_integral + 40.0 * TICK_S * rate_error, -30.0, 30.0)
-        torque = believed.inertia_kgm2 * (18.0 * rate_error * np.array([1.0, 1.0, 0.5]) + turn_integral)
+        turn_integral = np.clip(turn_integral + 25.0 * TICK_S * rate_error, -30.0, 30.0)
+        torque = believed.inertia_kgm2 * (13.0 * rate_error * np.array([1.0, 1.0, 0.5]) + turn_integral)
         each = np.column_stack([thrust, torque]) @ unmix.T
         motor = np.sqrt(np.clip(each / believed.rotors.max_thrust_n, 0.003, 1.0))
         if tick % EVERY == 0:
@@ -75,39 +75,35 @@ def fly(
     return [_samples(f"flight-{i}", part, rng) for i, part in enumerate(table)]
 
 
-def _path(t: float) -> tuple[F64, F64, F64, float, F64, float]:
-    """Position, velocity and acceleration (by differences), yaw, added body rates, added specific thrust."""
-    h = 0.01
-    here = [_position(t + k * h) for k in (-1, 0, 1)]
-    vel, acc = (here[2] - here[0]) / (2 * h), (here[2] - 2 * here[1] + here[0]) / h**2
-    doublet = np.zeros(3)
+def _reference(seconds: float) -> tuple[F64, F64, F64, F64, F64, F64]:
+    """At every tick: position, velocity, acceleration (T, 3), yaw (T,), added body rates (T, 3), specific thrust (T,).
+
+    Loops of up to 5 m/s, a climb, a fast descent to just over the ground, a low stretch and up again; then doublets
+    on each axis in turn and a thrust chirp.
+    """
+    t = np.arange(round(seconds / TICK_S)) * TICK_S
+    height = np.interp(t, [0, 2, 6, 8.5, 11.0, 12.5, 14.5, 30.0], [3.0, 3.0, 9.0, 8.0, 0.5, 0.5, 3.0, 3.0])
+    start = 1.0 - np.exp(-((t / 1.5) ** 2))
+    east = 2.4 * start * (np.sin(0.9 * t + 0.4) - np.sin(0.4))
+    pos = np.stack([3.2 * start * np.sin(1.35 * t), east, -gaussian_filter1d(height, 0.2 / TICK_S, mode="nearest")], axis=1)
+    vel = np.gradient(pos, TICK_S, axis=0)
     phase = (t - 15.0) / 0.32
-    if 0.0 <= phase < 12.0:
-        axis, step = int(phase) % 3, phase % 1.0
-        doublet[axis] = (1.6 if axis < 2 else 1.0) * (1.0 if step < 0.5 else -1.0)
-    chirp = 3.0 * np.sin(2 * np.pi * (0.8 + 0.45 * (t - 19.0)) * (t - 19.0)) if 19.0 <= t < 23.0 else 0.0
-    return here[1], vel, acc, 0.8 * t if t < 15.0 else 12.0 + 0.2 * np.sin(t), doublet, chirp
-
-
-def _position(t: float) -> F64:
-    """Loops of up to 5 m/s, a climb, a fast descent to just over the ground, a low stretch and up again."""
-    s = 1.0 - np.exp(-((t / 1.5) ** 2))
-    height = np.interp(t, [0, 2, 6, 8.5, 11.0, 12.5, 14.5, 30.0], [3.0, 3.0, 9.0, 8.0, 0.35, 0.35, 3.0, 3.0])
-    smooth = np.mean(
-        [np.interp(t + d, [0, 2, 6, 8.5, 11.0, 12.5, 14.5, 30.0], [3.0, 3.0, 9.0, 8.0, 0.35, 0.35, 3.0, 3.0]) for d in np.linspace(-0.35, 0.35, 15)]
-    )  # fmt: skip
-    del height
-    return np.array([3.2 * s * np.sin(1.35 * t), 2.4 * s * np.sin(0.9 * t + 0.4) - 2.4 * s * np.sin(0.4), -smooth])
+    doublets = np.zeros((len(t), 3))
+    for axis, size in enumerate((1.6, 1.6, 1.0)):
+        on = (phase >= 0.0) & (phase < 12.0) & (phase.astype(int) % 3 == axis)
+        doublets[on, axis] = np.where(phase[on] % 1.0 < 0.5, size, -size)
+    s = np.clip(t - 19.0, 0.0, 4.0)
+    chirp = np.where((s > 0.0) & (s < 4.0), 3.0 * np.sin(2.0 * np.pi * (0.8 + 0.45 * s) * s), 0.0)
+    yaw = np.where(t < 15.0, 0.8 * t, 12.0)
+    return pos, vel, np.gradient(vel, TICK_S, axis=0), yaw, doublets, chirp
 
 
 def _column(q: F64, axis: int) -> F64:
-    """(N, 3) body axis in the world."""
+    """(N, 3) body axis x or z in the world."""
     w, x, y, z = q.T
-    return (
-        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
-        if axis == 0
-        else np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
-    )
+    if axis == 0:
+        return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
 def _tilt_error(q: F64, lift: F64, yaw: float) -> F64:

@@ -77,7 +77,7 @@ def _averaged(stamps: F64, value: F64, t_s: F64, step: float) -> F64:
     into = np.clip(ends - stamps[at], 0.0, np.diff(stamps)[at])[:, None]
     slope = (columns[at + 1] - columns[at]) / np.diff(stamps)[at][:, None]
     integral = area[at] + into * (columns[at] + 0.5 * slope * into)
-    return (np.diff(integral, axis=0) / covered).reshape((len(t_s), *value.shape[1:]))
+    return np.asarray((np.diff(integral, axis=0) / covered).reshape((len(t_s), *value.shape[1:])))
 
 
 def attitude_on_grid(signal: Signal, t_s: F64) -> tuple[F64, NDArray[np.bool_]]:

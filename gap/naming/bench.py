@@ -16,8 +16,8 @@ from gap.records import Samples
 from gap.simulate import Knob, predict, sensitivities, timing
 from gap.track import track
 
-_TIMING_SAMPLES = 0.3
-"""How far, in samples, commands may have acted beside their stamps (one standard deviation)."""
+_TIMING_S, _TIMING_SAMPLES = 0.001, 0.1
+"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
 _GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
 """Of those gains, one standard deviation for each second between samples."""
@@ -67,7 +67,7 @@ class SimulatorBench:
             gains[:, 3:, 0] = 0.0
             columns.append(np.concatenate([late, bent, folded, gains], axis=2))
         period = float(np.mean([s.dt_s for s in self.flights]))
-        sizes = [_TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
+        sizes = [_TIMING_S + _TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
         return columns, np.array(sizes)
 
     def rate(self, flight: int) -> float:

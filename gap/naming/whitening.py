@@ -2,8 +2,8 @@
 
 Residuals at 50 to 250 Hz remember their past, so that plain least squares believes its errors several times too small.
 A model of the noise, e[t] = sum_k a_k e[t-k] + white, fitted to what no candidate explains, turns generalised least
-squares into ordinary least squares on the filtered rows (Cochrane and Orcutt, JASA 1949).  What colour is left is
-counted afterwards (`inflation`: Newey and West, Econometrica 1987).
+squares into ordinary least squares on the filtered rows (Cochrane and Orcutt, JASA 1949).  What colour is left is counted in the
+estimates' covariance (`gap.naming.estimate`).
 """
 
 from __future__ import annotations
@@ -70,14 +70,3 @@ def whole_windows(ok: Mask, order: int = ORDER) -> Mask:
     window = np.zeros(len(ok), dtype=bool)
     window[order:] = count[order + 1 :] - count[: -order - 1] == order + 1
     return window
-
-
-def inflation(scores: F64, lags: int) -> float:
-    """Long-run variance of a series (N,) over its plain variance (Bartlett weights), at least 1."""
-    s = scores - scores.mean()
-    plain = float(s @ s)
-    if plain <= 0.0 or lags < 1:
-        return 1.0
-    lags = min(lags, len(s) - 1)
-    total = plain + 2.0 * sum((1.0 - k / (lags + 1.0)) * float(s[k:] @ s[:-k]) for k in range(1, lags + 1))
-    return max(1.0, total / plain)

@@ -10,6 +10,8 @@ from logs.reader import Log, Table
 
 _STOPPED_US, _FULL_US = 1000.0, 2000.0
 """Pulse widths at command 0 and 1; 900 is disarmed."""
+_MOST = 1e6
+"""What is greater is no measurement in SI units."""
 _BATTERY_LEAST_V = 0.5
 
 
@@ -59,5 +61,5 @@ def _signal(table: Table, stamp: str, column: str) -> Signal:
     t_us, first = np.unique(table[stamp].astype(np.int64), return_index=True)
     t_s: F64 = t_us.astype(np.float64) * 1e-6
     values = table[column][first].astype(np.float64)
-    good = np.isfinite(values).all(axis=1)
+    good = (np.abs(values) < _MOST).all(axis=1)
     return Signal(t_s[good], values[good], f"{table.name} {column}")

@@ -19,6 +19,8 @@ ROTORS = 4
 _LEAST_RAW_HZ = 80.0
 _RESET_S = 0.05
 """Left out round a step that the estimator made in its own state."""
+_MOST = 1e6
+"""What is greater is no measurement in SI units."""
 _QUARTER_TURN = 0.5 * math.pi
 
 
@@ -91,7 +93,8 @@ def _stamps(table: Table) -> F64:
 def _signal(table: Table, values: F64, source: str, keep: np.ndarray | None = None) -> Signal | None:
     """Finite rows in order of their stamps, each stamp once; None where none are left."""
     t_s, values = _stamps(table), np.asarray(values, np.float64)
-    good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    real = np.abs(values) < _MOST
+    good = real if values.ndim == 1 else real.all(axis=1)
     rows = np.flatnonzero(good if keep is None else good & keep)
     t_s, first = np.unique(t_s[rows], return_index=True)
     return Signal(t_s, values[rows][first], source) if len(t_s) > 1 else None

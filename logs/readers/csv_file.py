@@ -62,6 +62,7 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
         if "time_s" not in raw:
             raise InputError(f"{where}: is a CSV with other columns than time_s,pos_n_m,...; say what they are with "
                              "--columns FILE (docs/gap-logs.md)")  # fmt: skip
+        _check_motors(raw, where)
         columns = parse_columns(_OWN, "header")
     if columns.time is None or columns.time[0] not in raw:
         name = columns.time[0] if columns.time else "[time]"
@@ -86,6 +87,14 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
         attachments=(),
         size_bytes=len(data),
     )
+
+
+def _check_motors(raw: dict[str, F64], where: str) -> None:
+    """All vehicles have four rotors here: more that move, or fewer, are another vehicle's."""
+    motors = [name for name in raw if name.startswith("motor_") and name[6:].isdigit() and np.any(raw[name] > 0.0)]
+    named = [name for name in raw if name.startswith("motor_") and name[6:].isdigit()]
+    if motors and (len(motors) > 4 or len(named) < 4):
+        raise InputError(f"{where}: has {len(motors)} motors, a vehicle file has 4 rotors; name a quadrotor's flight")
 
 
 def raw_table(data: bytes, where: str) -> tuple[dict[str, F64], list[str]]:

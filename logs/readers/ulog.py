@@ -7,34 +7,27 @@ from __future__ import annotations
 
 import contextlib
 import io
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flightstack.types import InputError
+from logs.readers.ulog_frames import mended
 from logs.tables import About, Log, Table
 
 MAGIC = b"ULog\x01\x12\x35"
-_BROKEN = (
-    IndexError, KeyError, OverflowError, TypeError, ValueError, AttributeError, AssertionError, MemoryError,
-    UnicodeDecodeError, struct.error, ZeroDivisionError, RecursionError,
-)  # fmt: skip
-"""What pyulog raises on damaged files."""
 
 
 def read_ulog(path: Path, data: bytes) -> Log:
     """The log in `data`, a damaged one as far as it goes; InputError where nothing can be had."""
     from pyulog import ULog
 
-    said = io.StringIO()
+    frames = mended(data)
     try:
-        with contextlib.redirect_stdout(said), np.errstate(all="ignore"):
-            log = ULog(io.BytesIO(data), disable_str_exceptions=True)
-    except Exception as error:
-        if not isinstance(error, _BROKEN):
-            raise
+        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
+            log = ULog(io.BytesIO(frames.data), disable_str_exceptions=True)
+    except Exception as error:  # a parser on damaged bytes: whatever it raises means the same
         raise InputError(f"log {path}: is a ULog too damaged to read ({_line(error)}); copy it again") from None
     tables = {}
     for topic in log.data_list:
@@ -43,11 +36,11 @@ def read_ulog(path: Path, data: bytes) -> Log:
             tables[name] = _table(name, topic.data)
     if not tables:
         raise InputError(f"log {path}: is a ULog without data; record a flight with SDLOG_MODE 0 and SDLOG_PROFILE 1")
-    notes = _notes(log)
+    notes = [*frames.damage, *_notes(log)]
     return Log(
         path=path,
         kind="ulog",
-        complete=not log.file_corruption,
+        complete=not log.file_corruption and not frames.damage,
         notes=tuple(notes),
         tables=tables,
         messages={},
@@ -68,7 +61,7 @@ def _line(error: Exception) -> str:
 def _notes(log: Any) -> list[str]:
     notes = []
     if log.file_corruption:
-        notes.append("damaged: parts of the file could not be read")
+        notes.append("damaged: some messages could not be read")
     lost_ms = [dropout.duration for dropout in log.dropouts]
     if lost_ms:
         notes.append(f"PX4 lost data {len(lost_ms)} times while logging, {sum(lost_ms)} ms in all")
