@@ -6,16 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, with_effects
 from gap import pooled
 from gap.add import companion
 from gap.compare import residual, sensor_noise
+from gap.identify import Identifiable
 from gap.locate import regimes
 from gap.name import Naming
 from gap.pooled import Mask, Split
 from gap.records import REGIMES, SIGNALS, Checked, Gap
-from gap.report.record import GapReport, LogQuality, RegimeRow, Step, Trace
+from gap.report.record import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
 from gap.simulate import predict
 from gap.track import track
 from gap.verify import reflight, whiteness
@@ -37,6 +39,7 @@ def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence
         where=naming.where,
         steps=_steps(vehicle, naming, of, gap),
         regimes=_regimes(vehicle, naming.vehicle, of),
+        shown=_shown(naming.identifiable),
         traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
         logs=tuple(_quality(checked) for checked in logs),
         checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
@@ -110,6 +113,25 @@ def _quality(checked: Checked) -> LogQuality:
     seconds = 0.0 if samples is None else float(samples.valid.sum()) * samples.dt_s
     flight = checked.flight
     return LogQuality(flight.name, flight.kind, seconds, checked.findings, checked.offsets, flight.notes)
+
+
+def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
+    """One line an effect: the worst seen of its parameters decides."""
+    lines = []
+    for effect in dict.fromkeys(row.effect for row in rows):
+        mine = [row for row in rows if row.effect == effect]
+        worst = max(mine, key=lambda row: row.smallest / row.matters if row.matters > 0.0 else np.inf)
+        units = {p.name: p.unit for p in EFFECT_SPECS[effect].params}
+        level = "shown" if all(row.shown for row in mine) else "weak" if any(row.shown for row in mine) else "hidden"
+        if np.isfinite(worst.smallest):
+            words = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()
+        else:
+            words = f"nothing of {worst.parameter}"
+        alike = next((row.like for row in mine if row.like), "")
+        words += f"; hard to tell from {alike.replace('_', ' ')}" if alike else ""
+        lines.append(Shown(effect, level, words, "" if level == "shown" else worst.manoeuvre))
+    order = {"shown": 0, "weak": 1, "hidden": 2}
+    return tuple(sorted(lines, key=lambda line: order[line.level]))
 
 
 def _whiteness(corrected: Vehicle, of: Split, k: int) -> tuple[tuple[str, str], ...]:
