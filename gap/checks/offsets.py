@@ -30,6 +30,8 @@ _LEAST_BLOCKS = 6
 _WIDEST_S = 0.02
 """Half an interval that is wider tells nothing."""
 _LEAST_SHIFT_S = 2e-4
+_SETTLED = 0.2
+"""A last step this small against its own error ends the search."""
 _LOW_HZ = 0.3
 
 
@@ -121,6 +123,8 @@ def _settled(signals: dict[str, Signal], span_s: tuple[float, float], names: tup
             break
         step = np.where(fit.error[: len(names)] < 3.0 * _WIDEST_S, fit.value[: len(names)], 0.0)
         total += np.clip(step, -0.05, 0.05)
+        if np.all(np.abs(step) < _SETTLED * fit.error[: len(names)]):
+            break
     return {name: _offset(name, float(total[place]), fit, place) for place, name in enumerate(names)}
 
 
@@ -212,6 +216,8 @@ def _position(signals: Mapping[str, Signal], span_s: tuple[float, float], veloci
         if fit is None:
             return {}
         total += float(np.clip(fit.value[0], -0.2, 0.2))
+        if abs(fit.value[0]) < _SETTLED * fit.error[0]:
+            break
     found = _offset(name, total, fit, 0)
     half = np.hypot(found.high_s - found.offset_s, velocity.high_s - velocity.offset_s)
     if not half < _WIDEST_S:
