@@ -18,14 +18,14 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.classes import alternatives, splitting_manoeuvre
-from gap.compare import residual
+from gap.compare import residual, velocity_noise
 from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
-from gap.naming.evidence import fit_subsets
+from gap.naming.evidence import fit_subsets, score
 from gap.naming.search import Fit, Search, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
@@ -88,15 +88,21 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     state = search(bench, vehicle)
     best = _pruned(state)
     judged = _judge(state, best)
-    rests = _rests(bench, vehicle, judged.estimates)
-    told = {
-        group: r
-        for group, r in rests.items()
-        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > _matters(bench, group)
-    }
+    rests, told = _told(bench, vehicle, judged)
+    steady = [f for f in judged.found if judged.constant.get(f.name, 1.0) >= _NOT_CONSTANT_P]
+    if told and steady and len(steady) < len(judged.found):  # what changes along the flight stood for something else
+        best = _only(state, best, [f.name for f in steady])
+        judged = _judge(state, best)
+        rests, told = _told(bench, vehicle, judged)
     drifting = any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates)
     fickle = any(p < _NOT_CONSTANT_P for p in judged.constant.values())
-    abstain = drifting or any(r.share > _ABSTAIN_SHARE or fickle for r in told.values())
+    left = {group for group, r in told.items() if r.share > _ABSTAIN_SHARE}
+    shaky = [f.name for f in judged.found if left & _acts_on(state, judged.estimates, f.name)]
+    if shaky and len(shaky) < len(judged.found) and not (drifting or fickle):
+        best = _only(state, best, [f.name for f in judged.found if f.name not in shaky])
+        judged = _judge(state, best)
+        shaky = []
+    abstain = drifting or bool(shaky) or (fickle and bool(told)) or (bool(left) and not judged.found)
     unexplained = Unexplained(True, ("time", "battery"), 1.0) if drifting else _unexplained(told, rests)
     seen = identify(state.point)
     if abstain or not judged.found:
@@ -111,6 +117,46 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         judged.constant,
         seen,
     )
+
+
+def _told(bench: SimulatorBench, vehicle: Vehicle, judged: _Judged) -> tuple[Mapping[str, Rest], Mapping[str, Rest]]:
+    """The rest of every group of channels, and of those what is worth telling."""
+    rests = _rests(bench, vehicle, judged.estimates)
+    moved = _slow_noise(bench, judged.estimates.vehicle)
+    told = {
+        group: r
+        for group, r in rests.items()
+        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), moved[group])
+    }
+    return rests, told
+
+
+def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
+    """What the velocity's own slow error leaves of each group through the vehicle's drag, root mean square."""
+    parts = np.array([velocity_noise(vehicle, s)[:6] for s in bench.flights])
+    worst = np.nan_to_num(parts).max(axis=0)
+    return {"force": float(np.max(worst[:3])), "torque": float(np.max(worst[3:]))}
+
+
+def _only(state: Search, best: Fit, names: Sequence[str]) -> Fit:
+    """The best fit with these effects alone, fitted again."""
+    for gone in [e for e in best.effects if e not in names]:
+        best = _refit(state, best, gone)
+    return best
+
+
+def _acts_on(state: Search, made: Estimates, effect: str) -> set[str]:
+    """The groups of channels that an effect explains a good part of: force, torque; both for a sensor's."""
+    mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
+    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
+    moved = np.where(np.isfinite(origin), made.values[mine] - np.nan_to_num(origin), 0.0)
+    explained = (made.x[:, mine] @ moved) ** 2
+    channel = state.point.layout.channel
+    parts = {"force": explained[channel < 3].sum(), "torque": explained[(channel >= 3) & (channel < 6)].sum()}
+    total = float(explained.sum())
+    if total <= 0.0 or sum(parts.values()) < 0.5 * total:
+        return set(parts)
+    return {group for group, part in parts.items() if part > 0.2 * total}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +205,9 @@ def _refit(state: Search, best: Fit, gone: str) -> Fit:
     left = {e: v for e, v in best.effects.items() if e != gone}
     made = estimate(state, left)
     effects = {e: dict(made.vehicle.effects[e]) for e in left}
-    return Fit(effects, made.vehicle, made.rows, state.metric.chi2(made.rows), len(made.slots), np.inf)
+    chi2, rows = state.metric.chi2(made.rows), float(state.metric.rows.sum())
+    price = score(0.0, len(made.slots), len(effects), rows, len(state.point.candidates))
+    return Fit(effects, made.vehicle, made.rows, chi2, len(made.slots), chi2 + float(price))
 
 
 def _size(state: Search, best: Fit, effect: str) -> float:
@@ -177,7 +225,7 @@ def _judge(state: Search, best: Fit) -> _Judged:
     made = estimate(state, best.effects)
     if not best.effects:
         return _Judged((), made, {})
-    chosen, held = state.point.fit_rows(), state.point.layout.keep & state.point.layout.held
+    held = state.point.layout.keep & state.point.layout.held
     start_rows = state.point.layout.stack(state.bench.residual(state.start))
     gaps = _gap(start_rows, held), _gap(made.rows, held)
     found = []

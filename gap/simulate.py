@@ -18,7 +18,7 @@ import numpy as np
 
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
-from flightstack.vehicle import Vehicle, with_effects
+from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
@@ -154,8 +154,11 @@ def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
 
 
 def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with some of an effect's parameters changed, the others kept."""
-    return with_effects(vehicle, {effect: {**vehicle.effects.get(effect, {}), **values}})
+    """The vehicle with some of an effect's parameters changed, the others kept; what flies keeps some mass."""
+    changed = {**vehicle.effects.get(effect, {}), **values}
+    if effect == "payload":
+        changed["mass_kg"] = max(changed["mass_kg"], (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
+    return with_effects(vehicle, {effect: changed})
 
 
 def _spec(effect: str, parameter: str) -> ParamSpec:
