@@ -30,7 +30,7 @@ from gap.naming.search import Fit, Search, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
-from gap.simulate import Knob, sensitivities, value
+from gap.simulate import Knob, sensitivities, value, with_value
 from gap.track import track
 
 _LEAST_EVIDENCE = 25.0
@@ -43,7 +43,9 @@ _NOT_CONSTANT_P = 1e-6
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
 _TOLD_SHARE = 0.05
-_MATTERS_MPS2 = 0.02
+_ACTS_SHARE = 0.1
+"""Of what can be explained in a group, the part from which an effect is taken to act there."""
+_MATTERS_MPS2 = 0.05
 _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
 _DRIFT_MARGIN = 10.0
@@ -88,47 +90,50 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     state = search(bench, vehicle)
     best = _pruned(state)
     judged = _judge(state, best)
-    rests, told = _told(bench, vehicle, judged)
-    steady = [f for f in judged.found if judged.constant.get(f.name, 1.0) >= _NOT_CONSTANT_P]
-    if told and steady and len(steady) < len(judged.found):  # what changes along the flight stood for something else
-        best = _only(state, best, [f.name for f in steady])
-        judged = _judge(state, best)
-        rests, told = _told(bench, vehicle, judged)
-    drifting = any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates)
-    fickle = any(p < _NOT_CONSTANT_P for p in judged.constant.values())
-    left = {group for group, r in told.items() if r.share > _ABSTAIN_SHARE}
-    shaky = [f.name for f in judged.found if left & _acts_on(state, judged.estimates, f.name)]
-    if shaky and len(shaky) < len(judged.found) and not (drifting or fickle):
-        best = _only(state, best, [f.name for f in judged.found if f.name not in shaky])
-        judged = _judge(state, best)
-        shaky = []
-    abstain = drifting or bool(shaky) or (fickle and bool(told)) or (bool(left) and not judged.found)
-    unexplained = Unexplained(True, ("time", "battery"), 1.0) if drifting else _unexplained(told, rests)
-    seen = identify(state.point)
-    if abstain or not judged.found:
-        reason = "too much is left that depends on something else" if abstain else ""
-        return Naming((), _rejected(state, best, (), reason), vehicle, unexplained, where, judged.constant, seen)
-    return Naming(
-        judged.found,
-        _rejected(state, best, tuple(f.name for f in judged.found), ""),
-        judged.estimates.vehicle,
-        unexplained,
-        where,
-        judged.constant,
-        seen,
-    )
-
-
-def _told(bench: SimulatorBench, vehicle: Vehicle, judged: _Judged) -> tuple[Mapping[str, Rest], Mapping[str, Rest]]:
-    """The rest of every group of channels, and of those what is worth telling."""
     rests = _rests(bench, vehicle, judged.estimates)
-    moved = _slow_noise(bench, judged.estimates.vehicle)
+    slow = _slow_noise(bench, judged.estimates.vehicle)
     told = {
         group: r
         for group, r in rests.items()
-        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), moved[group])
+        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
     }
-    return rests, told
+    seen = identify(state.point)
+    doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
+    unexplained = _unexplained(told)
+    if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
+        doubtful.add("battery_sag")
+        unexplained = Unexplained(True, ("time", "battery"), 1.0)
+    kept = tuple(f for f in judged.found if f.name not in doubtful)
+    corrected = vehicle
+    for f in kept:
+        corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
+    rejected = _rejected(state, best, tuple(f.name for f in kept), doubtful)
+    return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen)
+
+
+def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
+    """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
+
+    An effect that changes from stretch to stretch is given less leave.
+    """
+    made = judged.estimates
+    moved = _moved(state, made)
+    power: dict[str, float] = {}
+    for (effect, _), size, shift in zip(made.slots, r.by_column, moved, strict=True):
+        power[effect] = power.get(effect, 0.0) + size * shift**2
+    explained = max(r.before - r.after, 0.0) + r.driven
+    out = set()
+    for effect, mine in power.items():
+        fickle = judged.constant.get(effect, 1.0) < _NOT_CONSTANT_P
+        if mine > _ACTS_SHARE * explained and (fickle or r.share > _ABSTAIN_SHARE):
+            out.add(effect)
+    return out
+
+
+def _moved(state: Search, made: Estimates) -> F64:
+    """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
 
 
 def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
@@ -136,27 +141,6 @@ def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
     parts = np.array([velocity_noise(vehicle, s)[:6] for s in bench.flights])
     worst = np.nan_to_num(parts).max(axis=0)
     return {"force": float(np.max(worst[:3])), "torque": float(np.max(worst[3:]))}
-
-
-def _only(state: Search, best: Fit, names: Sequence[str]) -> Fit:
-    """The best fit with these effects alone, fitted again."""
-    for gone in [e for e in best.effects if e not in names]:
-        best = _refit(state, best, gone)
-    return best
-
-
-def _acts_on(state: Search, made: Estimates, effect: str) -> set[str]:
-    """The groups of channels that an effect explains a good part of: force, torque; both for a sensor's."""
-    mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
-    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
-    moved = np.where(np.isfinite(origin), made.values[mine] - np.nan_to_num(origin), 0.0)
-    explained = (made.x[:, mine] @ moved) ** 2
-    channel = state.point.layout.channel
-    parts = {"force": explained[channel < 3].sum(), "torque": explained[(channel >= 3) & (channel < 6)].sum()}
-    total = float(explained.sum())
-    if total <= 0.0 or sum(parts.values()) < 0.5 * total:
-        return set(parts)
-    return {group for group, part in parts.items() if part > 0.2 * total}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +174,7 @@ def _pruned(state: Search) -> Fit:
             return best
         rest_of = frozenset(best.effects) - {weakest}
         same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
-        best = min(same, key=lambda f: f.score) if same else _refit(state, best, weakest)
+        best = min([*same, _refit(state, best, weakest)], key=lambda f: f.chi2)
     return best
 
 
@@ -233,7 +217,7 @@ def _judge(state: Search, best: Fit) -> _Judged:
     for effect in best.effects:
         mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
         fall = _evidence(state, best, effect)
-        p_value = _p_value(made, mine, state)
+        p_value = _p_value(state, best, effect)
         others = alternatives(state, best, effect)
         lost = _held_out_loss(state, made, mine, held)
         gain = lost / max(gaps[0] - gaps[1] + 1e-9, lost, 1e-9)
@@ -271,22 +255,14 @@ def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) 
     """How much worse the held-out rows would be predicted without these coefficients, to first order."""
     if not held.any():
         return 1.0
-    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
-    moved = np.where(np.isfinite(origin), made.values[mine] - np.nan_to_num(origin), 0.0)
-    without = made.rows[held] + made.x[held][:, mine] @ moved
+    without = made.rows[held] + made.x[held][:, mine] @ _moved(state, made)[mine]
     return float(without @ without) - _gap(made.rows, held)
 
 
-def _p_value(made: Estimates, mine: list[int], state: Search) -> float:
-    """Wald test of the effect's coefficients against where they started."""
-    origin = np.array([value(state.start, *made.slots[i]) for i in mine])
-    use = [i for i, o in zip(mine, origin, strict=True) if np.isfinite(o) and made.covariance[i, i] > 0.0]
-    if not use:
-        return 1.0
-    d = made.values[use] - np.array([value(state.start, *made.slots[i]) for i in use])
-    covariance = made.covariance[np.ix_(use, use)]
-    statistic = float(d @ np.linalg.pinv(covariance, hermitian=True) @ d)
-    return float(chi2_distribution.sf(statistic, len(use)))
+def _p_value(state: Search, best: Fit, effect: str) -> float:
+    """Likelihood ratio of the effect against trifles of all others."""
+    fall = _without(state, best.effects, effect) - best.chi2
+    return float(chi2_distribution.sf(max(fall, 0.0), max(len(best.effects[effect]), 1)))
 
 
 def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:
@@ -313,8 +289,7 @@ def _drifts_as_well(state: Search, made: Estimates) -> bool:
     drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
     sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
     others = [i for i in range(len(made.slots)) if i not in sag]
-    moved = made.values[sag] - np.array([value(state.start, *made.slots[i]) for i in sag])
-    without = made.rows + made.x[:, sag] @ moved
+    without = made.rows + made.x[:, sag] @ _moved(state, made)[sag]
     k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
     explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
     return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
@@ -339,7 +314,7 @@ def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, 
 
 def _matters(bench: SimulatorBench, group: str) -> float:
     """What a remainder of this group must reach to be told, root mean square."""
-    if group == "force":
+    if group != "torque":
         return _MATTERS_MPS2
     flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
     return _MATTERS_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
@@ -349,15 +324,14 @@ def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:
     return list(zip(bench.flights, bench.fit, bench.holdout, bench.every, strict=True))
 
 
-def _unexplained(told: Mapping[str, Rest], rests: Mapping[str, Rest]) -> Unexplained:
-    fraction = max((r.share for r in rests.values()), default=0.0)
+def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
     drivers: list[str] = []
     for r in sorted(told.values(), key=lambda r: -r.driven):
         drivers += [d for d in r.drivers if d not in drivers]
-    return Unexplained(bool(told), tuple(drivers), float(fraction))
+    return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
 
 
-def _rejected(state: Search, best: Fit, found: tuple[str, ...], reason: str) -> tuple[Rejected, ...]:
+def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]) -> tuple[Rejected, ...]:
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point
     gram = point.gram()
@@ -368,7 +342,8 @@ def _rejected(state: Search, best: Fit, found: tuple[str, ...], reason: str) -> 
         if effect in found:
             continue
         if effect in best.effects:
-            out.append(Rejected(effect, -_evidence(state, best, effect), reason or "too thin"))
+            reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
+            out.append(Rejected(effect, -_evidence(state, best, effect), reason))
             continue
         tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]
         if not tried:
@@ -377,5 +352,5 @@ def _rejected(state: Search, best: Fit, found: tuple[str, ...], reason: str) -> 
         subsets = fit_subsets(gram, tried, point.columns, point.low, point.high)
         gains = [s.gain - without.gain - (s.used - without.used) * np.log(gram.rows) for s in subsets]
         gain = max((g for g in gains if np.isfinite(g)), default=0.0)
-        out.append(Rejected(effect, float(-gain), reason or "explains nothing more"))
+        out.append(Rejected(effect, float(-gain), "explains nothing more"))
     return tuple(out)

@@ -25,7 +25,8 @@ _RATIOS = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
 _MOST_BLOCKS = 300
 _REMEMBERED = ("acceleration", "rate")
 """Drivers whose past is looked at as well."""
-GROUPS = {"force": (0, 1, 2), "torque": (3, 4, 5)}
+GROUPS = {"side force": (0, 1), "lift": (2,), "torque": (3, 4, 5)}
+"""Channels that belong together."""
 _EVIDENCE = 12.0
 """Natural logarithm of the likelihood ratio from which a driver counts."""
 _ALSO = 0.7
@@ -46,6 +47,8 @@ class Rest:
     """Best first; empty where nothing is significant."""
     driven_rms: float = 0.0
     """Root of `driven` in the channels' own unit."""
+    by_column: tuple[float, ...] = ()
+    """Mean square that one unit of each named column brings, in units of the noise."""
 
     @property
     def share(self) -> float:
@@ -63,7 +66,7 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
     thin = max(1, int(np.ceil(len(blocks.y) / _MOST_BLOCKS)))
     noise = np.array([_noise(blocks.y[:, c]) for c in channels])
     bare = _without(blocks, channels, blocks.y[:, channels] / noise, noise)
-    world = _world_rest(blocks, channels, noise) if group == "force" and len(channels) == 3 else bare
+    world = bare if group == "torque" else _world_rest(blocks, channels, noise)
     scores: dict[str, tuple[float, float]] = {}
     for name, x in blocks.drivers.items():
         y = world if name == "position" else bare
@@ -83,7 +86,8 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     unit = float(np.sqrt(np.mean(noise**2)))
-    return Rest(power_before, power_after, driven, best_names, unit * float(np.sqrt(driven)))
+    shape = np.mean(np.sum((blocks.columns[:, channels, :] / noise[:, None]) ** 2, axis=1), axis=0)
+    return Rest(power_before, power_after, driven, best_names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
 
 
 def _noise(y: F64) -> float:
@@ -103,8 +107,9 @@ def _without(blocks: Blocks, channels: list[int], y: F64, noise: F64) -> F64:
 
 
 def _world_rest(blocks: Blocks, channels: list[int], noise: F64) -> F64:
-    """(B, 3) force in the world's axes, in units of the mean noise."""
-    return blocks.world / float(np.sqrt(np.mean(noise**2)))
+    """(B, 2 or 1) level or vertical force in the world's axes, in units of the mean noise."""
+    axes = [2] if channels == [2] else [0, 1]
+    return blocks.world[:, axes] / float(np.sqrt(np.mean(noise**2)))
 
 
 def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[float, float]:

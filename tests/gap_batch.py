@@ -45,6 +45,7 @@ def fly(
     paths = _reference(seconds)
     plant.pos_ned_m[:] = paths[0][0]
     plant.motor_u[:] = np.sqrt(believed.mass_kg * _G[2] / 4.0 / believed.rotors.max_thrust_n)
+    before = plant.motor_u.copy()  # the log holds the commands' mean round each sample
     rows = []
     integral, turn_integral = np.zeros((count, 3)), np.zeros((count, 3))
     bias = _sensor(truths, "accelerometer_bias"), _sensor(truths, "gyro_bias")
@@ -66,9 +67,10 @@ def fly(
         if tick % EVERY == 0:
             rows.append(
                 np.hstack(
-                    [plant.pos_ned_m, plant.vel_ned_mps, q, rate, plant.specific_force_frd_mps2 + bias[0], motor, plant.battery_v[:, None]]
+                    [plant.pos_ned_m, plant.vel_ned_mps, q, rate, plant.specific_force_frd_mps2 + bias[0], 0.5 * (motor + before), plant.battery_v[:, None]]
                 )
             )  # fmt: skip
+        before = motor
         for _ in range(4):
             plant.step(motor)
     table = np.array(rows).transpose(1, 0, 2)

@@ -20,7 +20,7 @@ HIDDEN: dict[str, dict[str, float]] = {
     "motor_lag": {"time_constant_s": 0.035},
     "transport_delay": {"delay_s": 0.012},
     "battery_sag": {"thrust_loss_per_v": 0.05},
-    "linear_drag": {"d_x_kgps": 0.4, "d_y_kgps": 0.25, "d_z_kgps": 0.5},
+    "linear_drag": {"d_x_kgps": 0.35, "d_y_kgps": 0.35, "d_z_kgps": 0.5},
     "angular_damping": {"k_x_nms": 0.03, "k_y_nms": 0.03, "k_z_nms": 0.04},
     "rotor_drag": {"k_d_kg_per_rad": 1.6e-4},
     "induced_inflow": {"k_z_kg_per_rad": 1.6e-4},
@@ -44,10 +44,13 @@ SECONDS = 24.0
 
 @cache
 def believed() -> Vehicle:
-    """The default vehicle with a drag that its file knows: without one, no wind could ever show."""
+    """The default vehicle with a drag that its file knows: without one, no wind could ever show.
+
+    It differs from axis to axis, else a wind and a constant force would be the same thing.
+    """
     path = Path(__file__).resolve().parents[1] / "vehicles" / "quad-x.toml"
     plain = parse_vehicle(path.read_text("utf-8"), "quad-x.toml")
-    return with_effects(plain, {"linear_drag": {"d_x_kgps": 0.3, "d_y_kgps": 0.3, "d_z_kgps": 0.3}})
+    return with_effects(plain, {"linear_drag": {"d_x_kgps": 0.5, "d_y_kgps": 0.2, "d_z_kgps": 0.3}})
 
 
 @cache

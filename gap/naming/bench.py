@@ -16,7 +16,7 @@ from gap.records import Samples
 from gap.simulate import Knob, predict, sensitivities, timing
 from gap.track import track
 
-_TIMING_S, _TIMING_SAMPLES = 0.001, 0.1
+_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
 """How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
 _GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
@@ -47,8 +47,8 @@ class SimulatorBench:
         """Derivatives of the simulated (N, 12, K) of each flight."""
         return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
 
-    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
-        """Columns (N, 12, K) of what no log tells, and how large each may be (K,).
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
 
         When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
         loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
@@ -68,7 +68,8 @@ class SimulatorBench:
             columns.append(np.concatenate([late, bent, folded, gains], axis=2))
         period = float(np.mean([s.dt_s for s in self.flights]))
         sizes = [_TIMING_S + _TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
-        return columns, np.array(sizes)
+        fitted = np.array([False, True, *([True] * len(_FOLDED)), *([False] * len(_GAINS))])
+        return columns, np.array(sizes), fitted
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""

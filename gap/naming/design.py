@@ -34,8 +34,11 @@ class Bench(Protocol):
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
         """Derivatives of the simulated by these parameters at the vehicle: (N, channels, K) for each flight."""
 
-    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
-        """Columns (N, channels, K) of what is neither known nor an effect, and the size (K,) of each."""
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        """Columns (N, channels, K) of what is neither known nor an effect, the size (K,) of each, whether it is told.
+
+        What the data can't tell from effects is never fitted: it only widens the intervals.
+        """
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""
@@ -115,6 +118,8 @@ class Linearised:
     """(R, k) columns of what is neither known nor an effect."""
     nuisance_size: F64
     """(k,) its standard deviation."""
+    nuisance_fitted: Mask
+    """(k,) which of it is fitted beside the effects; the others widen their intervals."""
     y: F64
     """(R,) as if every named effect were at its origin, to first order."""
     rest: F64
@@ -171,11 +176,11 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
     if layout is None:
         layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]))
     x = layout.stack(raw_x)
-    raw_nuisance, sizes = bench.nuisance(vehicle)
+    raw_nuisance, sizes, told = bench.nuisance(vehicle)
     nuisance = layout.stack([np.nan_to_num(columns) for columns in raw_nuisance])
     rest = layout.stack(raw_y)
     moved = np.array([slot.value - slot.origin for slot in slots])
-    return Linearised(vehicle, group, slots, layout, x, nuisance, sizes, rest + x @ moved, rest)
+    return Linearised(vehicle, group, slots, layout, x, nuisance, sizes, told, rest + x @ moved, rest)
 
 
 def _slot(m: int, candidate: Candidate, parameter: str, size: float, vehicle: Vehicle, start: Vehicle) -> Slot:

@@ -89,8 +89,9 @@ def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, 
 
 def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask) -> F64:
     low, high = _bounds(vehicle, slots)
-    both = np.hstack([x, state.point.nuisance])[chosen]
-    k = both.T @ both + np.diag(np.concatenate([np.zeros(len(slots)), 1.0 / state.point.nuisance_size**2]))
+    nuisance, size = _fitted_nuisance(state)
+    both = np.hstack([x, nuisance])[chosen]
+    k = both.T @ both + np.diag(np.concatenate([np.zeros(len(slots)), 1.0 / size**2]))
     b = both.T @ rows[chosen]
     # the nuisance is solved for and left out again
     n = len(slots)
@@ -98,14 +99,33 @@ def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x
     return bounded_step(k[:n, :n] - shift @ k[n:, :n], b[:n] - shift @ b[n:], low, high)[0]
 
 
+def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
+    told = state.point.nuisance_fitted
+    return state.point.nuisance[:, told], state.point.nuisance_size[told]
+
+
 def _covariance(state: Search, x: F64, rows: F64, chosen: Mask) -> F64:
-    """Of the coefficients, what is neither known nor an effect being fitted beside them with its prior."""
-    nuisance, size = state.point.nuisance, state.point.nuisance_size
-    if x.shape[1] == 0:
-        return np.zeros((0, 0))
+    """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966)."""
     count = x.shape[1]
+    if count == 0:
+        return np.zeros((0, 0))
+    nuisance, size = _fitted_nuisance(state)
+    both = np.hstack([x, nuisance])
     prior = np.concatenate([np.zeros(count), 1.0 / size**2])
-    return _sandwich(state, np.hstack([x, nuisance]), rows, chosen, prior)[:count, :count]
+    covariance = _sandwich(state, both, rows, chosen, prior)[:count, :count]
+    other, scale = (
+        state.point.nuisance[:, ~state.point.nuisance_fitted],
+        state.point.nuisance_size[~state.point.nuisance_fitted],
+    )
+    gram = both[chosen].T @ both[chosen] + np.diag(prior)
+    shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
+    return np.asarray(covariance + shift @ shift.T)
+
+
+def _inverse(gram: F64) -> F64:
+    """Of a normal matrix with columns of very different size, some of them nothing."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size))
 
 
 def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64:
@@ -114,7 +134,7 @@ def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64
     xs, e = x[chosen], rows[chosen]
     gram = xs.T @ xs + np.diag(prior)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
+    inverse = _inverse(gram)
     scores = xs * e[:, None]
     middle = np.diag(prior)
     for flight in np.unique(layout.flight[chosen]):
@@ -128,9 +148,9 @@ def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64
             cross = series[k:].T @ series[:-k]
             middle += (1.0 - k / (lags + 1.0)) * (cross + cross.T)
     sandwich = inverse @ middle @ inverse
-    # never narrower than white noise would make it
-    wider = np.maximum(np.diag(sandwich), np.diag(inverse)) / np.maximum(np.diag(sandwich), 1e-300)
-    root = np.sqrt(wider)
+    # never narrower than white noise would make it; what the flights don't see at all has no variance here
+    seen = (np.diag(sandwich) > 0.0) & (size > 1e-100)
+    root = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.where(seen, np.diag(sandwich), 1.0))) * seen
     return np.asarray(sandwich * np.outer(root, root))
 
 

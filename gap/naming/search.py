@@ -30,6 +30,7 @@ _MARGIN = 12.0
 _NEAR = 0.3
 """And the share of the whole gain that it may make far from where the columns were taken."""
 _NEIGHBOURS = 6
+_STUCK = 6.0
 _ROUNDS = 3
 _STEPS = 4
 _CHORDS = 2
@@ -170,7 +171,13 @@ def _neighbours(state: Search) -> list[Subset]:
     }
     scored = _scored(state, sorted(subsets))
     near = state.best.score + _MARGIN
-    return [s for value_, s in scored if value_ < near and _key(state, s) not in state.fits][:_NEIGHBOURS]
+    return [s for value_, s in scored if value_ < min(near, _beaten(state, s))][:_NEIGHBOURS]
+
+
+def _beaten(state: Search, subset: Subset) -> float:
+    """Score below which a subset is fitted: what it had, if it was stuck far from where the columns now point to."""
+    fit = state.fits.get(_key(state, subset))
+    return np.inf if fit is None else fit.score - _STUCK
 
 
 def _key(state: Search, subset: Subset) -> frozenset[str]:

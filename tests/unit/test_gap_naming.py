@@ -181,8 +181,8 @@ class MadeUp:
 
         return [np.stack([one(knob) for knob in knobs], axis=2)]
 
-    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64]:
-        return [np.zeros((self.rows, 2, 1))], np.ones(1)
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        return [np.zeros((self.rows, 2, 1))], np.ones(1), np.ones(1, dtype=bool)
 
     def rate(self, flight: int) -> float:
         return 50.0
