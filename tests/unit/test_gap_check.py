@@ -352,3 +352,31 @@ def test_what_a_log_lacks_is_derived_and_said() -> None:
         difference = getattr(samples, name)[100:2900, :] - getattr(sound, name)[100:2900, :]
         slow = np.stack([np.convolve(column, smooth, "valid") for column in difference.T], axis=1)
         assert np.sqrt(np.mean(slow**2)) < most, name
+
+
+def test_an_attitude_turned_against_the_gyro_does_not_pass_for_late_stamps() -> None:
+    """Five degrees of roll and eight of yaw between them: a sensor effect, and none of the clock."""
+    from logs.turn import euler_to_quaternion
+
+    turn = euler_to_quaternion(np.radians([[5.0, 0.0, 8.0]]))
+    checked = check(_quaternion(lambda q: multiply(q, turn))(flight()), vehicle())
+    found = {each.signal: each for each in checked.offsets}
+    assert abs(found["rate_frd_radps"].offset_s) < 5e-4
+    assert not {"units", "frames", "quaternion"} & {each.name for each in checked.findings}
+
+
+def test_a_vehicle_that_stands_with_its_motors_running_does_not_fly_yet() -> None:
+    """Ten seconds on the ground with half of the weight commanded, then the flight."""
+    log = flight()
+    signals = {}
+    for name, each in log.signals.items():
+        before = np.arange(0.0, 10.0, 0.01)
+        first = {"motor": np.full(4, 0.5), "q_ned_frd": np.array([1.0, 0.0, 0.0, 0.0])}.get(name)
+        stood = np.zeros_like(each.value[: len(before)]) + (0.0 if first is None else first)
+        if name == "accel_frd_mps2":
+            stood[:, 2] = -9.80665
+        if name == "battery_v":
+            stood += 16.6
+        signals[name] = Signal(np.concatenate([before, each.t_s + 10.0]), np.concatenate([stood, each.value]), name)
+    samples = usable(check(replace(log, signals=signals), vehicle()))
+    assert samples.t_s[0] == pytest.approx(10.5, abs=0.05)
