@@ -119,6 +119,9 @@ DEFECTS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     "position in mm": (_scaled("pos_ned_m", 1e3), "position: was in mm"),
     "battery times ten": (_scaled("battery_v", 10.0), "battery: 16"),
     "battery in mV": (_scaled("battery_v", 1e3), "battery: 1.6"),
+    "motors in us": (_turned("motor", lambda u: 1000.0 + 1000.0 * u), "motors: were pulse widths"),
+    "motors in percent": (_scaled("motor", 100.0), "motors: were in percent"),
+    "motors of 16 bits": (_scaled("motor", 65535.0), "motors: were 16-bit numbers"),
     "time in ms": (_milliseconds, "time: was in ms"),
     "time in us": (_microseconds, "time: was in us"),
     "accelerometer z up": (_turned("accel_frd_mps2", flu), "accelerometer: was in FLU"),
@@ -149,7 +152,7 @@ def test_a_defect_is_named_and_put_right(defect: str) -> None:
     assert said in texts(checked, "warning")
     assert len(samples.t_s) == pytest.approx(len(sound.t_s), abs=3)
     middle = slice(100, 2800)
-    for name in (*NOISE, "battery_v"):
+    for name in (*NOISE, "battery_v", "motor"):
         a, b = getattr(samples, name)[middle], getattr(sound, name)[middle]
         if name == "q_ned_frd":
             a = a * np.sign(np.sum(a * b, axis=1, keepdims=True))
@@ -286,6 +289,7 @@ REFUSALS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     "two seconds": (_short, "s in the air"),
     "another clock": (_other_clock, "different clocks"),
     "a jump": (_jump, "mixes clocks"),
+    "motors in rad/s, both ways": (_turned("motor", lambda u: 800.0 * u - 400.0), "no commands 0 to 1"),
     "half of gravity": (_half_gravity, "accelerometer's mean"),
 }
 
