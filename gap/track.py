@@ -11,8 +11,9 @@ then both pass the same zero-phase Butterworth low-pass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,30 @@ _SLOWEST_STEP_S = 0.004
 _HELD_SHARE = 0.3
 _SAME_MPS2 = 1e-6
 _LEAST_FUSED_S = 24.0
+_ROWS = (
+    "t_s",
+    "pos_ned_m",
+    "vel_ned_mps",
+    "q_ned_frd",
+    "rate_frd_radps",
+    "accel_frd_mps2",
+    "motor",
+    "battery_v",
+    "height_m",
+    "valid",
+)
+_TRACK_ROWS = (
+    "pos_ned_m",
+    "path_ned_m",
+    "vel_ned_mps",
+    "q_ned_frd",
+    "rate_frd_radps",
+    "acc_ned_mps2",
+    "vel_rate_ned_mps2",
+    "turn_frd_radps",
+    "measured",
+    "usable",
+)
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -69,6 +94,8 @@ class Track:
     """(N * every, 4) motor commands for the run-through."""
     every: int
     """Steps of the run-through in a sample."""
+    side: float
+    """`simpson`'s weight for what is compared with a central difference."""
     cutoff_hz: float
     missing: frozenset[str]
     """Names of signals that the log lacks, those derived from others included."""
@@ -83,10 +110,13 @@ class Track:
         return lowpass(columns, self.cutoff_hz, self.samples.dt_s)
 
 
-def simpson(x: F64) -> F64:
-    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees."""
+def simpson(x: F64, side: float = 1.0 / 6.0) -> F64:
+    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees.
+
+    `side` is the weight of either neighbour: of Simpson's rule, or less where the difference's steps are shorter.
+    """
     out = x.copy()
-    out[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
+    out[1:-1] = side * (x[:-2] + x[2:]) + (1.0 - 2.0 * side) * x[1:-1]
     return out
 
 
@@ -180,8 +210,26 @@ def track(samples: Samples) -> Track:
         _usable(samples, cutoff),
         step_commands(samples, every, samples.command_late_s),
         every,
+        1.0 / 6.0,
         cutoff,
         missing,
+    )
+
+
+def thinned(flight: Track, k: int) -> Track:
+    """Every k-th sample of a flight; rotors still run through all its commands."""
+    samples = flight.samples
+    rows = {name: getattr(samples, name)[::k] for name in _ROWS}
+    thin: dict[str, Any] = {name: np.ascontiguousarray(getattr(flight, name)[::k]) for name in _TRACK_ROWS}
+    count = len(rows["t_s"])
+    padding = np.repeat(flight.commands[-1:], max(0, count * k * flight.every - len(flight.commands)), axis=0)
+    return replace(
+        flight,
+        samples=replace(samples, dt_s=samples.dt_s * k, **rows),
+        commands=np.vstack([flight.commands, padding]),
+        every=flight.every * k,
+        side=flight.side / k**2,  # the same loss at low frequencies
+        **thin,
     )
 
 

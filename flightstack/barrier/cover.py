@@ -3,8 +3,8 @@
 At a fixed command u, q of `condition` is concave in e and concave in v in a box that no kink of the barrier cuts: the
 least q of the box is at one of its four corners, exactly.  (Where a barrier's cross term makes q curve upwards along v,
 the most that can be gained is taken off.)  So a box is proven by four evaluations of the very function that the filter
-enforces; one that fails is halved.  Boxes wholly outside {h >= -eta} are dropped; what the certificate says of a box
-holds in all of it, not only inside the region.
+enforces; one that fails is halved.  Boxes wholly outside {h >= inner - eta} are dropped; what the certificate says of a
+box holds in all of it, not only inside the region.
 
 Branch and bound; the published certificate's balls with one Lipschitz constant, L. Wang, E. Theodorou, M. Egerstedt,
 "Safe Learning of Quadrotor Dynamics Using Barrier Certificates", 2018, lemma III.1, need many more.
@@ -39,7 +39,7 @@ class Cover:
     """What the branch and bound found."""
 
     closed: bool
-    """Every point of {h >= -eta} lies in a proven cell."""
+    """Every point of {h >= inner - eta} lies in a proven cell."""
     cells: F64
     """(m, CELL) as in `records.AxisCertificate`; not all that are needed when `closed` is false."""
     worst_q: float
@@ -49,7 +49,7 @@ class Cover:
 
 
 def cover(barrier: Barrier, setting: Setting, authority: Authority, *, most_cells: int = 20000) -> Cover:
-    """Cover {h >= -eta} with boxes in which one command meets the condition throughout."""
+    """Cover {h >= inner - eta} with boxes in which one command meets the condition throughout."""
     return cover_bands(barrier, setting, bands(authority), most_cells=most_cells)
 
 
@@ -59,7 +59,7 @@ def cover_bands(barrier: Barrier, setting: Setting, reaches: F64, *, most_cells:
         return Cover(False, np.empty((0, CELL)), math.inf, (0.0, 0.0))
     cells = np.empty((most_cells, CELL))
     setting = Setting(*(float(number) for number in setting))  # compiled once: for floats
-    count, worst, e, v = prove(barrier.rows, region_box(barrier, setting.eta), setting, reaches, cells)
+    count, worst, e, v = prove(barrier.rows, region_box(barrier, setting.eta - setting.inner), setting, reaches, cells)
     closed = count >= 0
     kept = cells[: count if closed else -count - 1].copy()
     return Cover(closed, kept, worst, None if closed else (e, v))
@@ -105,7 +105,7 @@ def prove(rows: F64, box: F64, setting: Setting, reaches: F64, cells: F64) -> tu
         while left > 0:
             left -= 1
             e_low, e_high, v_low, v_high = stack[left, 0], stack[left, 1], stack[left, 2], stack[left, 3]
-            if outside(rows, e_low, e_high, v_low, v_high, setting.eta):
+            if outside(rows, e_low, e_high, v_low, v_high, setting.eta - setting.inner):
                 continue
             e, v = 0.5 * (e_low + e_high), 0.5 * (v_low + v_high)
             if known:
@@ -179,7 +179,7 @@ def outside(rows: F64, e_low: float, e_high: float, v_low: float, v_high: float,
 def _refuted(rows: F64, e: float, v: float, setting: Setting, reach: Reach, known: bool) -> bool:
     """Whether the region is not certifiable because of this very point."""
     for i in range(rows.shape[0]):
-        if piece_at(rows[i], e, v)[0] < -setting.eta:
+        if piece_at(rows[i], e, v)[0] < setting.inner - setting.eta:
             return False
     return not known or interval(rows, e, v, setting, reach)[2] < 0.0
 

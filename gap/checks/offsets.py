@@ -159,13 +159,15 @@ def _coarse(seen: Motion, names: tuple[str, ...], high_hz: float) -> F64:
 
 
 def _rates_fit(seen: Motion, high_hz: float) -> _Fit | None:
-    """gyro(t) = rate(t - lateness) + bias, on each axis."""
+    """gyro(t) = rate(t - lateness) + bias + a small turn of the rate, for an attitude that is not the gyro's."""
     dt_s = seen.dt_s
     turning = band(rates_of(seen["q_ned_frd"], dt_s), dt_s, 0.0, high_hz)
     gyro = band(seen["rate_frd_radps"], dt_s, 0.0, high_hz)
     late = -np.gradient(turning, dt_s, axis=0)
+    turned = [np.cross(turning, unit) for unit in np.eye(3)]
+    table = np.stack([late, *turned], axis=-1)
     return _clustered([gyro[:, axis] - turning[:, axis] for axis in range(3)],
-                      [np.stack([late[:, axis]], axis=1) for axis in range(3)], seen)  # fmt: skip
+                      [table[:, axis] for axis in range(3)], seen, free=1)  # fmt: skip
 
 
 def _velocity_fit(seen: Motion, high_hz: float, sought: int) -> _Fit | None:

@@ -119,6 +119,9 @@ DEFECTS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     "position in mm": (_scaled("pos_ned_m", 1e3), "position: was in mm"),
     "battery times ten": (_scaled("battery_v", 10.0), "battery: 16"),
     "battery in mV": (_scaled("battery_v", 1e3), "battery: 1.6"),
+    "motors in us": (_turned("motor", lambda u: 1000.0 + 1000.0 * u), "motors: were pulse widths"),
+    "motors in percent": (_scaled("motor", 100.0), "motors: were in percent"),
+    "motors of 16 bits": (_scaled("motor", 65535.0), "motors: were 16-bit numbers"),
     "time in ms": (_milliseconds, "time: was in ms"),
     "time in us": (_microseconds, "time: was in us"),
     "accelerometer z up": (_turned("accel_frd_mps2", flu), "accelerometer: was in FLU"),
@@ -149,7 +152,7 @@ def test_a_defect_is_named_and_put_right(defect: str) -> None:
     assert said in texts(checked, "warning")
     assert len(samples.t_s) == pytest.approx(len(sound.t_s), abs=3)
     middle = slice(100, 2800)
-    for name in (*NOISE, "battery_v"):
+    for name in (*NOISE, "battery_v", "motor"):
         a, b = getattr(samples, name)[middle], getattr(sound, name)[middle]
         if name == "q_ned_frd":
             a = a * np.sign(np.sum(a * b, axis=1, keepdims=True))
@@ -286,6 +289,7 @@ REFUSALS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     "two seconds": (_short, "s in the air"),
     "another clock": (_other_clock, "different clocks"),
     "a jump": (_jump, "mixes clocks"),
+    "motors in rad/s, both ways": (_turned("motor", lambda u: 800.0 * u - 400.0), "no commands 0 to 1"),
     "half of gravity": (_half_gravity, "accelerometer's mean"),
 }
 
@@ -352,3 +356,31 @@ def test_what_a_log_lacks_is_derived_and_said() -> None:
         difference = getattr(samples, name)[100:2900, :] - getattr(sound, name)[100:2900, :]
         slow = np.stack([np.convolve(column, smooth, "valid") for column in difference.T], axis=1)
         assert np.sqrt(np.mean(slow**2)) < most, name
+
+
+def test_an_attitude_turned_against_the_gyro_does_not_pass_for_late_stamps() -> None:
+    """Five degrees of roll and eight of yaw between them: a sensor effect, and none of the clock."""
+    from logs.turn import euler_to_quaternion
+
+    turn = euler_to_quaternion(np.radians([[5.0, 0.0, 8.0]]))
+    checked = check(_quaternion(lambda q: multiply(q, turn))(flight()), vehicle())
+    found = {each.signal: each for each in checked.offsets}
+    assert abs(found["rate_frd_radps"].offset_s) < 5e-4
+    assert not {"units", "frames", "quaternion"} & {each.name for each in checked.findings}
+
+
+def test_a_vehicle_that_stands_with_its_motors_running_does_not_fly_yet() -> None:
+    """Ten seconds on the ground with half of the weight commanded, then the flight."""
+    log = flight()
+    signals = {}
+    for name, each in log.signals.items():
+        before = np.arange(0.0, 10.0, 0.01)
+        first = {"motor": np.full(4, 0.5), "q_ned_frd": np.array([1.0, 0.0, 0.0, 0.0])}.get(name)
+        stood = np.zeros_like(each.value[: len(before)]) + (0.0 if first is None else first)
+        if name == "accel_frd_mps2":
+            stood[:, 2] = -9.80665
+        if name == "battery_v":
+            stood += 16.6
+        signals[name] = Signal(np.concatenate([before, each.t_s + 10.0]), np.concatenate([stood, each.value]), name)
+    samples = usable(check(replace(log, signals=signals), vehicle()))
+    assert samples.t_s[0] == pytest.approx(10.5, abs=0.05)

@@ -167,6 +167,16 @@ def test_every_th_row_is_the_same_row(flown: tuple[Samples, Samples]) -> None:
     assert np.array_equal(sensitivities(quad(), flown[1], columns, every=3), whole[::3])
 
 
+def test_a_fast_log_may_be_evaluated_at_fewer_samples() -> None:
+    samples = as_samples(fly(quad(), quad(), wander(), seconds=6.0, seed=9, every_ms=4))
+    columns = [*knobs("motor_lag"), *knobs("inertia"), *knobs("payload"), *knobs("slung_load", {"length_m": 0.5})[:1]]
+    whole, fewer = sensitivities(quad(), samples, columns)[::4], sensitivities(quad(), samples, columns, every=4)
+    inside = slice(20, -20)
+    for k, knob in enumerate(columns):
+        off = np.std((whole - fewer)[inside, :6, k]) / np.std(whole[inside, :6, k])
+        assert off < 0.01, knob
+
+
 def test_later_commands_are_a_transport_delay(flown: tuple[Samples, Samples]) -> None:
     column = timing(quad(), flown[0])[200:-200, 3:6]
     delay = sensitivity(quad(), flown[0], "transport_delay", "delay_s")[200:-200, 3:6]

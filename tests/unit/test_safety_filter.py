@@ -53,7 +53,7 @@ def certified(dt_us: int, axes: tuple[int, ...] = (0, 1, 2), *, error: float = 0
     low = (0.9 if lateral else 0.2) * weight
     budget = Budget(1.5 / GAIN, low, high, 1.8 * weight, TILT)
     setting = Setting(2.0, 0.02, 0.1, dt_us * 1e-6)
-    sideways = Setting(2.0, 0.06, 0.1, dt_us * 1e-6)  # what is not known of a is not led either: |dh/dv| T error = 0.04
+    sideways = Setting(2.0, 0.02, 0.1, dt_us * 1e-6, inner=0.04)  # what is not known of a: |dh/dv| T error = 0.04
     response = Response(STEER, STEER * RATE_LAG, DELAY_US * 1e-6)
     rows: dict[int, Any] = {}
     for i in axes:
@@ -178,7 +178,7 @@ def test_the_published_form_ratchets_out_and_the_cross_term_does_not(dt_us, prin
         shape = crossed(0.6, 0.6, c)
         row = (shape, Setting(2.0, 0.0, 0.0, dt_us * 1e-6 if c else 0.0), Response(0.0, 0.0, 0.0), reach)
         cert = certificate({2: row}, Budget(0.0, 0.0, high, high, TILT))
-        safety = BarrierFilter(model, limits)
+        safety = BarrierFilter(model, limits, inside_ps=0.0)
         state = safety.adopt(safety.init(np.zeros(3)), cert)
         low_n, high_n = model.thrust_range_n(limits)
         hover = G / GAIN * model.mass_kg
