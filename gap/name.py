@@ -138,9 +138,8 @@ def _moved(state: Search, made: Estimates) -> F64:
 
 def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
     """What the velocity's own slow error leaves of each group through the vehicle's drag, root mean square."""
-    parts = np.array([velocity_noise(vehicle, s)[:6] for s in bench.flights])
-    worst = np.nan_to_num(parts).max(axis=0)
-    return {"force": float(np.max(worst[:3])), "torque": float(np.max(worst[3:]))}
+    worst = np.nan_to_num(np.array([velocity_noise(vehicle, s) for s in bench.flights])).max(axis=0)
+    return {group: float(np.max(worst[list(channels)])) for group, channels in GROUPS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
