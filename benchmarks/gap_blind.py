@@ -18,6 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
+import importlib.util
 import json
 import sys
 import tempfile
@@ -46,7 +47,12 @@ def counts(quick: bool) -> dict[str, int]:
 def jobs_of(quick: bool, first_seed: int) -> list[Job]:
     """All cases, mixed, so that a run that is cut off has seen something of each kind."""
     most = counts(quick)
-    jobs = [("native", kind, k / most[kind], first_seed + k) for kind in most for k in range(most[kind])]
+    jobs: list[tuple[str, str, float, int]] = [
+        ("native", kind, k / most[kind], first_seed + k) for kind in most for k in range(most[kind])
+    ]
+    if importlib.util.find_spec("sim.jsbsim") and importlib.util.find_spec("jsbsim"):
+        other = {"clean": 6 if quick else 20, **{kind: 1 if quick else 2 for kind in most if kind.startswith("one:")}}
+        jobs += [("jsbsim", kind, k / other[kind], first_seed + k) for kind in other for k in range(other[kind])]
     return [(plant, kind, seed) for plant, kind, _, seed in sorted(jobs, key=lambda job: (job[2], job[1]))]
 
 

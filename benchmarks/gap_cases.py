@@ -29,9 +29,11 @@ from benchmarks.gap_flights import (
     Flown,
     Senses,
     fly,
+    fly_plant,
 )
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml, with_effects
+from sim.plant import Plant
 
 HEADER = (
     "time_s,pos_n_m,pos_e_m,pos_d_m,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z,rate_x_radps,rate_y_radps,"
@@ -70,15 +72,24 @@ class Case:
 
 
 def make(kind: str, seed: int, *, plant: str = "native") -> Case:
-    """A case of `kind`: clean, one:NAME, two, three, outside:NAME; a flight that crashes is drawn anew."""
-    if plant != "native":
-        raise ValueError(f"plant {plant}: blind cases fly on the native plant")
+    """A case of `kind`: clean, one:NAME, two, three, outside:NAME; a flight that crashes is drawn anew.
+
+    `plant`: native, or jsbsim (the effects of the table only).
+    """
     for attempt in range(TRIES):
         rng = np.random.default_rng([seed, attempt, *kind.encode()])
-        case = _make(kind, rng)
+        case = _make(kind, rng, plant)
         if case is not None:
             return case
     raise RuntimeError(f"{kind} {seed}: no flight came down whole in {TRIES} tries")
+
+
+def other_plant(truth: Vehicle, seed: int) -> Plant:
+    """The truth on JSBSim: other equations, other integrators, other code."""
+    from sim.jsbsim.plant import JsbsimPlant
+
+    made: Plant = JsbsimPlant(truth, seed=seed, dt_us=DT_US)
+    return made
 
 
 def _names(kind: str, rng: np.random.Generator) -> list[str]:
@@ -88,7 +99,7 @@ def _names(kind: str, rng: np.random.Generator) -> list[str]:
     return [str(name) for name in rng.choice(list(gap_draw.EFFECTS), count, replace=False)]
 
 
-def _make(kind: str, rng: np.random.Generator) -> Case | None:
+def _make(kind: str, rng: np.random.Generator, plant: str) -> Case | None:
     names = _names(kind, rng)
     outside_name = kind.removeprefix("outside:") if kind.startswith("outside:") else ""
     believed = gap_draw.vehicle(rng, drag=bool(gap_draw.NEEDS_DRAG & set(names)))
@@ -104,7 +115,12 @@ def _make(kind: str, rng: np.random.Generator) -> Case | None:
         senses = Senses(0.003 * scale, 0.02 * scale, 0.006 * scale)
         rate_hz = int(rng.choice(RATES_HZ))
         hold_ms = int(rng.choice([2, 1000 // rate_hz]))  # logged whole, or sampled from a faster loop
-        flown = fly(believed, truth, reference, outside, seed=int(rng.integers(2**31)), senses=senses, hold_ms=hold_ms)
+        drawn = int(rng.integers(2**31))
+        if plant == "native":
+            flown = fly(believed, truth, reference, outside, seed=drawn, senses=senses, hold_ms=hold_ms)
+        else:
+            other = other_plant(truth, drawn)
+            flown = fly_plant(other, believed, truth, reference, seed=drawn, senses=senses, hold_ms=hold_ms)
     except InputError:  # too stiff for the plant's step
         return None
     if flown.crashed or float(np.max(np.linalg.norm(flown.rows[:, :3], axis=1))) > 60.0:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.gap_pilot import M_SIZE, OUTER_US, believed_row, inner, outer
+from flightstack.frames import quat_multiply
 from flightstack.jit import njit
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -32,7 +33,7 @@ from sim.layout import (
     S_VOLTAGE,
     p_effect,
 )
-from sim.plant import NativePlant
+from sim.plant import NativePlant, Plant
 from sim.rigid_body import step_row
 
 DT_US = 1000
@@ -200,6 +201,36 @@ def _fly(
         if not upright > -0.2 or not abs(row[S_POS]) < 300.0 or not abs(row[S_POS + 2]) < 300.0:
             return True
     return False
+
+
+def fly_plant(
+    plant: Plant, believed: Vehicle, truth: Vehicle, reference: F64, *, seed: int, senses: Senses, hold_ms: int
+) -> Flown:
+    """The same flight on any plant of `truth` that steps by DT_US, nothing outside the table; a call a step."""
+    rng = np.random.default_rng(seed + 1)
+    deviation = np.repeat([senses.pos_m, senses.vel_mps, senses.rate_radps], 3)
+    noise = rng.standard_normal((len(reference), 9)) * deviation
+    every = OUTER_US // DT_US
+    log = np.zeros((len(reference) * every, L_SIZE))
+    pilot = believed_row(believed, latency_s(truth) + 5e-4 * hold_ms)
+    memory, motor = np.zeros(M_SIZE), np.zeros(4)
+    for k, row in enumerate(log):
+        at = k // every
+        if k % every == 0:
+            q = quat_multiply(plant.q_ned_frd, plant.misalignment_q)
+            outer(pilot, memory, reference[at], plant.pos_ned_m + noise[at, :3], plant.vel_ned_mps + noise[at, 3:6], q)
+        if k % hold_ms == 0:
+            gyro = plant.rate_frd_radps + plant.gyro_bias_frd_radps + noise[at, 6:]
+            inner(pilot, memory, gyro, 1e-6 * DT_US * hold_ms, motor)
+        plant.step(motor)
+        row[L_POS : L_POS + 3], row[L_VEL : L_VEL + 3] = plant.pos_ned_m, plant.vel_ned_mps
+        row[L_Q : L_Q + 4], row[L_RATE : L_RATE + 3] = plant.q_ned_frd, plant.rate_frd_radps
+        row[L_FORCE : L_FORCE + 3], row[L_MOTOR : L_MOTOR + 4] = plant.specific_force_frd_mps2, motor
+        row[L_VOLTAGE] = plant.battery_v
+        upright = 1.0 - 2.0 * (plant.q_ned_frd[1] ** 2 + plant.q_ned_frd[2] ** 2)
+        if not upright > -0.2 or not np.all(np.abs(plant.pos_ned_m) < 300.0):
+            return Flown(log, True)
+    return Flown(log, False)
 
 
 def latency_s(truth: Vehicle) -> float:

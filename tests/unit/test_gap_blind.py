@@ -14,7 +14,20 @@ from shipped import load_vehicle
 from benchmarks import gap_draw
 from benchmarks.gap_blind import jobs_of
 from benchmarks.gap_cases import HEADER, kinds, make, write
-from benchmarks.gap_flights import L_FORCE, L_POS, L_Q, L_RATE, L_VEL, X_JET, X_SIZE, X_TETHER, fly
+from benchmarks.gap_flights import (
+    L_FORCE,
+    L_POS,
+    L_Q,
+    L_RATE,
+    L_VEL,
+    L_VOLTAGE,
+    X_JET,
+    X_SIZE,
+    X_TETHER,
+    Senses,
+    fly,
+    fly_plant,
+)
 from benchmarks.gap_judge import confusion, judge, summary
 from benchmarks.gap_pilot import Plan
 from benchmarks.gap_tables import BEGIN, END, tables
@@ -22,6 +35,7 @@ from benchmarks.gap_tables import write as write_tables
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, with_effects
+from sim.plant import NativePlant
 
 QUAD = load_vehicle("quad-x")
 NOTHING = np.zeros(X_SIZE)
@@ -76,6 +90,15 @@ def test_a_slack_tether_does_nothing_and_a_tight_one_pulls_to_its_anchor() -> No
     up = -rows[:, L_FORCE + 2].mean() * QUAD.mass_kg  # the tether's pull is a specific force too
     assert up == pytest.approx(QUAD.weight_n, rel=0.01)
     assert -rows[:, L_POS + 2].mean() == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_call_a_step_on_any_plant_flies_as_the_compiled_loop_does() -> None:
+    """The native plant both ways; the rest is the other plant's business."""
+    reference, senses = hover(3.0), Senses()
+    whole = fly(QUAD, QUAD, reference, NOTHING, seed=4, senses=senses, hold_ms=4).rows
+    plant = NativePlant(QUAD, seed=4, dt_us=1000)
+    called = fly_plant(plant, QUAD, QUAD, reference, seed=4, senses=senses, hold_ms=4).rows
+    np.testing.assert_allclose(called[:, : L_VOLTAGE + 1], whole[:, : L_VOLTAGE + 1], atol=1e-9)
 
 
 def test_the_rows_of_a_flight_fit_each_other() -> None:
