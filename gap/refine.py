@@ -40,7 +40,6 @@ _ROUNDS = 4
 _STEP_SHARE = 0.05
 _PRIOR_SCALES = 30.0
 """A parameter that the windows can't see stays where it was, with an interval of this many natural scales."""
-_RAW_RATES_BELOW_HZ = 12.0
 _CONVERGED = 0.02
 _TIMING_STEP_S = 0.001
 _BIAS_STD_MPS2 = 0.1
@@ -53,6 +52,8 @@ _GAIN = 1e-3
 _SWING = 4e-3
 """And a load's length, as its swing at the start is not known; relative."""
 _MEMORY_S = 5.0
+_STATES = 1.15
+"""Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
 _NUISANCES = 4
 
 
@@ -92,7 +93,7 @@ def refine(
     theta, covariance = problem.solve()
     # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
     freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
-    half = student.ppf(0.975, max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
+    half = _STATES * student.ppf(0.975, max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
         low, high = _limits(effect, parameter)
@@ -144,8 +145,9 @@ def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
     force = flight.measured[:, 0:3]
     sums = np.zeros_like(force)
     sums[1:] = np.cumsum(0.5 * samples.dt_s * (force[1:] + force[:-1]), axis=0)
-    smooth = flight.cutoff_hz >= _RAW_RATES_BELOW_HZ
-    rate = flight.rate_frd_radps if smooth else np.nan_to_num(samples.rate_frd_radps)
+    # The gyro as it is: a smoothed one's residuals are so alike from piece to piece that they would count too much.
+    derived = "rate_frd_radps" in flight.missing
+    rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
     at = chosen[:, None] + edges[None, :]
     return _Windows(
         flight, chosen, edges, np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
