@@ -194,7 +194,7 @@ def test_the_published_form_ratchets_out_and_the_cross_term_does_not(dt_us, prin
         shape = crossed(0.6, 0.6, c)
         row = (shape, Setting(2.0, 0.0, 0.0, dt_us * 1e-6 if c else 0.0), Response(0.0, 0.0, 0.0), reach)
         cert = certificate({2: row}, Budget(0.0, 0.0, high, high, TILT))
-        safety = BarrierFilter(model, limits, inside_ps=0.0)
+        safety = BarrierFilter(model, limits)
         state = safety.adopt(safety.init(np.zeros(3)), cert)
         low_n, high_n = model.thrust_range_n(limits)
         hover = G / GAIN * model.mass_kg
