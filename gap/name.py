@@ -1,9 +1,9 @@
 """Name what is missing: the effects that explain the residuals of these flights, or none.
 
-    search (gap.naming.search)  ->  which subset explains most for its price, every one fitted in earnest
-    verdict (this file)         ->  what of it may be said: significant, constant, better on held-out data, not a proxy
-    classes (gap.classes)       ->  what else would explain the flights as well
-    remainder (gap.remainder)   ->  what is left and on what it depends; too much of it, and nothing is named
+search (gap.naming.search)  ->  which subset explains most for its price, every one fitted in earnest
+verdict (this file)         ->  what of it may be said: significant, constant, better on held-out data, not a proxy
+classes (gap.classes)       ->  what else would explain the flights as well
+remainder (gap.remainder)   ->  what is left and on what it depends; too much of it, and nothing is named
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def _judge(state: Search, best: Fit) -> _Judged:
     made = estimate(state, best.effects)
     if not best.effects:
         return _Judged((), made, {})
-    chosen, held = state.point.fit_rows(), state.point.layout.keep & state.point.layout.held
+    held = state.point.layout.keep & state.point.layout.held
     start_rows = state.point.layout.stack(state.bench.residual(state.start))
     gaps = _gap(start_rows, held), _gap(made.rows, held)
     found = []

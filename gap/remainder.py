@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.types import F64
 from gap.naming.drivers import Blocks
@@ -82,9 +83,7 @@ def rest(before: F64, blocks: Blocks, group: str) -> Rest:
         best_names: tuple[str, ...] = ()
         driven = 0.0
     else:
-        best_names = tuple(
-            sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0])
-        )
+        best_names = tuple(sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0]))
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     unit = float(np.sqrt(np.mean(noise**2)))
@@ -114,7 +113,7 @@ def _world_rest(blocks: Blocks, channels: list[int], noise: F64) -> F64:
     return blocks.world[:, axes] / float(np.sqrt(np.mean(noise**2)))
 
 
-def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[float, float]:
+def _driver(x: F64, y: F64, fold: NDArray[np.int64], lengths: tuple[float, ...]) -> tuple[float, float]:
     """Log likelihood ratio against noise, and mean square that is predicted out of sample, over all channels."""
     spread = x.std(axis=0)
     if not np.any(spread > 1e-9):
@@ -131,7 +130,7 @@ def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[floa
     return best
 
 
-def _filtered_driver(x: F64, y: F64, fold: F64) -> tuple[float, float]:
+def _filtered_driver(x: F64, y: F64, fold: NDArray[np.int64]) -> tuple[float, float]:
     """The same for a linear filter of the driver's last seconds, (B, lags * d): what swings remembers."""
     spread = x.std(axis=0)
     if not np.any(spread > 1e-9):
@@ -163,7 +162,7 @@ def _evidence(kernel: F64, y: F64) -> tuple[float, F64]:
     return total, ratios
 
 
-def _predicted(kernel: F64, y: F64, fold: F64, ratios: F64) -> float:
+def _predicted(kernel: F64, y: F64, fold: NDArray[np.int64], ratios: F64) -> float:
     """Mean square of y, over all channels, that is predicted for stretches not learned from."""
     gained = 0.0
     for c, ratio in enumerate(ratios):

@@ -80,7 +80,9 @@ class SimulatorBench:
         return [s.t_s[::k] for s, k in zip(self.flights, self.every, strict=True)]
 
 
-def simulator_bench(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> SimulatorBench:
+def simulator_bench(
+    vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
+) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
     every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
     return SimulatorBench(

@@ -54,7 +54,7 @@ def block_means(
         size = max(1, round(block_s / samples.dt_s))
         good = mask & np.isfinite(y[:, :6]).any(axis=1)
         count = len(good) // size
-        whole = good[: count * size].reshape(count, size).all(axis=1)
+        whole: Mask = np.asarray(good[: count * size].reshape(count, size).all(axis=1))
 
         def mean(values: F64, size: int = size, count: int = count, whole: Mask = whole) -> F64:
             cut = values[: count * size].reshape(count, size, *values.shape[1:])
@@ -86,7 +86,9 @@ def block_means(
 
 def _lagged(x: F64, size: int) -> F64:
     """(N, d) beside itself up to `_LAGS` blocks ago."""
-    return np.hstack([np.vstack([np.repeat(x[:1], k * size, axis=0), x[: len(x) - k * size]]) for k in range(_LAGS + 1)])
+    return np.hstack(
+        [np.vstack([np.repeat(x[:1], k * size, axis=0), x[: len(x) - k * size]]) for k in range(_LAGS + 1)]
+    )
 
 
 def quantities(samples: Samples) -> dict[str, F64]:

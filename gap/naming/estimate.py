@@ -70,9 +70,9 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
         if still < _STILL:
             break
     covariance = _covariance(state, x, rows, chosen)
-    values = np.array([value(vehicle, e, p) for e, p in slots])
+    now = np.array([value(vehicle, e, p) for e, p in slots])
     spread = _constancy(state, vehicle, slots, x, rows, chosen)
-    return Estimates(vehicle, slots, values, covariance, spread, x, rows)
+    return Estimates(vehicle, slots, now, covariance, spread, x, rows)
 
 
 def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
@@ -87,9 +87,7 @@ def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, 
     return np.array([s.minimum for s in specs]) - now, np.array([s.maximum for s in specs]) - now
 
 
-def _step(
-    state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
-) -> F64:
+def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask) -> F64:
     low, high = _bounds(vehicle, slots)
     nuisance, size = _fitted_nuisance(state)
     both = np.hstack([x, nuisance])[chosen]
@@ -115,7 +113,10 @@ def _covariance(state: Search, x: F64, rows: F64, chosen: Mask) -> F64:
     both = np.hstack([x, nuisance])
     prior = np.concatenate([np.zeros(count), 1.0 / size**2])
     covariance = _sandwich(state, both, rows, chosen, prior)[:count, :count]
-    other, scale = state.point.nuisance[:, ~state.point.nuisance_fitted], state.point.nuisance_size[~state.point.nuisance_fitted]
+    other, scale = (
+        state.point.nuisance[:, ~state.point.nuisance_fitted],
+        state.point.nuisance_size[~state.point.nuisance_fitted],
+    )
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
     shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)
@@ -128,7 +129,7 @@ def _inverse(gram: F64) -> F64:
 
 
 def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64:
-    """Sandwich over time: scores of all channels at one time belong together, neighbours in time by Bartlett weights."""
+    """Sandwich over time: scores of all channels at one time belong together, neighbours by Bartlett weights."""
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
     gram = xs.T @ xs + np.diag(prior)

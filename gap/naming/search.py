@@ -243,9 +243,7 @@ def _stepped(state: Search, subset: Subset) -> Vehicle:
     return vehicle
 
 
-def _judged(
-    state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int
-) -> Fit:
+def _judged(state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int) -> Fit:
     chi2 = state.metric.chi2(rows)
     points = float(state.metric.rows.sum())
     price = score(0.0, used, len(effects), points, len(state.point.candidates))
