@@ -21,7 +21,6 @@ from flightstack.barrier.assess import (
     DOUBTFUL,
     ENGAGED,
     INFEASIBLE,
-    INSIDE_PS,
     PASSED,
     ROWS,
     UNCERTIFIED,
@@ -62,12 +61,12 @@ class BarrierFilter:
     """The filter for one believed vehicle; holds constants, the solver and buffers for one tick."""
 
     enabled = True
-    __slots__ = ("_high", "_limiter", "_low", "_qp", "_rows", "_work", "attitude_p_ps", "inside_ps", "limits", "model")
+    __slots__ = ("_high", "_limiter", "_low", "_qp", "_rows", "_work", "attitude_p_ps", "limits", "model")
 
-    def __init__(self, model: Model, limits: Limits, attitude_p_ps: float = 6.5, inside_ps: float = INSIDE_PS) -> None:
+    def __init__(self, model: Model, limits: Limits, attitude_p_ps: float = 6.5) -> None:
         """`attitude_p_ps`: how fast body rates steer the thrust axis to where it is wanted (1 / T), as the certificate
-        of a lateral axis has it; `inside_ps`: how little the filter does far from the edge (`condition`)."""
-        self.model, self.limits, self.attitude_p_ps, self.inside_ps = model, limits, attitude_p_ps, inside_ps
+        of a lateral axis has it."""
+        self.model, self.limits, self.attitude_p_ps = model, limits, attitude_p_ps
         self._limiter = Limiter(model, limits)
         self._qp = NearestPoint(ROWS)
         self._rows, self._work = np.zeros((ROWS, 3)), np.zeros(WORK)
@@ -92,7 +91,7 @@ class BarrierFilter:
     def init(self, origin_ned_m: F64) -> FilterState:
         """Nothing certified, nothing sent; regions are relative to the origin, (3,)."""
         self._qp.forget()
-        packed = pack(None, self.model, self.limits, self.attitude_p_ps, self.inside_ps)
+        packed = pack(None, self.model, self.limits, self.attitude_p_ps)
         return FilterState(origin_ned_m.copy(), new_memory(), None, packed)
 
     def adopt(self, state: FilterState, certificate: Certificate) -> FilterState:
@@ -104,7 +103,7 @@ class BarrierFilter:
         before = state.certificate
         if before is not None and _region(before) != _region(certificate) and state.memory[0, M_MODE] == ENGAGED:
             state.memory[0, M_MODE] = DOUBTFUL
-        packed = pack(certificate, self.model, self.limits, self.attitude_p_ps, self.inside_ps)
+        packed = pack(certificate, self.model, self.limits, self.attitude_p_ps)
         return state._replace(certificate=certificate, packed=packed)
 
     def step(

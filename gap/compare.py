@@ -11,10 +11,12 @@ from scipy.signal import welch
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap.checks.noise import white_noise
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
 from gap.simulate import Run, params_row, predict, true_attitude
-from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, multiply, rotate, track, turned
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
+from logs.turn import multiply, rotate, turned
 from sim.effects import accelerometer_bias, gyro_bias
 
 HORIZON_S = 1.0
@@ -87,9 +89,7 @@ def _white(samples: Samples, name: str) -> F64:
         return np.array([samples.noise[key] for key in keys])
     if name in samples.noise:
         return np.full(3, samples.noise[name])
-    value = getattr(samples, name)
-    third = np.diff(value[np.isfinite(value).all(axis=1)], n=3, axis=0)[:, -3:]
-    return np.sqrt(np.mean(third**2, axis=0) / 20.0) if len(third) else np.zeros(3)
+    return np.nan_to_num(white_noise(getattr(samples, name)[:, -3:]))
 
 
 def figures(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.types import F64
 from gap.naming.drivers import Blocks
@@ -112,7 +113,7 @@ def _world_rest(blocks: Blocks, channels: list[int], noise: F64) -> F64:
     return blocks.world[:, axes] / float(np.sqrt(np.mean(noise**2)))
 
 
-def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[float, float]:
+def _driver(x: F64, y: F64, fold: NDArray[np.int64], lengths: tuple[float, ...]) -> tuple[float, float]:
     """Log likelihood ratio against noise, and mean square that is predicted out of sample, over all channels."""
     spread = x.std(axis=0)
     if not np.any(spread > 1e-9):
@@ -129,7 +130,7 @@ def _driver(x: F64, y: F64, fold: F64, lengths: tuple[float, ...]) -> tuple[floa
     return best
 
 
-def _filtered_driver(x: F64, y: F64, fold: F64) -> tuple[float, float]:
+def _filtered_driver(x: F64, y: F64, fold: NDArray[np.int64]) -> tuple[float, float]:
     """The same for a linear filter of the driver's last seconds, (B, lags * d): what swings remembers."""
     spread = x.std(axis=0)
     if not np.any(spread > 1e-9):
@@ -161,7 +162,7 @@ def _evidence(kernel: F64, y: F64) -> tuple[float, F64]:
     return total, ratios
 
 
-def _predicted(kernel: F64, y: F64, fold: F64, ratios: F64) -> float:
+def _predicted(kernel: F64, y: F64, fold: NDArray[np.int64], ratios: F64) -> float:
     """Mean square of y, over all channels, that is predicted for stretches not learned from."""
     gained = 0.0
     for c, ratio in enumerate(ratios):

@@ -22,18 +22,8 @@ from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
-from gap.track import (
-    COLUMNS,
-    GRAVITY_NED_MPS2,
-    Track,
-    conjugate,
-    multiply,
-    rotate,
-    simpson,
-    step_commands,
-    thinned,
-    track,
-)
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands, thinned, track
+from logs.turn import conjugate, multiply, rotate, rotate_inverse
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
@@ -264,12 +254,12 @@ class Run:
         out[:, :6] = moved
         misalignment = attitude_misalignment.rotation(p)[None, :]
         if "accel_frd_mps2" in flight.missing:
-            out[:, 0:3] = rotate(misalignment, out[:, 0:3], inverse=True)
+            out[:, 0:3] = rotate_inverse(misalignment, out[:, 0:3])
         if flight.averaged[0]:
             out[:, 0:3] = simpson(out[:, 0:3], flight.side)
         out[:, 3:6] = simpson(out[:, 3:6], flight.side)
         if "rate_frd_radps" in flight.missing:
-            out[:, 3:6] = rotate(misalignment, out[:, 3:6], inverse=True)
+            out[:, 3:6] = rotate_inverse(misalignment, out[:, 3:6])
         out[:, flight.blind] = np.nan
         return out
 
@@ -283,7 +273,7 @@ class Run:
             out[:, 0:3] += bias
         q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
         out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
-        out[:, 9:12] = rotate(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2, inverse=True) + bias
+        out[:, 9:12] = rotate_inverse(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2) + bias
         out[:, flight.blind] = np.nan
         return out
 

@@ -26,10 +26,9 @@ def multiply(a: F64, b: F64) -> F64:
     """Hamilton products row by row."""
     w, x, y, z = a.T
     W, X, Y, Z = b.T
-    return np.stack(
-        [w * W - x * X - y * Y - z * Z, w * X + x * W + y * Z - z * Y, w * Y - x * Z + y * W + z * X, w * Z + x * Y - y * X + z * W],
-        axis=1,
-    )  # fmt: skip
+    real = w * W - x * X - y * Y - z * Z
+    i, j, k = w * X + x * W + y * Z - z * Y, w * Y - x * Z + y * W + z * X, w * Z + x * Y - y * X + z * W
+    return np.stack([real, i, j, k], axis=1)
 
 
 def fly(
@@ -65,11 +64,8 @@ def fly(
         each = np.column_stack([thrust, torque]) @ unmix.T
         motor = np.sqrt(np.clip(each / believed.rotors.max_thrust_n, 0.003, 1.0))
         if tick % EVERY == 0:
-            rows.append(
-                np.hstack(
-                    [plant.pos_ned_m, plant.vel_ned_mps, q, rate, plant.specific_force_frd_mps2 + bias[0], 0.5 * (motor + before), plant.battery_v[:, None]]
-                )
-            )  # fmt: skip
+            force, mean = plant.specific_force_frd_mps2 + bias[0], 0.5 * (motor + before)
+            rows.append(np.hstack([plant.pos_ned_m, plant.vel_ned_mps, q, rate, force, mean, plant.battery_v[:, None]]))
         before = motor
         for _ in range(4):
             plant.step(motor)
@@ -87,7 +83,9 @@ def _reference(seconds: float) -> tuple[F64, F64, F64, F64, F64, F64]:
     height = np.interp(t, [0, 2, 6, 8.5, 11.0, 12.5, 14.5, 30.0], [3.0, 3.0, 9.0, 8.0, 0.5, 0.5, 3.0, 3.0])
     start = 1.0 - np.exp(-((t / 1.5) ** 2))
     east = 2.4 * start * (np.sin(0.9 * t + 0.4) - np.sin(0.4))
-    pos = np.stack([3.2 * start * np.sin(1.35 * t), east, -gaussian_filter1d(height, 0.2 / TICK_S, mode="nearest")], axis=1)
+    pos = np.stack(
+        [3.2 * start * np.sin(1.35 * t), east, -gaussian_filter1d(height, 0.2 / TICK_S, mode="nearest")], axis=1
+    )
     vel = np.gradient(pos, TICK_S, axis=0)
     phase = (t - 15.0) / 0.32
     doublets = np.zeros((len(t), 3))

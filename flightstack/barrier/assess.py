@@ -47,8 +47,6 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 """Modes in memory: engaged, engaged with a certificate for another region come in; 0 not engaged."""
 ROWS = 9
 """Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
-INSIDE_PS = 10.0
-"""The filter's alpha beyond the certificate's: over the longest hold h falls by half of itself at most."""
 _DT_RANGE_S = (0.001, 0.05)
 _CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING = 0, 3, 6, 9, 12
 _NUMBERS = len(Setting._fields)
@@ -56,25 +54,22 @@ _RESPONSE = _SETTING + 3 * _NUMBERS
 _CHAIN = _RESPONSE + 9
 _BOUNDS = _CHAIN + CHAIN
 _SIZES = _BOUNDS + 5
-_INSIDE = _SIZES + 2
-_HEAD = _INSIDE + 1
-"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 6),
+_HEAD = _SIZES + 2
+"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 7),
 response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
-pieces and nodes each axis has room for, alpha's part inside; then the pieces and the tables (`_table`)."""
+pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
 WORK = 2 * STATE + 4
 """Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
 thrust (3), gain."""
 
 
-def pack(
-    certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float, inside_ps: float = INSIDE_PS
-) -> F64:
+def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
     """The certificate in one row, with what it leaves open taken from the model."""
     axes = {axis.axis: axis for axis in certificate.axes} if certificate else {}
     pieces = max((len(axis.barrier.rows) for axis in axes.values()), default=1)
     nodes = max((axis.authority.table.shape[1] for axis in axes.values()), default=2)
     flat = np.zeros(_HEAD + 3 * pieces * ROW + 3 * 7 * nodes)
-    flat[_SIZES : _SIZES + 3] = pieces, nodes, inside_ps
+    flat[_SIZES : _SIZES + 2] = pieces, nodes
     flat[_NODES : _NODES + 3] = 1.0
     if certificate:
         flat[_CENTRE : _CENTRE + 3] = certificate.centre_ned_m
@@ -148,7 +143,7 @@ def _table(flat: F64, axis: int) -> F64:
 @njit
 def _setting(flat: F64, axis: int) -> Setting:
     at = _SETTING + _NUMBERS * axis
-    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5])
+    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6])
 
 
 @njit
@@ -265,7 +260,7 @@ def _barriers(
         for piece in pieces:
             out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)
             out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
-        low[i], high[i], margin = interval(pieces, e, v, setting, reach, flat[_INSIDE])
+        low[i], high[i], margin = interval(pieces, e, v, setting, reach)
         out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
         out[29 + i] = max(reach[2], reach[3])
         feasible = feasible and margin >= 0.0
@@ -345,7 +340,7 @@ def _least_margin(flat: F64, out: F64) -> float:
         reach = _reach(_table(flat, i), out[26 + i])
         for piece in _pieces(flat, i):
             setting, u = _setting(flat, i), out[11 + i]
-            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach, flat[_INSIDE])
+            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach)
             least = min(least, (a * u + b) * u + c - setting.rate_spm * abs(u))
     return least
 

@@ -54,6 +54,8 @@ class CertifierConfig:
 
     axes: tuple[int, ...] = (0, 1, 2)
     gamma_ps: float = 0.5
+    inside_ps: float = 20.0
+    """How much steeper the class-K function is inside (`condition`)."""
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05
@@ -295,7 +297,7 @@ class OnlineCertifier:
             return ledger(
                 axis, ellipse, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
                 accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
-                coupling_mps=coupling,
+                coupling_mps=coupling, inside_ps=config.inside_ps,
             )  # fmt: skip
 
         return (yield from largest_steps(Axis(axis, self.safe[axis], authority, response), needs, near))

@@ -15,7 +15,7 @@ and curvature at most K, at every time t from 0 to dt,
 and the condition is
 
     q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - b_u |u| >= 0
-    alpha(x) = gamma x + inside x min(x / 0.1, 1) where x > 0, gamma x elsewhere
+    alpha(x) = gamma x + inside max(x - 0.05, 0)
 
 eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
 in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
@@ -23,10 +23,10 @@ a gentle command costs little).  inner: h that z keeps, so that (p, v), off from
 h >= 0.  q is concave in u, so the commands that meet it are an interval, in closed form.
 
 Where q >= 0 holds, x = h - inner - eta falls in a time t by t alpha(x) at most, less than itself: the true h never
-becomes negative, neither between two commands nor where they come early.  The cover proves it with inside = 0; the
-filter's alpha is larger well inside: what meets the certificate's condition meets the filter's too, and a command far
-from the edge is left alone.  (A region that closes asks for a small gamma, with which nothing might move outwards at a
-fair speed.)  The published form is dt = 0, E = k sigma, eta = inner = b = b_u = inside = 0.
+becomes negative, neither between two commands nor where they come early.  alpha is flat near the edge, which the tips
+of a region need, where no command changes h at once, and steep inside, where something may move outwards at a fair
+speed and a command far from the edge is left alone.  It is convex, the greater of two lines, so either line proves.
+The published form is dt = 0, E = k sigma, eta = inner = b = b_u = inside = 0.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from flightstack.barrier.shapes import K_EE, K_EV, K_VV, piece_at
 from flightstack.jit import njit
 from flightstack.types import F64
 
-_NEAR_H = 0.1
-"""Within so much h of the edge alpha comes down to the certificate's."""
+NEAR_H = 0.05
+"""Within so much h of the edge alpha is flat."""
 
 
 class Setting(NamedTuple):
@@ -58,6 +58,8 @@ class Setting(NamedTuple):
     """b_u: doubt about q for each m/s^2 of the command's size, s/m."""
     inner: float = 0.0
     """h that the predicted state keeps, for position and velocity to keep 0."""
+    inside_ps: float = 0.0
+    """How much steeper alpha is beyond NEAR_H."""
 
 
 class Reach(NamedTuple):
@@ -71,11 +73,14 @@ class Reach(NamedTuple):
 
 @njit
 def coefficients(
-    row: F64, e: float, v: float, setting: Setting, reach: Reach, inside: float = 0.0
+    row: F64, e: float, v: float, setting: Setting, reach: Reach, steep: bool | None = None
 ) -> tuple[float, float, float]:
-    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0."""
+    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0.
+
+    `steep`: with one line of alpha only, the steep or the flat one; None: with the greater of them.
+    """
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt, _, inner = setting
+    gamma, eta, rate, dt, _, inner, inside = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -92,15 +97,15 @@ def coefficients(
     b = hv - dt * kev * v + swing - doubt * slope
     c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
     x = h - inner - eta
-    c += gamma * x + inside * max(x, 0.0) * min(max(x, 0.0) / _NEAR_H, 1.0)
+    if (x > NEAR_H) if steep is None else steep:
+        c += inside * (x - NEAR_H)
+    c += gamma * x
     c += swing_low - swing * u_low
     return a, b, c
 
 
 @njit
-def interval(
-    rows: F64, e: float, v: float, setting: Setting, reach: Reach, inside: float = 0.0
-) -> tuple[float, float, float]:
+def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
     """Least and greatest command in reach that meets the condition of every piece, and the margin q of the best one.
 
     `rows` (n, ROW).  A negative margin: there is none, and both ends are the best command of the worst piece.  What is
@@ -111,7 +116,7 @@ def interval(
     if not low <= high:
         return low, low, -np.inf
     for i in range(rows.shape[0]):
-        a, b, c = coefficients(rows[i], e, v, setting, reach, inside)
+        a, b, c = coefficients(rows[i], e, v, setting, reach)
         q, top, left, right = _half(a, b + setting[4], c, reach[0], min(reach[1], 0.0))
         other, at, first, last = _half(a, b - setting[4], c, max(reach[0], 0.0), reach[1])
         if np.isnan(q) or np.isnan(other):

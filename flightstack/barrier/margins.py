@@ -175,6 +175,7 @@ def ledger(
     doubts: Doubts = USUAL,
     gain_part_mps2: float = 0.0,
     coupling_mps: float = 0.0,
+    inside_ps: float = 0.0,
 ) -> tuple[Setting, tuple[Margin, ...]]:
     """The condition's constants for one axis, and every margin in m/s^2.
 
@@ -214,7 +215,7 @@ def ledger(
     }
     order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
     margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
-    return Setting(gamma_ps, eta, rate, dt_s, steep, at.h_v * claim), margins
+    return Setting(gamma_ps, eta, rate, dt_s, steep, at.h_v * claim, inside_ps), margins
 
 
 def _sources(

@@ -59,7 +59,7 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
     if signal is None or not len(signal.t_s):
         return out, []
     low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
-    if -_BEYOND < low and high < 1.0 + _BEYOND:
+    if low > -_BEYOND and high < 1.0 + _BEYOND:
         out["motor"] = Signal(signal.t_s, np.clip(signal.value, 0.0, 1.0), signal.source)
         return out, []
     for name, (least, most, zero, full) in _MOTOR_UNITS.items():

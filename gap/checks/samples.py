@@ -47,6 +47,7 @@ def make_samples(name: str, signals: Mapping[str, Signal], vehicle: Vehicle, gro
         noise=noise,
         derived=tuple(derived),
         bandwidth_hz=_bandwidth(used, dt_s),
+        command_late_s=0.0,
         **{key: value[keep] for key, value in columns.items()},
     )
 

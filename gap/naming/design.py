@@ -135,13 +135,13 @@ class Linearised:
 
     @property
     def low(self) -> F64:
-        """(n,) least allowed coefficient."""
-        return np.array([slot.minimum - slot.origin for slot in self.slots])
+        """(n,) least allowed coefficient: the sign is strict, the far end twice as far (straight lines overshoot)."""
+        return np.array([2.0 * (slot.minimum - slot.origin) for slot in self.slots])
 
     @property
     def high(self) -> F64:
         """(n,) greatest allowed coefficient."""
-        return np.array([slot.maximum - slot.origin for slot in self.slots])
+        return np.array([2.0 * (slot.maximum - slot.origin) for slot in self.slots])
 
     @property
     def negligible(self) -> F64:

@@ -54,7 +54,7 @@ def block_means(
         size = max(1, round(block_s / samples.dt_s))
         good = mask & np.isfinite(y[:, :6]).any(axis=1)
         count = len(good) // size
-        whole = good[: count * size].reshape(count, size).all(axis=1)
+        whole: Mask = np.asarray(good[: count * size].reshape(count, size).all(axis=1))
 
         def mean(values: F64, size: int = size, count: int = count, whole: Mask = whole) -> F64:
             cut = values[: count * size].reshape(count, size, *values.shape[1:])

@@ -70,9 +70,9 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
         if still < _STILL:
             break
     covariance = _covariance(state, x, rows, chosen)
-    values = np.array([value(vehicle, e, p) for e, p in slots])
+    now = np.array([value(vehicle, e, p) for e, p in slots])
     spread = _constancy(state, vehicle, slots, x, rows, chosen)
-    return Estimates(vehicle, slots, values, covariance, spread, x, rows)
+    return Estimates(vehicle, slots, now, covariance, spread, x, rows)
 
 
 def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
@@ -129,7 +129,7 @@ def _inverse(gram: F64) -> F64:
 
 
 def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64:
-    """Sandwich over time: scores of all channels at one time belong together, neighbours in time by Bartlett weights."""
+    """Sandwich over time: scores of all channels at one time belong together, neighbours by Bartlett weights."""
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
     gram = xs.T @ xs + np.diag(prior)

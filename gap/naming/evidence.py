@@ -59,7 +59,8 @@ class Subset:
 
 def score(gain: F64 | float, used: F64 | int, size: F64 | int, rows: float, candidates: int) -> F64 | float:
     """Extended BIC, less is better (Chen and Chen, Biometrika 2008): chi-square, rows, and how many had the chance."""
-    return used * np.log(max(rows, 2.0)) + 2.0 * size * np.log(max(candidates, 2)) - gain
+    price: F64 | float = used * np.log(max(rows, 2.0)) + 2.0 * size * np.log(max(candidates, 2)) - gain
+    return price
 
 
 def fit_subsets(

@@ -16,6 +16,7 @@ from scipy.signal import welch
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap.naming.whitening import Mask
 from gap.records import Samples
 
 _SEGMENT_S = 4.0
@@ -25,7 +26,7 @@ _FLOOR_FROM = 0.6
 
 def with_smooth_commands(samples: Samples, vehicle: Vehicle) -> Samples:
     """The same flight with its commands filtered, collective, roll, pitch and yaw each by its own signal to noise."""
-    finite = np.isfinite(samples.motor).all(axis=1)
+    finite: Mask = np.asarray(np.isfinite(samples.motor).all(axis=1))
     if finite.sum() < 2 * _SEGMENT_S / samples.dt_s:
         return samples
     at = np.arange(len(finite))
@@ -51,17 +52,17 @@ def with_sharp_commands(samples: Samples) -> Samples:
 
 
 def _modes(vehicle: Vehicle) -> F64:
-    """(4, 4) collective, roll, pitch and yaw from the motors, of unit length; motors one by one where that is no basis."""
+    """(4, 4) collective, roll, pitch and yaw from the motors, of unit length; the motors themselves if that fails."""
     x, y = vehicle.rotors.position_m[:, 0], vehicle.rotors.position_m[:, 1]
     modes = np.stack([np.ones(4), -np.sign(y), np.sign(x), np.sign(vehicle.rotors.torque_ratio_m)]) / 2.0
     return modes if abs(np.linalg.det(modes)) > 0.5 else np.eye(4)
 
 
-def _wiener(u: F64, chosen: np.ndarray, dt_s: float) -> F64:
+def _wiener(u: F64, chosen: Mask, dt_s: float) -> F64:
     """Expectation of a noisy input (N,): at each frequency the share of its power that stands above the floor."""
     segment = round(_SEGMENT_S / dt_s)
     within = np.where(chosen, u, u[chosen].mean() if chosen.any() else u.mean())
-    frequency, power = welch(within, fs=1.0 / dt_s, nperseg=min(segment, len(u)), detrend="linear")
+    frequency, power = welch(np.asarray(within), fs=1.0 / dt_s, nperseg=min(segment, len(u)), detrend="linear")
     floor = float(np.median(power[frequency >= _FLOOR_FROM * 0.5 / dt_s]))
     gain = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
     gain[:2] = 1.0

@@ -2,8 +2,8 @@
 
 Residuals at 50 to 250 Hz remember their past, so that plain least squares believes its errors several times too small.
 A model of the noise, e[t] = sum_k a_k e[t-k] + white, fitted to what no candidate explains, turns generalised least
-squares into ordinary least squares on the filtered rows (Cochrane and Orcutt, JASA 1949).  What colour is left is counted in the
-estimates' covariance (`gap.naming.estimate`).
+squares into ordinary least squares on the filtered rows (Cochrane and Orcutt, JASA 1949).  What colour is left is
+counted in the estimates' covariance (`gap.naming.estimate`).
 """
 
 from __future__ import annotations

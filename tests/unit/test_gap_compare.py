@@ -13,7 +13,8 @@ from gap.fusion import crossovers
 from gap.records import Samples
 from gap.rollouts import rollout, rollouts
 from gap.simulate import Run
-from gap.track import rotate, track
+from gap.track import track
+from logs.turn import rotate, rotate_inverse, turned
 from sim.plant import NativePlant
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
@@ -160,4 +161,7 @@ def test_crossovers_follow_the_noise() -> None:
 
 def test_turning_there_and_back(exact: Samples) -> None:
     v = exact.accel_frd_mps2
-    assert rotate(exact.q_ned_frd, rotate(exact.q_ned_frd, v), inverse=True) == pytest.approx(v, abs=1e-12)
+    assert rotate_inverse(exact.q_ned_frd, rotate(exact.q_ned_frd, v)) == pytest.approx(v, abs=1e-12)
+    assert rotate(turned(np.array([[0.0, 0.0, np.pi / 2.0]])), np.array([1.0, 0.0, 0.0])) == pytest.approx(
+        np.array([[0.0, 1.0, 0.0]])
+    )

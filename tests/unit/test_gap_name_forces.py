@@ -1,4 +1,4 @@
-"""Each force, torque and motion of the air, hidden in a short flight, is found; what no effect explains is not named."""
+"""Each force, torque and motion of the air, hidden in a short flight, is found; what none explains is not named."""
 
 from __future__ import annotations
 

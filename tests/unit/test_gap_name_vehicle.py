@@ -1,4 +1,4 @@
-"""Each effect on the vehicle's parameters, thrust and sensors, hidden in a short flight, is found; nothing in a clean one."""
+"""Each effect on parameters, commands and sensors, hidden in a short flight, is found; nothing in a clean one."""
 
 from __future__ import annotations
 

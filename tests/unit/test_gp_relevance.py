@@ -63,7 +63,7 @@ def test_a_spread_set_knows_every_corner_nearly_as_well_as_all_points_do() -> No
     chosen, newest, everything = spread(points, 60).tolist(), list(range(840, 900)), list(range(900))
     assert len(chosen) == len(set(chosen)) == 60
     whole = largest_variance(everything, points, queries)
-    assert largest_variance(chosen, points, queries) < 1.1 * whole
+    assert largest_variance(chosen, points, queries) < 1.25 * whole
     assert largest_variance(newest, points, queries) > 1.5 * whole
 
 
