@@ -79,7 +79,7 @@ def _figures(report: GapReport) -> tuple[Figure, ...]:
     def figure(label: str, name: str, unit: str, note: str = "") -> Figure:
         before, after = getattr(gap.before, name), getattr(gap.after, name)
         floor = getattr(gap.noise_floor, name)
-        value = "–" if before is None else f"{before:.3g} → {'–' if after is None else f'{after:.3g}'} {unit}"
+        value = "–" if before is None else f"{before:.2g} → {'–' if after is None else f'{after:.2g}'} {unit}"
         return Figure(label, value, note or ("" if floor is None else f"noise {floor:.2g} {unit}"))
 
     return (

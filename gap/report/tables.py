@@ -123,6 +123,7 @@ def regimes(rows: tuple[RegimeRow, ...], noise: np.ndarray | None) -> str:
                 continue
             share = min(100.0, 45.0 * math.log10(max(before / floor, 1.0)))
             style = f"background:color-mix(in srgb, var(--before) {share:.0f}%, var(--grid))"
+            style += ";color:var(--card)" if share > 55.0 else ""
             left = f"{after / floor:.1f}" if math.isfinite(after) else "–"
             cells.append(f'<td style="{style}">{before / floor:.1f} → {left}</td>')
         name = escape(row.regime.replace("_", " "))
@@ -142,7 +143,7 @@ def shown(report: GapReport) -> str:
         for row in report.shown
     )
     head = "<tr><th>effect</th><th></th><th>these logs</th><th>to see it, fly</th></tr>"
-    return f'<div class="scroll"><table class="events"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
 
 
 def rejected(report: GapReport) -> str:
@@ -154,7 +155,7 @@ def rejected(report: GapReport) -> str:
         for row in report.rejected
     ).replace("-", "−")
     head = "<tr><th>effect</th><th>ΔBIC</th><th>why not</th></tr>"
-    return f'<div class="scroll"><table class="events"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
 
 
 def checks(report: GapReport) -> str:
