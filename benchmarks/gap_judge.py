@@ -52,8 +52,12 @@ def judge(answer: dict[str, Any], said: dict[str, Any], believed: Vehicle) -> Ro
 
 
 def _parameters(effect: dict[str, Any], hidden: dict[str, float], believed: Vehicle) -> dict[str, Any]:
-    """Relative error of the change (all parameters of the effect as one vector), and which intervals hold the truth."""
-    off, change, within = [], [], []
+    """Relative error of the change, and which intervals hold the truth.
+
+    The parameters of an effect count together, as vectors; one whose interval is wider than the whole change (a log
+    may show an offset along x and nothing along z) claims nothing and counts for its interval only.
+    """
+    off, change, width, within = [], [], [], []
     for spec in EFFECT_SPECS[effect["name"]].params:
         said = effect["parameters"].get(spec.name)
         before = value(believed, effect["name"], spec.name)
@@ -66,10 +70,13 @@ def _parameters(effect: dict[str, Any], hidden: dict[str, float], believed: Vehi
         found = null if said is None else said["estimate"]
         off.append(found - true)
         change.append(true - null)
-        if said is not None and None not in said["ci95"]:
+        known = said is not None and None not in said["ci95"]
+        width.append(said["ci95"][1] - said["ci95"][0] if known else 0.0)
+        if known:
             within.append(bool(said["ci95"][0] <= true <= said["ci95"][1]))
-    size = float(np.linalg.norm(change))
-    return {"error": float(np.linalg.norm(off)) / size if size > 0.0 else math.inf, "within": within}
+    told = np.array(width) < float(np.linalg.norm(change))
+    size = float(np.linalg.norm(np.array(change)[told]))
+    return {"error": float(np.linalg.norm(np.array(off)[told])) / size if size > 0.0 else math.inf, "within": within}
 
 
 def lost(reason: str) -> Row:

@@ -29,6 +29,7 @@ _COLUMNS = len(SIGNALS)
 def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence[Checked], sentence: str) -> GapReport:
     """Everything the page shows; `logs` in the order of the split's flights."""
     drawn = _drawn_first(of)
+    takes, learner = _companion(vehicle, naming)
     return GapReport(
         sentence=sentence,
         vehicle=vehicle.name,
@@ -43,7 +44,8 @@ def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence
         traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
         logs=tuple(_quality(checked) for checked in logs),
         checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
-        **_companion(vehicle, naming),
+        takes=takes,
+        learner=learner,
     )
 
 
@@ -89,11 +91,13 @@ def _trace(before: Vehicle, after: Vehicle, of: Split, k: int) -> Trace:
     """One flight's channels as the figures see them."""
     samples = of.flights[k]
     flight = track(samples)
-    curves = [flight.lowpass(x)[:, :_COLUMNS] for x in (flight.measured, predict(before, samples))]
-    curves.append(flight.lowpass(predict(after, samples))[:, :_COLUMNS])
-    curves[0] = np.where(flight.usable[:, None], curves[0], np.nan)
+    measured, was, now = (
+        flight.lowpass(x)[:, :_COLUMNS] for x in (flight.measured, predict(before, samples), predict(after, samples))
+    )
+    measured = np.where(flight.usable[:, None], measured, np.nan)
     t_s = samples.t_s - samples.t_s[0]
-    return Trace(samples.name, t_s, *curves, sensor_noise(samples)[:_COLUMNS], _spans(t_s, of.holdout[k]))
+    noise = sensor_noise(samples)[:_COLUMNS]
+    return Trace(samples.name, t_s, measured, was, now, noise, _spans(t_s, of.holdout[k]))
 
 
 def _spans(t_s: F64, mask: Mask) -> tuple[tuple[float, float], ...]:
@@ -159,14 +163,12 @@ def _flown_again(vehicle: Vehicle, naming: Naming, of: Split, k: int) -> tuple[t
     )
 
 
-def _companion(vehicle: Vehicle, naming: Naming) -> dict[str, tuple[str, ...]]:
+def _companion(vehicle: Vehicle, naming: Naming) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What the companion's model takes of the correction, and which found effects it leaves to its learner."""
     try:
         made = companion(vehicle, naming.vehicle)
     except InputError as error:
-        return {"takes": (f"nothing: {error}",)}
+        return (f"nothing: {error}",), ()
     names = {found.name for found in naming.found}
-    return {
-        "takes": tuple(f"{t.name} {t.before:.4g} → {t.after:.4g} {t.unit}".strip() for t in made.takes),
-        "learner": tuple(name for name in made.left_to_learner if name in names),
-    }
+    takes = tuple(f"{t.name} {t.before:.4g} → {t.after:.4g} {t.unit}".strip() for t in made.takes)
+    return takes, tuple(name for name in made.left_to_learner if name in names)

@@ -103,15 +103,17 @@ def _usable(checked: Checked) -> Samples:
 
 def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split]:
     """The named effects' parameters by output error through the simulator, and when the commands really acted."""
-    refined = refine(vehicle, naming.vehicle, of.flights, of.fit, [found.name for found in naming.found])
+    used = [k for k, mask in enumerate(of.fit) if mask.any()]
+    flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
+    refined = refine(vehicle, naming.vehicle, flights, masks, [found.name for found in naming.found])
     if refined is None:
         return naming, of
     found = tuple(
         replace(each, parameters={**each.parameters, **refined.parameters.get(each.name, {})}) for each in naming.found
     )
-    late = zip(of.flights, refined.late_s, strict=True)
-    flights = tuple(replace(samples, command_late_s=late_s) for samples, late_s in late)
-    return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=flights)
+    late = dict(zip(used, refined.late_s, strict=True))
+    moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
+    return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
