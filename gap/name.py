@@ -26,14 +26,14 @@ from gap.naming.candidates import negligible
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
-from gap.naming.search import Fit, Search, search
+from gap.naming.search import Fit, Search, judged_fit, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
 from gap.simulate import Knob, sensitivities, value, with_value
 from gap.track import track
 
-_LEAST_EVIDENCE = 25.0
+_LEAST_EVIDENCE = 15.0
 """Fall of the score from which an effect is named."""
 _LEAST_P = 1e-4
 """After Holm's correction for all candidates."""
@@ -181,7 +181,7 @@ def _refit(state: Search, best: Fit, gone: str) -> Fit:
     left = {e: v for e, v in best.effects.items() if e != gone}
     made = estimate(state, left)
     effects = {e: dict(made.vehicle.effects[e]) for e in left}
-    return Fit(effects, made.vehicle, made.rows, state.metric.chi2(made.rows), len(made.slots), np.inf)
+    return judged_fit(state, effects, made.vehicle, made.rows, len(made.slots))
 
 
 def _size(state: Search, best: Fit, effect: str) -> float:
