@@ -21,7 +21,7 @@ from app.flight import FlyOptions, Setup, fly_setup, prepare
 from app.result import FlightResult
 from flightstack.barrier.certifier import CertifierConfig
 from flightstack.barrier.file import certificate_to_json
-from flightstack.barrier.growing import GrowingCertifier
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published import NOT_ROBUST
 from flightstack.barrier.records import Certificate
@@ -37,8 +37,6 @@ from flightstack.vehicle import Vehicle
 TIME_LIMIT_S = 300.0
 """Of the exploration; it mostly ends by its own rule."""
 CERTIFICATE = "certificate.json"
-VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=0.3)
-"""The vertical axis, leaning no more than what balances the wind and holds the place."""
 
 
 class ExplorationPlanner:

@@ -27,8 +27,8 @@ from logs.topics import CERTIFICATE, Attachment
 from logs.writer import FlightLog
 
 DEFAULT_CONTROLLER = "flatness"
-PUBLISHED_CONTROLLER = "state-gp"
-"""The paper's learner knows the state alone."""
+STATE_ONLY_CONTROLLER = "state-gp"
+"""Its learner knows the state alone, as the paper words it: with a wrong mass it claims what physics refutes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +130,7 @@ def _knows(controller: str, learner: Learner) -> str:
     """What the learner knows that a certificate may rest on."""
     if not isinstance(learner, GpLearner):
         return NONE
-    return STATE_ONLY if controller == PUBLISHED_CONTROLLER else FULL
+    return STATE_ONLY if controller == STATE_ONLY_CONTROLLER else FULL
 
 
 def controller_name(options: FlightOptions) -> str:
@@ -138,12 +138,12 @@ def controller_name(options: FlightOptions) -> str:
     name = options.controller
     if not options.as_published:
         return name
-    if name not in (DEFAULT_CONTROLLER, PUBLISHED_CONTROLLER) or not options.learning or options.learned is not None:
+    if name not in (DEFAULT_CONTROLLER, STATE_ONLY_CONTROLLER) or not options.learning or options.learned is not None:
         raise InputError(
-            "--as-published flies the paper's own controller and learner: "
-            "leave out --controller, --no-learning and --learned"
+            f"--as-published flies the paper's controller with a learner, at most with --controller "
+            f"{STATE_ONLY_CONTROLLER}: leave out other controllers, --no-learning and --learned"
         )
-    return PUBLISHED_CONTROLLER
+    return name
 
 
 def _learner(file: files.TextFile, controller: str, believed: Vehicle, model: Model, options: FlightOptions) -> Learner:

@@ -1,21 +1,23 @@
 """What keeps a flight inside its region: the barrier filter and the certifier that options and scenario ask for.
 
 --no-filter       nothing filters
---as-published    the paper's filter on its h_mu, with the paper's learner (a state-only Gaussian process)
+--as-published    the paper's filter on its h_mu (with --controller state-gp also its learner of the state alone)
 --certificate     the filter under the certificate of a file, whatever the scenario
 otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
-                  has none, in real time, or where the learner can't certify
+                  has none, in real time, or where the learner can't certify.  Of an ellipsoid, the paper's experiment
+                  up and down, the vertical axis alone, in a region that grows
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from app import files
 from app.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
 from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.margins import GPS, MOCAP
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -125,7 +127,11 @@ def _online(mode: str, scenario: Scenario, model: Model, learner: str, sensors: 
         return "nothing is certified without the learner, and no --certificate was given"
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
-    config = CertifierConfig(accuracy=GPS if sensors == "gps" else MOCAP)
+    accuracy = GPS if sensors == "gps" else MOCAP
+    if region.kind == "ellipsoid":
+        vertical = replace(VERTICAL, accuracy=accuracy)
+        return GrowingCertifier(model, limits, region, initial=scenario.knowledge, certifier=vertical)
+    config = CertifierConfig(accuracy=accuracy)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config)
 
 

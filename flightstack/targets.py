@@ -92,7 +92,9 @@ def states_near(axis: AxisCertificate, limit: Limit) -> list[tuple[float, float]
 def reachable(axis: AxisCertificate, limit: Limit, search: Search) -> F64 | None:
     """(5, 6) the arc through the best state that can be reached and left inside the certified region, braking
     hardest."""
-    states = [state for state in states_near(axis, limit) if value(axis.barrier, *state) >= search.keep_h]
+    states = [
+        state for state in states_near(axis, limit) if value(axis.barrier, *state) - axis.setting.inner >= search.keep_h
+    ]
     if not states:
         return None
     at_hand = np.array([_at_hand(axis, v) for _, v in states])
@@ -162,7 +164,7 @@ def admissible(rows: F64, table: F64, setting: Setting, arc: F64, keep_h: float)
         h = np.inf
         for i in range(rows.shape[0]):
             h = min(h, piece_at(rows[i], e, v)[0])
-        if h < keep_h:
+        if h - setting.inner < keep_h:
             return False
         low, high, margin = interval(rows, e, v, setting, _reach(table, v))
         if margin < 0.0 or a < low or a > high:

@@ -45,6 +45,10 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         return Checked(flight, None, tuple(findings), ())
     signals, more = quality.settle_battery(signals, vehicle)
     findings += more
+    signals, more = quality.settle_motors(signals)
+    findings += more
+    if _is_refused(findings):
+        return Checked(flight, None, tuple(findings), ())
     span = flying_span(signals, vehicle, ground_d_m)
     if span is None:
         findings.append(_not_flying())

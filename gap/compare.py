@@ -7,17 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import welch
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap.checks.noise import white_noise
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
 from gap.simulate import Run, params_row, predict, true_attitude
-from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, multiply, rotate, track, turned
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
+from logs.turn import multiply, rotate, turned
 from sim.effects import accelerometer_bias, gyro_bias
 
 HORIZON_S = 1.0
 EVERY_S = 0.5
+_SEGMENT_S = 2.0
+_NOISE_FROM = 0.6
 
 
 def residual(vehicle: Vehicle, samples: Samples) -> Residual:
@@ -28,7 +33,7 @@ def residual(vehicle: Vehicle, samples: Samples) -> Residual:
     flight = track(samples)
     y = flight.lowpass(flight.measured - predict(vehicle, samples))
     y[~flight.usable] = np.nan
-    noise = sensor_noise(samples)
+    noise = expected_noise(vehicle, samples, flight.usable)
     if flight.usable.any():
         noise[6:] = np.std(y[flight.usable, 6:], axis=0)
     return Residual(y, noise, np.full(COLUMNS, 0.5 / flight.cutoff_hz))
@@ -54,6 +59,29 @@ def sensor_noise(samples: Samples) -> F64:
     return noise
 
 
+def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> F64:
+    """(12,) as `sensor_noise`, but not below what the top of the looked-at band shows.
+
+    An autopilot filters what it logs, and then differences between samples say too little of the noise.  What is left
+    of the residual from 0.6 of the cutoff on is taken for noise: of the same power at all lower frequencies for a
+    force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).
+    """
+    flight = track(samples)
+    noise = sensor_noise(samples)
+    y = (flight.measured - predict(vehicle, samples))[mask & flight.usable, :6]
+    per_segment = round(_SEGMENT_S / samples.dt_s)
+    if len(y) < 2 * per_segment:
+        return noise
+    hz, power = welch(np.nan_to_num(y), fs=1.0 / samples.dt_s, nperseg=per_segment, axis=0)
+    gain = 1.0 / (1.0 + (hz / flight.cutoff_hz) ** 4) ** 2
+    band = (hz >= _NOISE_FROM * flight.cutoff_hz) & (hz <= flight.cutoff_hz)
+    for column in range(6):
+        shape = np.maximum(hz, hz[1]) ** 2 if flight.averaged[column] else np.ones_like(hz)
+        level = float(np.median(power[band, column] / shape[band]))
+        noise[column] = max(noise[column], math.sqrt(level * float(np.trapezoid(shape * gain, hz))))
+    return noise
+
+
 def _white(samples: Samples, name: str) -> F64:
     """(3,) standard deviation of a signal's white noise: what the data check found, else of its third differences."""
     keys = [f"{name}_{axis}" for axis in "xyz"]
@@ -61,9 +89,7 @@ def _white(samples: Samples, name: str) -> F64:
         return np.array([samples.noise[key] for key in keys])
     if name in samples.noise:
         return np.full(3, samples.noise[name])
-    value = getattr(samples, name)
-    third = np.diff(value[np.isfinite(value).all(axis=1)], n=3, axis=0)[:, -3:]
-    return np.sqrt(np.mean(third**2, axis=0) / 20.0) if len(third) else np.zeros(3)
+    return np.nan_to_num(white_noise(getattr(samples, name)[:, -3:]))
 
 
 def figures(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
@@ -94,12 +120,12 @@ def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], h
 def noise_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
     """What the figures of a simulator without any error would be: the sensors' noise alone.
 
-    One step: the sensors' white noise through the low-pass, and what an error of the smoothed velocity does through
-    the vehicle's drag.  Rollouts: from the same measured start, but with the
-    specific force and the rates that were measured in place of the simulated ones (less the vehicle's sensor biases);
-    what is left is the noise of the start, of the end and of the way, whatever its colour.
+    One step: the sensors' noise through the low-pass (`expected_noise`), and what an error of the smoothed velocity
+    does through the vehicle's drag.  Rollouts: from the same measured start, but with the specific force and the rates
+    that were measured in place of the simulated ones (less the vehicle's sensor biases); what is left is the noise of
+    the start, of the end and of the way, whatever its colour.
     """
-    noise = np.hypot(sensor_noise(samples), velocity_noise(vehicle, samples))
+    noise = np.hypot(expected_noise(vehicle, samples, mask), velocity_noise(vehicle, samples))
     force, angular = float(np.sqrt(np.sum(noise[0:3] ** 2))), float(np.sqrt(np.sum(noise[3:6] ** 2)))
     return Figures(
         None if math.isnan(force) else force,

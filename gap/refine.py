@@ -4,7 +4,7 @@ From measured states the simulator runs freely over windows of half a second, dr
 accelerometer and gyro would have gathered in each twentieth of a second is set against what the real ones gathered.
 Gauss-Newton on that difference, weighted by its own covariance: each channel's is taken as stationary and estimated
 from the residuals (generalised least squares), and the intervals are of the sandwich kind over windows, with their
-neighbours' correlation (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
+neighbours' correlation over 5 s (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
 
 Two nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
 a prior of a uniform distribution's width (beside a transport delay it can't be told from, it stays 0 and widens the
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from gap.compare import residual
 from gap.records import Estimate, Samples
 from gap.rollouts import Rollout, rollouts
 from gap.scales import natural_scale
-from gap.simulate import value, with_value
+from gap.simulate import unseen, value, with_value
 from gap.track import Track, track
 
 WINDOW_S = 0.5
@@ -40,7 +40,6 @@ _ROUNDS = 4
 _STEP_SHARE = 0.05
 _PRIOR_SCALES = 30.0
 """A parameter that the windows can't see stays where it was, with an interval of this many natural scales."""
-_RAW_RATES_BELOW_HZ = 12.0
 _CONVERGED = 0.02
 _TIMING_STEP_S = 0.001
 _BIAS_STD_MPS2 = 0.1
@@ -50,7 +49,13 @@ _SAMPLING = 0.05
 """Of a sample: how well a lag can be known from sampled commands, one standard deviation."""
 _GAIN = 1e-3
 """How well an inertia's scale can be, for the same reason."""
+_SWING = 4e-3
+"""And a load's length, as its swing at the start is not known; relative."""
+_MEMORY_S = 5.0
+_STATES = 1.15
+"""Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
 _NUISANCES = 4
+_WORSE = 1.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +79,8 @@ def refine(
     """Refine the parameters of these effects of `vehicle`, starting at its values.
 
     `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from.  None where there is
-    nothing to refine: no windows, no physical effect, or a log without attitude.
+    nothing to refine: no windows, no physical effect, or one that no flight can show; and where the refined vehicle
+    predicts a single step worse than the one it began with, as it may with a structure that is wrong.
     """
     unknowns = [
         (effect, p.name)
@@ -87,7 +93,9 @@ def refine(
     if not unknowns or problem.count <= len(unknowns) + 2:
         return None
     theta, covariance = problem.solve()
-    half = student.ppf(0.975, max(problem.count - len(theta), 2)) * np.sqrt(np.diag(covariance))
+    # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
+    freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
+    half = _STATES * student.ppf(0.975, max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
         low, high = _limits(effect, parameter)
@@ -99,7 +107,19 @@ def refine(
         )
     shifts = theta[len(unknowns) :: _NUISANCES]
     late = tuple(s.command_late_s + float(x) for s, x in zip(flights, shifts, strict=True))
-    return Refined(problem.vehicle_at(theta), found, late, problem.count)
+    refined = problem.vehicle_at(theta)
+    shifted = [replace(s, command_late_s=x) for s, x in zip(flights, late, strict=True)]
+    if np.any(_one_step(refined, shifted, masks) > _WORSE * _one_step(vehicle, flights, masks)):
+        return None
+    return Refined(refined, found, late, problem.count)
+
+
+def _one_step(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]]) -> F64:
+    """(2,) one-step rms over all flights: force, torque; 0 where no flight measures it."""
+    y = np.concatenate([residual(vehicle, s).y[mask, :6] for s, mask in zip(flights, masks, strict=True)])
+    known = np.isfinite(y)
+    power = np.where(known, y, 0.0) ** 2
+    return np.array([np.sqrt(power[:, c].sum() / max(int(known[:, c].sum()), 1)) for c in (slice(0, 3), slice(3, 6))])
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:
@@ -139,8 +159,9 @@ def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
     force = flight.measured[:, 0:3]
     sums = np.zeros_like(force)
     sums[1:] = np.cumsum(0.5 * samples.dt_s * (force[1:] + force[:-1]), axis=0)
-    smooth = flight.cutoff_hz >= _RAW_RATES_BELOW_HZ
-    rate = flight.rate_frd_radps if smooth else np.nan_to_num(samples.rate_frd_radps)
+    # The gyro as it is: a smoothed one's residuals are so alike from piece to piece that they would count too much.
+    derived = "rate_frd_radps" in flight.missing
+    rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
     at = chosen[:, None] + edges[None, :]
     return _Windows(
         flight, chosen, edges, np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
@@ -182,11 +203,11 @@ class _Problem:
     ) -> None:
         self._vehicle, self._unknowns = vehicle, unknowns
         most = max(1, _MOST_WINDOWS // max(len(flights), 1))
-        usable = [not {"q_ned_frd", "vel_ned_mps"} & track(s).missing for s in flights]
-        self._windows = [
+        usable = [not any(unseen(s, effect) for effect, _ in unknowns) for s in flights]
+        self.windows = [
             _windows(s, m if ok else m & False, most) for s, m, ok in zip(flights, masks, usable, strict=True)
         ]
-        self.count = sum(len(w.starts) for w in self._windows)
+        self.count = sum(len(w.starts) for w in self.windows)
         scales = [natural_scale(vehicle, effect, parameter) for effect, parameter in unknowns]
         self._delayed = ("transport_delay", "delay_s") in unknowns
         own = np.array([value(vehicle, *unknown) for unknown in unknowns])
@@ -216,7 +237,7 @@ class _Problem:
         theta = self._start.copy()
         covariance = np.diag(self._prior_std**2)
         for _ in range(_ROUNDS):
-            parts = [self._linear(theta, f) for f in range(len(self._windows))]
+            parts = [self._linear(theta, f) for f in range(len(self.windows))]
             change, covariance = self._step_from(theta, parts)
             moved = np.clip(theta + change, self._low, self._high)
             try:
@@ -227,18 +248,20 @@ class _Problem:
             theta = moved
             if done:
                 break
-        for k, (effect, _) in enumerate(self._unknowns):
+        for k, (effect, parameter) in enumerate(self._unknowns):
             if effect == "transport_delay":
                 covariance[k, k] += self._sampling_s**2 / 12.0
             elif effect == "motor_lag":
                 covariance[k, k] += (_SAMPLING * self._sampling_s) ** 2
             elif effect == "inertia":
                 covariance[k, k] += _GAIN**2
+            elif effect == "slung_load" and parameter == "length_m":
+                covariance[k, k] += (_SWING * theta[k]) ** 2
         return theta, covariance
 
     def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
         """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 4 F) of one flight."""
-        windows = self._windows[f]
+        windows = self.windows[f]
         jacobian = np.zeros((*windows.gathered.shape, len(theta)))
         if len(windows.starts) == 0:
             return windows.gathered, jacobian
@@ -275,12 +298,18 @@ class _Problem:
             step = np.linalg.lstsq(information, score, rcond=None)[0]
             left = np.einsum("src,srck->sk", white_y - white_x @ step, white_x)
             meat += left.T @ left
-            if len(left) > 2:
-                neighbours = left[1:].T @ left[:-1]
-                meat += 0.5 * (neighbours + neighbours.T)
+            reach = _reach(len(left))
+            for lag in range(1, reach + 1):
+                neighbours = left[lag:].T @ left[:-lag]
+                meat += (1.0 - lag / (reach + 1.0)) * (neighbours + neighbours.T)
         scale = 1.0 / np.sqrt(np.diag(information))
         inverse = scale[:, None] * np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12) * scale
         return inverse @ score, inverse @ meat @ inverse
+
+
+def _reach(windows: int) -> int:
+    """How many windows later a residual may still remember: attitude and position drift for seconds."""
+    return max(0, min(round(_MEMORY_S / WINDOW_S), windows // 6))
 
 
 def _whitened(y: F64, x: F64) -> tuple[F64, F64]:

@@ -12,7 +12,8 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import Samples
 from gap.simulate import Run, first_command, later, params_row, true_attitude
-from gap.track import Track, multiply, rotate, track
+from gap.track import Track, track
+from logs.turn import multiply, rotate_inverse
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
@@ -87,7 +88,7 @@ def rollouts(
 def _as_shown(p: F64, at: NDArray[np.int64], state: F64, force: F64) -> Rollout:
     misalignment = attitude_misalignment.rotation(p)
     q = multiply(state[:, :, S_Q : S_Q + 4], misalignment)
-    turned = rotate(misalignment[None, :], force.reshape(-1, 3), inverse=True).reshape(force.shape)
+    turned = rotate_inverse(misalignment, force)
     return Rollout(
         at,
         state[:, :, S_POS : S_POS + 3],

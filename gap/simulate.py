@@ -22,7 +22,8 @@ from flightstack.vehicle import Vehicle, with_effects
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
-from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, conjugate, multiply, rotate, simpson, step_commands, track
+from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands, thinned, track
+from logs.turn import conjugate, multiply, rotate, rotate_inverse
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
@@ -48,6 +49,7 @@ from sim.plant import evaluate_rows, state_rows
 _CHUNK = 1024
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
+_COARSE_S = 0.0085
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 _MOVES_ROTORS = ("motor_lag", "transport_delay")
 
@@ -115,12 +117,16 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
 
     Central differences through the simulator, one-sided where the range ends.  Columns that the log can't measure are
-    NaN; an effect that the log can't show (`unseen`) is 0 everywhere.
+    NaN; an effect that the log can't show (`unseen`) is 0 everywhere.  Where few rows are asked for, a fast log is not
+    evaluated at each of its samples: the low-pass leaves nothing between them.
     """
     flight = track(samples)
-    base = Run(vehicle, flight)
     count = len(range(0, len(samples.t_s), every))
     out = np.zeros((count, COLUMNS, len(columns)))
+    fewer = max(k for k in range(1, every + 1) if every % k == 0 and (k == 1 or k * samples.dt_s <= _COARSE_S))
+    if fewer > 1:
+        flight, every = thinned(flight, fewer), every // fewer
+    base = Run(vehicle, flight)
     for k, knob in enumerate(columns):
         if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
             out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
@@ -245,12 +251,12 @@ class Run:
         out[:, :6] = moved
         misalignment = attitude_misalignment.rotation(p)[None, :]
         if "accel_frd_mps2" in flight.missing:
-            out[:, 0:3] = rotate(misalignment, out[:, 0:3], inverse=True)
+            out[:, 0:3] = rotate_inverse(misalignment, out[:, 0:3])
         if flight.averaged[0]:
-            out[:, 0:3] = simpson(out[:, 0:3])
-        out[:, 3:6] = simpson(out[:, 3:6])
+            out[:, 0:3] = simpson(out[:, 0:3], flight.side)
+        out[:, 3:6] = simpson(out[:, 3:6], flight.side)
         if "rate_frd_radps" in flight.missing:
-            out[:, 3:6] = rotate(misalignment, out[:, 3:6], inverse=True)
+            out[:, 3:6] = rotate_inverse(misalignment, out[:, 3:6])
         out[:, flight.blind] = np.nan
         return out
 
@@ -264,7 +270,7 @@ class Run:
             out[:, 0:3] += bias
         q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
         out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
-        out[:, 9:12] = rotate(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2, inverse=True) + bias
+        out[:, 9:12] = rotate_inverse(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2) + bias
         out[:, flight.blind] = np.nan
         return out
 

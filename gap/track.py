@@ -11,8 +11,9 @@ then both pass the same zero-phase Butterworth low-pass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from gap.fusion import crossovers
 from gap.records import Samples
+from logs.turn import conjugate, continuous, multiply, rotate, rotate_inverse, rotation_vector
 
 COLUMNS = 12
 CUTOFF_HZ = 20.0
@@ -33,6 +35,30 @@ _SLOWEST_STEP_S = 0.004
 _HELD_SHARE = 0.3
 _SAME_MPS2 = 1e-6
 _LEAST_FUSED_S = 24.0
+_ROWS = (
+    "t_s",
+    "pos_ned_m",
+    "vel_ned_mps",
+    "q_ned_frd",
+    "rate_frd_radps",
+    "accel_frd_mps2",
+    "motor",
+    "battery_v",
+    "height_m",
+    "valid",
+)
+_TRACK_ROWS = (
+    "pos_ned_m",
+    "path_ned_m",
+    "vel_ned_mps",
+    "q_ned_frd",
+    "rate_frd_radps",
+    "acc_ned_mps2",
+    "vel_rate_ned_mps2",
+    "turn_frd_radps",
+    "measured",
+    "usable",
+)
 _HIGH_M = 1e6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
@@ -69,6 +95,8 @@ class Track:
     """(N * every, 4) motor commands for the run-through."""
     every: int
     """Steps of the run-through in a sample."""
+    side: float
+    """`simpson`'s weight for what is compared with a central difference."""
     cutoff_hz: float
     missing: frozenset[str]
     """Names of signals that the log lacks, those derived from others included."""
@@ -83,64 +111,19 @@ class Track:
         return lowpass(columns, self.cutoff_hz, self.samples.dt_s)
 
 
-def simpson(x: F64) -> F64:
-    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees."""
+def simpson(x: F64, side: float = 1.0 / 6.0) -> F64:
+    """Mean over two steps round each sample along the first axis: what a central difference of its integral sees.
+
+    `side` is the weight of either neighbour: of Simpson's rule, or less where the difference's steps are shorter.
+    """
     out = x.copy()
-    out[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
+    out[1:-1] = side * (x[:-2] + x[2:]) + (1.0 - 2.0 * side) * x[1:-1]
     return out
 
 
 def derivative(x: F64, dt_s: float) -> F64:
     """Central differences along the first axis, one-sided at the ends."""
     return np.asarray(np.gradient(x, dt_s, axis=0))
-
-
-def rotate(q: F64, v: F64, *, inverse: bool = False) -> F64:
-    """Turn (N, 3) body vectors into the world by (N, 4) or (1, 4) quaternions, or back."""
-    w, x, y, z = q.T
-    if inverse:
-        x, y, z = -x, -y, -z
-    vx, vy, vz = v.T
-    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
-    out = np.empty_like(v)
-    out[:, 0] = vx + w * tx + y * tz - z * ty
-    out[:, 1] = vy + w * ty + z * tx - x * tz
-    out[:, 2] = vz + w * tz + x * ty - y * tx
-    return out
-
-
-def multiply(a: F64, b: F64) -> F64:
-    """Hamilton product of (N, 4) or (4,) with (N, 4) or (4,)."""
-    w1, x1, y1, z1 = np.moveaxis(a, -1, 0)
-    w2, x2, y2, z2 = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
-            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
-            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
-            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
-        ],
-        axis=-1,
-    )
-
-
-def conjugate(q: F64) -> F64:
-    """Inverse of unit quaternions (..., 4)."""
-    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
-
-
-def turned(phi: F64) -> F64:
-    """(N, 4) unit quaternions of (N, 3) rotation vectors."""
-    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
-    return np.hstack([np.cos(half), 0.5 * phi * np.sinc(half / np.pi)])
-
-
-def rotation_vector(q: F64) -> F64:
-    """(N, 3) rotation vectors of (N, 4) unit quaternions, the short way round."""
-    q = np.where(q[:, :1] < 0.0, -q, q)
-    norm = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(norm, q[:, :1])
-    return np.asarray(q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0))
 
 
 @lru_cache(maxsize=8)
@@ -180,8 +163,26 @@ def track(samples: Samples) -> Track:
         _usable(samples, cutoff),
         step_commands(samples, every, samples.command_late_s),
         every,
+        1.0 / 6.0,
         cutoff,
         missing,
+    )
+
+
+def thinned(flight: Track, k: int) -> Track:
+    """Every k-th sample of a flight; rotors still run through all its commands."""
+    samples = flight.samples
+    rows = {name: getattr(samples, name)[::k] for name in _ROWS}
+    thin: dict[str, Any] = {name: np.ascontiguousarray(getattr(flight, name)[::k]) for name in _TRACK_ROWS}
+    count = len(rows["t_s"])
+    padding = np.repeat(flight.commands[-1:], max(0, count * k * flight.every - len(flight.commands)), axis=0)
+    return replace(
+        flight,
+        samples=replace(samples, dt_s=samples.dt_s * k, **rows),
+        commands=np.vstack([flight.commands, padding]),
+        every=flight.every * k,
+        side=flight.side / k**2,  # the same loss at low frequencies
+        **thin,
     )
 
 
@@ -202,12 +203,12 @@ def _force(samples: Samples, q: F64, vel_rate: F64, missing: frozenset[str]) -> 
     if "accel_frd_mps2" not in missing:
         return _filled(samples.accel_frd_mps2), False
     if not np.isfinite(samples.accel_frd_mps2).any():
-        return rotate(q, vel_rate - GRAVITY_NED_MPS2, inverse=True), True
-    raw = _filled(samples.q_ned_frd)
-    acc = rotate(raw / np.linalg.norm(raw, axis=1, keepdims=True), _filled(samples.accel_frd_mps2)) + GRAVITY_NED_MPS2
+        return rotate_inverse(q, vel_rate - GRAVITY_NED_MPS2), True
+    raw = _filled(continuous(samples.q_ned_frd))
+    acc = rotate(raw, _filled(samples.accel_frd_mps2)) + GRAVITY_NED_MPS2
     if np.median(np.abs(acc - vel_rate)) < _SAME_MPS2:
         acc = vel_rate
-    return rotate(q, acc - GRAVITY_NED_MPS2, inverse=True), acc is vel_rate
+    return rotate_inverse(q, acc - GRAVITY_NED_MPS2), acc is vel_rate
 
 
 def _measured(force: F64, rate: F64, dt_s: float, missing: frozenset[str], differentiated: bool) -> F64:
@@ -313,9 +314,7 @@ def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:
     if "q_ned_frd" in missing:
         return np.tile([1.0, 0.0, 0.0, 0.0], (len(samples.t_s), 1))
-    q = _filled(samples.q_ned_frd)
-    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
-    q = q * np.concatenate([[1.0], flips])[:, None]
+    q = _filled(continuous(samples.q_ned_frd))
     q = lowpass(q, cutoff_hz, samples.dt_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 

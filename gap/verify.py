@@ -20,7 +20,8 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import SIGNALS, Samples
 from gap.simulate import predict
-from gap.track import Track, derivative, lowpass, rotate, track
+from gap.track import Track, derivative, lowpass, track
+from logs.turn import rotate
 from sim.autopilot.flight_control import FlightControl, airframe_params
 from sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from sim.grade import load_grade

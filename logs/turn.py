@@ -31,15 +31,32 @@ def conjugate(q: F64) -> F64:
 
 
 def rotate(q: F64, v: F64) -> F64:
-    """R(q) v, row by row, of unit quaternions."""
-    u = q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return np.asarray(v + q[..., :1] * t + np.cross(u, t))
+    """R(q) v, row by row, of unit quaternions; rows of one are repeated."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    vx, vy, vz = np.moveaxis(v, -1, 0)
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    return np.stack(
+        [vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx], axis=-1
+    )
 
 
 def rotate_inverse(q: F64, v: F64) -> F64:
     """R(q)^T v, row by row."""
     return rotate(conjugate(q), v)
+
+
+def turned(phi: F64) -> F64:
+    """(N, 4) unit quaternions of (N, 3) rotation vectors."""
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    return np.hstack([np.cos(half), 0.5 * phi * np.sinc(half / np.pi)])
+
+
+def rotation_vector(q: F64) -> F64:
+    """(N, 3) rotation vectors of (N, 4) unit quaternions, the short way round."""
+    q = np.where(q[:, :1] < 0.0, -q, q)
+    norm = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(norm, q[:, :1])
+    return np.asarray(q[:, 1:] * np.where(norm > 1e-12, angle / np.maximum(norm, 1e-12), 2.0))
 
 
 def continuous(q: F64) -> F64:

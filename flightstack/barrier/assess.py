@@ -48,11 +48,14 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 ROWS = 9
 """Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
 _DT_RANGE_S = (0.001, 0.05)
-_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING, _RESPONSE, _CHAIN = 0, 3, 6, 9, 12, 27, 36
+_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING = 0, 3, 6, 9, 12
+_NUMBERS = len(Setting._fields)
+_RESPONSE = _SETTING + 3 * _NUMBERS
+_CHAIN = _RESPONSE + 9
 _BOUNDS = _CHAIN + CHAIN
 _SIZES = _BOUNDS + 5
 _HEAD = _SIZES + 2
-"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 5),
+"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 7),
 response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
 pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
 WORK = 2 * STATE + 4
@@ -79,7 +82,7 @@ def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude
     for i, axis in axes.items():
         rows, table = axis.barrier.rows, axis.authority.table
         flat[[_CERTIFIED + i, _PIECES + i, _NODES + i]] = 1.0, len(rows), table.shape[1]
-        flat[_SETTING + 5 * i : _SETTING + 5 * i + 5] = axis.setting
+        flat[_SETTING + _NUMBERS * i : _SETTING + _NUMBERS * (i + 1)] = axis.setting
         response[i] = axis.response.c1_s, axis.response.c2_s2, axis.response.delay_s
         flat[_HEAD + i * pieces * ROW :][: rows.size] = rows.ravel()
         tables[i, :3, : table.shape[1]] = table[:3]
@@ -139,8 +142,8 @@ def _table(flat: F64, axis: int) -> F64:
 
 @njit
 def _setting(flat: F64, axis: int) -> Setting:
-    at = _SETTING + 5 * axis
-    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4])
+    at = _SETTING + _NUMBERS * axis
+    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6])
 
 
 @njit
@@ -253,11 +256,11 @@ def _barriers(
         offset[i] = _mean(table, 1, v)
         if i == 2:
             offset[3] = _mean(table, 2, v)
-        reach = _reach(table, v)
+        reach, setting = _reach(table, v), _setting(flat, i)
         for piece in pieces:
-            out[0] = min(out[0], piece_at(piece, e, v)[0])
+            out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)
             out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
-        low[i], high[i], margin = interval(pieces, e, v, _setting(flat, i), reach)
+        low[i], high[i], margin = interval(pieces, e, v, setting, reach)
         out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
         out[29 + i] = max(reach[2], reach[3])
         feasible = feasible and margin >= 0.0

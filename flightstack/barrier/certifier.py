@@ -1,13 +1,13 @@
 """Certificates in flight: from what the learner knows to a region that the filter keeps, again and again while it pays.
 
-Once the learner is valid: bounds (`knowledge`), then for each axis of the region the largest barrier out of a small
-family of shapes that the condition allows inside the region's ellipse (`design.grow`), with its ledger (`margins`).
-The work is cut into pieces of about a millisecond, one a tick.  The scenario's region gives the safe set of each axis:
+Once the learner is valid: bounds (`knowledge`), then for each axis of the region the largest ellipse that
+the condition allows inside the region's (`search`), with its ledger (`margins`).  The work is cut into pieces of about
+a millisecond, one a tick.  The scenario's region gives the safe set of each axis:
 its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
 in it.
 
-    again        a second after the last, and taken if it is larger by 2 % and holds the vehicle, with room; later and
-                 later, up to 16 s, where nothing comes of it
+    again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a fifth, and holds
+                 the vehicle, with room; later and later, up to 16 s, where nothing comes of it
     falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
                  it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
                  last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
@@ -18,27 +18,20 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from flightstack.barrier.condition import Setting
-from flightstack.barrier.design import SafeSet, grow
+from flightstack.barrier.design import SafeSet
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.queries import Envelope, budget
-from flightstack.barrier.records import (
-    AXES,
-    Authority,
-    AxisCertificate,
-    Budget,
-    Certificate,
-    Margin,
-    Response,
-)  # fmt: skip
-from flightstack.barrier.shapes import Barrier, Quadratic, value
+from flightstack.barrier.records import AXES, AxisCertificate, Budget, Certificate, Margin, Response
+from flightstack.barrier.search import Axis, Ratios, largest_steps
+from flightstack.barrier.shapes import Quadratic, value
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
@@ -51,8 +44,6 @@ _MEAN_SHARE = 0.1
 _BEYOND_TICKS = 8
 _NOISE_MPS2 = 0.15
 """What the short mean of the accelerometer, with its bias, may be off by itself."""
-_CROSS = (0.35, 0.6)
-_ROUNDS = 6
 _PATIENCE = 16.0
 _T = TypeVar("_T")
 
@@ -62,7 +53,9 @@ class CertifierConfig:
     """Constants of a certifier."""
 
     axes: tuple[int, ...] = (0, 1, 2)
-    gamma_ps: float = 2.0
+    gamma_ps: float = 0.5
+    inside_ps: float = 20.0
+    """How much steeper the class-K function is inside (`condition`)."""
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05
@@ -73,12 +66,14 @@ class CertifierConfig:
     doubts: Doubts = USUAL
     attitude_p_ps: float = 6.5
     """The filter's steering law: 1 / T."""
-    lateral_need_mps2: float = 1.0
+    lateral_need_mps2: float = 1.5
     """Acceleration to either side that the budget leaves beyond what balances forces."""
-    thrust_least_share: float = 0.65
+    thrust_least_share: float = 0.85
     """Of hover: the least thrust of the budget."""
     every_s: float = 1.0
     growth: float = 1.02
+    surer: float = 0.8
+    """Share of the held bounds of acceleration that are worth a certificate of the same size."""
     room_h: float = 0.05
     """h that the vehicle must have in a certificate that is taken."""
 
@@ -103,17 +98,8 @@ class CertifierState:
     """Short mean of the acceleration as measured less the certificate's, NED."""
     beyond: int = 0
     falsified: str = ""
-
-
-class _Axis(NamedTuple):
-    """One axis being designed."""
-
-    axis: int
-    safe: SafeSet
-    authority: Authority
-    response: Response
-    gain_part_mps2: float
-    coupling_mps: float
+    ratios: dict[int, Ratios] = field(default_factory=dict)
+    """Where each axis' last search ended."""
 
 
 class OnlineCertifier:
@@ -153,16 +139,19 @@ class OnlineCertifier:
         self._watch(state, measurement, learned)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            state.work = self.work(learner, learned, state.version + 1, state.widen_mps2.copy())
+            state.work = self.work(
+                learner, learned, state.version + 1, widen_mps2=state.widen_mps2.copy(), ratios=state.ratios
+            )
         if state.work is None:
             return state, None
         ready = next(state.work, None)
         if ready is None:
             return state, None
         state.work = None
+        issued = self._judge(state, ready, measurement)
         again, most = self.config.every_s, _PATIENCE * self.config.every_s
-        state.wait_s = again if ready.axes else min(max(2.0 * state.wait_s, again), most)
-        return state, self._judge(state, ready, measurement)
+        state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
+        return state, issued
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
         """Whether what is certified is still so; where it is not, the work begins anew."""
@@ -182,8 +171,7 @@ class OnlineCertifier:
             state.error_mps2 += _MEAN_SHARE * (observed - state.error_mps2)
         allowed = np.full(3, math.inf)
         for each in certificate.axes:
-            most = max(each.authority.error_low_mps2.max(), each.authority.error_high_mps2.max())
-            allowed[each.axis] = most + _NOISE_MPS2
+            allowed[each.axis] = _doubt(each) + _NOISE_MPS2
         excess = np.abs(state.error_mps2) - allowed
         state.beyond = state.beyond + 1 if (excess > 0.0).any() else 0
         if state.beyond >= _BEYOND_TICKS:
@@ -211,20 +199,32 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and area > self.config.growth * state.area:
+        elif holds and self._pays(ready, area, state):
             issued = ready
         else:
             return None
         state.certificate, state.area, state.version = issued, area, issued.version
         return issued
 
+    def _pays(self, ready: Certificate, area: float, state: CertifierState) -> bool:
+        """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
+        held = state.certificate
+        if held is None or area > self.config.growth * state.area:
+            return True
+        before = {each.axis: _doubt(each) for each in held.axes}
+        surer = all(_doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
+        return surer and area * self.config.growth > state.area
+
     def work(
-        self, learner: LearnerState, learned: Learned, version: int, widen_mps2: F64
+        self, learner: LearnerState, learned: Learned, version: int, *, widen_mps2: F64, ratios: dict[int, Ratios]
     ) -> Iterator[Certificate | None]:
-        """A certificate, piece by piece: None after each; without axes where an axis has no region."""
+        """A certificate, piece by piece: None after each; without axes where an axis has no region.
+
+        `ratios`: where each axis' last search ended; written to.
+        """
         config = self.config
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box, lead = self._budget(accelerations)
+        box = self._budget(accelerations)
         yield None
         knowledge = yield from _last(Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
@@ -232,11 +232,13 @@ class OnlineCertifier:
         ))  # fmt: skip
         axes: list[AxisCertificate] = []
         for axis in config.axes:
-            found = yield from self._largest(self._axis(axis, knowledge, learned, lead))
+            found = yield from self._largest(axis, knowledge, learned, ratios.get(axis))
             if found is None:
+                ratios.pop(axis, None)
                 axes.clear()
                 break
-            axes.append(found)
+            axes.append(found[0])
+            ratios[axis] = found[1]
         yield Certificate(
             "sound", self.region.centre_ned_m, tuple(axes), knowledge.budget, config.delta, knowledge.k_sigma,
             {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **config.doubts._asdict()}}, version,
@@ -257,8 +259,8 @@ class OnlineCertifier:
             self.config.axes,
         )
 
-    def _budget(self, learned: Accelerations) -> tuple[Budget, float]:
-        """The budget that balances what is known and leaves the need; and F0."""
+    def _budget(self, learned: Accelerations) -> Budget:
+        """The budget that balances what is known and leaves the need."""
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
@@ -270,85 +272,41 @@ class OnlineCertifier:
             abs(float(mean[0])) + 3.0 * float(sigma[0])
             for mean, sigma in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
-        box = budget(
+        return budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
             low_mps2=config.thrust_least_share * hover, hover_mps2=hover,
         )  # fmt: skip
-        return box, max(hover, 0.5 * (box.low_mps2 + box.high_mps2))
 
-    def _axis(self, axis: int, knowledge: Knowledge, learned: Learned, lead: float) -> _Axis:
-        model, box = self.model, knowledge.budget
+    def _largest(
+        self, axis: int, knowledge: Knowledge, learned: Learned, near: Ratios | None
+    ) -> Generator[None, None, tuple[AxisCertificate, Ratios] | None]:
+        """One axis' largest ellipse, and where the search for it ended."""
+        model, box, config = self.model, knowledge.budget, self.config
         delay = learned.latency_s if learned.latency_s > 0.0 else model.transport_delay_s
-        steer = 1.0 / self.config.attitude_p_ps
-        authority = knowledge.authorities[axis]
+        steer = 1.0 / config.attitude_p_ps
+        authority, coupling = knowledge.authorities[axis], 0.0
         if axis == DOWN:
-            response, coupling = Response(model.motor_lag_s, 0.0, delay), 0.0
+            response = Response(model.motor_lag_s, 0.0, delay)
         else:
             response = Response(steer, steer * model.rate_lag_s, delay)
+            lead = max(knowledge.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2))
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
-        return _Axis(axis, self.safe[axis], authority, response, knowledge.gain_part_mps2[axis], coupling)
 
-    def _largest(self, axis: _Axis) -> Generator[None, None, AxisCertificate | None]:
-        """The largest of the family's shapes, or None."""
-        best: AxisCertificate | None = None
-        for shape in shapes(axis.safe, axis.authority):
-            found = yield from self._grown(shape, axis)
-            if found is not None and (best is None or found.barrier.area_m2ps > best.barrier.area_m2ps):
-                best = found
-        return best
+        def needs(ellipse: Quadratic) -> tuple[Setting, tuple[Margin, ...]]:
+            return ledger(
+                axis, ellipse, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
+                accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+                coupling_mps=coupling, inside_ps=config.inside_ps,
+            )  # fmt: skip
 
-    def _grown(self, shape: Barrier, axis: _Axis) -> Generator[None, None, AxisCertificate | None]:
-        """One shape at its largest level, whose own ledger is no larger than the one that it was grown with."""
-        setting, _ = self._ledger(shape, axis)
-        for _ in range(_ROUNDS):
-            design = grow(shape, axis.safe, setting, axis.authority)
-            yield
-            if design.barrier is None or design.cover is None:
-                return None
-            own, margins = self._ledger(design.barrier, axis)
-            if own.eta <= setting.eta and own.rate_ps <= setting.rate_ps and own.rate_spm <= setting.rate_spm:
-                return AxisCertificate(
-                    axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
-                )
-            setting = setting._replace(
-                eta=1.02 * max(own.eta, setting.eta),
-                rate_ps=1.02 * max(own.rate_ps, setting.rate_ps),
-                rate_spm=1.02 * max(own.rate_spm, setting.rate_spm),
-            )
-        return None
-
-    def _ledger(self, barrier: Barrier, axis: _Axis) -> tuple[Setting, tuple[Margin, ...]]:
-        config = self.config
-        return ledger(
-            axis.axis, barrier, axis.authority, axis.response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
-            accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=axis.gain_part_mps2,
-            coupling_mps=axis.coupling_mps,
-        )  # fmt: skip
+        return (yield from largest_steps(Axis(axis, self.safe[axis], authority, response), needs, near))
 
 
 def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
     """Each axis' ellipse in (position, velocity); their product lies in the region."""
     shrink = 1.0 if region.kind == "axes" else 1.0 / math.sqrt(len(axes))
     return {i: SafeSet(shrink * region.semi_axes_m[i], shrink * region.semi_axes_mps[i]) for i in axes}
-
-
-def shapes(safe: SafeSet, authority: Authority) -> list[Barrier]:
-    """Ellipses to grow: with several slants, as fast as the braking stops within the safe set."""
-    at = int(np.argmin(np.abs(authority.v_mps)))
-    up = float(-authority.u_low_mps2[at] - authority.error_low_mps2[at])
-    down = float(authority.u_high_mps2[at] - authority.error_high_mps2[at])
-    brake = max(min(up, down), 0.05)
-    fast = math.sqrt(brake * safe.limit_m)
-    if safe.limit_mps is not None:
-        fast = min(fast, safe.limit_mps)
-    found: list[Barrier] = []
-    for share in (0.6, 0.8, 1.0):
-        for cross in _CROSS:
-            e, v = safe.limit_m, share * fast
-            room = 1.0 - cross * cross
-            found.append(Quadratic(0.0, 0.0, 1.0 / (e * e * room), cross / (e * v * room), 1.0 / (v * v * room)))
-    return found
 
 
 def observed_error(certificate: Certificate, model: Model, measurement: Measurement, learned: Learned) -> F64:
@@ -367,6 +325,11 @@ def observed_error(certificate: Certificate, model: Model, measurement: Measurem
     return error
 
 
+def _doubt(axis: AxisCertificate) -> float:
+    """The greatest bound of an axis' acceleration, m/s^2."""
+    return float(max(axis.authority.error_low_mps2.max(), axis.authority.error_high_mps2.max()))
+
+
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
     """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
     least = math.inf
@@ -375,7 +338,7 @@ def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 
         start = 0.0 if origin_ned_m is None else float(origin_ned_m[i])
         e = float(measurement.pos_ned_m[i]) - start - certificate.centre_ned_m[i]
         v = float(measurement.vel_ned_mps[i])
-        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v))
+        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v) - each.setting.inner)
     return least
 
 

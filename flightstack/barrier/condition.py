@@ -14,14 +14,19 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + gamma (h - eta) - b - b_u |u| >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - b_u |u| >= 0
+    alpha(x) = gamma x + inside max(x - 0.05, 0)
 
 eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
 in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
-a gentle command costs little).  q is concave in u, so the commands that meet it are an interval, in closed form.
+a gentle command costs little).  inner: h that z keeps, so that (p, v), off from means of z by what z leaves out, keeps
+h >= 0.  q is concave in u, so the commands that meet it are an interval, in closed form.
 
-Where q >= 0 holds, h - eta falls by at most the share gamma t in a time t: the true h never becomes negative, neither
-between two commands nor where they come early.  The published form is dt = 0, E = k sigma, eta = b = b_u = 0.
+Where q >= 0 holds, x = h - inner - eta falls in a time t by t alpha(x) at most, less than itself: the true h never
+becomes negative, neither between two commands nor where they come early.  alpha is flat near the edge, which the tips
+of a region need, where no command changes h at once, and steep inside, where something may move outwards at a fair
+speed and a command far from the edge is left alone.  It is convex, the greater of two lines, so either line proves.
+The published form is dt = 0, E = k sigma, eta = inner = b = b_u = inside = 0.
 """
 
 from __future__ import annotations
@@ -33,6 +38,9 @@ import numpy as np
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, piece_at
 from flightstack.jit import njit
 from flightstack.types import F64
+
+NEAR_H = 0.05
+"""Within so much h of the edge alpha is flat."""
 
 
 class Setting(NamedTuple):
@@ -48,6 +56,10 @@ class Setting(NamedTuple):
     """Longest time between two commands."""
     rate_spm: float = 0.0
     """b_u: doubt about q for each m/s^2 of the command's size, s/m."""
+    inner: float = 0.0
+    """h that the predicted state keeps, for position and velocity to keep 0."""
+    inside_ps: float = 0.0
+    """How much steeper alpha is beyond NEAR_H."""
 
 
 class Reach(NamedTuple):
@@ -60,10 +72,15 @@ class Reach(NamedTuple):
 
 
 @njit
-def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -> tuple[float, float, float]:
-    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0."""
+def coefficients(
+    row: F64, e: float, v: float, setting: Setting, reach: Reach, steep: bool | None = None
+) -> tuple[float, float, float]:
+    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0.
+
+    `steep`: with one line of alpha only, the steep or the flat one; None: with the greater of them.
+    """
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt, _ = setting
+    gamma, eta, rate, dt, _, inner, inside = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -78,7 +95,11 @@ def coefficients(row: F64, e: float, v: float, setting: Setting, reach: Reach) -
     swing = (swing_high - swing_low) / span if span > 0.0 else 0.0
     a = -half * (kvv + abs(kev) * dt + kee * half * half)
     b = hv - dt * kev * v + swing - doubt * slope
-    c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start + gamma * (h - eta) - rate
+    c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
+    x = h - inner - eta
+    if (x > NEAR_H) if steep is None else steep:
+        c += inside * (x - NEAR_H)
+    c += gamma * x
     c += swing_low - swing * u_low
     return a, b, c
 

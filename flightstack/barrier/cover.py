@@ -1,10 +1,10 @@
 """The proof that a command exists everywhere in a region: boxes that cover it, each with one command right for it all.
 
-At a fixed command u, q of `condition` is concave in e and concave in v in a box that no kink of the barrier cuts: the
-least q of the box is at one of its four corners, exactly.  (Where a barrier's cross term makes q curve upwards along v,
-the most that can be gained is taken off.)  So a box is proven by four evaluations of the very function that the filter
-enforces; one that fails is halved.  Boxes wholly outside {h >= -eta} are dropped; what the certificate says of a box
-holds in all of it, not only inside the region.
+At a fixed command u, with one line of alpha, q of `condition` is concave in e and concave in v in a box that no kink of
+the barrier cuts: the least q of the box is at one of its four corners, exactly.  (Where a barrier's cross term makes q
+curve upwards along v, the most that can be gained is taken off.)  So a box is proven by four evaluations of the very
+function that the filter enforces; one that fails is halved.  Boxes wholly outside {h >= inner - eta} are dropped; what
+the certificate says of a box holds in all of it, not only inside the region.
 
 Branch and bound; the published certificate's balls with one Lipschitz constant, L. Wang, E. Theodorou, M. Egerstedt,
 "Safe Learning of Quadrotor Dynamics Using Barrier Certificates", 2018, lemma III.1, need many more.
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.barrier.condition import Reach, Setting, coefficients, interval
+from flightstack.barrier.condition import NEAR_H, Reach, Setting, coefficients, interval
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic, Stopping, piece_at
 from flightstack.jit import njit, njit_called
@@ -39,7 +39,7 @@ class Cover:
     """What the branch and bound found."""
 
     closed: bool
-    """Every point of {h >= -eta} lies in a proven cell."""
+    """Every point of {h >= inner - eta} lies in a proven cell."""
     cells: F64
     """(m, CELL) as in `records.AxisCertificate`; not all that are needed when `closed` is false."""
     worst_q: float
@@ -49,7 +49,7 @@ class Cover:
 
 
 def cover(barrier: Barrier, setting: Setting, authority: Authority, *, most_cells: int = 20000) -> Cover:
-    """Cover {h >= -eta} with boxes in which one command meets the condition throughout."""
+    """Cover {h >= inner - eta} with boxes in which one command meets the condition throughout."""
     return cover_bands(barrier, setting, bands(authority), most_cells=most_cells)
 
 
@@ -59,7 +59,7 @@ def cover_bands(barrier: Barrier, setting: Setting, reaches: F64, *, most_cells:
         return Cover(False, np.empty((0, CELL)), math.inf, (0.0, 0.0))
     cells = np.empty((most_cells, CELL))
     setting = Setting(*(float(number) for number in setting))  # compiled once: for floats
-    count, worst, e, v = prove(barrier.rows, region_box(barrier, setting.eta), setting, reaches, cells)
+    count, worst, e, v = prove(barrier.rows, region_box(barrier, setting.eta - setting.inner), setting, reaches, cells)
     closed = count >= 0
     kept = cells[: count if closed else -count - 1].copy()
     return Cover(closed, kept, worst, None if closed else (e, v))
@@ -105,7 +105,7 @@ def prove(rows: F64, box: F64, setting: Setting, reaches: F64, cells: F64) -> tu
         while left > 0:
             left -= 1
             e_low, e_high, v_low, v_high = stack[left, 0], stack[left, 1], stack[left, 2], stack[left, 3]
-            if outside(rows, e_low, e_high, v_low, v_high, setting.eta):
+            if outside(rows, e_low, e_high, v_low, v_high, setting.eta - setting.inner):
                 continue
             e, v = 0.5 * (e_low + e_high), 0.5 * (v_low + v_high)
             if known:
@@ -179,7 +179,7 @@ def outside(rows: F64, e_low: float, e_high: float, v_low: float, v_high: float,
 def _refuted(rows: F64, e: float, v: float, setting: Setting, reach: Reach, known: bool) -> bool:
     """Whether the region is not certifiable because of this very point."""
     for i in range(rows.shape[0]):
-        if piece_at(rows[i], e, v)[0] < -setting.eta:
+        if piece_at(rows[i], e, v)[0] < setting.inner - setting.eta:
             return False
     return not known or interval(rows, e, v, setting, reach)[2] < 0.0
 
@@ -195,10 +195,13 @@ def best_command(
     quad = np.empty((4 * rows.shape[0], 4))
     quad[:, 3] = setting.rate_spm
     for i in range(rows.shape[0]):
-        lift = curvature_lift(rows[i], setting, v_high - v_low)
+        middle = piece_at(rows[i], 0.5 * (e_low + e_high), 0.5 * (v_low + v_high))[0]
+        steep = middle - setting.inner - setting.eta > NEAR_H
+        slope = setting.gamma_ps + (setting.inside_ps if steep else 0.0)
+        lift = curvature_lift(rows[i], setting, slope, v_high - v_low)
         for j in range(4):
             e, v = (e_high if j & 1 else e_low), (v_high if j & 2 else v_low)
-            a, b, c = coefficients(rows[i], e, v, setting, reach)
+            a, b, c = coefficients(rows[i], e, v, setting, reach, steep)
             quad[4 * i + j, 0], quad[4 * i + j, 1], quad[4 * i + j, 2] = a, b, c - lift - _SLACK
     span = reach.u_high - reach.u_low
     best_u, best_q = reach.u_low, -np.inf
@@ -243,12 +246,13 @@ def _least(quad: F64, u: float) -> float:
 
 
 @njit
-def curvature_lift(row: F64, setting: Setting, width_mps: float) -> float:
+def curvature_lift(row: F64, setting: Setting, slope_ps: float, width_mps: float) -> float:
     """How far q may lie above its chord along v over this width: 0 unless a quadratic's cross term curves it upwards.
 
-    q's second derivative along v is at most -2 Kev - gamma Kvv - dt Kee; along e it is never positive.
+    q's second derivative along v is at most -2 Kev - slope Kvv - dt Kee, alpha being a line; along e it is
+    never positive.
     """
     if row[0] != 0.0:
         return 0.0
-    upward = -2.0 * row[K_EV] - setting.gamma_ps * row[K_VV] - setting.dt_s * row[K_EE]
+    upward = -2.0 * row[K_EV] - slope_ps * row[K_VV] - setting.dt_s * row[K_EE]
     return float(0.125 * max(upward, 0.0) * width_mps * width_mps)

@@ -194,25 +194,30 @@ def published(limit_m: float, mu: float) -> Quadratic:
     return Quadratic(0.0, 0.0, 1.0 / (limit_m * limit_m), 0.0, mu)
 
 
-def slice_area(barrier: Barrier, response: Response, a_mps2: float = 0.0, under_way_mps2: float = 0.0) -> float:
-    """Area of the (p, v) that the filter takes for inside at an acceleration a, m^2/s: they and their z lie in it.
+def slice_area(
+    barrier: Barrier, response: Response, a_mps2: float = 0.0, under_way_mps2: float = 0.0, inner: float = 0.0
+) -> float:
+    """Area of the (p, v) that the filter takes for inside at an acceleration a, m^2/s: they and their z
+    (where h is at least `inner`) lie in it.
 
     The commands under way are taken as constant over the delay, and the rate of the acceleration as zero.
     """
     c1, c2, delay = response.c1_s, response.c2_s2, response.delay_s
     shift_m = (c2 + delay * c1) * a_mps2 + 0.5 * delay * delay * under_way_mps2
     shift_mps = c1 * a_mps2 + delay * under_way_mps2
-    return float(overlap(barrier.rows, c1 + delay, shift_m, shift_mps, _AREA_SPEEDS))
+    return float(overlap(barrier.rows, c1 + delay, shift_m, shift_mps, _AREA_SPEEDS, inner))
 
 
-def worst_slice_area(barrier: Barrier, response: Response, u_low_mps2: float, u_high_mps2: float) -> float:
+def worst_slice_area(
+    barrier: Barrier, response: Response, u_low_mps2: float, u_high_mps2: float, inner: float = 0.0
+) -> float:
     """Least `slice_area` over all accelerations and commands under way in a range.
 
     The root of the area in common of two convex sets is concave in how far one is moved (Brunn and Minkowski), so the
     least is at a corner.
     """
     ends = (u_low_mps2, u_high_mps2)
-    return min(slice_area(barrier, response, a, under_way) for a in ends for under_way in ends)
+    return min(slice_area(barrier, response, a, under_way, inner) for a in ends for under_way in ends)
 
 
 def _proven(barrier: Barrier, safe: SafeSet, setting: Setting, table: F64, most_cells: int) -> Design:

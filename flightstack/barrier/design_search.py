@@ -1,7 +1,7 @@
 """Compiled parts of the design: shapes from ratios, whether they fit, and the area of a slice.
 
 A shape's size is one number; `fit` finds the largest that lies in the safe set and meets the condition on a few
-hundred points of {h >= -eta}, most of them near its boundary.  Points prove nothing: the cover does, afterwards.
+hundred points of {h >= inner - eta}, most of them near its boundary.  Points prove nothing: the cover does, afterwards.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def _fastest(room: float, t: float, brake: float, other: float) -> float:
 
 @njit_called
 def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
-    """Whether commands exist on points of {h >= -eta}."""
-    v_low, v_high = speeds(rows, -setting.eta)
+    """Whether commands exist on points of {h >= inner - eta}."""
+    v_low, v_high = speeds(rows, setting.inner - setting.eta)
     if not (v_low >= reaches[0, 0] and v_high <= reaches[-1, 1]):
         return False
     for i in range(_SPEEDS):
@@ -107,7 +107,7 @@ def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
     for i in range(rows.shape[0]):  # where no command changes h at once: the tips of an ellipse, the ends of a way
         row = rows[i]
         if row[0] == 0.0:
-            tip = row[4] * np.sqrt((1.0 + setting.eta) / (row[5] * (row[3] * row[5] - row[4] * row[4])))
+            tip = row[4] * np.sqrt((1.0 + setting.eta - setting.inner) / (row[5] * (row[3] * row[5] - row[4] * row[4])))
             if not (
                 _holds_at(rows, row[2] + tip, setting, reaches) and _holds_at(rows, row[2] - tip, setting, reaches)
             ):
@@ -124,7 +124,7 @@ def _holds_at(rows: F64, v: float, setting: Setting, reaches: F64) -> bool:
     while k < reaches.shape[0] - 1 and v > reaches[k, 1]:
         k += 1
     reach = Reach(reaches[k, 2], reaches[k, 3], reaches[k, 4], reaches[k, 5])
-    e_low, e_high = chord(rows, v, -setting.eta)
+    e_low, e_high = chord(rows, v, setting.inner - setting.eta)
     if e_low > e_high:
         return True
     for j in range(_ACROSS + 1):
@@ -179,8 +179,8 @@ def farthest(row: F64, safe: F64) -> float:
 
 
 @njit_called
-def overlap(rows: F64, shear_s: float, shift_m: float, shift_mps: float, points: int) -> float:
-    """Area of the (p, v) with h(p, v) >= 0 and h(p + shear v + shift_m, v + shift_mps) >= 0, m^2/s."""
+def overlap(rows: F64, shear_s: float, shift_m: float, shift_mps: float, points: int, inner: float = 0.0) -> float:
+    """Area of the (p, v) with h(p, v) >= 0 and h(p + shear v + shift_m, v + shift_mps) >= inner, m^2/s."""
     low, high = speeds(rows, 0.0)
     low, high = max(low, low - shift_mps), min(high, high - shift_mps)
     if low >= high:
@@ -190,7 +190,7 @@ def overlap(rows: F64, shear_s: float, shift_m: float, shift_mps: float, points:
         angle = np.pi * (i + 0.5) / points
         v = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(angle)
         one_low, one_high = chord(rows, v, 0.0)
-        two_low, two_high = chord(rows, v + shift_mps, 0.0)
+        two_low, two_high = chord(rows, v + shift_mps, inner)
         move = shear_s * v + shift_m
         width = min(one_high, two_high - move) - max(one_low, two_low - move)
         total += max(width, 0.0) * np.sin(angle)

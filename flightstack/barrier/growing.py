@@ -19,6 +19,9 @@ from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import Filtered, Learned, Measurement
 
+VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=0.3, thrust_least_share=0.6)
+"""The vertical axis alone: little thrust across."""
+
 
 @dataclass(frozen=True, slots=True)
 class GrowthConfig:

@@ -27,8 +27,9 @@ linear between the vertical nodes.  The node's interval is the hull over its que
 Half its width and its middle give
 
     down     u_low, u_high: the middles; gain = (u_high - u_low) / (high - low), offset = u_high + gain low
-    lateral  offset: the middle; u_low, u_high = offset -+ W, W = min(gain_d) beta F0, F0 = max(hover, (low + high) / 2)
-             the thrust that the filter steers with: where thrust differs from it, the filter leans further or less
+    lateral  offset: the middle; u_low, u_high = -+(W - |offset|), what either lean gives, W = min(gain_d) beta F0,
+             F0 = max(hover, (low + high) / 2) the thrust that the filter steers with: where thrust differs from it,
+             the filter leans further or less
 
     error at a node = max over it and its neighbours of (half width + |its middle - this one's|) + k bend + widen
 
@@ -293,10 +294,11 @@ def _authority(request: Request, axis: int, hull: _Hull) -> Authority:
     else:
         least, most = hull.low.min(axis=1), hull.high.max(axis=1)
         offset, gain = 0.5 * (least + most), np.zeros(len(hull.v))
-        ends = offset[:, None] + hull.wanted * np.array([-1.0, 1.0])
+        ends = (hull.wanted - np.abs(offset))[:, None] * np.array([-1.0, 1.0])
         half = np.repeat(0.5 * (most - least)[:, None], 2, axis=1)
+        middle = np.repeat(offset[:, None], 2, axis=1)
     more = request.k * hull.bend + float(request.widen[axis])
-    error = np.array([_around(ends[:, i], half[:, i]) for i in range(2)]) + more
+    error = np.array([_around(middle[:, i], half[:, i]) for i in range(2)]) + more
     return Authority(hull.v, offset, gain, ends[:, 0].copy(), ends[:, 1].copy(), error[0], error[1])
 
 

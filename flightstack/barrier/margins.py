@@ -22,10 +22,10 @@ R. Cosner, B. Recht, A. Ames, "Guaranteeing safety of learned perception modules
 functions", CoRL 2020, theorem 2.  On an ellipse every one of these is greatest on its edge: linear in e for a given v,
 and no interior maximum in v; a stopping way's are greatest at the greatest speed.
 
-What b and eta do not hold.  (p, v) follows z through the low pass 1 / (c1 s + 1) if v + c1 v' = z_v.  Two things come
+Between z and (p, v).  (p, v) follows z through the low pass 1 / (c1 s + 1) if v + c1 v' = z_v.  Two things come
 between: the acceleration that the model does not know, c1 E, and on lateral axes thrust that is not the F0 with which
-z is built (`response`), `coupling`.  Both are bounded offsets of v that do not add up: z stays in the region, p with
-it, and v to within that offset, which the ledger names.
+z is built (`response`), `coupling`.  Both are bounded offsets of v that do not add up, w in all: z keeps h at least
+inner = sup |dh/dv| w, then (p, v) keeps h at least 0.  That costs gamma w of acceleration at a given h.
 """
 
 from __future__ import annotations
@@ -175,11 +175,12 @@ def ledger(
     doubts: Doubts = USUAL,
     gain_part_mps2: float = 0.0,
     coupling_mps: float = 0.0,
+    inside_ps: float = 0.0,
 ) -> tuple[Setting, tuple[Margin, ...]]:
     """The condition's constants for one axis, and every margin in m/s^2.
 
     `gain_part_mps2`: how much of the error is the thrust gain's; `coupling_mps`: see above.  A margin in m/s^2 is
-    (its part of b, of b_u times the hardest command, of gamma eta) / max |dh/dv|.
+    (its part of b, of b_u times the hardest command, of gamma eta and of gamma inner) / max |dh/dv|.
     """
     least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
@@ -191,9 +192,13 @@ def ledger(
         sources = _sources(axis, response, span, error, accuracy, doubts, coupling_mps)
         eta = sum(_eta(at, source) for source in sources)
     rate, steep = sum(_rate(at, source) for source in sources), sum(_steep(at, source) for source in sources)
+    claim = sum(source.claim for source in sources)
     brake = max(abs(least), abs(most))
     priced = {
-        s.name: ((_rate(at, s) + brake * _steep(at, s) + gamma_ps * _eta(at, s)) / at.h_v, s.because)
+        s.name: (
+            (_rate(at, s) + brake * _steep(at, s) + gamma_ps * _eta(at, s)) / at.h_v + gamma_ps * s.claim,
+            s.because,
+        )
         for s in sources
         if s.name
     }
@@ -210,7 +215,7 @@ def ledger(
     }
     order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
     margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
-    return Setting(gamma_ps, eta, rate, dt_s, steep), margins
+    return Setting(gamma_ps, eta, rate, dt_s, steep, at.h_v * claim, inside_ps), margins
 
 
 def _sources(
@@ -226,7 +231,7 @@ def _sources(
         lag = doubts.lag_share * c1
         rotor = _Source(
             "rotor_lag", 0.0, lag * span / math.e, lag, c1 * error,
-            f"{1e3 * c1:.3g} ms known to {100 * doubts.lag_share:.3g} %; v within {c1 * error:.2g} m/s of the region's",
+            f"{1e3 * c1:.3g} ms known to {100 * doubts.lag_share:.3g} %; v within {c1 * error:.2g} m/s of what z keeps",
         )  # fmt: skip
         attitude = _Source("attitude_lag", 0.0, 0.0, 0.0, 0.0, "the lean is part of what thrust gives along down")
     else:
@@ -234,7 +239,7 @@ def _sources(
         claim = c1 * error + coupling_mps
         attitude = _Source(
             "attitude_lag", 0.5 * c1 * lag * span, lag * span, 0.0, claim,
-            f"rate loop known to {1e3 * lag:.3g} ms; v within {claim:.2g} m/s of the region's: unknown acceleration "
+            f"rate loop known to {1e3 * lag:.3g} ms; v within {claim:.2g} m/s of what z keeps: unknown acceleration "
             f"over {1e3 * c1:.3g} ms of steering, and thrust that is not the one steered with",
         )  # fmt: skip
         rotor = _Source(

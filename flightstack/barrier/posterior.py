@@ -37,6 +37,8 @@ _SIZES = 6
 _LIKELY = 1.92
 """Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
 _NEGLIGIBLE = 1e-18
+_NEWEST = 100
+"""Points, some seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +57,9 @@ class Process:
     """Factor on the standard deviation."""
 
     @classmethod
-    def of(cls, store: Store) -> Process:
-        """What the store holds now."""
-        gp = store.gp
-        return cls(gp.kernel, gp.noise_var, gp.x, gp.y, store.excess.copy())
+    def of(cls, store: Store, x: F64, y: F64) -> Process:
+        """These points with the store's kernel, noise and calibration."""
+        return cls(store.gp.kernel, store.gp.noise_var, x, y, store.excess.copy())
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
@@ -94,6 +95,20 @@ class Posterior:
         """Of the values, all outputs together, up to a constant (Rasmussen and Williams, equation 2.30)."""
         fit, size = float(np.sum(self.process.y * self._weights)), float(np.log(np.diagonal(self._factor)).sum())
         return -0.5 * fit - float(self.process.y.shape[1]) * size
+
+    def widened(self, x: F64, y: F64) -> Posterior:
+        """The same, the excess at least what values y (M, P) at x (M, D) are off by beyond their noise."""
+        if not len(x):
+            return self
+        error = y - self.at(x)[0]
+        beyond = np.einsum("ij,ij->j", error, error) / len(x) - self.process.noise_var
+        return self._with_excess(np.maximum(self.process.excess, beyond))
+
+    def _with_excess(self, excess: F64) -> Posterior:
+        other = object.__new__(Posterior)
+        other.process = replace(self.process, excess=excess)
+        other._factor, other._weights = self._factor, self._weights
+        return other
 
     def at(self, x: F64) -> tuple[F64, F64]:
         """Means (M, P) and latent variance (M,) at x (M, D)."""
@@ -135,7 +150,7 @@ class Live:
     __slots__ = ("_gp", "process")
 
     def __init__(self, store: Store) -> None:
-        self.process, self._gp = Process.of(store), store.gp
+        self.process, self._gp = Process.of(store, store.gp.x, store.gp.y), store.gp
 
     def at(self, x: F64) -> tuple[F64, F64]:
         """As Posterior."""
@@ -160,12 +175,18 @@ class Accelerations:
 
     @classmethod
     def frozen_steps(cls, state: LearnerState, model: Model) -> Iterator[Accelerations | None]:
-        """From a copy of what a learner holds now, the smooth part sized by it: None after each piece of work."""
-        copies, found = [Process.of(state.lateral), Process.of(state.vertical)], {}
-        for i, copy in enumerate(copies):
+        """From each store's certificate set, the smooth part sized by it: None after each piece of work.
+
+        What the newest points are off by beyond their noise widens the bound: a drift since the oldest of the set.
+        """
+        found: list[Posterior] = []
+        for store in (state.lateral, state.vertical):
+            copy = Process.of(store, *store.certificate_set(store.gp.capacity))
+            yield None
             for posterior in sized_steps(copy):
-                found[i] = posterior
+                sized = posterior
                 yield None
+            found.append(sized.widened(*store.pooled(_NEWEST)))
         yield cls(found[0], found[1], model)
 
     def at(self, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:

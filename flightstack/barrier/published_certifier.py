@@ -1,6 +1,6 @@
 """The published search for mu, in flight: h_mu is certified anew with the learned residual while mu still falls.
 
-As published: the learner knows the state alone, the margin is k sigma, mu counts as accepted where the left side of the
+As published: the margin is k sigma, mu counts as accepted where the left side of the
 sampling condition is nowhere negative (`published.accepted`).  What is wrong with that is said in `published`; here it
 is repeated as it was.  It begins with the region as it is, mu = 1 / b_d^2 (6.3 in the paper's scenario), unproven.
 """
@@ -20,7 +20,7 @@ from flightstack.calibration import STAGES
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, Filtered, Learned, Measurement, Tuple3
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, Tuple3
 
 GAMMA_PS = 2.0
 K_SIGMA = 3.0
@@ -94,10 +94,25 @@ class PublishedCertifier:
         return least / self._model.mass_kg, greatest / self._model.mass_kg
 
     def _along(self, known: Accelerations, axis: int, v_mps: F64, thrust_mps2: float) -> tuple[F64, F64]:
-        """Mean and sigma of an axis' acceleration at speeds along it, thrust upright."""
+        """Mean and sigma of an axis' acceleration at speeds along it, thrust leaning as balances forces from aside.
+
+        No mu may forget what the lean takes from the vertical; a sideways axis has thrust upright.
+        """
         speed, thrust = np.zeros((2, len(v_mps), 3))
         speed[:, axis], thrust[:, _DOWN] = v_mps, thrust_mps2
+        if axis == _DOWN:
+            thrust[:, :2] = self._balance(known)
+            across = np.hypot(thrust[:, 0], thrust[:, 1])
+            thrust[:, _DOWN] = np.sqrt(np.maximum(thrust_mps2**2 - across**2, (0.1 * thrust_mps2) ** 2))
         return known.at(axis, speed, thrust, np.zeros(len(v_mps)))
+
+    def _balance(self, known: Accelerations) -> F64:
+        """(2,) north and east parts of the thrust vector that balance what pushes aside at rest."""
+        still, none = np.zeros((2, 3)), np.zeros(2)
+        upright = np.array([[0.0, 0.0, 0.8], [0.0, 0.0, 1.6]]) * STANDARD_GRAVITY_MPS2
+        down = known.at(_DOWN, still, upright, none)[0]
+        gain = max(float(down[0] - down[1]) / (0.8 * STANDARD_GRAVITY_MPS2), 0.2)
+        return np.array([float(known.at(i, still, upright, none)[0][0]) / gain for i in (0, 1)])
 
     def _certificate(self, state: PublishedState, known: Accelerations | None) -> Certificate:
         region = with_mu(self._region, state.mu)

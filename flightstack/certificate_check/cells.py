@@ -1,7 +1,7 @@
 """Proves that each cell's command meets the condition in all of it, and that the cells cover the region.
 
 What covers: all edges of all cells cut the plane into a grid; each field of it is in a cell, or the concave h is below
--eta on it, because a tangent plane of h is.
+the edge on it, because a tangent plane of h is.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _settle(condition: Condition, todo: Boxes, unit: tuple[float, float], name: 
 def _refute(condition: Condition, todo: Boxes, name: str) -> None:
     """Raises where the middle of a box disproves the claim."""
     e, v = todo.box[:, :2].mean(axis=1), todo.box[:, 2:].mean(axis=1)
-    inside = np.all([piece.at(e, v)[0].lo >= -condition.eta for piece in condition.pieces], axis=0)
+    inside = np.all([piece.at(e, v)[0].lo >= condition.edge for piece in condition.pieces], axis=0)
     q = np.min([condition.margin(piece, e, v, todo.u, todo.reach)[0].hi for piece in condition.pieces], axis=0)
     for i in np.flatnonzero(inside & (todo.barred | (q < todo.target))):
         where = f"at e = {e[i]:.6g} m, v = {v[i]:.6g} m/s"
@@ -132,7 +132,7 @@ def _fields(cells: F64) -> tuple[F64, int]:
 
 
 def check_cells(condition: Condition, cells: F64, nodes: F64, middle: tuple[float, float], name: str) -> str:
-    """Proves the cells' claims and that they cover {h >= -eta}; what was verified, in words."""
+    """Proves the cells' claims and that they cover {h >= edge}; what was verified, in words."""
     wrong = np.flatnonzero(~((cells[:, 0] < cells[:, 1]) & (cells[:, 2] < cells[:, 3]) & (cells[:, 5] >= 0.0)))
     if len(wrong):
         raise Refused(f"{name}: cell {wrong[0]}: edges must be in order and q at least 0")
@@ -148,5 +148,5 @@ def check_cells(condition: Condition, cells: F64, nodes: F64, middle: tuple[floa
     _settle(condition, gaps, unit, name)
     return (
         f"{name}: {len(cells)} cells meet the condition (proven on {looked} boxes) by {least:.4g}/s or more; "
-        f"they cover h >= {-condition.eta:g}: of {fields} fields between their edges {len(holes)} lie outside"
+        f"they cover h >= {condition.edge:g}: of {fields} fields between their edges {len(holes)} lie outside"
     )

@@ -4,14 +4,16 @@ u: commanded acceleration; dt: longest time to the next one; E: how far the true
 over the range of u; U, Emax: the largest |u| and E; h concave with gradient (he, hv) and curvature at most K:
 
     q = he v + hv u + c - dt/2 (Kee v^2 + 2 Kev v u + (Kvv + |Kev| dt + Kee dt^2/4) u^2) - dt^2/2 Kee |v| U
-        - (|hv| + |he| dt/2 + kappa) E + gamma (h - eta) - b - b_u |u|
+        - (|hv| + |he| dt/2 + kappa) E + alpha(h - inner - eta) - b - b_u |u|
+    alpha(x) = gamma x + inside max(x - 0.05, 0)
     c = chord over the range of u of min(0, he u dt/2)
     kappa = dt ((Kee dt/2 + |Kev|) (|v| + U dt/2) + (|Kev| dt/2 + Kvv) U) + dt/2 (Kvv + |Kev| dt + Kee dt^2/4) Emax
 
 To second order in time it bounds the fall of h over any t in (0, dt], divided by t.  For a fixed u, and away from the
 kinks of a stopping distance, each second derivative of q along e or along v is at most a constant, which is 0 or less
 but for a steep cross term.  So the least q of a box is at a corner, less (that constant) width^2 / 8.  A corner outside
-{h >= -eta} doesn't count: q - l (h + eta), l >= 0, is at most q inside, and it is tried too; then the box is split.
+{h >= edge}, edge = inner - eta, doesn't count: q - l (h - edge), l >= 0, is at most q inside, and it is tried too; then
+the box is split.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ from .intervals import F64, Interval
 
 SLACK = 1e-9
 """What two correct computations in float64 may differ by: in q (1/s), in h, in accelerations (m/s^2)."""
+NEAR_H = 0.05
+"""Beyond it alpha has its steep line."""
 
 
 @dataclass
@@ -86,6 +90,13 @@ class Condition:
     rate: float
     dt: float
     steep: float
+    inner: float
+    inside: float
+
+    @property
+    def edge(self) -> float:
+        """Least h of a predicted state whose true one is inside."""
+        return self.inner - self.eta
 
     def reach_m(self) -> tuple[float, float]:
         """Least and greatest e of the region h >= 0."""
@@ -108,8 +119,13 @@ class Condition:
             speeds.append(brake * (float(np.sqrt(reaction**2 + 2.0 * way / brake)) - reaction))
         return max(speeds)
 
-    def margin(self, piece: Piece, e: Any, v: Any, u: Any, reach: F64) -> tuple[Interval, Interval]:
-        """q and h of one piece; `reach` (4, ...): least and greatest command, and the error at each."""
+    def margin(
+        self, piece: Piece, e: Any, v: Any, u: Any, reach: F64, line: bool | None = None
+    ) -> tuple[Interval, Interval]:
+        """q and h of one piece; `reach` (4, ...): least and greatest command, and the error at each.
+
+        `line`: alpha's steep line alone, or its flat one; either is at most alpha, so its q proves.
+        """
         low, high, error_low, error_high = reach
         half = 0.5 * self.dt
         (h, he, hv), (kee, kev, kvv) = piece.at(e, v), piece.curvature()
@@ -125,35 +141,41 @@ class Condition:
         early = -(-(he * half * low)).at_least(0.0) * (1.0 - share) - (-(he * half * high)).at_least(0.0) * share
         bent = (kee * v * v + 2.0 * kev * v * u + turn * u * u + dt * kee * abs(v) * most) * half
         q = he * v + hv * u + early - bent - (abs(hv) + abs(he) * half + kappa) * error
-        return q + (h - self.eta) * self.gamma - self.rate - abs(u) * self.steep, h
+        x = h - self.inner - self.eta
+        beyond = (x - NEAR_H) * self.inside
+        if line is None or line:
+            q = q + (beyond if line else beyond.at_least(0.0))
+        return q + x * self.gamma - self.rate - abs(u) * self.steep, h
 
-    def _steepest(self, piece: Piece, helper: Piece, weight: float) -> tuple[Interval, Interval]:
-        """Most of d2/de2 and d2/dv2 of q - weight (h of helper + eta), where it is smooth."""
+    def _steepest(self, piece: Piece, helper: Piece, weight: float, slope: float) -> tuple[Interval, Interval]:
+        """Most of d2/de2 and d2/dv2 of q - weight (h of helper - edge), where it is smooth."""
         kee, _, kvv = (k * weight for k in helper.curvature())
         if not piece.quadratic:
             return kee, kvv
         p11, p12, p22 = (Interval(number) for number in piece.p[2:])
-        return kee - p11 * 2.0 * self.gamma, kvv - p22 * 2.0 * self.gamma - p12 * 4.0 - p11 * 2.0 * self.dt
+        return kee - p11 * 2.0 * slope, kvv - p22 * 2.0 * slope - p12 * 4.0 - p11 * 2.0 * self.dt
 
     def lowest(self, boxes: F64, u: F64, reach: F64) -> F64:
-        """(k,) q of every piece is at least this where h >= -eta in each box."""
+        """(k,) q of every piece is at least this where h >= edge in each box."""
         e, v = boxes[:, [0, 0, 1, 1]], boxes[:, [2, 3, 2, 3]]
         wide_e, wide_v = Interval(boxes[:, 1]) - boxes[:, 0], Interval(boxes[:, 3]) - boxes[:, 2]
         found = np.full(len(boxes), np.inf)
         for piece in self.pieces:
-            q, _ = self.margin(piece, e, v, u[:, None], reach[:, :, None])
             best = np.full(len(boxes), -np.inf)
-            for helper in self.pieces:
-                doubt = helper.at(e, v)[0] + self.eta
-                for weight in (0.0, 0.3 * self.gamma, self.gamma, 3.0 * self.gamma):
-                    bend_e, bend_v = (b.at_least(0.0) for b in self._steepest(piece, helper, weight))
-                    corners = q - doubt * weight
-                    sag = (bend_e * wide_e * wide_e + bend_v * wide_v * wide_v) * 0.125
-                    best = np.maximum(best, (Interval(corners.lo.min(axis=1)) - sag).lo)
+            for line in (False, True) if self.inside > 0.0 else (False,):
+                q, _ = self.margin(piece, e, v, u[:, None], reach[:, :, None], line)
+                slope = self.gamma + (self.inside if line else 0.0)
+                for helper in self.pieces:
+                    doubt = helper.at(e, v)[0] - self.edge
+                    for weight in (0.0, 0.3 * self.gamma, self.gamma, 3.0 * self.gamma):
+                        bend_e, bend_v = (b.at_least(0.0) for b in self._steepest(piece, helper, weight, slope))
+                        corners = q - doubt * weight
+                        sag = (bend_e * wide_e * wide_e + bend_v * wide_v * wide_v) * 0.125
+                        best = np.maximum(best, (Interval(corners.lo.min(axis=1)) - sag).lo)
             found = np.minimum(found, best)
         return found
 
     def outside(self, boxes: F64) -> NDArray[np.bool_]:
-        """(k,) whether no point of a box has h >= -eta."""
+        """(k,) whether no point of a box has h >= edge."""
         highest = np.min([piece.highest(boxes) for piece in self.pieces], axis=0)
-        return np.asarray(highest < -self.eta + SLACK)
+        return np.asarray(highest < self.edge + SLACK)

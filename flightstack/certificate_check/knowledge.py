@@ -84,6 +84,8 @@ class Knowledge:
     widen: F64
     initial: tuple[float, float, float] | None
     stores: list[Process]
+    lead: float = 0.0
+    """Thrust that lateral axes are steered with, m/s^2: known with the tables."""
 
     @property
     def queries(self) -> int:
@@ -192,22 +194,24 @@ def tables(known: Knowledge) -> dict[int, F64]:
     gain = (middle[1] - middle[0]) / span
     floored, still = np.maximum(gain, 1e-3), int(np.argmin(np.abs(known.at(DOWN))))
     hover = min(max(float(middle[1, still] / floored[still]) + box.low, box.low), box.high)
-    wanted = float(floored.min()) * box.lean * max(hover, 0.5 * (box.low + box.high))
+    known.lead = max(hover, 0.5 * (box.low + box.high))
+    wanted = float(floored.min()) * box.lean * known.lead
     hulls |= {axis: known.hull(axis, (floored, hover)) for axis in known.data["axes"] if axis != DOWN}
     out = {}
     for axis, hull in hulls.items():
-        ends, half = hull.mean(axis=0), 0.5 * (hull[1] - hull[0])
+        ends = middle = hull.mean(axis=0)
+        half = 0.5 * (hull[1] - hull[0])
         columns = [ends[1] + gain * box.low, gain]
         if axis != DOWN:
             least, most = hull[0].min(axis=0), hull[1].max(axis=0)
             columns = [0.5 * (least + most), np.zeros(known.nodes)]
-            ends = columns[0] + wanted * np.array([[-1.0], [1.0]])
-            half = np.stack([0.5 * (most - least)] * 2)
+            ends = (wanted - np.abs(columns[0])) * np.array([[-1.0], [1.0]])
+            half, middle = np.stack([0.5 * (most - least)] * 2), np.stack([columns[0]] * 2)
         errors = []
         for end in range(2):
             around = [half[end]]
             for step in (1, -1):
-                near = np.abs(np.roll(ends[end], step) - ends[end]) + np.roll(half[end], step)
+                near = np.abs(np.roll(middle[end], step) - middle[end]) + np.roll(half[end], step)
                 near[0 if step > 0 else -1] = 0.0
                 around.append(near)
             errors.append(np.max(around, axis=0) + known.k * bends[axis] + known.widen[axis])

@@ -10,7 +10,9 @@ acceleration.  E: greatest error; S: span of the commands; d, l, r: doubt of del
 
     b + b_u |u| = sum of sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|     (q without gamma h)
     eta = sum of sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|,    suprema over {h >= -eta}
-    a margin in m/s^2 = (its part of b + its part of b_u U + gamma its part of eta) / sup |dh/dv|,  U: greatest |u|
+    inner = sup |dh/dv| w,  w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
+    a margin in m/s^2 = (its part of b + its part of b_u U + gamma its part of eta) / sup |dh/dv|,  U: greatest |u|;
+    to the lag's comes gamma w
 
 Each is greatest on the edge of an ellipse, and at the greatest speed of a stopping distance.
 What holding a command costs (`zero_order_hold`) is part of q itself.  The two parts of the error make up its greatest
@@ -26,6 +28,7 @@ import numpy as np
 
 from .condition import Condition, Piece
 from .intervals import F64
+from .knowledge import Knowledge
 from .reading import Refused, number, numbers, table_of
 
 MARGINS = (
@@ -38,7 +41,7 @@ _CLOSE = 1e-3
 _NEAR = 1e-6
 
 
-def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, doubts: Any, name: str) -> str:
+def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, known: Knowledge, name: str) -> str:
     """Verify an axis' margins; what was verified, in words."""
     stated = _margins(axis["margins"], name)
     response = numbers(axis["response"], ("c1_s", "c2_s2", "delay_s"), f"{name}.response")
@@ -47,9 +50,11 @@ def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, doubts:
     low = float(nodes[5].max())
     if not abs(stated["gp_error"] + stated["thrust_gain"] - low) <= _NEAR:
         raise Refused(f"{name}: gp_error and thrust_gain do not make up the error at u_low, {low:.9g} m/s^2")
+    doubts = known.data.get("doubts")
     if doubts is None:
         raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
-    eta, rounds = 0.0, list[tuple[tuple[float, float, float], dict[str, float]]]()
+    claim, eta = _claim(name == "down", response, nodes, known), 0.0
+    rounds = list[tuple[tuple[float, float, float, float], dict[str, float]]]()
     for _ in range(30):  # eta widens the region whose suprema it comes from
         at = _suprema(condition, nodes, eta)
         parts = {
@@ -63,13 +68,19 @@ def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, doubts:
         rate, eta, steep = (sum(part[i] for part in parts.values()) for i in range(3))
         eta, hardest = min(eta, 1.0), float(np.abs(nodes[3:5]).max())
         found = {key: (b + bu * hardest + condition.gamma * h) / at["hv"] for key, (b, h, bu) in parts.items()}
+        found["rotor_lag" if name == "down" else "attitude_lag"] += condition.gamma * claim
         found |= {"discretisation": 0.0, "zero_order_hold": at["hold"] / at["hv"]}
-        rounds.append(((eta, rate, steep), found))
+        rounds.append(((eta, rate, steep, at["hv"] * claim), found))
     for key in rounds[2][1]:
         ends = sorted(rounds[i][1][key] for i in (2, -1))
         if not (1.0 - _CLOSE) * ends[0] - _NEAR <= stated[key] <= (1.0 + _CLOSE) * ends[1] + _NEAR:
             raise Refused(f"{name}: margin {key} = {stated[key]:.9g} m/s^2, its sources give {ends[1]:.9g}")
-    held = (("eta", condition.eta), ("rate_ps", condition.rate), ("rate_spm", condition.steep))
+    held = (
+        ("eta", condition.eta),
+        ("rate_ps", condition.rate),
+        ("rate_spm", condition.steep),
+        ("inner", condition.inner),
+    )
     for (key, value), least in zip(held, rounds[2][0], strict=True):
         if not value >= least * (1.0 - _CLOSE):
             raise Refused(f"{name}.setting.{key} = {value:.9g} is less than the {least:.9g} that its margins need")
@@ -106,6 +117,13 @@ def _sources(vertical: bool, response: list[float], nodes: F64, doubts: Any) -> 
         "attitude_lag": none if vertical else (0.5 * c1 * turn * span, turn * span, 0.0),
         "estimate_error": (pos + (c1 + delay) * vel + c2 * acc, vel + (c1 + delay) * acc, 0.0),
     }
+
+
+def _claim(vertical: bool, response: list[float], nodes: F64, known: Knowledge) -> float:
+    """How far v may be from what z keeps, m/s: acceleration that is not known, and thrust that is not the lead's."""
+    error, span = float(nodes[5:].max()), float((nodes[4] - nodes[3]).max())
+    apart = max(known.box.high - known.lead, known.lead - known.box.low) / known.lead
+    return response[0] * error + (0.0 if vertical else response[0] * 0.5 * span * apart)
 
 
 def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:

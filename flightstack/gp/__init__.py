@@ -13,7 +13,7 @@ from flightstack.gp.kernels import (
 )
 from flightstack.gp.likelihood import FitResult, fit, log_marginal_likelihood
 from flightstack.gp.recursive import Health, RecursiveGP
-from flightstack.gp.relevance import cover, least_relevant, oldest
+from flightstack.gp.relevance import least_relevant, oldest, spread
 
 __all__ = [
     "Constant",
@@ -27,10 +27,10 @@ __all__ = [
     "SquaredExponential",
     "Sum",
     "affine_in",
-    "cover",
     "fit",
     "kernel_from_dict",
     "least_relevant",
     "log_marginal_likelihood",
     "oldest",
+    "spread",
 ]

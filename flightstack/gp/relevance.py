@@ -1,15 +1,14 @@
 """Which points to hold: the one that tells least about a place, and a set that tells most about a region.
 
-A tracking set follows the vehicle: `least_relevant` names the point to let go.  A certificate set stays: `cover`
-chooses it so that the largest posterior variance over a region becomes small.  Kept apart, what the first forgets the
-second still knows.
+A tracking set follows the vehicle: `least_relevant` names the point to let go.  A certificate set stays: `spread`
+chooses it from all that was seen.  Kept apart, what the first forgets the second still knows.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flightstack.gp.kernels import Kernel
 from flightstack.gp.recursive import RecursiveGP
 from flightstack.types import F64, InputError
 
@@ -30,35 +29,30 @@ def oldest(gp: RecursiveGP) -> int:
     return gp.oldest()
 
 
-def cover(kernel: Kernel, noise_var: float, candidates: F64, queries: F64, count: int) -> list[int]:
-    """Indices of `count` candidates (N, D), as chosen, that make the largest variance over queries (M, D) small.
+def spread(points: F64, count: int) -> NDArray[np.int64]:
+    """Indices of `count` of the points (N, D), in order, that reach as far as all of them do.
 
-    Greedy: each choice is the candidate after which the largest posterior variance over the queries is least; of
-    equals the first.  Values don't matter: a variance depends on places only.  Each candidate is chosen once.  The cost
-    is count x N x M steps and N x M numbers of memory.
+    Three fifths are the extremes of every input and of every two inputs' sum and difference (each input by its
+    deviation), so that what is linear in them is known in every corner where anything is; the rest lies evenly
+    between.  Values are not looked at, which would bias what is learned from them.  Costs some N D^2.
     """
-    points, places = np.atleast_2d(candidates), np.atleast_2d(queries)
-    if not 0 <= count <= len(points):
-        raise InputError(f"cover: count = {count} is not allowed; there are {len(points)} candidates")
-    if not (np.isfinite(points).all() and np.isfinite(places).all()):
-        raise InputError("cover: candidates and queries must be finite")
-    # cov(candidate, query) and variances given the chosen ones: each choice takes one outer product away
-    across, among = kernel.matrix(points, places), kernel.matrix(points)
-    at_points, at_queries = kernel.diagonal(points), kernel.diagonal(places)
-    chosen: list[int] = []
-    left = np.ones(len(points), bool)
-    for _ in range(count):
-        worst = np.max(at_queries - across**2 / (at_points + noise_var)[:, None], axis=1, initial=-np.inf)
-        best = int(np.argmin(np.where(left, worst, np.inf)))
-        chosen.append(best)
-        left[best] = False
-        scale = 1.0 / (at_points[best] + noise_var)
-        row, column = across[best].copy(), among[best].copy()
-        across -= np.outer(column * scale, row)
-        among -= np.outer(column * scale, column)
-        at_queries -= scale * row**2
-        at_points -= scale * column**2
-    return chosen
+    if not count >= 0:
+        raise InputError(f"spread: count = {count} is not allowed; it must be at least 0")
+    if not np.isfinite(points).all():
+        raise InputError("spread: points must be finite")
+    if count >= len(points):
+        return np.arange(len(points))
+    scale = points.std(axis=0)
+    moving = scale > 1e-9 * (1.0 + np.abs(points).max(axis=0))
+    z = (points[:, moving] - points[:, moving].mean(axis=0)) / scale[moving]
+    pairs = [(i, j) for i in range(z.shape[1]) for j in range(i)]
+    along = [z, *(z[:, [i]] + sign * z[:, [j]] for i, j in pairs for sign in (1.0, -1.0))]
+    order = np.argsort(np.hstack(along), axis=0, kind="stable")
+    each = 3 * count // (5 * 2 * max(order.shape[1], 1))
+    chosen = np.unique(np.concatenate([order[:each].ravel(), order[len(order) - each :].ravel()]))
+    rest = np.setdiff1d(np.arange(len(points)), chosen)
+    evenly = np.round(np.linspace(0, len(rest) - 1, count - len(chosen))).astype(np.int64)
+    return np.sort(np.concatenate([chosen, rest[evenly]]))
 
 
 def _some(gp: RecursiveGP) -> None:

@@ -5,7 +5,9 @@ residuals.  Inputs are the sampler's columns; accelerations are m/s^2 in tilt ax
 named physics and a smooth remainder:
 
     lateral     c + drag (linear in each velocity) + smooth(q')
-    vertical    c + climb drag + thrust (its own error) + thrust near the ground + smooth(q')
+    vertical    c + lean + climb drag + thrust (its own error) + thrust near the ground + smooth(q')
+
+The lean: a force that stays the same in the world, a wind's or the paper's, has along a thrust axis b the part w . b.
 
 A residual that is affine in thrust is where the paper's own experiment fails: its 1.4 times heavier vehicle misses
 0.286 T / m, which depends on the *input*; learned as a function of the state it is believed to be +0.4 g for every
@@ -58,7 +60,8 @@ def default_priors() -> Priors:
     """For any multirotor of this house: forces up to some tenths of g, thrust within half, drag below 1 / s."""
     lateral = Constant(1.0) + _drag(0.5, V_N, V_E, V_D) + _smooth(0.6)
     thrust = Linear((0.4 * _G) ** 2, THRUST) + Linear((1.0 * _G) ** 2, GROUND)
-    vertical = Constant(0.3**2) + _drag(0.3, V_D) + thrust + _smooth(0.6)
+    lean = Linear(1.0, AXIS_N) + Linear(1.0, AXIS_E)
+    vertical = Constant(0.3**2) + lean + _drag(0.3, V_D) + thrust + _smooth(0.6)
     rates = Constant(0.05**2) + SquaredExponential(0.1**2, (2.0, 2.0, 2.0), columns=(0, 1, 2))
     return Priors(Prior(lateral, 0.03**2), Prior(vertical, 0.045**2), Prior(rates, 0.02**2))
 

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from flightstack.gp import RecursiveGP, cover, least_relevant
+from flightstack.gp import RecursiveGP, least_relevant, spread
 from flightstack.learning.priors import Prior
 from flightstack.types import F64
 
@@ -125,25 +125,18 @@ class Store:
             self._calibrate(y - mean, variance)
         self._add(x, y)
 
-    def certificate_set(self, queries: F64, points: int) -> RecursiveGP:
-        """A process of its own over the pooled points that make the largest variance over `queries` (M, D) small.
+    def certificate_set(self, count: int) -> tuple[F64, F64]:
+        """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
+        if not self._pool:
+            return self.gp.x[:0], self.gp.y[:0]
+        places, values = self.pooled()
+        chosen = spread(places, count)
+        return places[chosen], values[chosen]
 
-        At most `points` of them, chosen greedily; not for a tick (a pool of 1,000 takes a second).
-        """
-        held = list(self._pool)
-        count = min(points, len(held))
-        gp = RecursiveGP(
-            self.gp.kernel,
-            self.gp.noise_var,
-            input_dim=self.gp.input_dim,
-            output_dim=self.outputs,
-            capacity=max(count, 1),
-        )
-        if count:
-            places = np.array([x for x, _ in held])
-            for index in cover(self.gp.kernel, self.gp.noise_var, places, queries, count):
-                gp.add(*held[index])
-        return gp
+    def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
+        """Places (N, D) and values (N, P) of the newest pooled points, the oldest of them first."""
+        held = list(self._pool)[-newest:]
+        return np.array([x for x, _ in held]), np.array([y for _, y in held])
 
     def _add(self, x: F64, y: F64) -> None:
         if len(self.gp) >= self.gp.capacity:

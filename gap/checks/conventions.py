@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,9 +153,10 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         _rates_alone(out, seen, findings)
         return seen
     kept = _Convention()
-    scores = {kept: _score(kept, seen)}
+    known = _Known(seen)
+    scores = {kept: _score(kept, known)}
     if scores[kept][0] < _parts(seen) - _GOOD:
-        scores |= {each: _score(each, seen) for each in _CONVENTIONS if each != kept}
+        scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
     best = max(scores, key=lambda each: scores[each][0] - 0.01 * each.changes)
     chosen = best if _is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
     _, gyro_frame, velocity_frame = scores[chosen]
@@ -186,33 +187,49 @@ def _parts(seen: Motion) -> int:
     return ("rate_frd_radps" in seen) + force + (force and "vel_ned_mps" in seen)
 
 
-def _score(each: _Convention, seen: Motion) -> tuple[float, str, str]:
+class _Known:
+    """What the scores of several conventions share: the measured sides, band-limited once."""
+
+    def __init__(self, seen: Motion) -> None:
+        dt_s = seen.dt_s
+        self.seen = seen
+        self.gyro = {}
+        if "rate_frd_radps" in seen:
+            self.gyro = {f: _limited(body_to_frd(seen["rate_frd_radps"], f), dt_s) for f in ("frd", "flu")}
+        self.change = {}
+        if "vel_ned_mps" in seen:
+            change = _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s)
+            self.change = {frame: world_to_ned(change, frame) for frame in _VECTORS}
+        self.turns: dict[_Convention, tuple[float, str]] = {}
+
+    def turning(self, each: _Convention, q: F64) -> tuple[float, str]:
+        """(agreement of gyro and attitude, the gyro's frame); the world's frame makes no difference."""
+        key = replace(each, world="ned")
+        if key not in self.turns and self.gyro:
+            dt_s = self.seen.dt_s
+            turned = _limited(rates_of(q, dt_s), dt_s)
+            given = {frame: agreement(turned, gyro, dt_s) for frame, gyro in self.gyro.items()}
+            frame = "flu" if _is_better(given["flu"], given["frd"]) else "frd"
+            self.turns[key] = (given[frame] - (0.02 if frame == "flu" else 0.0), frame)
+        return self.turns.get(key, (0.0, "frd"))
+
+
+def _score(each: _Convention, known: _Known) -> tuple[float, str, str]:
     """(how well the signals agree, the gyro's frame, the velocity's frame) when the attitude is read this way."""
-    dt_s = seen.dt_s
+    seen, dt_s = known.seen, known.seen.dt_s
     q = each.read(seen["q_ned_frd"])
-    total, gyro_frame, velocity_frame = 0.0, "frd", "ned"
-    if "rate_frd_radps" in seen:
-        turning = _limited(rates_of(q, dt_s), dt_s)
-        given = {
-            frame: agreement(turning, _limited(body_to_frd(seen["rate_frd_radps"], frame), dt_s), dt_s)
-            for frame in ("frd", "flu")
-        }
-        gyro_frame = "flu" if _is_better(given["flu"], given["frd"]) else "frd"
-        total += given[gyro_frame] - (0.02 if gyro_frame == "flu" else 0.0)
+    total, gyro_frame = known.turning(each, q)
+    velocity_frame = "ned"
     if "accel_frd_mps2" not in seen:
         return total, gyro_frame, velocity_frame
     world = rotate(q, seen["accel_frd_mps2"])
-    up = world.mean(axis=0) / STANDARD_GRAVITY_MPS2
-    total += max(-1.0, -float(up[2]))
-    if "vel_ned_mps" in seen:
+    total += max(-1.0, -float(world[:, 2].mean()) / STANDARD_GRAVITY_MPS2)
+    if known.change:
         felt = _limited(world + G_NED, dt_s)
-        velocity = seen["vel_ned_mps"]
-        tried = {frame: world_to_ned(velocity, frame) for frame in _VECTORS}
-        tried |= {frame: rotate(q, body_to_frd(velocity, frame)) for frame in ("frd", "flu")}
-        given = {
-            frame: agreement(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)
-            for frame, value in tried.items()
-        }
+        given = {frame: agreement(change, felt, dt_s) for frame, change in known.change.items()}
+        for frame in ("frd", "flu"):
+            value = rotate(q, body_to_frd(seen["vel_ned_mps"], frame))
+            given[frame] = agreement(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)
         best = max(given, key=lambda frame: given[frame])
         velocity_frame = best if _is_better(given[best], given["ned"]) else "ned"
         total += given[velocity_frame] - (0.02 if velocity_frame != "ned" else 0.0)
@@ -239,7 +256,9 @@ def _unit_of(slope: float, units: Mapping[str, float]) -> str | None:
     """The unit whose size explains that a should be b times `slope`, within 15 %."""
     if slope <= 0.0:
         return None
-    return next((unit for unit, size in units.items() if abs(np.log(slope * size)) < 0.15), None)
+    distance = {unit: abs(float(np.log(slope * size))) for unit, size in units.items()}
+    best = min(distance, key=lambda unit: distance[unit])
+    return best if distance[best] < 0.15 else None
 
 
 def _rates_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:

@@ -12,6 +12,8 @@ LEAST_THRUST = 0.25
 """Of the weight: with less than this commanded, and not falling, a vehicle stands."""
 _CLEAR_M = 0.1
 _DIP_S = 1.0
+_STANDING_M, _STANDING_MPS = 0.06, 0.15
+"""At the ground's height and not moving: on it, whatever the motors do."""
 _EDGE_S = 0.5
 """Left out after take-off and before landing: legs on the ground, a detector that is late."""
 
@@ -24,7 +26,12 @@ def rotor_thrust(vehicle: Vehicle, motor: F64) -> F64:
 
 
 def flying(
-    vehicle: Vehicle, step_s: float, motor: F64 | None, landed: F64 | None, height_m: F64 | None
+    vehicle: Vehicle,
+    step_s: float,
+    motor: F64 | None,
+    landed: F64 | None,
+    height_m: F64 | None,
+    speed_mps: F64 | None = None,
 ) -> NDArray[np.bool_]:
     """(N,) of the grid: in the air, without a margin at both ends of each stretch."""
     rows = next(len(column) for column in (motor, landed, height_m) if column is not None)
@@ -36,6 +43,8 @@ def flying(
         up &= landed < 0.5
     if height_m is not None and landed is not None:
         up &= ~(height_m < _CLEAR_M)
+    if height_m is not None and speed_mps is not None:
+        up &= ~((np.abs(height_m) < _STANDING_M) & (speed_mps < _STANDING_MPS))
     return _trimmed(_bridged(up, round(_DIP_S / step_s)), round(_EDGE_S / step_s))
 
 

@@ -16,13 +16,15 @@ from logs.turn import continuous
 GRID_HZ = (125.0, 250.0)
 """The grid's rate is the fastest of IMU, attitude and motors, kept within these."""
 _GAP_PERIODS = 3.5
+_ENOUGH = 20_001
+"""Stamps from which a period is taken."""
 _FAST = 1.6
 """A topic this much faster than the grid is averaged."""
 
 
 def period_s(signal: Signal) -> float:
     """The usual distance of two stamps; infinite where there are not two."""
-    return float(np.median(np.diff(signal.t_s))) if len(signal.t_s) > 1 else np.inf
+    return float(np.median(np.diff(signal.t_s[:_ENOUGH]))) if len(signal.t_s) > 1 else np.inf
 
 
 def grid_period_s(signals: dict[str, Signal]) -> float:

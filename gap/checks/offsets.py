@@ -30,6 +30,8 @@ _LEAST_BLOCKS = 6
 _WIDEST_S = 0.02
 """Half an interval that is wider tells nothing."""
 _LEAST_SHIFT_S = 2e-4
+_SETTLED = 0.2
+"""A last step this small against its own error ends the search."""
 _LOW_HZ = 0.3
 
 
@@ -121,6 +123,8 @@ def _settled(signals: dict[str, Signal], span_s: tuple[float, float], names: tup
             break
         step = np.where(fit.error[: len(names)] < 3.0 * _WIDEST_S, fit.value[: len(names)], 0.0)
         total += np.clip(step, -0.05, 0.05)
+        if np.all(np.abs(step) < _SETTLED * fit.error[: len(names)]):
+            break
     return {name: _offset(name, float(total[place]), fit, place) for place, name in enumerate(names)}
 
 
@@ -155,13 +159,15 @@ def _coarse(seen: Motion, names: tuple[str, ...], high_hz: float) -> F64:
 
 
 def _rates_fit(seen: Motion, high_hz: float) -> _Fit | None:
-    """gyro(t) = rate(t - lateness) + bias, on each axis."""
+    """gyro(t) = rate(t - lateness) + bias + a small turn of the rate, for an attitude that is not the gyro's."""
     dt_s = seen.dt_s
     turning = band(rates_of(seen["q_ned_frd"], dt_s), dt_s, 0.0, high_hz)
     gyro = band(seen["rate_frd_radps"], dt_s, 0.0, high_hz)
     late = -np.gradient(turning, dt_s, axis=0)
+    turned = [np.cross(turning, unit) for unit in np.eye(3)]
+    table = np.stack([late, *turned], axis=-1)
     return _clustered([gyro[:, axis] - turning[:, axis] for axis in range(3)],
-                      [np.stack([late[:, axis]], axis=1) for axis in range(3)], seen)  # fmt: skip
+                      [table[:, axis] for axis in range(3)], seen, free=1)  # fmt: skip
 
 
 def _velocity_fit(seen: Motion, high_hz: float, sought: int) -> _Fit | None:
@@ -212,6 +218,8 @@ def _position(signals: Mapping[str, Signal], span_s: tuple[float, float], veloci
         if fit is None:
             return {}
         total += float(np.clip(fit.value[0], -0.2, 0.2))
+        if abs(fit.value[0]) < _SETTLED * fit.error[0]:
+            break
     found = _offset(name, total, fit, 0)
     half = np.hypot(found.high_s - found.offset_s, velocity.high_s - velocity.offset_s)
     if not half < _WIDEST_S:

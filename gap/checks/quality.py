@@ -21,6 +21,13 @@ _CLIPPED = 0.001
 _RAW_HZ = 50.0
 _DISAGREE = 0.6
 _CELL_V = (2.8, 4.5)
+_BEYOND = 0.05
+_MOTOR_UNITS = {
+    "pulse widths of 1000 to 2000 us": (790.0, 2300.0, 1000.0, 2000.0),
+    "in percent": (-1.0, 101.0, 0.0, 100.0),
+    "16-bit numbers": (-1.0, 65536.0, 0.0, 65535.0),
+}
+"""Name -> least, greatest value that it takes, value at command 0, at command 1."""
 
 
 def settle_battery(signals: Mapping[str, Signal], vehicle: Vehicle) -> tuple[dict[str, Signal], list[Finding]]:
@@ -43,6 +50,25 @@ def settle_battery(signals: Mapping[str, Signal], vehicle: Vehicle) -> tuple[dic
             return out, [warning("units", text)]
     del out["battery_v"]
     return out, [warning("battery", f"battery: {volts:.4g} V can't be this vehicle's; not used")]
+
+
+def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:
+    """Commands that are no numbers from 0 to 1 are put right where their range says what they are, else refused."""
+    out = dict(signals)
+    signal = out.get("motor")
+    if signal is None or not len(signal.t_s):
+        return out, []
+    low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
+    if low > -_BEYOND and high < 1.0 + _BEYOND:
+        out["motor"] = Signal(signal.t_s, np.clip(signal.value, 0.0, 1.0), signal.source)
+        return out, []
+    for name, (least, most, zero, full) in _MOTOR_UNITS.items():
+        if least <= low and high <= most:
+            command = np.clip((signal.value - zero) / (full - zero), 0.0, 1.0)
+            out["motor"] = Signal(signal.t_s, command, signal.source)
+            return out, [warning("units", f"motors: were {name}; turned into commands 0 to 1")]
+    text = f"motor commands from {low:.4g} to {high:.4g} are no commands 0 to 1; say their range with --columns FILE"
+    return out, [refused("motors", text)]
 
 
 def judge_quality(samples: Samples, signals: Mapping[str, Signal]) -> list[Finding]:

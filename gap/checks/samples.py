@@ -47,6 +47,7 @@ def make_samples(name: str, signals: Mapping[str, Signal], vehicle: Vehicle, gro
         noise=noise,
         derived=tuple(derived),
         bandwidth_hz=_bandwidth(used, dt_s),
+        command_late_s=0.0,
         **{key: value[keep] for key, value in columns.items()},
     )
 
@@ -70,9 +71,12 @@ def _in_the_air(
     height = None
     if "pos_ned_m" in used and len(used["pos_ned_m"].t_s) > 3:
         height = ground_d_m - on_grid(used["pos_ned_m"], t_s)[0][:, 2]
+    speed = None
+    if "vel_ned_mps" in used and len(used["vel_ned_mps"].t_s) > 3:
+        speed = np.linalg.norm(on_grid(used["vel_ned_mps"], t_s)[0], axis=1)
     if motor is None and landed is None:
         return np.ones(len(t_s), np.bool_)
-    return flying(vehicle, dt_s, motor, landed, height)
+    return flying(vehicle, dt_s, motor, landed, height, speed)
 
 
 def _grid(signals: dict[str, Signal]) -> tuple[F64, float]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 
-from flightstack.gp import Constant, Linear, RecursiveGP, SquaredExponential, cover, least_relevant, oldest
+from flightstack.gp import Constant, Linear, RecursiveGP, SquaredExponential, least_relevant, oldest, spread
 from flightstack.types import F64, InputError
 
 KERNEL = SquaredExponential(1.0, (1.0, 2.0)) + Linear(0.2, 0)
@@ -56,30 +54,28 @@ def test_nothing_held_has_no_least_relevant_point() -> None:
         oldest(gp)
 
 
-def test_each_choice_of_a_cover_is_the_best_next_one() -> None:
+def test_a_spread_set_knows_every_corner_nearly_as_well_as_all_points_do() -> None:
     rng = np.random.default_rng(5)
-    candidates, queries = rng.uniform(-2, 2, (25, 2)), rng.uniform(-2, 2, (40, 2))
-    chosen = cover(KERNEL, 1e-2, candidates, queries, 6)
-    assert len(set(chosen)) == 6
-    for i in range(6):
-        rest = [j for j in range(25) if j not in chosen[:i]]
-        best = min(largest_variance([*chosen[:i], j], candidates, queries) for j in rest)
-        assert largest_variance(chosen[: i + 1], candidates, queries) == pytest.approx(best, rel=1e-9)
+    path = np.linspace(0.0, 20.0, 900)
+    points = np.stack([np.sin(path), np.sin(path) + 0.01 * rng.normal(size=900)], axis=1)  # two inputs move as one
+    points[:40, 1] = -1.0  # but for a moment at the beginning
+    queries = np.array([[a, b] for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    chosen, newest, everything = spread(points, 60).tolist(), list(range(840, 900)), list(range(900))
+    assert len(chosen) == len(set(chosen)) == 60
+    whole = largest_variance(everything, points, queries)
+    assert largest_variance(chosen, points, queries) < 1.25 * whole
+    assert largest_variance(newest, points, queries) > 1.5 * whole
 
 
-def test_a_cover_of_two_comes_near_the_best_pair_and_more_points_never_hurt() -> None:
-    rng = np.random.default_rng(6)
-    candidates, queries = rng.uniform(-2, 2, (12, 2)), rng.uniform(-2, 2, (30, 2))
-    chosen = cover(KERNEL, 1e-2, candidates, queries, 12)
-    best = min(largest_variance(list(pair), candidates, queries) for pair in itertools.combinations(range(12), 2))
-    assert largest_variance(chosen[:2], candidates, queries) <= 1.5 * best
-    worst = [largest_variance(chosen[:i], candidates, queries) for i in range(1, 13)]
-    assert all(later <= earlier + 1e-12 for earlier, later in itertools.pairwise(worst))
+def test_a_spread_set_of_few_points_is_all_of_them_in_order() -> None:
+    points = np.random.default_rng(6).normal(size=(7, 3))
+    assert spread(points, 7).tolist() == list(range(7))
+    assert spread(points, 0).tolist() == []
+    assert spread(np.tile(points[:1], (30, 1)), 5).tolist() == sorted(spread(np.tile(points[:1], (30, 1)), 5).tolist())
 
 
-def test_a_cover_refuses_what_it_cannot_choose_from() -> None:
-    with pytest.raises(InputError, match="there are 3 candidates"):
-        cover(KERNEL, 1e-2, np.zeros((3, 2)), np.zeros((1, 2)), 4)
+def test_a_spread_set_refuses_what_it_cannot_choose_from() -> None:
     with pytest.raises(InputError, match="must be finite"):
-        cover(KERNEL, 1e-2, np.full((3, 2), np.nan), np.zeros((1, 2)), 1)
-    assert cover(KERNEL, 1e-2, np.zeros((3, 2)), np.zeros((1, 2)), 0) == []
+        spread(np.full((3, 2), np.nan), 1)
+    with pytest.raises(InputError, match="count = -1"):
+        spread(np.zeros((3, 2)), -1)

@@ -120,5 +120,5 @@ def test_a_perfect_vehicle_costs_nothing() -> None:
         2, SHAPES[1], exact, Response(0.0, 0.0, 0.0), gamma_ps=2.0, dt_s=0.0, accuracy=Accuracy(0.0, 0.0, 0.0),
         doubts=Doubts(0.0, 0.0, 0.0),
     )  # fmt: skip
-    assert setting == (2.0, 0.0, 0.0, 0.0, 0.0)
+    assert setting == (2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert all(each.mps2 == 0.0 for each in margins)

@@ -16,6 +16,7 @@ from app.flight import FlyOptions
 from app.offboard import OffboardOptions
 from app.preparation import Prepared, prepare_flight
 from flightstack.barrier.file import certificate_to_json, parse_certificate
+from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Budget
 from flightstack.safety_filter import BarrierFilter
@@ -106,13 +107,23 @@ def test_a_certificate_without_a_filter_judges_only(tmp_path: Path) -> None:
     assert flight.settings["filter"] == "off: --no-filter"
 
 
-def test_as_published_flies_the_papers_filter_and_learner() -> None:
+def test_as_published_flies_the_papers_filter_and_at_will_its_learner() -> None:
     flight = prepared("paper-barrier", as_published=True)
     assert isinstance(inside(flight.stack.filter), PublishedFilter)
-    assert flight.settings["controller"] == "state-gp"
+    assert flight.settings["controller"] == "flatness"
     assert flight.settings["filter"].startswith("as-published")
-    learner: Any = flight.stack.learner
+    state_only = prepared("paper-barrier", as_published=True, controller="state-gp")
+    assert isinstance(inside(state_only.stack.filter), PublishedFilter)
+    learner: Any = state_only.stack.learner
     assert learner._learner.config == prepared("paper-barrier", controller="state-gp").stack.learner._learner.config  # type: ignore[attr-defined]
+
+
+def test_an_ellipsoid_is_certified_up_and_down_in_a_region_that_grows() -> None:
+    watched = prepared("paper-barrier").protection.watched
+    assert watched is not None
+    assert isinstance(watched._certifier, GrowingCertifier)
+    assert set(watched._certifier._first.safe) == {0, 1, 2}
+    assert watched._certifier._first.config.axes == (2,)
 
 
 @pytest.mark.parametrize(
