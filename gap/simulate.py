@@ -189,7 +189,7 @@ def _difference(vehicle: Vehicle, base: Run, knob: Knob) -> F64:
 
 def params_row(vehicle: Vehicle, step_s: float) -> F64:
     """The plant's parameter row (PARAMS,) for a run-through: no ground contact, no gusts, this step."""
-    p = parameter_row(vehicle, dt_us=1000, ground=False)
+    p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
     p[P_DT] = step_s
     p[turbulence.SIGMA] = 0.0
     derive(p)

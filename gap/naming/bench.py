@@ -9,7 +9,6 @@ import numpy as np
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.compare import residual
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
@@ -41,7 +40,13 @@ class SimulatorBench:
 
     def residual(self, vehicle: Vehicle) -> list[F64]:
         """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
-        return [residual(vehicle, s).y[::k] for s, k in zip(self.flights, self.every, strict=True)]
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            flight = track(s)
+            y = flight.lowpass(flight.measured - predict(vehicle, s))[::k]
+            y[~flight.usable[::k]] = np.nan
+            out.append(y)
+        return out
 
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
         """Derivatives of the simulated (N, 12, K) of each flight."""

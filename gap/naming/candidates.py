@@ -32,7 +32,7 @@ _SHARES = {
     "inertia": 0.4,  # two percent: so much of a doublet's edge is lost between two logged commands
     "accelerometer_bias": 0.15,  # what an estimator leaves of a turn-on bias
     "gyro_bias": 0.1,
-    "attitude_misalignment": 0.3,  # 3 mrad: what an estimator's slow tilt error averages to
+    "attitude_misalignment": 0.2,  # 2 mrad: what an estimator's slow tilt error averages to
 }
 
 

@@ -127,7 +127,7 @@ def move_to(state: Search, vehicle: Vehicle) -> None:
     state.metric = metric_of(state.point)
     for key, fit in state.fits.items():
         rows = state.point.layout.stack(state.bench.residual(fit.vehicle))
-        state.fits[key] = _judged(state, fit.effects, fit.vehicle, rows, fit.used)
+        state.fits[key] = judged_fit(state, fit.effects, fit.vehicle, rows, fit.used)
 
 
 def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
@@ -170,8 +170,14 @@ def _neighbours(state: Search) -> list[Subset]:
         if len({point.candidates[m].effect for m in more}) == size
     }
     scored = _scored(state, sorted(subsets))
-    near = state.best.score + _MARGIN
-    return [s for value_, s in scored if value_ < min(near, _beaten(state, s))][:_NEIGHBOURS]
+    best = state.best.score
+    found = []
+    for value_, s in scored:
+        # more on top of the best is told well by these columns, something else in its place is not
+        near = best - 1.0 if set(inside) <= set(s.members) else best + _MARGIN
+        if value_ < min(near, _beaten(state, s)):
+            found.append(s)
+    return found[:_NEIGHBOURS]
 
 
 def _beaten(state: Search, subset: Subset) -> float:
@@ -225,7 +231,7 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
         if before - chi2 < 10.0 * _CONVERGED:
             break
     effects = {c.effect: dict(vehicle.effects[c.effect]) for c in members}
-    return _judged(state, effects, vehicle, rows, used)
+    return judged_fit(state, effects, vehicle, rows, used)
 
 
 def _stepped(state: Search, subset: Subset) -> Vehicle:
@@ -243,7 +249,10 @@ def _stepped(state: Search, subset: Subset) -> Vehicle:
     return vehicle
 
 
-def _judged(state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int) -> Fit:
+def judged_fit(
+    state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int
+) -> Fit:
+    """A fit with its chi-square and score by the present metric."""
     chi2 = state.metric.chi2(rows)
     points = float(state.metric.rows.sum())
     price = score(0.0, used, len(effects), points, len(state.point.candidates))
