@@ -25,13 +25,8 @@ from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
-<<<<<<< HEAD
-from gap.naming.evidence import fit_subsets, score
-from gap.naming.search import Fit, Search, search
-=======
 from gap.naming.evidence import fit_subsets
 from gap.naming.search import Fit, Search, judged_fit, search
->>>>>>> g-name
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
@@ -193,13 +188,7 @@ def _refit(state: Search, best: Fit, gone: str) -> Fit:
     left = {e: v for e, v in best.effects.items() if e != gone}
     made = estimate(state, left)
     effects = {e: dict(made.vehicle.effects[e]) for e in left}
-<<<<<<< HEAD
-    chi2, rows = state.metric.chi2(made.rows), float(state.metric.rows.sum())
-    price = score(0.0, len(made.slots), len(effects), rows, len(state.point.candidates))
-    return Fit(effects, made.vehicle, made.rows, chi2, len(made.slots), chi2 + float(price))
-=======
     return judged_fit(state, effects, made.vehicle, made.rows, len(made.slots))
->>>>>>> g-name
 
 
 def _size(state: Search, best: Fit, effect: str) -> float:

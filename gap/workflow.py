@@ -17,12 +17,14 @@ from gap.check import check
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
-from gap.records import Checked, Gap, Samples
+from gap.records import Checked, Gap, Rejected, Samples
 from gap.refine import refine
 from gap.report.words import sentence
 from gap.result import GapResult, closed
 
 OnProgress = Callable[[float, str], None]
+_WORSE = 1.1
+"""Times the held-out figure before, from which a correction is taken back."""
 
 
 def analyse(
@@ -52,6 +54,9 @@ def analyse(
         naming, of = _refined(vehicle, naming, of)
     on_progress(0.75, "verifying")
     gap = _verdict(vehicle, naming, of)
+    if naming.found and _is_worse(gap):
+        naming = _taken_back(vehicle, naming)
+        gap = _verdict(vehicle, naming, of)
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
@@ -114,6 +119,20 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
     late = dict(zip(used, refined.late_s, strict=True))
     moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
+
+
+def _is_worse(gap: Gap) -> bool:
+    """Whether the corrected model predicts data not used before worse than the model as it was."""
+    pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
+    return any(was is not None and now is not None and now > _WORSE * was for was, now in pairs)
+
+
+def _taken_back(vehicle: Vehicle, naming: Naming) -> Naming:
+    """Nothing is named that doesn't hold on data not used before; that something is missing stays true."""
+    reason = "makes data not used before worse"
+    back = tuple(Rejected(found.name, found.delta_bic, reason) for found in naming.found)
+    unexplained = replace(naming.unexplained, significant=True, fraction=1.0)
+    return replace(naming, found=(), rejected=(*back, *naming.rejected), vehicle=vehicle, unexplained=unexplained)
 
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
