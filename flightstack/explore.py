@@ -44,8 +44,10 @@ class ExploreConfig:
     identify_mps: float = 0.3
     identify_mps2: float = 0.8
     """Gentle: quick changes of thrust would show how well its lag is known, not how much there is."""
-    identify_at: tuple[tuple[int, float], ...] = ((2, 0.0), (2, 0.3), (2, -0.3), (0, 0.0), (1, 0.0), (2, 0.0))
+    identify_at: tuple[tuple[int, float], ...] = ((2, 0.0), (0, 0.0), (1, 0.0), (2, 0.3), (2, -0.3), (2, 0.0))
     """Axis and distance from the middle (m), one after the other until something is certified."""
+    identify_first: int = 3
+    """So many of them in any case: how a force from aside shows along a leaning thrust axis is learned by leaning."""
     settle_s: float = 1.3
     """Rest after each arc, in which what was flown is certified."""
     axes: tuple[int, ...] = (2, 0, 1)
@@ -136,7 +138,8 @@ class Explorer:
             return replace(state, ended="an observation lay beyond its bound: handed over", failed=True), None
         if t_s < state.next_s:
             return state, None
-        if state.identified == 0 or (certificate is None and state.identified < len(self.config.identify_at)):
+        first, most = self.config.identify_first, len(self.config.identify_at)
+        if state.identified < first or (certificate is None and state.identified < most):
             leg = self._identification(state, reference)
             return replace(state, next_s=t_s + leg.duration_s, identified=state.identified + 1), leg
         if certificate is None:

@@ -101,7 +101,8 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
     unexplained = _unexplained(told)
     if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
-        doubtful.add("battery_sag")
+        names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
+        doubtful |= set(names[names.index("battery_sag") :])
         unexplained = Unexplained(True, ("time", "battery"), 1.0)
     kept = tuple(f for f in judged.found if f.name not in doubtful)
     corrected = vehicle

@@ -36,7 +36,7 @@ class GrowthConfig:
     """Speed that the first certificate may reach, where the region's own is less: in a slow region the doubt about the
     estimated speed is a large share of h, and nothing is left to certify."""
     most_mps: float = 3.0
-    across_mps: float = 0.2
+    across_mps: float = 0.35
     """Speed along an axis that is not certified, up to which the bounds of the others are asked for."""
 
 

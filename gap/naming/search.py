@@ -38,6 +38,7 @@ _CHORDS = 2
 _CONVERGED = 0.1
 """Chi-square that another step would gain."""
 _HALVINGS = 3
+_ROPES_M = np.geomspace(0.2, 4.0, 28)
 _NOTHING = Subset((), 0.0, 0, np.empty(0))
 
 
@@ -209,6 +210,8 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
     members = [state.point.candidates[m] for m in subset.members]
     layout, metric = state.point.layout, state.metric
     vehicle = _stepped(state, subset)
+    if any(c.effect == "slung_load" for c in members):
+        vehicle = _swung(state, vehicle)
     rows = layout.stack(state.bench.residual(vehicle))
     chi2, used = metric.chi2(rows), 0
     for _ in range(_STEPS if members else 0):
@@ -232,6 +235,18 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
             break
     effects = {c.effect: dict(vehicle.effects[c.effect]) for c in members}
     return judged_fit(state, effects, vehicle, rows, used)
+
+
+def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
+    """The vehicle with the rope on which the load swings best: in its length chi-square has a valley for each swing."""
+    best, least = vehicle, np.inf
+    now = value(vehicle, "slung_load", "length_m")
+    for length in (now, *_ROPES_M):
+        tried = with_value(vehicle, "slung_load", {"length_m": float(length)})
+        chi2 = state.metric.chi2(state.point.layout.stack(state.bench.residual(tried)))
+        if chi2 < least:
+            best, least = tried, chi2
+    return best
 
 
 def _stepped(state: Search, subset: Subset) -> Vehicle:
