@@ -175,7 +175,7 @@ def test_the_judge_tells_exact_from_twin_from_wrong_and_missed() -> None:
 def test_errors_are_of_the_change_and_of_all_the_effects_parameters_together() -> None:
     """motor_lag from 0.02 s to 0.04 s, found 0.05 s: half the change off; the wrong rotor is no estimate at all."""
     lag = {**ANSWER, "effects": {"motor_lag": {"time_constant_s": 0.04}}}
-    row = judge(lag, said(effect("motor_lag", time_constant_s=(0.05, 0.03, 0.07))), QUAD)
+    row = judge(lag, said(effect("motor_lag", time_constant_s=(0.05, 0.045, 0.055))), QUAD)
     assert row["names"][0]["error"] == pytest.approx(0.5)
     fault = {**ANSWER, "effects": {"rotor_fault": {"rotor": 2.0, "effectiveness": 0.8}}}
     named = effect("rotor_fault", rotor=(3.0, 3.0, 3.0), effectiveness=(0.8, 0.7, 0.9))
