@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -17,6 +17,7 @@ help:
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
+	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
@@ -67,6 +68,9 @@ bench-gp: $(BIN)/.installed-bench
 
 bench-barrier: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier
+
+crosscheck: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.plants_crosscheck
 
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py

@@ -98,6 +98,8 @@ class WatchedCertifier:
         self._stamp = dict(stamp or {})
         self.adopted: list[Certificate] = []
         """Since the last `init`, in their order."""
+        self.seen: tuple[object, object, Learned] | None = None
+        """The certifier's state, the learner's and what it said, as of the last tick."""
         self._certifier = certifier
 
     def init(self) -> object:
@@ -110,10 +112,15 @@ class WatchedCertifier:
     ) -> tuple[object, Certificate | None]:
         """The certifier's own."""
         after, certificate = self._certifier.step(state, learner, measurement, learned, filtered)
+        self.seen = after, learner, learned
         if certificate is not None:
-            certificate = replace(certificate, knowledge={**certificate.knowledge, **self._stamp})
+            certificate = self.stamped(certificate)
             self.adopted.append(certificate)
         return after, certificate
+
+    def stamped(self, certificate: Certificate) -> Certificate:
+        """The same, made for the vehicle of `stamp`."""
+        return replace(certificate, knowledge={**certificate.knowledge, **self._stamp})
 
 
 def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:

@@ -21,12 +21,14 @@ from app.flight import FlyOptions, Setup, fly_setup, prepare
 from app.result import FlightResult
 from flightstack.barrier.certifier import CertifierConfig
 from flightstack.barrier.file import certificate_to_json
-from flightstack.barrier.growing import VERTICAL, GrowingCertifier
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published import NOT_ROBUST
 from flightstack.barrier.records import Certificate
+from flightstack.barrier.settle import settled, worst_area
 from flightstack.certificate_check import check
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
+from flightstack.learning.learner import LearnerState
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import Mission
 from flightstack.stack import Stack
@@ -195,6 +197,9 @@ def certify(
     )
     _put_aside(flight, out / "flight.html")
     adopted = list(certifier.adopted)
+    if adopted and planner.state is not None and not planner.state.failed:
+        on_progress(1.0, "settling")
+        adopted += settle(certifier, adopted[-1])
     path, verdict = write_certificate(adopted, out / CERTIFICATE)
     figures = figures_of(adopted, setup) if adopted else None
     result = CertifyResult(flight, planner.state, figures, path, 0.0, options.as_published, verdict)
@@ -205,6 +210,24 @@ def certify(
         span_us = (planner.from_us, planner.to_us)
         _write_report(result, lambda: page_of(result, adopted, span_us, limit_m), out / "report.html")
     return result
+
+
+def settle(certifier: WatchedCertifier, last: Certificate) -> list[Certificate]:
+    """What the exploration has learned, designed with all the time it takes: larger on the worst slice, or nothing.
+
+    As published there is nothing to settle, and after a bound was falsified nothing to rely on.
+    """
+    assert certifier.seen is not None
+    state, learner, learned = certifier.seen
+    alone = last.axes[0] if len(last.axes) == 1 else None
+    if alone is None or not isinstance(state, GrowthState) or not isinstance(learner, LearnerState):
+        return []
+    found = settled(
+        state.certifier, learner, learned, alone.axis, version=last.version + 1, widen_mps2=state.inner.widen_mps2
+    )
+    if found is None or worst_area(found.axes[0]) <= worst_area(alone):
+        return []
+    return [certifier.stamped(found)]
 
 
 def write_certificate(adopted: list[Certificate], path: Path) -> tuple[str | None, list[str]]:

@@ -47,6 +47,7 @@ class PlantName(StrEnum):
     """Plants that can fly."""
 
     native = "native"
+    jsbsim = "jsbsim"
 
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
@@ -180,6 +181,7 @@ def fly(
         truth=truth,
         sensors=sensors.value if sensors else None,
         seed=seed,
+        plant=plant.value,
         realtime=realtime,
         **common,
     )
@@ -285,7 +287,7 @@ def sim(
     from app.simulate import SimOptions, simulate
 
     interrupts = Interrupts()
-    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration)
+    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration, plant.value)
     result = simulate(
         options,
         stop_requested=interrupts.requested,

@@ -35,7 +35,6 @@ from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from sim.streams import LinkKind
 from sim.warmup import warm_up as warm_up_simulator
 
-PLANT = "native"
 TICK_MS = 4
 LOCKSTEP_TIMEOUT_S = 2.0
 FLIGHT_TIME_LIMIT_S = 180.0
@@ -50,6 +49,7 @@ class FlyOptions(FlightOptions):
     truth: str | None = None
     sensors: str | None = None
     seed: int = 0
+    plant: str = "native"
     realtime: bool = False
 
     @property
@@ -74,6 +74,7 @@ class Setup:
     flight: Prepared
     truth: Vehicle
     grade: Grade
+    plant: str = "native"
 
 
 def prepare(options: FlyOptions) -> Setup:
@@ -88,18 +89,23 @@ def prepare(options: FlyOptions) -> Setup:
         "truth": truth.name,
         "seed": str(options.seed),
         "sensors": sensors,
-        "plant": PLANT,
+        "plant": options.plant,
         "pace": "realtime" if options.realtime else "lockstep",
     }
-    flight = flight.with_more(settings, {"truth.toml": vehicle_to_toml(truth)})
-    return Setup(flight, truth, load_grade(sensors))
+    carried = {"truth.toml": vehicle_to_toml(truth)}
+    if options.plant == "jsbsim":
+        from sim.jsbsim.trial import try_out
+
+        tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
+        settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
+    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant)
 
 
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
     warm_up_stack(setup.flight.stack, setup.flight.scenario)
-    warm_up_simulator(setup.truth, setup.grade)
+    warm_up_simulator(setup.truth, setup.grade, setup.plant)
 
 
 class SimulatedFlight:
@@ -110,7 +116,7 @@ class SimulatedFlight:
         self.scenario = prepared.scenario
         self._log = log
         self.vehicle: SimulatedVehicle = simulated_vehicle(
-            prepared.believed, setup.truth, setup.grade, seed=options.seed
+            prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant
         )
         self._ours, self._theirs = connected_pair()
         self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
@@ -235,7 +241,7 @@ def fly_setup(
         completed=flight.companion.completed,
         checked=options.as_written,
         seed=options.seed,
-        plant=PLANT,
+        plant=setup.plant,
     )
     files.write_flight_report(log_path, out / "report.html", result)
     return result

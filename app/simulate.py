@@ -40,6 +40,7 @@ class SimOptions:
     gcs_port: int = GCS_PORT
     speed: float = 1.0
     duration_s: float | None = None
+    plant: str = "native"
 
 
 def simulate(
@@ -54,8 +55,8 @@ def simulate(
     grade = load_grade(options.sensors)
     ensure_compiled(on_wait)
     messages.prepare()
-    warm_up(truth, grade)
-    vehicle = simulated_vehicle(replace(truth, effects={}), truth, grade, seed=options.seed)
+    warm_up(truth, grade, options.plant)
+    vehicle = simulated_vehicle(replace(truth, effects={}), truth, grade, seed=options.seed, plant=options.plant)
     onboard = UdpSocket.bind(HOST, options.port + PORT_STEP, peer=(HOST, options.port), latch=True)
     gcs_bind = GCS_BIND if options.gcs_port == GCS_PORT else 0
     try:
@@ -77,6 +78,7 @@ def simulate(
     return {
         "schema": "flightstack.sim/1",
         "vehicle": truth.name,
+        "plant": options.plant,
         "seed": options.seed,
         "simulated_s": vehicle.t_us * 1e-6,
         "speed": options.speed,

@@ -186,6 +186,23 @@ def jsbsim(seconds: float) -> Iterator[Row]:
         return 2000
 
     yield Row("JSBSim", "one vehicle, a call a step", best_rate(run, seconds), "its default integrators")
+    yield Row("JSBSim plant", "quad-x in the air, a call a step", best_rate(_jsbsim_plant(), seconds), "--plant jsbsim")
+
+
+def _jsbsim_plant() -> Callable[[], int]:
+    """Our plant on JSBSim: commands in, a frame, all that a `Plant` shows out."""
+    from sim.jsbsim.plant import JsbsimPlant
+
+    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
+    plant = JsbsimPlant(vehicle, seed=0)
+    plant.place(pos_ned_m=(0.0, 0.0, -50.0), motor_u=COMMAND.tolist())
+
+    def run() -> int:
+        for _ in range(2000):
+            plant.step(COMMAND)
+        return 2000
+
+    return run
 
 
 def crazyflow(seconds: float) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""The plant: what every one has (`Plant`), the native one, and many of them in one call.
+"""The plant: what every one has (`Plant`), which there are (`make_plant`), the native one, many of them in one call.
 
 `NativePlant` and `BatchPlant` run the same compiled step over (N, ...) rows, N = 1 and N = thousands.  Everything that
 a plant shows is a view into its rows and is updated in place by each step.
@@ -42,6 +42,7 @@ from sim.layout import (
 from sim.parameters import parameter_row
 from sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
+PLANTS = ("native", "jsbsim")
 MAX_DELAY_S = 0.25
 _BLOCK = 256  # steps whose gust normals are drawn at once
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
@@ -333,3 +334,14 @@ class BatchPlant:
             self._gusts.draw()
         step_rows(self._state, self._params)
         self.t_us += self.dt_us
+
+
+def make_plant(name: str, vehicle: Vehicle, *, seed: int, dt_us: int = 1000) -> Plant:
+    """A plant by its name, one of PLANTS; InputError where it can't fly this vehicle on this machine."""
+    if name == "native":
+        return NativePlant(vehicle, seed=seed, dt_us=dt_us)
+    if name == "jsbsim":
+        from sim.jsbsim.plant import JsbsimPlant  # a library that not every machine has
+
+        return JsbsimPlant(vehicle, seed=seed, dt_us=dt_us)
+    raise InputError(f"--plant {name} is not known; there are {', '.join(PLANTS)}")

@@ -16,7 +16,7 @@ from sim.autopilot.setpoint import ControlSetpoint
 from sim.estimator import Estimate
 from sim.fused import FusedRun
 from sim.grade import Grade
-from sim.plant import NativePlant, Plant
+from sim.plant import NativePlant, Plant, make_plant
 from sim.sensors import ESTIMATE_EVERY_MS, Fix, Sensors
 
 
@@ -89,10 +89,10 @@ class SimulatedVehicle:
 
 
 def simulated_vehicle(
-    believed: Vehicle, truth: Vehicle, grade: Grade, *, seed: int, params: Params | None = None
+    believed: Vehicle, truth: Vehicle, grade: Grade, *, seed: int, params: Params | None = None, plant: str = "native"
 ) -> SimulatedVehicle:
     """A vehicle that flies as `truth` with an autopilot set up for `believed`; the seed fixes plant and sensors."""
     plant_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
-    plant = NativePlant(truth, seed=int(plant_seed.generate_state(1)[0]))
+    physics = make_plant(plant, truth, seed=int(plant_seed.generate_state(1)[0]))
     control = FlightControl(believed, params if params is not None else airframe_params(believed))
-    return SimulatedVehicle(plant, Sensors(grade, seed=sensor_seed), control)
+    return SimulatedVehicle(physics, Sensors(grade, seed=sensor_seed), control)

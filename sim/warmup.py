@@ -12,9 +12,9 @@ _SETTLE_MS = 200
 _LIFT_MS = 1000
 
 
-def warm_up(vehicle: Vehicle, grade: Grade) -> None:
+def warm_up(vehicle: Vehicle, grade: Grade, plant: str = "native") -> None:
     """A throwaway vehicle's life: idle behind its server, then in the air with every control loop running."""
-    throwaway = simulated_vehicle(vehicle, vehicle, grade, seed=0)
+    throwaway = simulated_vehicle(vehicle, vehicle, grade, seed=0, plant=plant)
     Server(throwaway).advance(_SETTLE_MS)
     throwaway.advance(ControlSetpoint(ControlKind.RATE, thrust_norm=1.0), _LIFT_MS)  # some loops rest on the ground
     for setpoint in (HOLD, LAND):

@@ -30,8 +30,8 @@ from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.queries import Envelope, budget
 from flightstack.barrier.records import AXES, AxisCertificate, Budget, Certificate, Margin, Response
-from flightstack.barrier.search import Axis, Ratios, largest_steps
-from flightstack.barrier.shapes import Quadratic, value
+from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
+from flightstack.barrier.shapes import Barrier, value
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
@@ -222,26 +222,35 @@ class OnlineCertifier:
 
         `ratios`: where each axis' last search ended; written to.
         """
-        config = self.config
-        accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box = self._budget(accelerations)
-        yield None
-        knowledge = yield from _last(Knowledge.steps(
-            accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=config.delta, version=version, widen_mps2=widen_mps2,
-        ))  # fmt: skip
+        knowledge = yield from _last(self.knowledge_steps(learner, version, widen_mps2))
         axes: list[AxisCertificate] = []
-        for axis in config.axes:
-            found = yield from self._largest(axis, knowledge, learned, ratios.get(axis))
+        for number in self.config.axes:
+            found = yield from largest_steps(*self.axis_of(number, knowledge, learned), ratios.get(number))
             if found is None:
-                ratios.pop(axis, None)
+                ratios.pop(number, None)
                 axes.clear()
                 break
             axes.append(found[0])
-            ratios[axis] = found[1]
-        yield Certificate(
-            "sound", self.region.centre_ned_m, tuple(axes), knowledge.budget, config.delta, knowledge.k_sigma,
-            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **config.doubts._asdict()}}, version,
+            ratios[number] = found[1]
+        yield self.certificate(knowledge, tuple(axes))
+
+    def knowledge_steps(self, learner: LearnerState, version: int, widen_mps2: F64) -> Iterator[Knowledge | None]:
+        """What the learner knows of this region now: None after each piece of the work, then the knowledge."""
+        accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
+        box = self._budget(accelerations)
+        yield None
+        yield from Knowledge.steps(
+            accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
+            delta=self.config.delta, version=version, widen_mps2=widen_mps2,
+        )  # fmt: skip
+
+    def certificate(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Certificate:
+        """Of these axes, with all that they rest on."""
+        config = self.config
+        return Certificate(
+            "sound", self.region.centre_ned_m, axes, knowledge.budget, config.delta, knowledge.k_sigma,
+            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **config.doubts._asdict()}},
+            knowledge.version,
         )  # fmt: skip
 
     def _envelope(self) -> Envelope:
@@ -277,10 +286,8 @@ class OnlineCertifier:
             low_mps2=config.thrust_least_share * hover, hover_mps2=hover,
         )  # fmt: skip
 
-    def _largest(
-        self, axis: int, knowledge: Knowledge, learned: Learned, near: Ratios | None
-    ) -> Generator[None, None, tuple[AxisCertificate, Ratios] | None]:
-        """One axis' largest ellipse, and where the search for it ended."""
+    def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
+        """One axis to be designed, and what a barrier on it needs."""
         model, box, config = self.model, knowledge.budget, self.config
         delay = learned.latency_s if learned.latency_s > 0.0 else model.transport_delay_s
         steer = 1.0 / config.attitude_p_ps
@@ -293,14 +300,14 @@ class OnlineCertifier:
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
 
-        def needs(ellipse: Quadratic) -> tuple[Setting, tuple[Margin, ...]]:
+        def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
             return ledger(
-                axis, ellipse, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
+                axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
                 accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
                 coupling_mps=coupling, inside_ps=config.inside_ps,
             )  # fmt: skip
 
-        return (yield from largest_steps(Axis(axis, self.safe[axis], authority, response), needs, near))
+        return Axis(axis, self.safe[axis], authority, response), needs
 
 
 def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:

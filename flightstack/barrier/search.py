@@ -18,15 +18,15 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, at_level, grow
 from flightstack.barrier.design_search import farthest
 from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
-from flightstack.barrier.shapes import Quadratic
+from flightstack.barrier.shapes import Barrier, Quadratic
 
-Ledger = Callable[[Quadratic], tuple[Setting, tuple[Margin, ...]]]
-"""The condition's constants and margins that an ellipse needs."""
+Ledger = Callable[[Barrier], tuple[Setting, tuple[Margin, ...]]]
+"""The condition's constants and margins that a barrier needs."""
 _SLANTS, _SPEEDS = (0.2, 0.35, 0.5), (0.7, 0.85, 1.0)
 _STEPS = ((0.12, 0.12), (0.06, 0.06))
 _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
 _ROUNDS = 6
-_GROWING = ("eta", "rate_ps", "rate_spm", "inner")
+GROWING = ("eta", "rate_ps", "rate_spm", "inner")
 _LEAST_BRAKE_MPS2 = 0.05
 
 
@@ -106,11 +106,9 @@ def _grown(axis: Axis, ledger: Ledger, shape: Quadratic) -> Generator[None, None
             return None
         assert isinstance(design.barrier, Quadratic)
         own, margins = ledger(design.barrier)
-        if all(getattr(own, part) <= getattr(setting, part) for part in _GROWING):
+        if all(getattr(own, part) <= getattr(setting, part) for part in GROWING):
             return AxisCertificate(
                 axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
             )
-        setting = setting._replace(
-            **{part: 1.02 * max(getattr(own, part), getattr(setting, part)) for part in _GROWING}
-        )
+        setting = setting._replace(**{part: 1.02 * max(getattr(own, part), getattr(setting, part)) for part in GROWING})
     return None

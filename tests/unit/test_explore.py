@@ -167,7 +167,7 @@ def test_the_way_to_the_start_of_an_arc_is_calm_and_inside() -> None:
 
 def _begun(explorer: Explorer) -> ExploreState:
     """The identification has been flown."""
-    return replace(explorer.init(10.0, CENTRE), identified=1, next_s=15.0)
+    return replace(explorer.init(10.0, CENTRE), identified=explorer.config.identify_first, next_s=15.0)
 
 
 def _at_rest() -> Polynomial:
@@ -197,14 +197,21 @@ def test_the_identification_moves_inside_the_conservative_region_until_something
     assert "could be certified" in state.ended
 
 
-def test_the_first_certificate_ends_the_identification_with_its_leg() -> None:
+def test_a_certificate_ends_the_identification_once_every_axis_was_leaned_along() -> None:
     explorer, certificate = Explorer(), certificate_of(axis_of(STOPPING))
-    state, leg = explorer.step(explorer.init(10.0, CENTRE), 10.0, certificate, _at_rest().at(0.0))
+    state, reference, moved = explorer.init(10.0, CENTRE), _at_rest().at(0.0), []
+    for number in range(3):
+        state, leg = explorer.step(state, state.next_s, certificate, reference)
+        assert leg is not None
+        assert leg.duration_s >= 4.0
+        assert state.identified == number + 1
+        assert not state.rounds
+        moved.append(int(np.argmax([np.ptp(_states(leg, axis)[:, 0]) for axis in range(3)])))
+        reference = leg.at(leg.duration_s)
+    assert moved == [2, 0, 1]
+    state, leg = explorer.step(state, state.next_s, certificate, reference)
     assert leg is not None
-    assert leg.duration_s >= 4.0
-    state, second = explorer.step(state, state.next_s, certificate, leg.at(leg.duration_s))
-    assert second is not None
-    assert state.identified == 1
+    assert state.identified == 3
     assert len(state.rounds) == 1
 
 

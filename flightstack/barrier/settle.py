@@ -1,0 +1,82 @@
+"""The largest region on the ground: what a finished exploration has learned, designed with all the time it takes.
+
+In flight a region is an ellipse about the centre inside an ellipse of allowed speeds (`search`).  Afterwards nothing
+presses: every family of `design.largest`, in the strip |e| <= limit, with the bounds asked for up to several speeds
+(the further a speed lies from what was flown, the wider they are), and of all that close the one with the largest area
+on its worst slice.  The ledger depends on the barrier, so each design is repeated until its own margins are no larger
+than those that it was made with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.condition import Setting
+from flightstack.barrier.design import SafeSet, largest, worst_slice_area
+from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.records import AxisCertificate, Certificate
+from flightstack.barrier.search import GROWING, Axis, Ledger
+from flightstack.barrier.shapes import Quadratic
+from flightstack.learning.learner import LearnerState
+from flightstack.types import F64, Learned
+
+_SPEEDS_MPS = (1.2, 1.5, 1.9, 2.4, 3.0)
+_FAMILIES = ("quadratic", "stopping")
+_ROUNDS = 10
+_EASE, _SPARE = 0.75, 1.01
+
+
+def settled(
+    certifier: OnlineCertifier, learner: LearnerState, learned: Learned, axis: int, *, version: int, widen_mps2: F64
+) -> Certificate | None:
+    """The largest certificate of one axis that what was learned allows; None where nothing closes."""
+    best: Certificate | None = None
+    most = 0.0
+    for speed_mps in _SPEEDS_MPS:
+        limit_m = certifier.safe[axis].limit_m
+        safe = {**certifier.safe, axis: SafeSet(limit_m, speed_mps)}
+        asked = OnlineCertifier(
+            certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=certifier.config,
+            safe=safe,
+        )  # fmt: skip
+        knowledge: Knowledge | None = None
+        for piece in asked.knowledge_steps(learner, version, widen_mps2):
+            knowledge = piece
+        assert knowledge is not None
+        one, needs = asked.axis_of(axis, knowledge, learned)
+        for family in _FAMILIES:
+            found = designed(one._replace(safe=SafeSet(limit_m)), needs, family)
+            area = 0.0 if found is None else worst_area(found)
+            if found is not None and area > most:
+                best, most = asked.certificate(knowledge, (found,)), area
+    return best
+
+
+def worst_area(axis: AxisCertificate) -> float:
+    """Area on the worst slice, over all accelerations and commands under way, m^2/s."""
+    at = axis.authority
+    low, high = float(at.u_low_mps2.max()), float(at.u_high_mps2.min())
+    return worst_slice_area(axis.barrier, axis.response, low, high, axis.setting.inner)
+
+
+def designed(axis: Axis, needs: Ledger, family: str) -> AxisCertificate | None:
+    """The largest barrier of a family whose own ledger is no larger than the one that it was made with, or None."""
+    fast = float(axis.authority.v_mps.max())
+    setting, _ = needs(Quadratic(0.0, 0.0, axis.safe.limit_m**-2, 0.2 / (axis.safe.limit_m * fast), fast**-2))
+    for _ in range(_ROUNDS):
+        design = largest(axis.safe, setting, axis.authority, axis.response, family=family)
+        if design.barrier is None or design.cover is None:
+            setting = _scaled(setting, setting, _EASE)  # perhaps a larger one needs less
+            continue
+        own, margins = needs(design.barrier)
+        if all(getattr(own, part) <= getattr(setting, part) for part in GROWING):
+            return AxisCertificate(
+                axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
+            )
+        setting = _scaled(setting, own, _SPARE)
+    return None
+
+
+def _scaled(setting: Setting, of: Setting, by: float) -> Setting:
+    return setting._replace(**{part: by * float(np.float64(getattr(of, part))) for part in GROWING})
