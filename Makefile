@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -21,6 +21,7 @@ help:
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
+	@echo "make gap-blind          some 700 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml
@@ -85,6 +86,12 @@ campaign-barrier: $(BIN)/.installed
 
 campaign-barrier-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier_campaign --quick
+
+gap-blind: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_blind
+
+gap-blind-quick: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_blind --quick
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -337,6 +337,44 @@ def learn(
         files.write_json(json, result | hashes | {"windows": stored.windows})
 
 
+@app.command()
+def gap(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of flights: .mcap, .ulg, .csv (also .gz), .cfusdlog.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle file whose model is compared: name or .toml file.")],
+    out: Annotated[Path, typer.Option(help="Folder for gap.json, vehicle.toml and report.html.")],
+    holdout: Annotated[
+        list[Path] | None, typer.Option(help="A log kept for the verdict (may be repeated; default: last thirds).")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="TOML that maps a log's columns, units and frames, or a name that comes along.")
+    ] = None,
+    ground_d: Annotated[float, typer.Option("--ground-d", help="Where the ground lies: down coordinate, m.")] = 0.0,
+    kinematics_only: Annotated[
+        bool, typer.Option("--kinematics-only", help="Allow logs without motors: data check and sensor effects.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Find, name, add and verify what the model of a vehicle lacks in logs of its flights."""
+    from app import console, files
+    from app.gap import GapOptions, find_gap
+    from gap.result import as_json
+
+    options = GapOptions(
+        logs=tuple(logs),
+        vehicle=vehicle,
+        out=out,
+        holdout=tuple(holdout or ()),
+        columns=columns,
+        ground_d_m=ground_d,
+        kinematics_only=kinematics_only,
+    )
+    with console.progress("gap") as show:
+        result = find_gap(options, on_progress=show)
+    console.show_gap(result, out)
+    if json is not None:
+        files.write_json(json, as_json(result))
+
+
 @log_app.command("info")
 def log_info(
     file: Annotated[Path, typer.Argument(help="A log (.mcap).")],

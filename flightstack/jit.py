@@ -28,7 +28,7 @@ _KEEP_S = 86_400.0
 def _source_hash() -> str:
     """Hash of all compiled sources of the project, in a stable order."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for package in ("flightstack", "sim", "gap"):
+    for package in ("flightstack", "sim", "gap", "benchmarks"):
         for path in sorted((_ROOT / package).rglob("*.py")):
             text = path.read_bytes()
             if b"flightstack.jit" in text:

@@ -16,6 +16,7 @@ from flightstack.barrier.initial import InitialKnowledge
 from flightstack.checked import load_toml, number, only, table, vector, words
 from flightstack.effect_specs import check_effect
 from flightstack.model import Limits
+from flightstack.moves import moves
 from flightstack.region import Region
 from flightstack.trajectory import Trajectory, figure8, hover, sinusoid
 from flightstack.types import InputError, Tuple3
@@ -171,6 +172,8 @@ def _trajectory(data: Mapping[str, object], source: str, limits: Limits) -> Traj
     yaw = one("yaw_rad", -math.pi, math.pi, 0.0)
     if kind == "hover":
         return hover(three("position_m", -_FAR_M, _FAR_M), yaw_rad=yaw)
+    if kind == "moves":
+        return moves(data.get("moves"), three("position_m", -_FAR_M, _FAR_M), yaw, f"{where}.moves")
     if kind == "figure8":
         return figure8(
             length_m=one("length_m", 0.01, 100.0),
@@ -192,6 +195,7 @@ _TRAJECTORIES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "hover": (("position_m",), ("yaw_rad",)),
     "sinusoid": (("centre_m", "amplitude_m", "rate_radps"), ("phase_rad", "yaw_rad")),
     "figure8": (("length_m", "width_m", "period_s", "height_m"), ("yaw_rad",)),
+    "moves": (("position_m", "moves"), ("yaw_rad",)),
     "waypoints": (("waypoints",), ("speed_mps", "acceleration_mps2")),
 }
 """Kind -> its keys, required and optional."""

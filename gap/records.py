@@ -23,7 +23,13 @@ SIGNALS = (
     "angular_acceleration_y",
     "angular_acceleration_z",
 )
-"""The one-step residual's columns: m/s^2 and rad/s^2, body FRD."""
+"""The one-step residual's first six columns: m/s^2 and rad/s^2, body FRD."""
+
+KINEMATICS = ("rate_x", "rate_y", "rate_z", "acceleration_x", "acceleration_y", "acceleration_z")
+"""Its last six: gyro against the attitude's derivative (rad/s), accelerometer against the velocity's (m/s^2), FRD.
+
+No force and no torque shows in them, only sensor effects do.
+"""
 
 REGIMES = (
     "hover",
@@ -129,6 +135,8 @@ class Samples:
     derived: tuple[str, ...] = ()
     bandwidth_hz: float = 0.0
     """Up to here the slowest topic in use carries information."""
+    command_late_s: float = 0.0
+    """How much later the commands acted than the motor column says, where a log can't tell: within half a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,8 +154,9 @@ class Checked:
 class Residual:
     """One-step disagreement of one flight: measured minus simulated, both through the same low pass.
 
-    y (N, 6) in the order of SIGNALS, NaN where a channel can't be had; noise (6,) expected standard deviation of y
-    from the sensors alone; correlation_s (6,) how long y's noise remembers (for effective sample counts).
+    y (N, 12) in the order of SIGNALS + KINEMATICS, NaN columns where a channel can't be had and NaN rows where the
+    samples are not usable; noise (12,) expected standard deviation of y from the sensors alone; correlation_s (12,)
+    how long y's noise remembers (for effective sample counts).
     """
 
     y: F64

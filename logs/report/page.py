@@ -40,30 +40,30 @@ def render_report(flight: FlightReport) -> str:
         "panels": [panel.payload() for panel in (*drawn, *learned, *filtered) if panel.curves],
         "path": path,
     }
-    return _fill(
-        _asset("page.html"),
+    return fill(
+        asset("page.html"),
         {
             "title": escape(f"{flight.outcome.scenario}: flight report"),
-            "style": _asset("vendor/uPlot.min.css") + _asset("page.css"),
+            "style": asset("vendor/uPlot.min.css") + asset("page.css"),
             "state": state,
             "verdict": verdict,
             "headline": escape(words.headline(flight)),
             "subtitle": _subtitle(flight),
-            "figures": _figures(words.figures(flight)),
+            "figures": figures_html(words.figures(flight)),
             "checks": _checks(flight),
             "path": _path(flight, path),
             "phases": _phases(flight),
-            "tracking": "".join(_panel(panel) for panel in drawn if panel.key.startswith("error-")),
+            "tracking": "".join(panel_html(panel) for panel in drawn if panel.key.startswith("error-")),
             "learning": _learning(flight, learned),
             "barrier": _barrier(flight, filtered),
-            "panels": "".join(_panel(panel) for panel in drawn if not panel.key.startswith("error-")),
+            "panels": "".join(panel_html(panel) for panel in drawn if not panel.key.startswith("error-")),
             "events": _events(flight),
             "timing": _timing(flight),
             "settings": _settings(flight),
             "display": _display(drawn),
             "data": safe_json(data),
-            "library": _asset("vendor/uPlot.iife.min.js"),
-            "script": _asset("charts.js") + _asset("path3d.js"),
+            "library": asset("vendor/uPlot.iife.min.js"),
+            "script": asset("charts.js") + asset("path3d.js"),
         },
     )
 
@@ -74,11 +74,13 @@ def safe_json(data: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Text of a file that belongs to the page."""
     return resources.files("logs.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _fill(template: str, parts: dict[str, str]) -> str:
+def fill(template: str, parts: dict[str, str]) -> str:
+    """The template with its marks (`put NAME` in a comment) replaced."""
     # One pass: what is put in is never searched for marks again.
     return re.sub(r"<!--\s*put (\w+)\s*-->|/\* put (\w+) \*/", lambda m: parts[m.group(1) or m.group(2)], template)
 
@@ -98,23 +100,24 @@ def _subtitle(flight: FlightReport) -> str:
 def _learning(flight: FlightReport, learned: tuple[Panel, ...]) -> str:
     if not learned:
         return ""
-    figures = f'<dl class="figures">{_figures(learning.figures(flight))}</dl>'
-    grid = "".join(_panel(panel) for panel in learned)
+    figures = f'<dl class="figures">{figures_html(learning.figures(flight))}</dl>'
+    grid = "".join(panel_html(panel) for panel in learned)
     return f'<section id="learning"><h2 class="part">Learning</h2>{figures}<div class="grid">{grid}</div></section>'
 
 
 def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
     if not filtered:
         return ""
-    figures = f'<dl class="figures">{_figures(barrier.figures(flight))}</dl>'
-    grid = "".join(_panel(panel) for panel in filtered)
+    figures = f'<dl class="figures">{figures_html(barrier.figures(flight))}</dl>'
+    grid = "".join(panel_html(panel) for panel in filtered)
     return (
         f'<section id="barrier"><h2 class="part">Barrier</h2>{figures}<div class="grid">{grid}</div>'
         f"{barrier.planes_html(flight)}{barrier.tables_html(flight)}</section>"
     )
 
 
-def _figures(figures: tuple[words.Figure, ...]) -> str:
+def figures_html(figures: tuple[words.Figure, ...]) -> str:
+    """Key figures as items of a description list."""
     return "".join(
         f'<div class="figure {figure.state}"><dt>{escape(figure.label)}</dt><dd>{escape(figure.value)}</dd>'
         f"<p>{escape(figure.note)}</p></div>"
@@ -131,7 +134,8 @@ def _checks(flight: FlightReport) -> str:
     return f'<ul class="checks">{rows}</ul>' if rows else ""
 
 
-def _panel(panel: Panel) -> str:
+def panel_html(panel: Panel) -> str:
+    """A chart over time as a section; the script draws it from the page's data."""
     note = f' <span class="note">{escape(panel.note)}</span>' if panel.note else ""
     body = f'<div class="chart" data-panel="{panel.key}"></div>' if panel.curves else _MISSING
     return (

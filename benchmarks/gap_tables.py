@@ -1,0 +1,107 @@
+"""The tables of the blind campaign, as Markdown between two marks of docs/gap.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.gap_judge import Row, confusion, summary
+
+SCHEMA = "flightstack.gap-blind/1"
+BEGIN, END = "<!-- blind campaign: begin -->", "<!-- blind campaign: end -->"
+
+
+class Bar(NamedTuple):
+    """One figure that the campaign is judged by."""
+
+    key: str
+    words: str
+    least: float | None
+    most: float | None
+
+
+BARS = (
+    Bar("false_names_clean", "clean flights with a name", None, 0.01),
+    Bar("right_class", "names that are right in their class", 0.98, None),
+    Bar("exact_alone", "names without a twin that are exact", 0.95, None),
+    Bar("coverage", "95 % intervals that hold the truth", 0.90, 0.98),
+    Bar("median_error", "median error of a named effect's parameters", None, 0.05),
+    Bar("closed_90", "named cases whose held-out gap closes by 90 %", 0.95, None),
+    Bar("outside_unnamed", "effects outside the table that are not named", 0.95, None),
+)
+
+
+def kept(bar: Bar, figures: dict[str, Any]) -> bool | None:
+    """Whether the bar is kept; None where nothing was counted."""
+    value = figures[bar.key]
+    if value is None:
+        return None
+    return (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
+
+
+def shown(bar: Bar, figures: dict[str, Any]) -> str:
+    """The figure and whether it keeps its bar."""
+    verdict = {True: "kept", False: "MISSED", None: "nothing counted"}[kept(bar, figures)]
+    return f"{percent(figures[bar.key])} ({verdict})"
+
+
+def percent(value: float | None) -> str:
+    """A share in per cent, one decimal."""
+    return "–" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _asked(bar: Bar) -> str:
+    if bar.least is not None and bar.most is not None:
+        return f"{percent(bar.least)} to {percent(bar.most)}"
+    return f"at least {percent(bar.least)}" if bar.least is not None else f"at most {percent(bar.most)}"
+
+
+def tables(rows: list[Row], about: dict[str, Any], command: str) -> str:
+    """The whole section."""
+    figures = summary(rows)
+    walls = sorted(row["wall_s"] for row in rows if "wall_s" in row)
+    lines = [
+        f"{about['date']}, {about['machine']}, {about['cores']} cores, Python {about['python']}, commit "
+        f"{about['git_commit']}; `{command}`, {about['wall_s'] / 60:.0f} minutes for {figures['cases']} cases "
+        f"({figures['clean']} clean, {figures['outside']} with something outside the table, {figures['lost']} lost); "
+        f"a case takes {walls[len(walls) // 2] if walls else 0:.1f} s (median).",
+        "",
+        "| figure | measured | asked for |",
+        "| --- | --: | --: |",
+    ]
+    for bar in BARS:
+        mark = {True: "", False: " **missed**", None: ""}[kept(bar, figures)]
+        lines.append(f"| {bar.words} | {percent(figures[bar.key])}{mark} | {_asked(bar)} |")
+    for key, text in (
+        ("found", "cases in which every hidden effect is named (itself or by a twin)"),
+        ("with_twins", "names with a twin that the log can't tell apart"),
+        ("closed_median", "median share of the held-out gap that is closed"),
+        ("outside_noticed", "effects outside the table that are noticed as unexplained"),
+        ("outside_driver", "of these: the right driver"),
+        ("false_alarms_clean", "clean flights called unexplained"),
+    ):
+        lines.append(f"| {text} | {percent(figures[key])} | |")
+    lines += [
+        "",
+        "| hidden | cases | named exactly | in its class | missed | named instead | unexplained | median error | "
+        "intervals that hold |",
+        "| --- | --: | --: | --: | --: | --- | --: | --: | --: |",
+    ]
+    for line in confusion(rows):
+        instead = ", ".join(f"{name} {count}" for name, count in line["wrong"].items())
+        lines.append(
+            f"| {line['hidden']} | {line['cases']} | {line['exact']} | {line['class']} | {line['missed']} | {instead} "
+            f"| {line['unexplained']} | {percent(line['error'])} | {percent(line['coverage'])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write(rows: list[Row], about: dict[str, Any], page: Path, command: str) -> None:
+    """Put the tables between their marks; a page without marks becomes the tables alone."""
+    text = tables(rows, about, command)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    old = page.read_text(encoding="utf-8") if page.exists() else ""
+    if BEGIN in old and END in old:
+        head, tail = old.split(BEGIN)[0], old.split(END)[1]
+        text = f"{head}{BEGIN}\n{text}{END}{tail}"
+    page.write_text(text, encoding="utf-8")

@@ -1,0 +1,81 @@
+"""Classes of effects that this log can't tell apart, and the manoeuvre that would split them.
+
+Two effects are alike on a log when exchanging one for the other, everything else fitted again, costs less than the
+evidence can bear; nothing is taken from a list.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gap.naming.evidence import fit_subsets, score
+from gap.naming.search import Fit, Search, fit_subset
+
+_ALIKE = 10.0
+"""Difference of scores below which one of two effects is not preferred."""
+_ALIKE_SHARE = 0.002
+"""Share of what the effect explains that a good model may miss anyway."""
+_TRIED = 4
+
+
+def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
+    """Effects that would explain the flights as well in this one's place, closest first."""
+    point = state.point
+    base = [m for m, c in enumerate(point.candidates) if c.effect in best.effects and c.effect != effect]
+    others = [m for m, c in enumerate(point.candidates) if c.effect not in best.effects]
+    gram = point.gram()
+    subsets = [tuple(sorted((*base, m))) for m in others]
+    fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
+    explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
+    bearable = _ALIKE + _ALIKE_SHARE * explained
+    count = len(point.candidates)
+    scored = sorted(
+        (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)
+        for i, s in enumerate(fitted[1:])
+        if np.isfinite(s.gain)
+    )
+    found: dict[str, float] = {}
+    for value, i in scored[:_TRIED]:
+        if value > best.score + 3.0 * bearable + 0.05 * explained:
+            break
+        name = point.candidates[others[i]].effect
+        fit = fit_subset(state, fitted[1 + i])
+        if fit.score - best.score < bearable:
+            found[name] = min(found.get(name, np.inf), fit.score)
+    return tuple(sorted(found, key=lambda name: found[name]))
+
+
+def splitting_manoeuvre(effects: tuple[str, ...]) -> str:
+    """What to fly so that these effects part."""
+    for group, text in _SPLITS:
+        if set(effects) <= group or len(group & set(effects)) >= 2:
+            return text
+    return "rate doublets on all axes, a thrust chirp and a fast run on two opposite headings"
+
+
+_SPLITS: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"motor_lag", "transport_delay", "inertia"}),
+        "rate doublets and a thrust chirp up to 8 Hz, motors and gyro logged at 250 Hz",
+    ),
+    (
+        frozenset({"steady_wind", "constant_force", "accelerometer_bias", "attitude_misalignment", "com_offset"}),
+        "the same line at two speeds to and fro, then hover while turning by half a turn",
+    ),
+    (
+        frozenset({"linear_drag", "rotor_drag", "parasitic_drag", "induced_inflow"}),
+        "straight runs at three airspeeds, and the same speed in hard turns (the rotors' speed must change)",
+    ),
+    (
+        frozenset({"payload", "thrust_scale", "battery_sag", "thrust_curve", "constant_force", "rotor_fault"}),
+        "rate doublets and a thrust chirp: torques tell thrust from mass; repeat with a fresh and an empty battery",
+    ),
+    (
+        frozenset({"ground_effect", "thrust_scale", "payload", "vortex_ring"}),
+        "low passes at half, one and two rotor diameters over the ground, and a steady descent",
+    ),
+    (
+        frozenset({"com_offset", "rotor_fault", "blade_flapping"}),
+        "climb hard and hover by turns: a shifted mass turns with the thrust, a weak rotor yaws as well",
+    ),
+)

@@ -1,0 +1,65 @@
+"""Velocity out of three measurements: the velocity itself, the position's derivative, the integrated acceleration.
+
+Each is good at other frequencies: the position below some, the acceleration above another, the velocity between.
+Their three differences hold nothing of the motion, only their errors; if these are independent, the differences'
+spectra say how large each one's are (the three-cornered hat: Gray and Allan, Proc. 28th Symposium on Frequency
+Control, 1974).  The two crossovers are those, of a few, that leave the least error.  Nothing here knows the vehicle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from flightstack.types import F64
+
+_SEGMENT_S = 16.0
+_POSITION_BELOW_HZ = (0.0, 0.04, 0.08, 0.16, 0.32)
+_INERTIA_ABOVE_HZ = (0.1, 0.2, 0.4, 0.8, 1.6)
+_USUAL_HZ = (0.0, 0.4)
+_BETTER = 0.8
+"""Share of the usual crossovers' error below which others are taken."""
+
+
+def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> tuple[list[tuple[float, float]], F64]:
+    """For each axis (position below, inertia above) in Hz, and the standard deviation (3,) of the error then left.
+
+    All in one frame, over ground: (N, 3) m/s, m, m/s^2 without gaps.
+    """
+    inertial = np.zeros_like(velocity)
+    inertial[1:] = np.cumsum(0.5 * dt_s * (acceleration[1:] + acceleration[:-1]), axis=0)
+    by_position = np.gradient(position, dt_s, axis=0) - velocity
+    by_inertia = inertial - velocity
+    chosen, std = [], np.zeros(3)
+    for axis in range(3):
+        hz, errors = _errors(by_position[:, axis], by_inertia[:, axis], dt_s)
+        left = {
+            (low, high): _left(hz, errors, low, high)
+            for low in _POSITION_BELOW_HZ
+            for high in _INERTIA_ABOVE_HZ
+            if low < high
+        }
+        best = min(left, key=lambda key: left[key])
+        if left[best] > _BETTER**2 * left[_USUAL_HZ]:
+            best = _USUAL_HZ
+        chosen.append(best)
+        std[axis] = np.sqrt(left[best])
+    return chosen, std
+
+
+def _left(hz: F64, errors: F64, low_hz: float, high_hz: float) -> float:
+    """Variance that the filters of these crossovers leave of the three errors."""
+    slow = 1.0 / (1.0 + (hz / high_hz) ** 4)
+    slower = 1.0 / (1.0 + (hz / low_hz) ** 4) if low_hz > 0.0 else np.zeros_like(hz)
+    shares = np.stack([slow * (1.0 - slower), slow * slower, 1.0 - slow])
+    return float(max(np.trapezoid(np.sum(shares**2 * errors, axis=0)[1:], hz[1:]), 1e-12))
+
+
+def _errors(by_position: F64, by_inertia: F64, dt_s: float) -> tuple[F64, F64]:
+    """Frequencies (n,) and the error spectra (3, n) of velocity, position's derivative and integrated acceleration."""
+    settings = {"fs": 1.0 / dt_s, "nperseg": min(len(by_position), round(_SEGMENT_S / dt_s)), "detrend": "linear"}
+    hz, first = welch(by_position, **settings)
+    second = welch(by_inertia, **settings)[1]
+    shared = np.real(csd(by_position, by_inertia, **settings)[1])
+    least = 1e-3 * np.minimum(first, second)
+    return hz, np.maximum(np.stack([shared, first - shared, second - shared]), least)

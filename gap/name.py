@@ -1,0 +1,354 @@
+"""Name what is missing: the effects that explain the residuals of these flights, or none.
+
+search (gap.naming.search)  ->  which subset explains most for its price, every one fitted in earnest
+verdict (this file)         ->  what of it may be said: significant, constant, better on held-out data, not a proxy
+classes (gap.classes)       ->  what else would explain the flights as well
+remainder (gap.remainder)   ->  what is left and on what it depends; too much of it, and nothing is named
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.classes import alternatives, splitting_manoeuvre
+from gap.compare import residual, velocity_noise
+from gap.identify import Identifiable, identify
+from gap.locate import locate
+from gap.naming.bench import SimulatorBench, simulator_bench
+from gap.naming.candidates import negligible
+from gap.naming.drivers import block_means
+from gap.naming.estimate import Estimates, estimate
+from gap.naming.evidence import fit_subsets
+from gap.naming.search import Fit, Search, judged_fit, search
+from gap.naming.whitening import Mask
+from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
+from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
+from gap.simulate import Knob, sensitivities, value, with_value
+from gap.track import track
+
+_LEAST_EVIDENCE = 15.0
+"""Fall of the score from which an effect is named."""
+_LEAST_P = 1e-4
+"""After Holm's correction for all candidates."""
+_LEAST_SIZES = 3.0
+"""Smallest effect that is named, in negligible sizes."""
+_NOT_CONSTANT_P = 1e-6
+_ABSTAIN_SHARE = 0.1
+"""Of what can be explained, the part that depends on something else than the named effects."""
+_TOLD_SHARE = 0.05
+_ACTS_SHARE = 0.1
+"""Of what can be explained in a group, the part from which an effect is taken to act there."""
+_MATTERS_MPS2 = 0.05
+_MATTERS_SHARE = 0.03
+"""What is left matters from this specific force on, or this share of the angular acceleration flown."""
+_DRIFT_MARGIN = 10.0
+"""Chi-square by which the voltage must do better than time."""
+_CI = 1.959964
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Naming:
+    """The verdict."""
+
+    found: tuple[Found, ...]
+    """Strongest first; empty where model and flights agree, and where too much stays unexplained."""
+    rejected: tuple[Rejected, ...]
+    """Every other effect of the table, and why not."""
+    vehicle: Vehicle
+    """The vehicle with the found effects at their estimates; the given one where nothing was found."""
+    unexplained: Unexplained
+    where: tuple[Where, ...]
+    constant: Mapping[str, float]
+    """Effect -> p-value of its being the same in all stretches of the flights."""
+    identifiable: tuple[Identifiable, ...] = ()
+    """What these flights could have shown at all (`gap.identify`)."""
+
+
+def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
+    """Name the missing effects of `vehicle` from flights; masks (N,) by flight: samples to learn from, to judge by.
+
+    The masks must leave a guard of two seconds between them.  Samples that are not `valid` are never used.  Nothing
+    raises on odd data: what can't be judged is not named.
+    """
+    valid = [s.valid for s in flights]
+    bench = simulator_bench(
+        vehicle,
+        flights,
+        [m & v for m, v in zip(fit, valid, strict=True)],
+        [m & v for m, v in zip(holdout, valid, strict=True)],
+    )
+    where = locate([residual(vehicle, s) for s in flights], flights)
+    if not any(m.any() for m in bench.fit):
+        return Naming((), (), vehicle, Unexplained(False), where, {})
+    state = search(bench, vehicle)
+    best = _pruned(state)
+    judged = _judge(state, best)
+    rests = _rests(bench, vehicle, judged.estimates)
+    slow = _slow_noise(bench, judged.estimates.vehicle)
+    told = {
+        group: r
+        for group, r in rests.items()
+        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
+    }
+    seen = identify(state.point)
+    doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
+    unexplained = _unexplained(told)
+    if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
+        names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
+        doubtful |= set(names[names.index("battery_sag") :])
+        unexplained = Unexplained(True, ("time", "battery"), 1.0)
+    kept = tuple(f for f in judged.found if f.name not in doubtful)
+    corrected = vehicle
+    for f in kept:
+        corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
+    rejected = _rejected(state, best, tuple(f.name for f in kept), doubtful)
+    return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen)
+
+
+def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
+    """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
+
+    An effect that changes from stretch to stretch is given less leave.
+    """
+    made = judged.estimates
+    moved = _moved(state, made)
+    power: dict[str, float] = {}
+    for (effect, _), size, shift in zip(made.slots, r.by_column, moved, strict=True):
+        power[effect] = power.get(effect, 0.0) + size * shift**2
+    explained = max(r.before - r.after, 0.0) + r.driven
+    out = set()
+    for effect, mine in power.items():
+        fickle = judged.constant.get(effect, 1.0) < _NOT_CONSTANT_P
+        if mine > _ACTS_SHARE * explained and (fickle or r.share > _ABSTAIN_SHARE):
+            out.add(effect)
+    return out
+
+
+def _moved(state: Search, made: Estimates) -> F64:
+    """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
+
+
+def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
+    """What the velocity's own slow error leaves of each group through the vehicle's drag, root mean square."""
+    worst = np.nan_to_num(np.array([velocity_noise(vehicle, s) for s in bench.flights])).max(axis=0)
+    return {group: float(np.max(worst[list(channels)])) for group, channels in GROUPS.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    found: tuple[Found, ...]
+    estimates: Estimates
+    constant: Mapping[str, float]
+
+
+def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+    """Chi-square of the named effects but one, the others fitted again, on the columns at the best."""
+    point = state.point
+    members = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects and c.effect != gone)
+    gram = point.gram()
+    subset = fit_subsets(gram, [members], point.columns, point.low, point.high)[0]
+    return gram.c - (subset.gain if np.isfinite(subset.gain) else 0.0)
+
+
+def _pruned(state: Search) -> Fit:
+    """The best fit, less the members whose own evidence is too thin or whose size is trifling."""
+    best = state.best
+    while best.effects:
+        weakest, drop = "", np.inf
+        for effect in best.effects:
+            fall = _evidence(state, best, effect)
+            if _size(state, best, effect) < _LEAST_SIZES:
+                fall = min(fall, 0.0)
+            if fall < drop:
+                weakest, drop = effect, fall
+        if drop >= _LEAST_EVIDENCE:
+            return best
+        rest_of = frozenset(best.effects) - {weakest}
+        same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
+        best = min([*same, _refit(state, best, weakest)], key=lambda f: f.chi2)
+    return best
+
+
+def _evidence(state: Search, best: Fit, effect: str) -> float:
+    """By how much the score would rise without the effect."""
+    used = len(best.effects[effect])
+    price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
+    return _without(state, best.effects, effect) - best.chi2 - float(price)
+
+
+def _refit(state: Search, best: Fit, gone: str) -> Fit:
+    left = {e: v for e, v in best.effects.items() if e != gone}
+    made = estimate(state, left)
+    effects = {e: dict(made.vehicle.effects[e]) for e in left}
+    return judged_fit(state, effects, made.vehicle, made.rows, len(made.slots))
+
+
+def _size(state: Search, best: Fit, effect: str) -> float:
+    """The effect's largest change in negligible sizes."""
+    sizes = []
+    for spec in EFFECT_SPECS[effect].params:
+        origin = value(state.start, effect, spec.name)
+        if not spec.integer and not spec.required and np.isfinite(origin):
+            change = abs(best.effects[effect][spec.name] - origin)
+            sizes.append(change / negligible(best.vehicle, effect, spec.name))
+    return max(sizes, default=0.0)
+
+
+def _judge(state: Search, best: Fit) -> _Judged:
+    made = estimate(state, best.effects)
+    if not best.effects:
+        return _Judged((), made, {})
+    held = state.point.layout.keep & state.point.layout.held
+    start_rows = state.point.layout.stack(state.bench.residual(state.start))
+    gaps = _gap(start_rows, held), _gap(made.rows, held)
+    found = []
+    count = len(EFFECT_SPECS)
+    for effect in best.effects:
+        mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
+        fall = _evidence(state, best, effect)
+        p_value = _p_value(state, best, effect)
+        others = alternatives(state, best, effect)
+        lost = _held_out_loss(state, made, mine, held)
+        gain = lost / max(gaps[0] - gaps[1] + 1e-9, lost, 1e-9)
+        if p_value * count > _LEAST_P or lost <= 0.0:
+            continue
+        found.append(
+            (
+                fall,
+                Found(
+                    effect,
+                    _parameters(state, made, effect),
+                    -fall,
+                    float(gain),
+                    p_value,
+                    others,
+                    splitting_manoeuvre((effect, *others)) if others else "",
+                ),
+            )
+        )
+    if len(found) < len(best.effects):
+        left = {f.name: best.effects[f.name] for _, f in found}
+        made = estimate(state, left)
+    found.sort(key=lambda item: -item[0])
+    constant: dict[str, float] = {}
+    for (effect, _), p in zip(made.slots, made.spread, strict=True):
+        constant[effect] = min(constant.get(effect, 1.0), float(p))
+    return _Judged(tuple(f for _, f in found), made, constant)
+
+
+def _gap(rows: F64, chosen: Mask) -> float:
+    return float(rows[chosen] @ rows[chosen])
+
+
+def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) -> float:
+    """How much worse the held-out rows would be predicted without these coefficients, to first order."""
+    if not held.any():
+        return 1.0
+    without = made.rows[held] + made.x[held][:, mine] @ _moved(state, made)[mine]
+    return float(without @ without) - _gap(made.rows, held)
+
+
+def _p_value(state: Search, best: Fit, effect: str) -> float:
+    """Likelihood ratio of the effect against trifles of all others."""
+    fall = _without(state, best.effects, effect) - best.chi2
+    return float(chi2_distribution.sf(max(fall, 0.0), max(len(best.effects[effect]), 1)))
+
+
+def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:
+    found: dict[str, Estimate] = {}
+    for spec in EFFECT_SPECS[effect].params:
+        before = value(state.start, effect, spec.name)
+        now = value(made.vehicle, effect, spec.name)
+        if spec.integer:
+            found[spec.name] = Estimate(before, now, now, now)
+            continue
+        i = made.slots.index((effect, spec.name))
+        reach = _CI * float(np.sqrt(max(made.covariance[i, i], 0.0)))
+        if reach == 0.0:
+            found[spec.name] = Estimate(before, now, spec.minimum, spec.maximum)
+        else:
+            found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
+    return found
+
+
+def _drifts_as_well(state: Search, made: Estimates) -> bool:
+    """Whether a thrust that only drifts with time explains the flights as well as the battery's voltage does."""
+    layout = state.point.layout
+    thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
+    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
+    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
+    others = [i for i in range(len(made.slots)) if i not in sag]
+    without = made.rows + made.x[:, sag] @ _moved(state, made)[sag]
+    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
+    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
+    return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
+
+
+def _along(count: int) -> F64:
+    """(N, 1, 1) from -1 to 1 along a flight."""
+    return np.linspace(-1.0, 1.0, count)[:, None, None]
+
+
+def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
+    masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
+    after = [residual(made.vehicle, s).y for s in bench.flights]
+    before = [residual(start, s).y for s in bench.flights]
+    none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
+    knobs = [Knob(e, p) for e, p in made.slots]
+    columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
+    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    return {group: rest(first.y, blocks, group) for group in GROUPS}
+
+
+def _matters(bench: SimulatorBench, group: str) -> float:
+    """What a remainder of this group must reach to be told, root mean square."""
+    if group != "torque":
+        return _MATTERS_MPS2
+    flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
+    return _MATTERS_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
+
+
+def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:
+    return list(zip(bench.flights, bench.fit, bench.holdout, bench.every, strict=True))
+
+
+def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
+    drivers: list[str] = []
+    for r in sorted(told.values(), key=lambda r: -r.driven):
+        drivers += [d for d in r.drivers if d not in drivers]
+    return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
+
+
+def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]) -> tuple[Rejected, ...]:
+    """Every effect that was not named with what it would change on top of those that were."""
+    point = state.point
+    gram = point.gram()
+    base = tuple(m for m, c in enumerate(point.candidates) if c.effect in best.effects)
+    without = fit_subsets(gram, [base], point.columns, point.low, point.high)[0]
+    out = []
+    for effect in EFFECT_SPECS:
+        if effect in found:
+            continue
+        if effect in best.effects:
+            reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
+            out.append(Rejected(effect, -_evidence(state, best, effect), reason))
+            continue
+        tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]
+        if not tried:
+            out.append(Rejected(effect, 0.0, "this log can't show it"))
+            continue
+        subsets = fit_subsets(gram, tried, point.columns, point.low, point.high)
+        gains = [s.gain - without.gain - (s.used - without.used) * np.log(gram.rows) for s in subsets]
+        gain = max((g for g in gains if np.isfinite(g)), default=0.0)
+        out.append(Rejected(effect, float(-gain), "explains nothing more"))
+    return tuple(out)

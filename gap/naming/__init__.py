@@ -1,0 +1,1 @@
+"""Naming the missing effects: candidates, their columns, the evidence, the search and the verdict."""

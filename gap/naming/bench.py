@@ -1,0 +1,99 @@
+"""The flights as a bench (`gap.naming.design.Bench`): residuals and columns through the simulator, thinned out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.naming.inputs import with_sharp_commands, with_smooth_commands
+from gap.naming.whitening import Mask
+from gap.records import Samples
+from gap.simulate import Knob, predict, sensitivities, timing
+from gap.track import track
+
+_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
+"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
+_GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
+_GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
+"""Of those gains, one standard deviation for each second between samples."""
+_FOLDED = ((0, 1, 2), (3,), (4,), (5,))
+"""Channels of each part of the commands' noise."""
+_ROWS_PER_CUTOFF = 2.5
+"""Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatorBench:
+    """Several flights at their own rates, each thinned to what its low-pass leaves."""
+
+    flights: tuple[Samples, ...]
+    calm: tuple[Samples, ...]
+    """The same with smooth commands (`gap.naming.inputs`)."""
+    every: tuple[int, ...]
+    """Samples for each row, by flight."""
+    fit: list[Mask]
+    holdout: list[Mask]
+
+    def residual(self, vehicle: Vehicle) -> list[F64]:
+        """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            flight = track(s)
+            y = flight.lowpass(flight.measured - predict(vehicle, s))[::k]
+            y[~flight.usable[::k]] = np.nan
+            out.append(y)
+        return out
+
+    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+        """Derivatives of the simulated (N, 12, K) of each flight."""
+        return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
+
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
+
+        When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
+        loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
+        unsteadiness is folded in by sampling, for the force and for each torque: the change if none were real.
+        """
+        columns = []
+        for s, calm, k in zip(self.flights, self.calm, self.every, strict=True):
+            late = timing(vehicle, s)[::k, :, None]
+            base = predict(vehicle, s)
+            change = track(s).lowpass(predict(vehicle, calm) - base)[::k]
+            bent = track(s).lowpass(predict(vehicle, with_sharp_commands(s)) - base)[::k, :, None]
+            folded = np.zeros((*change.shape, len(_FOLDED)))
+            for j, channels in enumerate(_FOLDED):
+                folded[:, channels, j] = change[:, channels]
+            gains = np.nan_to_num(sensitivities(vehicle, s, _GAINS, k))
+            gains[:, 3:, 0] = 0.0
+            columns.append(np.concatenate([late, bent, folded, gains], axis=2))
+        period = float(np.mean([s.dt_s for s in self.flights]))
+        sizes = [_TIMING_S + _TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
+        fitted = np.array([False, True, *([True] * len(_FOLDED)), *([False] * len(_GAINS))])
+        return columns, np.array(sizes), fitted
+
+    def rate(self, flight: int) -> float:
+        """Rows a second of one flight."""
+        return 1.0 / (self.flights[flight].dt_s * self.every[flight])
+
+    def times(self) -> list[F64]:
+        """(N,) seconds of the rows of each flight."""
+        return [s.t_s[::k] for s, k in zip(self.flights, self.every, strict=True)]
+
+
+def simulator_bench(
+    vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
+) -> SimulatorBench:
+    """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
+    every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
+    return SimulatorBench(
+        tuple(flights),
+        tuple(with_smooth_commands(s, vehicle) for s in flights),
+        every,
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
+    )

@@ -1,0 +1,347 @@
+"""Output-error refinement: the named effects' parameters fitted through many short simulations of the flight.
+
+From measured states the simulator runs freely over windows of half a second, driven by the logged commands.  What its
+accelerometer and gyro would have gathered in each twentieth of a second is set against what the real ones gathered.
+Gauss-Newton on that difference, weighted by its own covariance: each channel's is taken as stationary and estimated
+from the residuals (generalised least squares), and the intervals are of the sandwich kind over windows, with their
+neighbours' correlation over 5 s (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
+
+Two nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
+a prior of a uniform distribution's width (beside a transport delay it can't be told from, it stays 0 and widens the
+delay's interval).  And what is left of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects
+themselves are not moved: the kinematic columns know them better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular, toeplitz
+from scipy.stats import t as student
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.types import F64, InputError
+from flightstack.vehicle import Vehicle
+from gap.compare import residual
+from gap.records import Estimate, Samples
+from gap.rollouts import Rollout, rollouts
+from gap.scales import natural_scale
+from gap.simulate import unseen, value, with_value
+from gap.track import Track, track
+
+WINDOW_S = 0.5
+PIECE_S = 0.05
+_MOST_WINDOWS = 400
+_ROUNDS = 4
+_STEP_SHARE = 0.05
+_PRIOR_SCALES = 30.0
+"""A parameter that the windows can't see stays where it was, with an interval of this many natural scales."""
+_CONVERGED = 0.02
+_TIMING_STEP_S = 0.001
+_BIAS_STD_MPS2 = 0.1
+"""Of an accelerometer in use, before the kinematic columns are looked at."""
+_BLOCK_S = 4.0
+_SAMPLING = 0.05
+"""Of a sample: how well a lag can be known from sampled commands, one standard deviation."""
+_GAIN = 1e-3
+"""How well an inertia's scale can be, for the same reason."""
+_SWING = 4e-3
+"""And a load's length, as its swing at the start is not known; relative."""
+_MEMORY_S = 5.0
+_STATES = 1.15
+"""Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
+_NUISANCES = 4
+_WORSE = 1.02
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """The vehicle with refined parameters, their intervals, and how much later each flight's commands acted."""
+
+    vehicle: Vehicle
+    parameters: Mapping[str, Mapping[str, Estimate]]
+    """Effect -> parameter -> estimate; `before` is the vehicle's own value before anything was named."""
+    late_s: tuple[float, ...]
+    windows: int
+
+
+def refine(
+    believed: Vehicle,
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    masks: Sequence[NDArray[np.bool_]],
+    effects: Sequence[str],
+) -> Refined | None:
+    """Refine the parameters of these effects of `vehicle`, starting at its values.
+
+    `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from.  None where there is
+    nothing to refine: no windows, no physical effect, or one that no flight can show; and where the refined vehicle
+    predicts a single step worse than the one it began with, as it may with a structure that is wrong.
+    """
+    unknowns = [
+        (effect, p.name)
+        for effect in effects
+        if EFFECT_SPECS[effect].kind != "sensor" and effect != "turbulence"
+        for p in EFFECT_SPECS[effect].params
+        if not p.integer and not math.isnan(value(vehicle, effect, p.name))
+    ]
+    problem = _Problem(vehicle, unknowns, flights, masks)
+    if not unknowns or problem.count <= len(unknowns) + 2:
+        return None
+    theta, covariance = problem.solve()
+    # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
+    freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
+    half = _STATES * student.ppf(0.975, max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
+    found: dict[str, dict[str, Estimate]] = {}
+    for k, (effect, parameter) in enumerate(unknowns):
+        low, high = _limits(effect, parameter)
+        found.setdefault(effect, {})[parameter] = Estimate(
+            value(believed, effect, parameter),
+            float(theta[k]),
+            float(max(theta[k] - half[k], low)),
+            float(min(theta[k] + half[k], high)),
+        )
+    shifts = theta[len(unknowns) :: _NUISANCES]
+    late = tuple(s.command_late_s + float(x) for s, x in zip(flights, shifts, strict=True))
+    refined = problem.vehicle_at(theta)
+    shifted = [replace(s, command_late_s=x) for s, x in zip(flights, late, strict=True)]
+    if np.any(_one_step(refined, shifted, masks) > _WORSE * _one_step(vehicle, flights, masks)):
+        return None
+    return Refined(refined, found, late, problem.count)
+
+
+def _one_step(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]]) -> F64:
+    """(2,) one-step rms over all flights: force, torque; 0 where no flight measures it."""
+    y = np.concatenate([residual(vehicle, s).y[mask, :6] for s, mask in zip(flights, masks, strict=True)])
+    known = np.isfinite(y)
+    power = np.where(known, y, 0.0) ** 2
+    return np.array([np.sqrt(power[:, c].sum() / max(int(known[:, c].sum()), 1)) for c in (slice(0, 3), slice(3, 6))])
+
+
+def _limits(effect: str, parameter: str) -> tuple[float, float]:
+    spec = next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    return spec.minimum, spec.maximum
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Windows:
+    """One flight's windows and what its sensors gathered in their pieces."""
+
+    flight: Track
+    starts: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    """(n + 1,) samples after a start, where pieces begin and end."""
+    gathered: F64
+    """(S, n, 6) integrals of specific force (m/s) and changes of rate (rad/s)."""
+
+
+def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
+    flight = track(samples)
+    good = mask & flight.usable
+    piece = max(1, round(PIECE_S / samples.dt_s))
+    steps = piece * max(2, round(WINDOW_S / samples.dt_s / piece))
+    starts, k = [], 0
+    bad = np.concatenate([[0], np.cumsum(~good)])
+    while k + steps + 1 < len(good):
+        if bad[k + steps + 1] == bad[k]:
+            starts.append(k)
+            k += steps
+        else:
+            k += 1
+    chosen = np.array(starts, dtype=np.int64)
+    if len(chosen) > most:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
+    edges = np.arange(0, steps + 1, piece)
+    force = flight.measured[:, 0:3]
+    sums = np.zeros_like(force)
+    sums[1:] = np.cumsum(0.5 * samples.dt_s * (force[1:] + force[:-1]), axis=0)
+    # The gyro as it is: a smoothed one's residuals are so alike from piece to piece that they would count too much.
+    derived = "rate_frd_radps" in flight.missing
+    rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
+    at = chosen[:, None] + edges[None, :]
+    return _Windows(
+        flight, chosen, edges, np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
+    )
+
+
+def _gathered(run: Rollout, windows: _Windows) -> F64:
+    """(S, n, 6) of a simulation, as `_Windows.gathered` has it."""
+    sums = np.cumsum(run.force_frd_mps2 * windows.flight.samples.dt_s, axis=1)[:, windows.edges]
+    rate = run.rate_frd_radps[:, windows.edges]
+    return np.concatenate([np.diff(sums, axis=1), np.diff(rate, axis=1)], axis=2)
+
+
+def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[F64, F64]:
+    """Mean and standard deviation (3,) of the accelerometer's bias beyond the vehicle's, m/s^2."""
+    flight = track(samples)
+    none = np.zeros(3), np.full(3, 1e-6)
+    if "accel_frd_mps2" in flight.missing:
+        return none
+    y = residual(vehicle, samples).y[mask & flight.usable, 9:12]
+    length = round(_BLOCK_S / samples.dt_s)
+    blocks = [y[k : k + length].mean(axis=0) for k in range(0, len(y) - length + 1, length)]
+    if len(blocks) < 3 or not np.isfinite(blocks).all():
+        return np.zeros(3), np.full(3, _BIAS_STD_MPS2)
+    seen = np.var(blocks, axis=0, ddof=1) / len(blocks)
+    trust = _BIAS_STD_MPS2**2 / (_BIAS_STD_MPS2**2 + seen)
+    return trust * np.mean(blocks, axis=0), np.sqrt(trust * seen)
+
+
+class _Problem:
+    """Parameters (K) and each flight's nuisances (shift, three biases) as one vector, over all windows."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        unknowns: Sequence[tuple[str, str]],
+        flights: Sequence[Samples],
+        masks: Sequence[NDArray[np.bool_]],
+    ) -> None:
+        self._vehicle, self._unknowns = vehicle, unknowns
+        most = max(1, _MOST_WINDOWS // max(len(flights), 1))
+        usable = [not any(unseen(s, effect) for effect, _ in unknowns) for s in flights]
+        self.windows = [
+            _windows(s, m if ok else m & False, most) for s, m, ok in zip(flights, masks, usable, strict=True)
+        ]
+        self.count = sum(len(w.starts) for w in self.windows)
+        scales = [natural_scale(vehicle, effect, parameter) for effect, parameter in unknowns]
+        self._delayed = ("transport_delay", "delay_s") in unknowns
+        own = np.array([value(vehicle, *unknown) for unknown in unknowns])
+        limits = np.array([_limits(*unknown) for unknown in unknowns]).reshape(-1, 2)
+        means, stds, steps, reach = [own], [_PRIOR_SCALES * np.array(scales)], [_STEP_SHARE * np.array(scales)], []
+        for s, mask in zip(flights, masks, strict=True):
+            bias, bias_std = _bias_prior(vehicle, s, mask)
+            shift_std = 1e-9 if self._delayed else s.dt_s / math.sqrt(12.0)
+            means.append(np.array([0.0, *bias]))
+            stds.append(np.array([shift_std, *bias_std]))
+            steps.append(np.array([_TIMING_STEP_S, 1.0, 1.0, 1.0]))
+            reach.append(np.array([s.dt_s, 10.0, 10.0, 10.0]))
+        self._start, self._prior_std, self._step = np.concatenate(means), np.concatenate(stds), np.concatenate(steps)
+        self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
+        self._high = np.concatenate([limits[:, 1], *reach])
+        self._sampling_s = max((s.dt_s for s in flights), default=0.0)
+
+    def vehicle_at(self, theta: F64) -> Vehicle:
+        """The vehicle with these parameters."""
+        changed = self._vehicle
+        for (effect, parameter), x in zip(self._unknowns, theta, strict=False):
+            changed = with_value(changed, effect, {parameter: float(x)})
+        return changed
+
+    def solve(self) -> tuple[F64, F64]:
+        """Estimate and covariance of all parameters and nuisances."""
+        theta = self._start.copy()
+        covariance = np.diag(self._prior_std**2)
+        for _ in range(_ROUNDS):
+            parts = [self._linear(theta, f) for f in range(len(self.windows))]
+            change, covariance = self._step_from(theta, parts)
+            moved = np.clip(theta + change, self._low, self._high)
+            try:
+                self.vehicle_at(moved)
+            except InputError:
+                moved = theta + 0.5 * (moved - theta)
+            done = np.max(np.abs(moved - theta) / np.maximum(np.sqrt(np.diag(covariance)), 1e-12)) < _CONVERGED
+            theta = moved
+            if done:
+                break
+        for k, (effect, parameter) in enumerate(self._unknowns):
+            if effect == "transport_delay":
+                covariance[k, k] += self._sampling_s**2 / 12.0
+            elif effect == "motor_lag":
+                covariance[k, k] += (_SAMPLING * self._sampling_s) ** 2
+            elif effect == "inertia":
+                covariance[k, k] += _GAIN**2
+            elif effect == "slung_load" and parameter == "length_m":
+                covariance[k, k] += (_SWING * theta[k]) ** 2
+        return theta, covariance
+
+    def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
+        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 4 F) of one flight."""
+        windows = self.windows[f]
+        jacobian = np.zeros((*windows.gathered.shape, len(theta)))
+        if len(windows.starts) == 0:
+            return windows.gathered, jacobian
+        late = len(self._unknowns) + _NUISANCES * f
+        own = [*range(len(self._unknowns)), late]
+        sign = np.where(theta + self._step > self._high, -1.0, 1.0)
+        points = [theta] + [theta + sign[k] * self._step[k] * np.eye(len(theta))[k] for k in own]
+        runs = rollouts(
+            [(self.vehicle_at(x), float(x[late])) for x in points],
+            windows.flight.samples,
+            windows.starts,
+            windows.edges[-1] * windows.flight.samples.dt_s,
+        )
+        base = _gathered(runs[0], windows)
+        for k, run in zip(own, runs[1:], strict=True):
+            jacobian[..., k] = (_gathered(run, windows) - base) / (sign[k] * self._step[k])
+        span = np.diff(windows.edges) * windows.flight.samples.dt_s
+        for axis in range(3):
+            jacobian[:, :, axis, late + 1 + axis] = span
+        y = windows.gathered - base - jacobian[..., late + 1 : late + 4] @ theta[late + 1 : late + 4]
+        # The first piece's change of rate holds the start's own error with the opposite sign: that looks like damping.
+        return y[:, 1:], jacobian[:, 1:]
+
+    def _step_from(self, theta: F64, parts: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
+        """Gauss-Newton step and the sandwich covariance, all windows of all flights together."""
+        information = np.diag(1.0 / self._prior_std**2)
+        score = (self._start - theta) / self._prior_std**2
+        meat = information.copy()
+        for y, x in parts:
+            white_y, white_x = _whitened(y, x)
+            each = np.einsum("src,srck->sk", white_y, white_x)
+            information += np.einsum("srck,srcl->kl", white_x, white_x)
+            score += each.sum(axis=0)
+            step = np.linalg.lstsq(information, score, rcond=None)[0]
+            left = np.einsum("src,srck->sk", white_y - white_x @ step, white_x)
+            meat += left.T @ left
+            reach = _reach(len(left))
+            for lag in range(1, reach + 1):
+                neighbours = left[lag:].T @ left[:-lag]
+                meat += (1.0 - lag / (reach + 1.0)) * (neighbours + neighbours.T)
+        scale = 1.0 / np.sqrt(np.diag(information))
+        inverse = scale[:, None] * np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12) * scale
+        return inverse @ score, inverse @ meat @ inverse
+
+
+def _reach(windows: int) -> int:
+    """How many windows later a residual may still remember: attitude and position drift for seconds."""
+    return max(0, min(round(_MEMORY_S / WINDOW_S), windows // 6))
+
+
+def _whitened(y: F64, x: F64) -> tuple[F64, F64]:
+    """Residual (S, n, 6) and columns (S, n, 6, K) so that the residual's pieces are of unit variance and independent.
+
+    A first regression takes out what the parameters explain: the noise is what is left.
+    """
+    flat_x, flat_y = x.reshape(-1, x.shape[-1]), y.ravel()
+    weight = 1.0 / np.maximum(np.std(y, axis=(0, 1)), 1e-9)
+    rows = np.broadcast_to(weight, y.shape).ravel()
+    norm = np.maximum(np.linalg.norm(flat_x * rows[:, None], axis=0), 1e-300)
+    fit = np.linalg.lstsq(flat_x * rows[:, None] / norm, flat_y * rows, rcond=1e-8)[0] / norm
+    rest = y - x @ fit
+    white_y, white_x = np.zeros_like(y), np.zeros_like(x)
+    for c in range(y.shape[2]):
+        if not np.isfinite(y[:, :, c]).all():
+            continue
+        factor = _factor(rest[:, :, c])
+        white_y[:, :, c] = solve_triangular(factor, y[:, :, c].T, lower=True).T
+        columns = np.moveaxis(x[:, :, c], 1, 0).reshape(y.shape[1], -1)
+        solved = solve_triangular(factor, columns, lower=True).reshape(y.shape[1], y.shape[0], -1)
+        white_x[:, :, c] = np.moveaxis(solved, 0, 1)
+    return white_y, white_x
+
+
+def _factor(rest: F64) -> F64:
+    """Cholesky factor of the stationary covariance of (S, n) residual pieces, tapered so that it is positive."""
+    n = rest.shape[1]
+    covariance = np.array([np.mean(rest[:, : n - j] * rest[:, j:]) for j in range(n)]) * (1.0 - np.arange(n) / n)
+    covariance[0] = max(covariance[0], 1e-18)
+    matrix = toeplitz(covariance) + 1e-3 * covariance[0] * np.eye(n)
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    if least < 1e-3 * covariance[0]:
+        matrix += (1e-3 * covariance[0] - least) * np.eye(n)
+    return np.asarray(np.linalg.cholesky(matrix))

@@ -1,0 +1,46 @@
+"""What the sampling of the motors' commands leaves: a part of the noise floor.
+
+A rate loop faster than the log passes its gyro's noise to the motors; the log keeps one command of several, and what
+the others did shows as a disagreement that no simulator can know.  The white noise on the logged commands tells how
+large they were; the simulator itself says what such noise does to forces and torques.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.records import SIGNALS, Samples
+from gap.simulate import predict
+from gap.track import track
+
+_THIRD = np.sqrt(20.0)  # of the white noise in its third differences
+_MAD = 0.6745
+
+
+def command_noise(samples: Samples) -> F64:
+    """(4,) standard deviation of the white noise on each motor's commands; robust against steps."""
+    motor = samples.motor[samples.valid & np.isfinite(samples.motor).all(axis=1)]
+    if len(motor) < 8:
+        return np.zeros(samples.motor.shape[1])
+    return np.asarray(np.median(np.abs(np.diff(motor, n=3, axis=0)), axis=0) / _MAD / _THIRD)
+
+
+def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Rms of specific force (m/s^2) and angular acceleration (rad/s^2), each of three axes, over the masked samples."""
+    spread = command_noise(samples)
+    flight = track(samples)
+    if not spread.any() or "motor" in flight.missing:
+        return 0.0, 0.0
+    noise = np.random.default_rng(0).standard_normal(samples.motor.shape) * spread
+    other = replace(samples, motor=np.clip(samples.motor + noise, 0.0, 1.0))
+    change = flight.lowpass(predict(vehicle, other) - predict(vehicle, samples))[:, : len(SIGNALS)]
+    rows = change[mask & flight.usable]
+    if not len(rows):
+        return 0.0, 0.0
+    power = np.nan_to_num(np.mean(rows**2, axis=0))
+    return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

@@ -1,0 +1,142 @@
+"""The gap workflow: read -> check -> compare -> locate -> name -> add -> verify -> report, on files of logs.
+
+Every step is a file of this package; here is only their order and what passes between them.  What is not usable is
+refused with a reason (`InputError`); what the flights can't show is said, not guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+from gap import gather, pooled
+from gap.check import check
+from gap.name import Naming, name
+from gap.pooled import Split
+from gap.read import flight
+from gap.records import Checked, Gap, Rejected, Samples
+from gap.refine import refine
+from gap.report.words import sentence
+from gap.result import GapResult, closed
+
+OnProgress = Callable[[float, str], None]
+_WORSE = 1.1
+"""Times the held-out figure before, from which a correction is taken back."""
+
+
+def analyse(
+    logs: Sequence[Path],
+    vehicle: Vehicle,
+    *,
+    vehicle_name: str = "",
+    holdout: Sequence[Path] = (),
+    columns: Path | str | None = None,
+    ground_d_m: float = 0.0,
+    kinematics_only: bool = False,
+    on_progress: OnProgress = lambda share, phase: None,
+) -> GapResult:
+    """Find what the vehicle's model lacks in these logs; InputError, one line, where they can't be used.
+
+    `holdout` are logs kept for the verdict; without any, the last third of each flight is.  `kinematics_only` allows
+    logs without motor commands: then only sensor effects can be named.
+    """
+    checked, kept = _checked(logs, holdout, vehicle, columns, ground_d_m, kinematics_only, on_progress)
+    of = pooled.split([_usable(c) for c in checked], [_usable(c) for c in kept])
+    if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
+        raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
+    on_progress(0.2, "naming")
+    naming = name(vehicle, of.flights, of.fit, of.holdout)
+    if naming.found:
+        on_progress(0.6, "refining")
+        naming, of = _refined(vehicle, naming, of)
+    on_progress(0.75, "verifying")
+    gap = _verdict(vehicle, naming, of)
+    if naming.found and _is_worse(gap):
+        naming = _taken_back(vehicle, naming)
+        gap = _verdict(vehicle, naming, of)
+    on_progress(0.9, "drawing")
+    words = sentence(naming.found, gap, naming.unexplained)
+    report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
+    return GapResult(
+        tuple(str(path) for path in (*logs, *holdout)),
+        vehicle_name or vehicle.name,
+        naming.where,
+        naming.found,
+        gap,
+        naming.unexplained,
+        naming.rejected,
+        naming.vehicle,
+        report,
+    )
+
+
+def _checked(
+    logs: Sequence[Path],
+    holdout: Sequence[Path],
+    vehicle: Vehicle,
+    columns: Path | str | None,
+    ground_d_m: float,
+    kinematics_only: bool,
+    on_progress: OnProgress,
+) -> tuple[list[Checked], list[Checked]]:
+    """All logs read and checked; every one must be usable."""
+    done: list[Checked] = []
+    count = len(logs) + len(holdout)
+    for k, path in enumerate((*logs, *holdout)):
+        on_progress(0.2 * k / count, f"reading {path.name}")
+        read = flight(path, vehicle, columns)
+        on_progress(0.2 * (k + 0.5) / count, f"checking {path.name}")
+        done.append(check(read, vehicle, ground_d_m=ground_d_m, kinematics_only=kinematics_only))
+        _refuse(path, done[-1])
+    return done[: len(logs)], done[len(logs) :]
+
+
+def _refuse(path: Path, checked: Checked) -> None:
+    """InputError with the check's own reason where a log can't be used."""
+    if checked.samples is None:
+        reasons = [finding.text for finding in checked.findings if finding.level == "refused"]
+        raise InputError(f"log {path}: {reasons[0] if reasons else 'no part of it can be used'}")
+
+
+def _usable(checked: Checked) -> Samples:
+    assert checked.samples is not None  # `_refuse` saw to it
+    return checked.samples
+
+
+def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split]:
+    """The named effects' parameters by output error through the simulator, and when the commands really acted."""
+    used = [k for k, mask in enumerate(of.fit) if mask.any()]
+    flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
+    refined = refine(vehicle, naming.vehicle, flights, masks, [found.name for found in naming.found])
+    if refined is None:
+        return naming, of
+    found = tuple(
+        replace(each, parameters={**each.parameters, **refined.parameters.get(each.name, {})}) for each in naming.found
+    )
+    late = dict(zip(used, refined.late_s, strict=True))
+    moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
+    return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
+
+
+def _is_worse(gap: Gap) -> bool:
+    """Whether the corrected model predicts data not used before worse than the model as it was."""
+    pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
+    return any(was is not None and now is not None and now > _WORSE * was for was, now in pairs)
+
+
+def _taken_back(vehicle: Vehicle, naming: Naming) -> Naming:
+    """Nothing is named that doesn't hold on data not used before; that something is missing stays true."""
+    reason = "makes data not used before worse"
+    back = tuple(Rejected(found.name, found.delta_bic, reason) for found in naming.found)
+    unexplained = replace(naming.unexplained, significant=True, fraction=1.0)
+    return replace(naming, found=(), rejected=(*back, *naming.rejected), vehicle=vehicle, unexplained=unexplained)
+
+
+def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
+    before = pooled.figures(vehicle, of)
+    after = pooled.figures(naming.vehicle, of) if naming.found else before
+    floor = pooled.noise_floor(naming.vehicle, of, after)
+    return Gap(before, after, floor, closed(before, after, floor))

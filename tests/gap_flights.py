@@ -1,0 +1,199 @@
+"""Flights for the gap workflow's tests: the native plant under PX4-like rate and attitude loops, sampled by sensors.
+
+The autopilot believes the vehicle file without the effects that the truth has.  `fly` gives what happened and what
+was measured; `as_samples` the same as the workflow's own records, on a uniform grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flightstack.frames import quat_from_euler
+from flightstack.model import thrust_to_norm
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
+from gap.records import Samples
+from sim.autopilot.attitude_control import AttitudeControl
+from sim.autopilot.params import Params
+from sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
+from sim.fused import FusedRun
+from sim.grade import load_grade
+from sim.layout import S_POS, S_RATE
+from sim.plant import NativePlant
+from sim.sensors import Sensors
+
+VEHICLES = Path(__file__).resolve().parent.parent / "vehicles"
+Reference = Callable[[float], tuple[F64, F64, F64, float]]
+"""Time -> position (NED), velocity, acceleration, yaw."""
+
+
+def quad() -> Vehicle:
+    """The default vehicle."""
+    return parse_vehicle((VEHICLES / "quad-x.toml").read_text("utf-8"), "quad-x.toml")
+
+
+def hidden(believed: Vehicle, effects: dict[str, dict[str, float]]) -> Vehicle:
+    """What really flies."""
+    return with_effects(believed, effects, source="hidden")
+
+
+def wander(speed: float = 3.0, height: float = 8.0, seed: int = 0) -> Reference:
+    """A smooth path of incommensurate sines that goes through all headings at up to about `speed`."""
+    rng = np.random.default_rng(seed)
+    omega = np.array([[0.5, 0.93], [0.61, 1.07], [0.43, 1.29]])
+    amplitude = np.array([[0.8, 0.3], [0.7, 0.3], [0.25, 0.12]]) * speed / omega
+    phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
+
+    def at(t: float) -> tuple[F64, F64, F64, float]:
+        ease = 1.0 - np.exp(-t / 2.0)
+        angle = omega * t + phase
+        pos = np.sum(amplitude * (np.sin(angle) - np.sin(phase)), axis=1)
+        vel = np.sum(amplitude * omega * np.cos(angle), axis=1)
+        acc = np.sum(-amplitude * omega**2 * np.sin(angle), axis=1)
+        return pos * ease + np.array([0.0, 0.0, -height]), vel * ease, acc * ease, 1.5 * np.sin(0.35 * t) + 0.25 * t
+
+    return at
+
+
+def hover(height: float = 5.0) -> Reference:
+    """Standing still, facing north."""
+    zero = np.zeros(3)
+    return lambda _: (np.array([0.0, 0.0, -height]), zero, zero, 0.0)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One flight on a uniform grid: measured columns and, beside them, the truth."""
+
+    t_s: F64
+    dt_s: float
+    pos: F64
+    vel: F64
+    q: F64
+    rate: F64
+    accel: F64
+    motor: F64
+    battery_v: F64
+    true_pos: F64
+    true_vel: F64
+    true_q: F64
+    true_rate: F64
+    true_u: F64
+    true_force: F64
+    true_angular: F64
+
+
+def fly(
+    truth: Vehicle,
+    believed: Vehicle,
+    reference: Reference,
+    *,
+    seconds: float = 30.0,
+    seed: int = 0,
+    grade: str = "mocap",
+    every_ms: int = 8,
+    dither: float = 0.15,
+) -> Flown:
+    """Closed loop at 250 Hz over rates at 1 kHz, from the reference's own start in the air; logged every `every_ms`.
+
+    `dither`: amplitude (rad) of pseudo-random roll, pitch and yaw doublets (0.4 s) on the attitude wanted: excitation.
+    """
+    rng = np.random.default_rng([seed, 77])
+    plant = NativePlant(truth, seed=seed, ground=True)
+    sensors = Sensors(load_grade(grade), seed=seed + 1)
+    params = Params()
+    for name, gain in default_rate_gains(believed, params).items():
+        params.set(name, gain)
+    rates, attitude = RateControl(believed, params), AttitudeControl(params)
+    loop = FusedRun(plant, rates, sensors)
+    plant.pos_ned_m[:] = reference(0.0)[0]
+    plant.motor_u[:] = hover_command(believed)
+    integral = np.zeros(3)
+    rows, commands = [], []
+    signs = np.zeros(3)
+    for tick in range(round(seconds * 250)):
+        t = tick * 0.004
+        pos, vel, acc, yaw = reference(t)
+        if tick == 0:
+            state = np.concatenate([plant.pos_ned_m, plant.vel_ned_mps, plant.q_ned_frd])
+        else:
+            state = sensors.state
+        error = pos - state[:3]
+        integral = np.clip(integral + 0.004 * 0.8 * error, -4.0, 4.0)
+        want = acc + np.clip(4.0 * error, -6.0, 6.0) + 2.8 * (vel - state[3:6]) + integral
+        lift = want - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+        lift[:2] = np.clip(lift[:2], -8.0, 8.0)
+        lift[2] = min(lift[2], -2.0)
+        thrust = believed.mass_kg * float(np.linalg.norm(lift))
+        if tick % 100 == 0:
+            signs = rng.choice([-1.0, 0.0, 1.0], 3)
+        twist = dither * signs * np.sin(2.0 * np.pi * (tick % 100) / 100.0)
+        attitude.step(state[6:10], _attitude(lift, yaw, twist), 0.0)
+        p, q, r = attitude.rate_setpoint_frd_radps.tolist()
+        norm = thrust_to_norm(thrust, believed.max_total_thrust_n, believed.rotors.thrust_model_factor)
+        rates.set_target((p, q, r), norm, armed=True, hold_integral=False)
+        for _ in range(4):
+            loop.run(1)
+            commands.append(rates.motor_command.copy())
+        if (tick * 4 + 4) % every_ms == 0:
+            rows.append(
+                np.concatenate(
+                    [
+                        sensors.state[:10],
+                        sensors.mean_imu,
+                        [plant.battery_v],
+                        plant.state_row[S_POS : S_RATE + 3],
+                        plant.motor_u,
+                        plant.specific_force_frd_mps2,
+                        plant.angular_acceleration_frd_radps2,
+                    ]
+                )
+            )
+    table = np.array(rows)
+    cuts = np.cumsum([3, 3, 4, 3, 3, 1, 3, 3, 4, 3, 4, 3])
+    parts = np.split(table, cuts, axis=1)
+    parts[5] = parts[5][:, 0]
+    dt = 0.001 * every_ms
+    parts.insert(5, _means(np.array(commands), every_ms))
+    return Flown(dt * (1.0 + np.arange(len(table))), dt, *parts)
+
+
+def _means(commands: F64, every_ms: int) -> F64:
+    """What each sample stands for: the commands' mean over the log's period round it."""
+    total = np.vstack([np.zeros(4), np.cumsum(commands, axis=0)])
+    at = np.arange(every_ms, len(commands) + 1, every_ms)
+    low, high = at - every_ms // 2, np.minimum(at + every_ms // 2, len(commands))
+    return (total[high] - total[low]) / (high - low)[:, None]
+
+
+def _attitude(lift: F64, yaw: float, twist: F64) -> F64:
+    """Attitude whose thrust points along `lift` with this yaw, turned by small roll, pitch and yaw."""
+    z = -lift / np.linalg.norm(lift)
+    ahead, right = z[0] * np.cos(yaw) + z[1] * np.sin(yaw), z[1] * np.cos(yaw) - z[0] * np.sin(yaw)
+    roll = float(np.arcsin(np.clip(-right, -1.0, 1.0)))
+    pitch = float(np.arctan2(ahead, z[2]))
+    return quat_from_euler(roll + twist[0], pitch + twist[1], yaw + twist[2])
+
+
+def as_samples(flown: Flown, name: str = "flight", *, exact: bool = False) -> Samples:
+    """The workflow's records of it; `exact`: the truth in place of every measurement."""
+    height = -(flown.true_pos if exact else flown.pos)[:, 2]
+    return Samples(
+        name=name,
+        t_s=flown.t_s,
+        dt_s=flown.dt_s,
+        pos_ned_m=flown.true_pos if exact else flown.pos,
+        vel_ned_mps=flown.true_vel if exact else flown.vel,
+        q_ned_frd=flown.true_q if exact else flown.q,
+        rate_frd_radps=flown.true_rate if exact else flown.rate,
+        accel_frd_mps2=flown.true_force if exact else flown.accel,
+        motor=flown.motor,
+        battery_v=flown.battery_v,
+        height_m=height,
+        valid=np.ones(len(flown.t_s), dtype=bool),
+        bandwidth_hz=0.5 / flown.dt_s,
+    )

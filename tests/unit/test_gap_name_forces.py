@@ -1,0 +1,38 @@
+"""Each force, torque and motion of the air, hidden in a short flight, is found; what none explains is not named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flightstack.effect_specs import EFFECT_SPECS
+from tests.gap_hidden import flights, named
+from tests.unit.test_gap_name_vehicle import KINDS, check_found
+
+
+@pytest.mark.parametrize(
+    "effect", [name for name, spec in EFFECT_SPECS.items() if spec.kind not in KINDS and name != "turbulence"]
+)
+def test_a_hidden_effect_is_found(effect: str) -> None:
+    check_found(effect)
+
+
+def test_gusts_are_not_taken_for_another_effect() -> None:
+    assert {found.name for found in named(flights()["turbulence"]).found} <= {"turbulence"}
+
+
+def test_a_jet_of_air_in_one_place_is_unexplained_and_depends_on_the_position() -> None:
+    """2 m/s^2 to the north round one point: added to the accelerometer and to nothing the simulator knows."""
+    clean = flights()[""]
+    near = np.exp(-0.5 * np.sum((clean.pos_ned_m[:, :2] - [1.5, -1.0]) ** 2, axis=1))
+    w, x, y, z = clean.q_ned_frd.T
+    north = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)
+    push = 2.0 * near[:, None] * north
+    velocity = clean.vel_ned_mps.copy()
+    velocity[:, 0] += np.cumsum(2.0 * near) * clean.dt_s
+    verdict = named(replace(clean, accel_frd_mps2=clean.accel_frd_mps2 + push))
+    assert verdict.found == ()
+    assert verdict.unexplained.significant
+    assert "position" in verdict.unexplained.depends_on

@@ -1,0 +1,235 @@
+"""The statistics of naming against closed forms and SciPy, on made-up columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import comb
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
+
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle, parse_vehicle
+from gap.naming import whitening
+from gap.naming.candidates import candidates, negligible
+from gap.naming.estimate import estimate
+from gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
+from gap.naming.search import bounded_step, search
+from gap.naming.whitening import Mask
+from gap.simulate import Knob, value
+
+_QUAD = Path(__file__).resolve().parents[2] / "vehicles" / "quad-x.toml"
+
+
+@pytest.fixture(scope="module")
+def quad() -> Vehicle:
+    return parse_vehicle(_QUAD.read_text("utf-8"), "quad-x.toml")
+
+
+# --- whitening
+
+
+def test_the_noise_model_is_the_one_that_made_the_noise() -> None:
+    """e[t] = 1.2 e[t-1] - 0.5 e[t-2] + 0.3 n: 20 000 samples tell each coefficient to about 0.01."""
+    rng = np.random.default_rng(1)
+    e = lfilter([0.3], [1.0, -1.2, 0.5], rng.standard_normal(20_000))
+    whitener = whitening.fit([e], [np.ones(20_000, dtype=bool)])
+    assert whitener.taps[:3] == pytest.approx([1.0, -1.2, 0.5], abs=0.03)
+    assert np.abs(whitener.taps[3:]).max() < 0.04
+    assert whitener.sigma == pytest.approx(0.3, rel=0.03)
+
+
+def test_whitened_least_squares_is_generalised_least_squares() -> None:
+    """The same estimate as the closed form with the noise's Toeplitz covariance, but for the first ORDER rows."""
+    rng = np.random.default_rng(2)
+    n, phi = 900, 0.9
+    e = lfilter([1.0], [1.0, -phi], rng.standard_normal(n))
+    x = gaussian_filter1d(rng.standard_normal((n, 2)), 6.0, axis=0)
+    y = x @ [2.0, -1.0] + e
+    ok = np.ones(n, dtype=bool)
+    exact = whitening.Whitener(np.concatenate([[1.0, -phi], np.zeros(whitening.ORDER - 1)]), 1.0)
+    use = whitening.whole_windows(ok)
+    xw, yw = whitening.apply(exact, x, ok)[use], whitening.apply(exact, y, ok)[use]
+    mine = np.linalg.lstsq(xw, yw, rcond=None)[0]
+    k = whitening.ORDER - 1  # rows before enter through the filter only
+    inverse = np.linalg.inv(toeplitz(phi ** np.arange(n - k)) / (1.0 - phi**2))
+    closed = np.linalg.solve(x[k:].T @ inverse @ x[k:], x[k:].T @ inverse @ y[k:])
+    assert mine == pytest.approx(closed, abs=0.03)
+
+
+def test_a_gap_costs_as_many_rows_as_the_filter_is_long() -> None:
+    ok = np.ones(100, dtype=bool)
+    ok[40] = False
+    assert whitening.whole_windows(ok).sum() == 100 - 2 * whitening.ORDER - 1
+
+
+# --- evidence
+
+
+def _regression(rng: np.random.Generator, rows: int = 80, columns: int = 6) -> tuple[F64, F64]:
+    return rng.standard_normal((rows, columns)), rng.standard_normal(rows)
+
+
+def test_a_little_of_everything_is_the_dense_covariance() -> None:
+    """K, b and c against (I + X T X')^-1 written out."""
+    rng = np.random.default_rng(3)
+    x, y = _regression(rng)
+    t = rng.uniform(0.1, 3.0, 6)
+    gram = robust(x.T @ x, x.T @ y, float(y @ y), 80.0, t)
+    dense = np.linalg.inv(np.eye(80) + x @ np.diag(t**2) @ x.T)
+    assert gram.k == pytest.approx(x.T @ dense @ x, abs=1e-9)
+    assert gram.b == pytest.approx(x.T @ dense @ y, abs=1e-9)
+    assert gram.c == pytest.approx(float(y @ dense @ y), abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_step_within_bounds_is_scipys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = _regression(rng, columns=3)
+    low, high = np.full(3, -0.05), np.full(3, 0.1)
+    step, used = bounded_step(x.T @ x, x.T @ y, low, high)
+    oracle = lsq_linear(x, y, bounds=(low, high), method="bvls")
+    cost = float(np.sum((y - x @ step) ** 2))
+    assert cost <= 2.0 * oracle.cost * (1.0 + 1e-3)
+    assert used == 3
+
+
+def test_every_subset_gains_what_least_squares_gains() -> None:
+    rng = np.random.default_rng(4)
+    x, y = _regression(rng)
+    columns = [np.array([0]), np.array([1, 2]), np.array([3, 4, 5])]
+    wide = np.full(6, 1e9)
+    subsets = all_subsets(3, 3, ["a", "b", "c"])
+    for fitted in fit_subsets(Gram(x.T @ x, x.T @ y, float(y @ y), 80.0), subsets, columns, -wide, wide):
+        use = [i for m in fitted.members for i in columns[m]]
+        rest = y - x[:, use] @ np.linalg.lstsq(x[:, use], y, rcond=None)[0] if use else y
+        assert fitted.gain == pytest.approx(float(y @ y - rest @ rest), abs=1e-6)
+        assert fitted.used == len(use)
+
+
+def test_a_coefficient_of_the_wrong_sign_takes_its_candidate_out() -> None:
+    """y = -3 x0 + x1 where x0 may only be positive: the subset with x0 in it is out of the race."""
+    rng = np.random.default_rng(5)
+    x, _ = _regression(rng, columns=2)
+    y = x @ [-3.0, 1.0]
+    low, high = np.array([0.0, -9.0]), np.array([9.0, 9.0])
+    gram = Gram(x.T @ x, x.T @ y, float(y @ y), 80.0)
+    columns = [np.array([0]), np.array([1])]
+    both, second = fit_subsets(gram, [(0, 1), (1,)], columns, low, high)
+    assert both.gain == -np.inf
+    assert second.gain > 0.0
+
+
+def test_no_subset_holds_two_variants_of_one_effect() -> None:
+    names = ["a", "a", "b", "c"]
+    subsets = all_subsets(4, 3, names)
+    assert len(subsets) == 1 + 4 + (comb(4, 2) - 1) + 2
+    assert len(set(subsets)) == len(subsets)
+
+
+# --- search and estimate on a made-up bench
+
+
+@dataclass
+class MadeUp:
+    """A bench whose physics is linear: smooth random columns, coloured noise; two channels."""
+
+    seed: int
+    truth: dict[tuple[str, str], float]
+    """(effect, parameter) -> distance from where it starts."""
+    vehicle: Vehicle
+    rows: int = 1200
+    noise: float = 1.0
+    _columns: dict[tuple[str, str, str], F64] = field(default_factory=dict)
+
+    def _column(self, effect: str, parameter: str, variant: object) -> F64:
+        key = (effect, parameter, str(variant))
+        if key not in self._columns:
+            rng = np.random.default_rng([7, *"".join(key).encode()])
+            smooth = gaussian_filter1d(rng.standard_normal((self.rows, 2)), 12.0, axis=0)
+            scale = 0.1 / negligible(self.vehicle, effect, parameter)
+            self._columns[key] = scale * smooth / smooth.std()
+        return self._columns[key]
+
+    def residual(self, vehicle: Vehicle) -> list[F64]:
+        rng = np.random.default_rng(self.seed)
+        y = self.noise * lfilter([0.5], [1.0, -0.85], rng.standard_normal((self.rows, 2)), axis=0)
+        for c in candidates(self.vehicle):
+            if "slung" in c.effect:
+                continue
+            for p in c.parameters:
+                held = dict(vehicle.effects.get(c.effect, {}))
+                if c.variant and any(held.get(k) != v for k, v in c.variant.items()):
+                    continue
+                moved = value(vehicle, c.effect, p) - value(self.vehicle, c.effect, p)
+                y = y + self._column(c.effect, p, dict(c.variant)) * (self.truth.get((c.effect, p), 0.0) - moved)
+        return [y]
+
+    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+        def one(knob: Knob) -> F64:
+            if knob.effect == "slung_load":
+                return np.zeros((self.rows, 2))
+            held = {**vehicle.effects.get(knob.effect, {}), **knob.at}
+            variant = {"rotor": held["rotor"]} if knob.effect == "rotor_fault" else {}
+            return self._column(knob.effect, knob.parameter, variant)
+
+        return [np.stack([one(knob) for knob in knobs], axis=2)]
+
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        return [np.zeros((self.rows, 2, 1))], np.ones(1), np.ones(1, dtype=bool)
+
+    def rate(self, flight: int) -> float:
+        return 50.0
+
+    @property
+    def fit(self) -> list[Mask]:
+        return [np.arange(self.rows) < 800]
+
+    @property
+    def holdout(self) -> list[Mask]:
+        return [np.arange(self.rows) >= 900]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_noise_alone_nothing_is_the_best_subset(quad: Vehicle, seed: int) -> None:
+    state = search(MadeUp(seed, {}, quad), quad)
+    assert dict(state.best.effects) == {}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_hidden_effects_are_the_best_subset_and_estimated(quad: Vehicle, seed: int) -> None:
+    """Found among all candidates, and each coefficient within four of its standard deviations."""
+    hidden = {
+        ("payload", "mass_kg"): 40.0 * negligible(quad, "payload", "mass_kg"),
+        ("rotor_drag", "k_d_kg_per_rad"): 30.0 * negligible(quad, "rotor_drag", "k_d_kg_per_rad"),
+    }
+    state = search(MadeUp(seed, hidden, quad), quad)
+    assert set(state.best.effects) == {"payload", "rotor_drag"}
+    made = estimate(state, state.best.effects)
+    for slot, now, variance in zip(made.slots, made.values, np.diag(made.covariance), strict=True):
+        assert abs(now - hidden[slot]) < 4.0 * np.sqrt(variance)
+
+
+def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
+    """95 % intervals of 60 noisy data sets: between 85 % and 100 % (binomial, three sigma) hold the truth."""
+    size = negligible(quad, "payload", "mass_kg")
+    hidden = {("payload", "mass_kg"): 60.0 * size}
+    held = 0
+    state = search(MadeUp(0, hidden, quad), quad)
+    for seed in range(60):
+        state.bench = MadeUp(1000 + seed, hidden, quad)
+        made = estimate(state, {"payload": {"mass_kg": 0.0}})
+        held += abs(made.values[0] - 60.0 * size) < 1.96 * np.sqrt(made.covariance[0, 0])
+    assert 51 <= held <= 60
+
+
+def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:
+    hidden = {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}
+    state = search(MadeUp(3, hidden, quad), quad)
+    assert estimate(state, state.best.effects).spread.min() > 1e-3

@@ -1,0 +1,155 @@
+"""gap.json, the sentence, held-out figures: what they say of given results; and what the verb says of bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shipped import load_vehicle
+
+from app.cli import main
+from gap.pooled import GUARD_S, split
+from gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
+from gap.report import words
+from gap.result import closed
+
+QUAD = load_vehicle("quad-x")
+NOTHING = Unexplained(False)
+
+
+def figures(force: float | None, turning: float | None) -> Figures:
+    return Figures(force, turning, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "floor", "expected"),
+    [
+        ((1.9, 3.0), (0.16, 1.1), (0.15, 1.0), 0.95),  # the worse of (1.9-0.16)/(1.9-0.15) and (3-1.1)/(3-1)
+        ((1.0, 1.1), (0.55, 1.1), (0.1, 1.0), 0.5),  # no gap in torque: 1.1 < 1.2 floors
+        ((0.11, 1.1), (0.11, 1.1), (0.1, 1.0), None),  # no gap at all
+        ((1.0, None), (0.1, None), (0.1, None), 1.0),
+        ((1.0, None), (1.2, None), (0.5, None), -0.4),  # worse than before is said, not hidden
+    ],
+)
+def test_closed_is_the_worse_share_of_the_channels_that_have_a_gap(
+    before: tuple, after: tuple, floor: tuple, expected: float | None
+) -> None:
+    value = closed(figures(*before), figures(*after), figures(*floor))
+    assert value == (expected if expected is None else pytest.approx(expected, abs=1e-6))
+
+
+def found(name: str, twins: tuple[str, ...] = (), **parameters: tuple[float, float, float]) -> Found:
+    values = {p: Estimate(0.0, *numbers) for p, numbers in parameters.items()}
+    return Found(name, values, -100.0, 0.9, 1e-9, twins, "fly a circle" if twins else "")
+
+
+GAP = Gap(figures(1.0, None), figures(0.1, None), figures(0.09, None), 0.98)
+
+
+def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:
+    said = words.sentence((found("payload", mass_kg=(0.216, 0.21, 0.222)),), GAP, NOTHING)
+    assert said == (
+        "The model lacks a payload (mass_kg 0.216 kg (0.210 to 0.222)); "
+        "with it 98 % of the gap on data not used before is closed."
+    )
+    twin = words.sentence((found("payload", ("thrust_scale",), mass_kg=(0.2, 0.1, 0.3)),), GAP, NOTHING)
+    assert "or a thrust scale, which these logs can't tell apart" in twin
+    assert "to settle which: fly a circle" in twin
+
+
+def test_nothing_is_invented_where_nothing_is_found() -> None:
+    assert "agree within the noise" in words.sentence((), GAP, NOTHING)
+    rest = words.sentence((), GAP, Unexplained(True, ("position",), 0.8))
+    assert "no effect of the table explains; it depends on position" in rest
+
+
+def flight(seconds: float) -> Samples:
+    n = round(seconds * 100)
+    three, four = np.zeros((n, 3)), np.zeros((n, 4))
+    t = 0.01 * np.arange(n)
+    return Samples("f", t, 0.01, three, three, four, three, three, four, np.zeros(n), np.zeros(n), np.ones(n, np.bool_))
+
+
+def test_the_last_third_is_held_out_behind_a_guard() -> None:
+    whole = flight(60.0)
+    of = split([whole], [])
+    fit, held = of.flights[0].t_s[of.fit[0]], of.flights[0].t_s[of.holdout[0]]
+    assert held[0] == pytest.approx(40.0, abs=0.02)
+    assert held[-1] == whole.t_s[-1]
+    assert held[0] - fit[-1] == pytest.approx(GUARD_S, abs=0.02)
+    assert fit[0] == 0.0
+
+
+def test_a_flight_that_was_kept_is_never_learned_from() -> None:
+    of = split([flight(20.0)], [flight(10.0)])
+    assert [int(m.sum()) for m in of.fit] == [2000, 0]
+    assert [int(m.sum()) for m in of.holdout] == [0, 1000]
+
+
+def test_the_gap_closes_to_the_noise_only_where_something_was_left_to_close() -> None:
+    rejected = dataclasses.replace(GAP, closed=None)
+    assert "0 %" not in words.sentence((found("payload", mass_kg=(0.2, 0.1, 0.3)),), rejected, NOTHING)
+
+
+HEADER = "time_s,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z,motor_1,motor_2,motor_3,motor_4"
+ROW = "{t:.3f},0,0,0,1,0,0,0,0.6,0.6,0.6,0.6"
+
+
+def still(rows: int) -> str:
+    return "\n".join([HEADER, *(ROW.format(t=0.01 * k) for k in range(rows))]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("empty.csv", b"", "empty"),
+        ("foreign.csv", b"a,b,c\n1,2,3\n", "column"),
+        ("binary.ulg", b"\x00\x01\x02" * 100, "log"),
+        ("cut.ulg", b"ULog\x01\x12\x35\x01" + b"\x00" * 8, "log"),
+        ("nan.csv", (HEADER + "\n" + "nan," * 11 + "nan\n").encode() * 3, "log"),
+        ("short.csv", still(100).encode(), "log"),
+        ("still.csv", still(3000).encode(), "not a flight"),
+        ("motorless.csv", b"time_s,vel_n_mps,vel_e_mps,vel_d_mps\n" + b"0,1,2,3\n1,2,3,4\n" * 50, "log"),
+    ],
+)
+def test_what_is_no_usable_flight_ends_in_one_line_and_no_coefficients(
+    name: str, content: bytes, complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = tmp_path / name, tmp_path / "out"
+    log.write_bytes(content)
+    with pytest.raises(SystemExit) as ended:
+        main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
+    said = capsys.readouterr()
+    assert ended.value.code == 2
+    lines = said.err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    assert complaint in lines[0]
+    assert not list(out.glob("gap.json*"))
+    assert not list(out.glob("vehicle.toml*"))
+
+
+def test_a_missing_log_and_a_missing_vehicle_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, name in (
+        (["gap", str(tmp_path / "no.csv"), "--vehicle", "quad-x"], "no.csv"),
+        (["gap", str(tmp_path / "no.csv"), "--vehicle", str(tmp_path / "no.toml")], "no.toml"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main([*arguments, "--out", str(tmp_path / "out")])
+        assert ended.value.code == 2
+        assert name in capsys.readouterr().err
+
+
+def test_an_earlier_result_is_gone_when_a_run_fails(tmp_path: Path) -> None:
+    """Whoever finds a gap.json finds the one of this run."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "gap.json").write_text(json.dumps({"schema": "flightstack.gap/1"}))
+    log = tmp_path / "still.csv"
+    log.write_text(still(3000))
+    with pytest.raises(SystemExit):
+        main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
+    assert not (out / "gap.json").exists()
