@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from app.result import NO_BARRIER, NO_QP, percentiles
+from flightstack.barrier.falsify import Witness, marked
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
+from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import Certifier, SafetyFilter
 from flightstack.types import F64, Command, Filtered, Learned, Measurement
@@ -28,7 +30,7 @@ ENGAGE_US = 500_000
 """The region counts once h has been at least ENGAGE_H for so long."""
 AS_PUBLISHED = "as-published"
 """Mode of a certificate that is one ellipsoid over all axes."""
-SOLVED = 2.0
+ENGAGED = SOLVED = 2.0
 """From this status on the filter has solved its problem."""
 FALLBACKS = (4.0, 5.0)
 """Statuses of a problem without a solution: infeasible, not solved within the budget."""
@@ -69,22 +71,32 @@ class TimedFilter:
 
 
 class GivenCertificate:
-    """A certifier that hands over one certificate at the first tick."""
+    """A certifier that gives one certificate at the first tick, and watches whether it holds once the filter engages.
+
+    Where it does not (another vehicle, another load or wind than it was learned with), there is no other: it says so.
+    """
 
     enabled = True
 
-    def __init__(self, certificate: Certificate) -> None:
-        self.certificate = certificate
+    def __init__(self, certificate: Certificate, model: Model) -> None:
+        self.certificate, self.model = certificate, model
 
-    def init(self) -> object:
-        """Not handed over yet."""
-        return False
+    def init(self) -> Witness | None:
+        """Not given yet."""
+        return None
 
     def step(
         self, state: object, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
     ) -> tuple[object, Certificate | None]:
-        """The certificate, once."""
-        return True, None if state else self.certificate
+        """The certificate, and, if need be, its end."""
+        if not isinstance(state, Witness):
+            return (state, None) if state else (Witness(), self.certificate)
+        if not filtered.status >= ENGAGED:
+            return state, None
+        reason, _ = state.observe(self.certificate, self.model, measurement, learned)
+        if not reason:
+            return state, None
+        return True, marked(self.certificate, reason, hand_over=True, version=self.certificate.version + 1)
 
 
 class WatchedCertifier:

@@ -89,7 +89,7 @@ def protect(
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region)
     if given is not None:
-        certifier: Certifier | str = GivenCertificate(given)
+        certifier: Certifier | str = GivenCertificate(given, model)
     elif options.in_real_time and region is not None:
         certifier = (
             "certifying in flight takes longer than a tick, for which real time does not wait; give --certificate"

@@ -20,6 +20,7 @@ from flightstack.barrier.assess import (
     CHANGED,
     DOUBTFUL,
     ENGAGED,
+    FALSIFIED,
     INFEASIBLE,
     PASSED,
     ROWS,
@@ -33,6 +34,7 @@ from flightstack.barrier.assess import (
     settle,
     steer,
 )  # fmt: skip
+from flightstack.barrier.falsify import HAND_OVER
 from flightstack.barrier.qp import NearestPoint
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import M_MODE, new_memory, remember
@@ -55,6 +57,8 @@ class FilterState(NamedTuple):
     certificate: Certificate | None
     packed: F64
     """The same for compiled code: `assess.pack`."""
+    handed_over: bool = False
+    """What it kept to was falsified, and nothing else is there: commands pass."""
 
 
 class BarrierFilter:
@@ -98,13 +102,16 @@ class BarrierFilter:
         """Keep to this certificate from now on.
 
         For the same region (centre and axes), grown or shrunk, an engaged filter stays so: where the state is outside,
-        it is led back in.  For another region it stays engaged only if the state is inside.
+        it is led back in.  For another region it stays engaged only if the state is inside.  One that was falsified,
+        with nothing left to keep to, ends the filtering: by its model commands would be changed wrongly.
         """
+        if certificate.knowledge.get(HAND_OVER):
+            return state._replace(certificate=certificate, handed_over=True)
         before = state.certificate
         if before is not None and _region(before) != _region(certificate) and state.memory[0, M_MODE] == ENGAGED:
             state.memory[0, M_MODE] = DOUBTFUL
         packed = pack(certificate, self.model, self.limits, self.attitude_p_ps)
-        return state._replace(certificate=certificate, packed=packed)
+        return state._replace(certificate=certificate, packed=packed, handed_over=False)
 
     def step(
         self, state: FilterState, measurement: Measurement, command: Command, sent: Command, learned: Learned
@@ -116,6 +123,10 @@ class BarrierFilter:
         if certificate is None:
             remember(state.memory, float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps)
             row[2] = UNCERTIFIED
+            return state, command, Filtered(row)
+        if state.handed_over:
+            remember(state.memory, float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps)
+            row[2], row[6] = FALSIFIED, certificate.version
             return state, command, Filtered(row)
         times_us = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         status = assess(

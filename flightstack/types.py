@@ -218,7 +218,7 @@ class Filtered:
     """The same at the measured position and velocity."""
     status = Element(2)
     """-1 there is no filter, 0 nothing is certified, 1 not engaged yet, 2 passed, 3 changed, 4 fallback: infeasible,
-    5 fallback: not solved, 6 fallback: the certificate was falsified."""
+    5 fallback: not solved, 6 the certificate was falsified and nothing is left to keep to: commands pass."""
     margin_ps = Element(3)
     """Least margin of the barrier condition at the acceleration that is sent, 1/s."""
     iterations = Element(4)
@@ -253,6 +253,11 @@ class Filtered:
         row = np.full(33, np.nan)
         row[2], row[7] = -1.0, 0.0
         return cls(row)
+
+    @property
+    def handed_over(self) -> bool:
+        """What the filter kept to was falsified, and nothing is left: the flight has to end."""
+        return self.status == 6.0
 
 
 R = TypeVar("R", FlatOutput, Measurement, Learned, Filtered)

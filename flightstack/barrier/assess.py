@@ -41,7 +41,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 ENGAGE_H = 0.05
 ENGAGE_US = 500_000.0
-UNCERTIFIED, WAITING, PASSED, CHANGED, INFEASIBLE, UNSOLVED = range(6)
+UNCERTIFIED, WAITING, PASSED, CHANGED, INFEASIBLE, UNSOLVED, FALSIFIED = range(7)
 """Values of `Filtered.status`."""
 ENGAGED, DOUBTFUL = 1.0, 2.0
 """Modes in memory: engaged, engaged with a certificate for another region come in; 0 not engaged."""

@@ -24,26 +24,21 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
+from flightstack.barrier.falsify import Witness, doubt, marked
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.queries import Envelope, budget
-from flightstack.barrier.records import AXES, AxisCertificate, Budget, Certificate, Margin, Response
+from flightstack.barrier.records import AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
-from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
 
 _VALID = 2
-_MEAN_SHARE = 0.1
-"""Forgetting of the acceleration's short mean, a tick: 40 ms at 250 Hz."""
-_BEYOND_TICKS = 8
-_NOISE_MPS2 = 0.15
-"""What the short mean of the accelerometer, with its bias, may be off by itself."""
 _PATIENCE = 16.0
 _T = TypeVar("_T")
 
@@ -94,9 +89,7 @@ class CertifierState:
     """Until the next, from the beginning of the last; twice as long after each that came to nothing."""
     changes: float = 0.0
     widen_mps2: F64 = field(default_factory=lambda: np.zeros(3))
-    error_mps2: F64 = field(default_factory=lambda: np.zeros(3))
-    """Short mean of the acceleration as measured less the certificate's, NED."""
-    beyond: int = 0
+    witness: Witness = field(default_factory=Witness)
     falsified: str = ""
     ratios: dict[int, Ratios] = field(default_factory=dict)
     """Where each axis' last search ended."""
@@ -166,23 +159,10 @@ class OnlineCertifier:
             state.work = None if reason else state.work
             state.begun_us = -(10**12) if reason else state.begun_us
             return
-        observed = observed_error(certificate, self.model, measurement, learned)
-        if np.isfinite(observed).all():
-            state.error_mps2 += _MEAN_SHARE * (observed - state.error_mps2)
-        allowed = np.full(3, math.inf)
-        for each in certificate.axes:
-            allowed[each.axis] = _doubt(each) + _NOISE_MPS2
-        excess = np.abs(state.error_mps2) - allowed
-        state.beyond = state.beyond + 1 if (excess > 0.0).any() else 0
-        if state.beyond >= _BEYOND_TICKS:
-            axis = int(np.argmax(excess))
-            reason = (
-                f"{AXES[axis]}: acceleration off by {state.error_mps2[axis]:.2f} m/s^2, "
-                f"certified within {allowed[axis] - _NOISE_MPS2:.2f} m/s^2"
-            )
-            state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * np.maximum(excess, 0.0))
-            state.beyond = 0
-            state.error_mps2[:] = 0.0
+        seen, excess = state.witness.observe(certificate, self.model, measurement, learned)
+        if seen:
+            reason = seen
+            state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * excess)
         if reason:
             state.falsified, state.work, state.begun_us = reason, None, -(10**12)
 
@@ -192,9 +172,9 @@ class OnlineCertifier:
         area = area_of(ready) if ready.axes else 0.0
         if state.falsified:
             if holds:
-                issued = _marked(ready, state.falsified, hand_over=False)
+                issued = marked(ready, state.falsified, hand_over=False)
             elif state.certificate is not None:
-                issued = _marked(state.certificate, state.falsified, hand_over=True, version=state.version + 1)
+                issued = marked(state.certificate, state.falsified, hand_over=True, version=state.version + 1)
             else:
                 return None
             state.falsified = ""
@@ -211,8 +191,8 @@ class OnlineCertifier:
         held = state.certificate
         if held is None or area > self.config.growth * state.area:
             return True
-        before = {each.axis: _doubt(each) for each in held.axes}
-        surer = all(_doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
+        before = {each.axis: doubt(each) for each in held.axes}
+        surer = all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
         return surer and area * self.config.growth > state.area
 
     def work(
@@ -316,27 +296,6 @@ def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
     return {i: SafeSet(shrink * region.semi_axes_m[i], shrink * region.semi_axes_mps[i]) for i in axes}
 
 
-def observed_error(certificate: Certificate, model: Model, measurement: Measurement, learned: Learned) -> F64:
-    """(3,) NED acceleration as measured less what the certificate's means say at the thrust that acted, m/s^2."""
-    turn = quat_to_matrix(measurement.q_ned_frd)
-    measured = turn @ measurement.specific_force_frd_mps2
-    measured[DOWN] += STANDARD_GRAVITY_MPS2
-    thrust = learned.applied_thrust_n / model.mass_kg * turn[:, DOWN]
-    error = np.zeros(3)
-    down = next((each.authority for each in certificate.axes if each.axis == DOWN), None)
-    vel = measurement.vel_ned_mps
-    gain = 1.0 if down is None else float(np.interp(vel[DOWN], down.v_mps, down.gain))
-    for each in certificate.axes:
-        i, table = each.axis, each.authority
-        error[i] = measured[i] - (float(np.interp(vel[i], table.v_mps, table.offset_mps2)) - gain * thrust[i])
-    return error
-
-
-def _doubt(axis: AxisCertificate) -> float:
-    """The greatest bound of an axis' acceleration, m/s^2."""
-    return float(max(axis.authority.error_low_mps2.max(), axis.authority.error_high_mps2.max()))
-
-
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
     """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
     least = math.inf
@@ -362,11 +321,3 @@ def _last(pieces: Iterator[_T | None]) -> Generator[None, None, _T]:
         yield
     assert found is not None
     return found
-
-
-def _marked(certificate: Certificate, reason: str, *, hand_over: bool, version: int | None = None) -> Certificate:
-    knowledge = {**certificate.knowledge, "falsified": reason, "hand_over": hand_over}
-    return Certificate(
-        certificate.mode, certificate.centre_ned_m, certificate.axes, certificate.budget, certificate.delta,
-        certificate.k_sigma, knowledge, certificate.version if version is None else version,
-    )  # fmt: skip

@@ -16,10 +16,10 @@ from logs.reader import Log, read
 from logs.topics import CERTIFICATE, FINAL_CERTIFICATE
 
 
-def _fly(folder: Path, scenario: str, **options: object) -> tuple[FlightResult, Log]:
+def _fly(folder: Path, scenario: str, *, completes: bool = True, **options: object) -> tuple[FlightResult, Log]:
     folder.mkdir(exist_ok=True)
     result = fly(FlyOptions(scenario=scenario, out=folder, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
-    assert result.completed, result.reason
+    assert result.completed is completes, result.reason
     return result, read(folder / "flight.mcap")
 
 
@@ -95,6 +95,16 @@ def test_a_path_that_leaves_the_region_is_bent_and_never_breaks_it(folder: Path)
     assert [words.split(" (")[0].split(":")[1].strip() for words in told][:3] == [
         "certificate 5", "engaged", "first change",
     ]  # fmt: skip
+
+
+def test_a_certificate_of_another_vehicle_is_falsified_in_flight_and_the_flight_lands(folder: Path) -> None:
+    """It is true of a vehicle 1.4 times as heavy: thrust does 40 % more here than it says."""
+    small = folder / "small.json"
+    result, log = _fly(folder / "wrong", "hover", completes=False, duration_s=8.0, seed=25, certificate=small)
+    assert "handed over" in result.reason
+    assert 6.0 in log.tables["/filter"]["status"]
+    assert abs(float(log.tables["/truth"]["pos_ned_m"][-1, 2])) < 0.1  # on the ground again
+    assert float(np.abs(log.tables["/truth"]["vel_ned_mps"]).max()) < 3.0  # and nothing wild before
 
 
 def test_what_is_in_the_json_is_what_the_log_shows(tracked: tuple[FlightResult, Log]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from certified import CENTRE, certificate, says
 from log_samples import tick_record
+from shipped import load_vehicle
 
 from app import console
 from app.barrier_score import (
@@ -25,12 +26,15 @@ from app.barrier_score import (
 )
 from app.result import NO_BARRIER, NO_GP, NO_LOOP, NO_QP, FlightResult
 from flightstack.barrier.records import Certificate
+from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import NoFilter
 from flightstack.types import F64, Command, Filtered, Learned, Measurement
 
 TICK_US = 4_000
 BOX = Region("axes", (0.0, 0.0, -1.5), (2.0, 1.0, 1.0), (1.0, 1.0, 0.5))
+
+MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 
 
 class Says:
@@ -88,7 +92,7 @@ def test_a_timed_filter_hands_certificates_on() -> None:
 
 def test_a_given_certificate_is_handed_over_once_with_the_vehicle_it_flies() -> None:
     given = certificate(knowledge={"sha256": "x"})
-    certifier = WatchedCertifier(GivenCertificate(given), {"vehicle": "quad-x"})
+    certifier = WatchedCertifier(GivenCertificate(given, MODEL), {"vehicle": "quad-x"})
     record = tick_record(1)
     for _ in range(2):  # a second flight begins anew
         state, handed = certifier.init(), []
@@ -161,7 +165,7 @@ def test_a_flight_that_never_came_inside_has_no_violations_and_no_h() -> None:
 
 
 def test_under_a_certificate_the_one_in_force_at_the_tick_judges() -> None:
-    certifier = WatchedCertifier(GivenCertificate(certificate()))
+    certifier = WatchedCertifier(GivenCertificate(certificate(), MODEL))
     score = RegionScore(None, certifier)
     inside = np.concatenate([CENTRE, np.zeros(3)])
     away = np.add(inside, (0.9, 0.0, 0.0, 0.0, 0.0, 0.0))

@@ -11,17 +11,21 @@ import pytest
 from certified import CENTRE, axis_certificate, certificate, says
 from log_samples import proto_class, tick_record
 from mcap.reader import make_reader
+from shipped import load_vehicle
 
 from app.barrier_score import GivenCertificate, WatchedCertifier
 from app.recorder import FilterEvents, certified_region, certified_words
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.frames import ned_to_enu
+from flightstack.model import Model
 from flightstack.types import Filtered, TickRecord, changed
 from logs.reader import Log, read
 from logs.threaded import ThreadedLog
 from logs.topics import FINAL_CERTIFICATE
 from logs.writer import FlightLog
+
+MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 
 
 def told(*ticks: Filtered) -> list[tuple[int, str, str]]:
@@ -184,7 +188,7 @@ def test_a_watched_certifier_is_what_the_events_speak_of() -> None:
     lines: list[str] = []
     FilterEvents(lambda t_us, name, text, severity: lines.append(text)).on_certificate(0, certificate(version=3))
     assert lines[0].startswith("filter: certificate 3: north -1.00 to 1.00 m")
-    assert WatchedCertifier(GivenCertificate(certificate())).enabled
+    assert WatchedCertifier(GivenCertificate(certificate(), MODEL)).enabled
 
 
 def test_a_falsified_certificate_is_told_with_its_reason() -> None:

@@ -461,3 +461,16 @@ def test_the_simulated_vehicle_stays_inside_against_an_adversary(kind):
     ]
     assert np.ptp(pos, axis=0).min() > 0.12
     assert min(h) > 0.0
+
+
+def test_what_was_falsified_with_nothing_left_ends_the_filtering() -> None:
+    safety, cert = BarrierFilter(MODEL, LIMITS), certified(4000, (2,))
+    state = safety.adopt(safety.init(np.zeros(3)), cert)
+    ended = dataclasses.replace(cert, knowledge={"falsified": "down: off", "hand_over": True})
+    wanted = command(4000, HOVER_N, np.array([0.3, -0.2, 0.1]))
+    _, passed, filtered = safety.step(safety.adopt(state, ended), at(), wanted, command(0, HOVER_N), LEARNED)
+    assert passed is wanted
+    assert filtered.handed_over
+    again, _, filtered = safety.step(safety.adopt(state, cert), at(), wanted, command(0, HOVER_N), LEARNED)
+    assert not filtered.handed_over
+    assert not again.handed_over
