@@ -22,7 +22,7 @@ from flightstack.barrier.shapes import piece_at
 from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import Certifier, SafetyFilter
-from flightstack.types import F64, Command, Filtered, Learned, Measurement
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 from logs.report.histogram import counts, edges_us
 
 ENGAGE_H = 0.05
@@ -53,6 +53,10 @@ class TimedFilter:
         """The filter's own; the steps before it (warming up) are forgotten."""
         self.solve_ns = []
         return self._filter.init(origin_ned_m)
+
+    def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
+        """The filter's own."""
+        return self._filter.bend(state, setpoint)
 
     def adopt(self, state: object, certificate: Certificate) -> object:
         """The filter's own."""

@@ -100,6 +100,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if learned is not None:
         learner = _learner(learned, name, believed, model, options)
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
+    if protection.given is not None:  # settle inside it first, so that the filter engages before the track begins
+        scenario = replace(scenario, climb_to_m=-protection.given.centre_ned_m[2])
     settings = {
         "scenario": scenario.name,
         "vehicle": believed.name,

@@ -66,6 +66,8 @@ class Protection:
     """Text of the certificate that it begins with."""
     certificate_from: str = ""
     """Where that came from."""
+    given: Certificate | None = None
+    """The same, where there is a filter that keeps to it."""
 
     @property
     def watched(self) -> WatchedCertifier | None:
@@ -99,13 +101,14 @@ def protect(
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", region)
     watched = WatchedCertifier(certifier, {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)})
-    carried = () if file is None else (file.text, str(file.path))
+    text, path = ("", "") if file is None else (file.text, str(file.path))
     if not options.filtering:  # the certificate still says by which region the flight is judged
-        return Protection(_NO_FILTER, region, NoFilter(), watched, *carried)
+        return Protection(_NO_FILTER, region, NoFilter(), watched, text or None, path)
     made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
     source = f"certificate {file.path}" if file is not None else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
-    return Protection(f"{mode}{doubt}, {source}", region, TimedFilter(made), watched, *carried)
+    words = f"{mode}{doubt}, {source}"
+    return Protection(words, region, TimedFilter(made), watched, text or None, path, given)
 
 
 SOUND = "sound"

@@ -97,7 +97,7 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     start = np.array(start_pos_ned_m, dtype=np.float64)
     first = scenario.trajectory.at(0.0)
     turn = math.remainder(first.yaw_rad - start_yaw_rad, 2.0 * math.pi)
-    above = np.array([0.0, 0.0, min(first.pos_ned_m[2], -_LEAST_HEIGHT_M), first.yaw_rad])
+    above = _above(scenario, first)
     climb_s = max(
         _LEAST_CLIMB_S,
         _REST_TO_REST_PEAK * abs(above[2]) / _CLIMB_MPS,
@@ -120,6 +120,12 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
+def _above(scenario: Scenario, first: FlatOutput) -> F64:
+    """(4,) where the climb ends, and the heading."""
+    down_m = float(first.pos_ned_m[2]) if scenario.climb_to_m is None else -scenario.climb_to_m
+    return np.array([0.0, 0.0, min(down_m, -_LEAST_HEIGHT_M), first.yaw_rad])
+
+
 def _peaks(scenario: Scenario) -> tuple[float, float]:
     """Greatest speed and acceleration of the track: what the run-up may use too, where the track is fast."""
     points = [scenario.trajectory.at(t) for t in np.linspace(0.0, min(scenario.duration_s, _PEAKS_S), _PEAKS_POINTS)]
@@ -130,7 +136,7 @@ def _peaks(scenario: Scenario) -> tuple[float, float]:
 def require_run_up(scenario: Scenario) -> None:
     """InputError in one line where no run-up reaches the trajectory's first state in the air and within limits."""
     first = scenario.trajectory.at(0.0)
-    above = np.array([0.0, 0.0, min(first.pos_ned_m[2], -_LEAST_HEIGHT_M), first.yaw_rad])
+    above = _above(scenario, first)
     if not _run_up(above, first, *_peaks(scenario))[1]:
         speed, height = float(np.linalg.norm(first.vel_ned_mps)), -float(first.pos_ned_m[2])
         raise InputError(

@@ -38,13 +38,18 @@ from flightstack.barrier.falsify import HAND_OVER
 from flightstack.barrier.qp import NearestPoint
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import M_MODE, new_memory, remember
+from flightstack.barrier.shapes import value
 from flightstack.model import Limiter, Limits, Model
-from flightstack.types import F64, Command, Filtered, Learned, Measurement
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 __all__ = ["CHANGED", "INFEASIBLE", "PASSED", "UNCERTIFIED", "UNSOLVED", "WAITING", "BarrierFilter", "FilterState"]
 
 _SAME_MPS2 = 1e-6
 """A change below this is none."""
+_NOWHERE = np.full(3, -np.inf)
+_PLACES = 101
+_ROOM_H = 0.05
+"""h that a place of rest has beyond all doubts."""
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
 
 
@@ -57,6 +62,8 @@ class FilterState(NamedTuple):
     certificate: Certificate | None
     packed: F64
     """The same for compiled code: `assess.pack`."""
+    rest_ned_m: F64
+    """(2, 3) between which places the vehicle may rest, with room; infinite along what is not certified."""
     handed_over: bool = False
     """What it kept to was falsified, and nothing else is there: commands pass."""
 
@@ -96,7 +103,7 @@ class BarrierFilter:
         """Nothing certified, nothing sent; regions are relative to the origin, (3,)."""
         self._qp.forget()
         packed = pack(None, self.model, self.limits, self.attitude_p_ps)
-        return FilterState(origin_ned_m.copy(), new_memory(), None, packed)
+        return FilterState(origin_ned_m.copy(), new_memory(), None, packed, np.stack([_NOWHERE, -_NOWHERE]))
 
     def adopt(self, state: FilterState, certificate: Certificate) -> FilterState:
         """Keep to this certificate from now on.
@@ -111,7 +118,26 @@ class BarrierFilter:
         if before is not None and _region(before) != _region(certificate) and state.memory[0, M_MODE] == ENGAGED:
             state.memory[0, M_MODE] = DOUBTFUL
         packed = pack(certificate, self.model, self.limits, self.attitude_p_ps)
-        return state._replace(certificate=certificate, packed=packed, handed_over=False)
+        rest = _rest(certificate) + state.origin_ned_m
+        return state._replace(certificate=certificate, packed=packed, rest_ned_m=rest, handed_over=False)
+
+    def bend(self, state: FilterState, setpoint: FlatOutput) -> FlatOutput:
+        """While engaged, the reference brought to the nearest place of rest inside the region, where it is outside.
+
+        The filter alone would keep the vehicle inside as well.  But a controller whose reference stays out of reach
+        asks for ever more along that axis and has nothing left to hold its place along the others.
+        """
+        if state.memory[0, M_MODE] != ENGAGED or state.handed_over:
+            return setpoint
+        pos = setpoint.pos_ned_m
+        inside = np.clip(pos, state.rest_ned_m[0], state.rest_ned_m[1])
+        if (inside == pos).all():
+            return setpoint
+        moving = (inside == pos).astype(np.float64)
+        row = setpoint.row.copy()
+        row[:3] = inside
+        row[3:15] *= np.tile(moving, 4)
+        return FlatOutput(row)
 
     def step(
         self, state: FilterState, measurement: Measurement, command: Command, sent: Command, learned: Learned
@@ -153,6 +179,19 @@ class BarrierFilter:
         settle(packed, work, safe.thrust_norm, safe.rate_frd_radps, row)
         row[7] = 1.0
         return state, safe, Filtered(row)
+
+
+def _rest(certificate: Certificate) -> F64:
+    """(2, 3) FilterState.rest_ned_m relative to the start."""
+    rest = np.stack([_NOWHERE, -_NOWHERE])
+    for axis in certificate.axes:
+        low, high = axis.barrier.box[:2]
+        places = np.linspace(low, high, _PLACES)
+        room = axis.setting.inner + axis.setting.eta + _ROOM_H
+        held = [e for e in places.tolist() if value(axis.barrier, e, 0.0) >= room]
+        centre = certificate.centre_ned_m[axis.axis]
+        rest[:, axis.axis] = (centre + held[0], centre + held[-1]) if held else (centre, centre)
+    return rest
 
 
 def _region(certificate: Certificate) -> tuple[object, ...]:

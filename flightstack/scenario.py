@@ -88,6 +88,8 @@ class Scenario:
     checks: tuple[Check, ...]
     knowledge: InitialKnowledge | None = None
     """What is known of the true vehicle before take-off; None: nothing is claimed."""
+    climb_to_m: float | None = None
+    """Height above the start to climb to and settle at before the track; None: that of the trajectory's first point."""
 
     def truth_vehicle(self, believed: Vehicle) -> Vehicle:
         """The vehicle that really flies: the believed one, heavier or lighter, with the truth's force and effects."""

@@ -63,6 +63,10 @@ class SafetyFilter(Protocol):
         """From now on keep to this certificate."""
         ...
 
+    def bend(self, state: Any, setpoint: FlatOutput) -> FlatOutput:
+        """The reference that the controller is to follow: one far outside the region would wind it up."""
+        ...
+
     def step(
         self, state: Any, measurement: Measurement, command: Command, sent: Command, learned: Learned
     ) -> tuple[Any, Command, Filtered]:
@@ -115,6 +119,10 @@ class NoFilter:
     def adopt(self, state: object, certificate: Certificate) -> object:
         """Nothing keeps to it."""
         return state
+
+    def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
+        """The reference as it is."""
+        return setpoint
 
     def step(
         self, state: object, measurement: Measurement, command: Command, sent: Command, learned: Learned

@@ -89,7 +89,8 @@ class Stack:
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, state.filtered)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
-            control, proposal = self.controller.step(control, seen, setpoint, learned, state.sent, now_us)
+            bent = self.filter.bend(safe, setpoint)
+            control, proposal = self.controller.step(control, seen, bent, learned, state.sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, state.sent, learned)
         command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us)

@@ -22,7 +22,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, Learned, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement
 
 ENGAGE_H = 0.05
 ENGAGE_US = 500_000
@@ -66,6 +66,10 @@ class PublishedFilter:
     def init(self, origin_ned_m: F64) -> PublishedState:
         """Nothing is certified yet."""
         return PublishedState(origin_ned_m.copy(), None, -1, False)
+
+    def bend(self, state: PublishedState, setpoint: FlatOutput) -> FlatOutput:
+        """As published the reference stays as it is."""
+        return setpoint
 
     def adopt(self, state: PublishedState, certificate: Certificate) -> PublishedState:
         """From now on this region; one that is not made of quadratics is not taken."""

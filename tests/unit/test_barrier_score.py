@@ -29,7 +29,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import NoFilter
-from flightstack.types import F64, Command, Filtered, Learned, Measurement
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 TICK_US = 4_000
 BOX = Region("axes", (0.0, 0.0, -1.5), (2.0, 1.0, 1.0), (1.0, 1.0, 0.5))
@@ -48,6 +48,9 @@ class Says:
 
     def init(self, origin_ned_m: F64) -> int:
         return 0
+
+    def bend(self, state: Any, setpoint: FlatOutput) -> FlatOutput:
+        return setpoint
 
     def adopt(self, state: Any, certificate: Certificate) -> Any:
         self.adopted.append(certificate)

@@ -230,6 +230,9 @@ class _Halves:
     def adopt(self, state: object, certificate: object) -> object:
         return certificate
 
+    def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
+        return setpoint
+
     def step(
         self, state: object, seen: Measurement, command: Command, sent: Command, learned: Learned
     ) -> tuple[object, Command, Filtered]:
