@@ -28,6 +28,9 @@ DOWN = 2
 KNOWLEDGE = ("gp_error", "thrust_gain")
 """Margins that learning makes smaller; the others stay however well the vehicle is known."""
 
+_MORE_MU = (1.2, 1.35, 1.5, 2.0)
+"""Shares of the least mu, tried in this order."""
+
 
 @dataclass(frozen=True, slots=True)
 class Figures:
@@ -127,13 +130,15 @@ def plant_of(setup: Setup) -> Plant:
 def _samples(axis: AxisCertificate, limit_m: float, mu: float) -> tuple[int | None, int | None]:
     """Samples of the published kind that prove a barrier of its strict form under the certificate's bounds.
 
-    The barrier has a cross term and a fifth more mu than the least; the published one takes infinitely many.
+    The barrier has a cross term and a fifth more mu than the least, or as much as its speeds are known for; the
+    published one takes infinitely many.
     """
-    if not math.isfinite(mu):
-        return None, None
     bounds = of_authority(axis.authority)
-    slack = 1.2 * mu
-    claim = Claim(crossed(limit_m, slack, slack), axis.setting.gamma_ps, bounds)
+    shapes = [crossed(limit_m, share * mu, share * mu) for share in _MORE_MU] if math.isfinite(mu) else []
+    known = [shape for shape in shapes if bounds.v_mps[0] <= shape.box[2] and shape.box[3] <= bounds.v_mps[-1]]
+    if not known:
+        return None, None
+    claim = Claim(known[0], axis.setting.gamma_ps, bounds)
     sparse = adaptive(claim, local=True, depth=12)
     if not sparse.closed:
         return None, None
