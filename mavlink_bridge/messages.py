@@ -122,6 +122,7 @@ _TELEMETRY: tuple[Row, ...] = (
         t_us="time_usec",
         pwm_us=" ".join(f"servo{i}_raw" for i in range(1, 17)),
     ),
+    row(ev.ActuatorOutputStatus, t_us="time_usec", outputs="actuator"),
     row(
         ev.VfrHud,
         rate_hz=10.0,
@@ -144,6 +145,14 @@ _TELEMETRY: tuple[Row, ...] = (
         pressure_alt_m="pressure_alt",
         temperature_degc="temperature",
         nan="mag_frd_gauss abs_pressure_hpa diff_pressure_hpa pressure_alt_m temperature_degc",
+    ),
+    row(
+        ev.ScaledImu,
+        t_boot_us=_T_BOOT,
+        accel_frd_mps2=wire("xacc yacc zacc", per=_G),
+        rate_frd_radps=wire("xgyro ygyro zgyro", per=1000.0),
+        mag_frd_gauss=wire("xmag ymag zmag", per=1000.0),
+        temperature_degc=wire("temperature", per=100.0),
     ),
     row(
         ev.HilStateQuaternion,

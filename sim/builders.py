@@ -20,6 +20,7 @@ NAN: Final = math.nan
 _STANDBY, _ACTIVE, _CRITICAL = 3, 4, 5
 _UNUSED_SERVOS: Final = (900,) * 12
 _DISARMED_SERVOS: Final = (900,) * 16
+_NO_OUTPUTS: Final = (0.0,) * 16
 _ALIGNED_US: Final = 2_500_000
 _SENSORS_PRESENT: Final = 0x0300402F
 _SENSORS_ENABLED: Final = 0x0301402F
@@ -84,6 +85,12 @@ def highres_imu(view: View) -> m.HighresImu:
     )  # fmt: skip
 
 
+def scaled_imu(view: View) -> m.ScaledImu:
+    """HIGHRES_IMU's motion in whole numbers; sent on request only."""
+    means = tuple(view.vehicle.sensors.mean_imu.tolist())
+    return m.ScaledImu(view.t_us, means[3:6], means[0:3], view.mag_frd_gauss, 15.0)
+
+
 def servo_output_raw(view: View) -> m.ServoOutputRaw:
     """What the motors get: 1000 + 1000 u, 900 while disarmed or stopped (no finite thrust)."""
     setpoint = view.setpoint
@@ -92,6 +99,12 @@ def servo_output_raw(view: View) -> m.ServoOutputRaw:
     u1, u2, u3, u4 = view.vehicle.motor_command.tolist()
     pwm = (int(1000.5 + 1000.0 * u1), int(1000.5 + 1000.0 * u2), int(1000.5 + 1000.0 * u3), int(1000.5 + 1000.0 * u4))
     return m.ServoOutputRaw(view.t_us, 0, pwm + _UNUSED_SERVOS)
+
+
+def actuator_output_status(view: View) -> m.ActuatorOutputStatus:
+    """The motors' outputs once more; sent on request only."""
+    outputs = tuple(float(pwm) for pwm in servo_output_raw(view).pwm_us)
+    return m.ActuatorOutputStatus(view.t_us, len(outputs), outputs + _NO_OUTPUTS)
 
 
 def vfr_hud(view: View) -> m.VfrHud:

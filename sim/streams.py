@@ -96,8 +96,13 @@ STREAMS: Final[tuple[StreamSpec, ...]] = (
     StreamSpec(m.CurrentEventSequence, _EVERY_3_S, _EVERY_3_S, b.current_event_sequence, fixed=True),
     StreamSpec(m.HilStateQuaternion, 0.0, 0.0, b.hil_state_quaternion),
     StreamSpec(m.GpsGlobalOrigin, 0.0, 0.0, b.gps_global_origin, most_hz=1.0),
+    StreamSpec(m.ScaledImu, 0.0, 0.0, b.scaled_imu),
+    StreamSpec(m.ActuatorOutputStatus, 0.0, 0.0, b.actuator_output_status),
 )
 """The table, in the order in which messages of one tick go out."""
+
+SILENT: Final = frozenset({65, 231})
+"""RC_CHANNELS and WIND_COV: an interval is taken, but without sticks and airspeed PX4 has nothing to send."""
 
 _INDEX: Final = {spec.id: index for index, spec in enumerate(STREAMS)}
 _BUILDERS: Final = tuple(spec.build for spec in STREAMS)
@@ -136,6 +141,8 @@ class LinkStreams:
 
     def set_interval(self, message_id: int, interval_us: int, now_us: int) -> bool:
         """SET_MESSAGE_INTERVAL: > 0 an interval, 0 the default, < 0 stop; False for what can't be set."""
+        if message_id in SILENT:
+            return True
         index = _INDEX.get(message_id)
         if index is None or STREAMS[index].fixed:
             return False

@@ -26,6 +26,7 @@ from mavlink_bridge.events.information import (
     OpenDroneIdSystem,
     ProtocolVersion,
 )
+from mavlink_bridge.events.on_request import ActuatorOutputStatus, ScaledImu
 from mavlink_bridge.events.protocol import (
     PARAM_INT32,
     PARAM_REAL32,
@@ -85,6 +86,7 @@ from mavlink_bridge.events.telemetry import (
 __all__ = [
     "PARAM_INT32",
     "PARAM_REAL32",
+    "ActuatorOutputStatus",
     "Altitude",
     "Attitude",
     "AttitudeQuaternion",
@@ -141,6 +143,7 @@ __all__ = [
     "RequestDataStream",
     "RequestEvent",
     "ResponseEventError",
+    "ScaledImu",
     "ScaledPressure",
     "ServoOutputRaw",
     "SetAttitudeTarget",

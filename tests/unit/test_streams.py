@@ -99,6 +99,8 @@ def request(station: Station, number: int, interval_us: float, link: int = ONBOA
         (m.ServoOutputRaw, 4_000, 250.0),
         (m.Odometry, 10_000, 100.0),
         (m.HilStateQuaternion, 20_000, 50.0),
+        (m.ScaledImu, 50_000, 20.0),
+        (m.ActuatorOutputStatus, 100_000, 10.0),
         (m.ExtendedSysState, 100_000, 10.0),
         (m.GpsRawInt, 1, 8.0),
         (m.AttitudeTarget, 7_000, 1e6 / 7_000),
@@ -115,6 +117,34 @@ def test_a_stream_comes_as_fast_as_asked_for_and_no_faster_than_its_source(
     assert len(station.all(event, GCS)) <= 8.0 * 50.0 + 1  # the other link keeps its own pace
     station.command(510, float(m.id_of(event)))
     assert station.last(m.MessageInterval) == m.MessageInterval(m.id_of(event), interval_us)
+
+
+@pytest.mark.parametrize("number", [65, 231], ids=["RC_CHANNELS", "WIND_COV"])
+def test_a_stream_that_has_nothing_to_say_takes_an_interval_and_stays_silent(number: int) -> None:
+    station = Station().boot()
+    assert request(station, number, 100_000) == [0]
+
+
+def test_the_imu_in_whole_numbers_says_what_the_fine_one_says() -> None:
+    """MAVLink's units: mG, mrad/s, mgauss, each rounded to a whole number."""
+    station = Station().boot()
+    request(station, m.id_of(m.HighresImu), 4_000)
+    request(station, m.id_of(m.ScaledImu), 20_000)
+    station.run(1.0)
+    coarse, fine = station.last(m.ScaledImu), station.all(m.HighresImu)
+    (same,) = [imu for imu in fine if imu.t_us == coarse.t_boot_us]
+    assert coarse.accel_frd_mps2 == pytest.approx(same.accel_frd_mps2, abs=0.0051)
+    assert coarse.rate_frd_radps == pytest.approx(same.rate_frd_radps, abs=0.00051)
+    assert coarse.mag_frd_gauss == pytest.approx(same.mag_frd_gauss, abs=0.00051)
+
+
+def test_the_outputs_as_numbers_are_those_in_microseconds() -> None:
+    station = Station().boot()
+    request(station, m.id_of(m.ActuatorOutputStatus), 20_000)
+    station.run(0.5)
+    status, servos = station.last(m.ActuatorOutputStatus), station.last(m.ServoOutputRaw)
+    assert status.active == 16
+    assert status.outputs == (*map(float, servos.pwm_us), *(0.0,) * 16)
 
 
 def test_a_stream_is_stopped_by_minus_1_and_restored_by_0() -> None:
