@@ -268,6 +268,7 @@ class Commander:
 
     def _handle(self, request: Request, inputs: Inputs, now_us: int) -> None:
         if isinstance(request, ModeRequest):
+            self._check(inputs, now_us)  # a client's first setpoint and its wish for OFFBOARD come within a millisecond
             result = self._choose_by_number(request, now_us)
             self._answers.append(Answer(request.sender, COMMAND_SET_MODE, result))
         elif isinstance(request, ArmRequest):

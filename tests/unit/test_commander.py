@@ -98,6 +98,15 @@ def test_arm_in_hold_then_stream_then_offboard_works_too(flight: Flight) -> None
     assert flight.state.mode is modes.OFFBOARD
 
 
+def test_offboard_is_taken_in_the_very_tick_of_the_first_setpoint(flight: Flight) -> None:
+    """MAVSDK's own order: a setpoint, then at once the mode; the signal is not awaited till the next cycle."""
+    flight.ask(ARM)
+    flight.run(0.05)
+    flight.last_setpoint_us = flight.now_us
+    assert flight.ask(OFFBOARD) == ACCEPTED
+    assert flight.state.mode is modes.OFFBOARD
+
+
 def test_armed_offboard_without_a_signal_is_rejected_and_the_mode_kept(flight: Flight) -> None:
     flight.ask(ARM)
     assert flight.ask(OFFBOARD) == TEMPORARILY_REJECTED
