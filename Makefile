@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -18,6 +18,7 @@ help:
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
+	@echo "make client-20    MAVSDK-Python flies the simulator twenty times"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
@@ -71,6 +72,11 @@ bench-barrier: $(BIN)/.installed
 
 crosscheck: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.plants_crosscheck
+
+client-20: $(BIN)/.installed-dev
+	@for run in $$(seq 20); do \
+	  echo "run $$run of 20"; $(BIN)/python -m pytest -q -m client --durations=0 tests/client || exit 1; \
+	done
 
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py

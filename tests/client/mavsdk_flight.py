@@ -1,0 +1,226 @@
+"""A whole flight by MAVSDK-Python, as a user of MAVSDK writes it: `python mavsdk_flight.py udpin://127.0.0.1:14540`.
+
+Prints a line of JSON for every step done: {"step": ..., "saw": ...}.  Waits on telemetry alone; what doesn't come
+within PATIENCE_S ends the flight with a traceback that names the step.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import sys
+from collections.abc import AsyncGenerator, Callable
+from typing import Any, TypeVar
+
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.action import ActionAsync, ActionError
+from mavsdk.asyncio.plugins.info import InfoAsync
+from mavsdk.asyncio.plugins.offboard import (
+    AttitudeRate,
+    OffboardAsync,
+    PositionNedYaw,
+    VelocityNedYaw,
+)
+from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
+from mavsdk.asyncio.plugins.telemetry import FlightMode, LandedState, TelemetryAsync
+
+PATIENCE_S = 20.0
+RATE_WINDOW_US = 8_000_000
+RATES_HZ = {
+    "attitude_quaternion": 50.0,
+    "attitude_euler": 25.0,
+    "position_velocity_ned": 25.0,
+    "position": 20.0,
+    "imu": 50.0,
+    "scaled_imu": 20.0,
+    "odometry": 10.0,
+    "ground_truth": 10.0,
+    "actuator_output_status": 10.0,
+    "fixedwing_metrics": 8.0,
+    "altitude": 5.0,
+    "distance_sensor": 5.0,
+    "raw_gps": 4.0,
+    "landed_state": 4.0,
+    "battery": 4.0,
+    "home": 2.0,
+    "unix_epoch_time": 2.0,
+}
+"""Every telemetry stream with a message of its own, and the rate to ask for."""
+T = TypeVar("T")
+
+
+def done(step: str, saw: Any = None) -> None:
+    """One step has been done."""
+    print(json.dumps({"step": step, "saw": saw}), flush=True)
+
+
+async def see(samples: AsyncGenerator[T, None], wanted: Callable[[T], bool] = lambda value: True) -> T:
+    """Wait for telemetry that is as wanted."""
+    async with asyncio.timeout(PATIENCE_S):
+        async for value in samples:
+            if wanted(value):
+                return value
+    raise EOFError("the telemetry ended")
+
+
+class Flight:
+    """One vehicle and the steps of its flight, in their order."""
+
+    def __init__(self, system: Any) -> None:
+        self.telemetry = TelemetryAsync(system)
+        self.action = ActionAsync(system)
+        self.offboard = OffboardAsync(system)
+        self.param = ParamAsync(system)
+        self.info = InfoAsync(system)
+
+    async def mode(self, wanted: FlightMode) -> None:
+        """Wait for a flight mode."""
+        await see(self.telemetry.subscribe_flight_mode(), lambda mode: mode == wanted)
+
+    async def healthy(self) -> None:
+        """Every check of MAVSDK passes."""
+        await see(self.telemetry.subscribe_health_all_ok(), bool)
+        done("health", await see(self.telemetry.subscribe_health_all_ok()))
+
+    async def known(self) -> None:
+        """Version and identification."""
+        version, who = await self.info.get_version(), await self.info.get_identification()
+        numbers = [version.flight_sw_major, version.flight_sw_minor, version.flight_sw_patch]
+        done("version", {"flight": numbers, "uid": who.legacy_uid})
+
+    async def parameters(self) -> None:
+        """Read, written, listed and refused."""
+        param = self.param
+        await param.set_param_float("COM_OF_LOSS_T", 5.0)
+        await param.set_param_int("COM_OBL_RC_ACT", 5)
+        everything = await param.get_all_params()
+        refused = []
+        for ask in (param.get_param_float("NO_SUCH_PARAM"), param.set_param_int("MPC_XY_VEL_MAX", 3)):
+            try:
+                await ask
+            except ParamError as error:
+                refused.append(error.result.name)
+        saw = {
+            "MPC_XY_VEL_MAX": await param.get_param_float("MPC_XY_VEL_MAX"),
+            "NAV_DLL_ACT": await param.get_param_int("NAV_DLL_ACT"),
+            "COM_OF_LOSS_T": await param.get_param_float("COM_OF_LOSS_T"),
+            "COM_OBL_RC_ACT": await param.get_param_int("COM_OBL_RC_ACT"),
+            "listed": len(everything.int_params) + len(everything.float_params),
+            "refused": refused,
+        }
+        done("parameters", saw)
+
+    async def streams(self) -> None:
+        """Ask for rates, then count all streams over a window of the autopilot's own clock."""
+        for name, rate_hz in RATES_HZ.items():
+            await getattr(self.telemetry, f"set_rate_{name}")(rate_hz)
+        counts = dict.fromkeys(RATES_HZ, 0)
+
+        async def count(name: str) -> None:
+            async for _ in getattr(self.telemetry, f"subscribe_{name}")():
+                counts[name] += 1
+
+        first = await see(self.telemetry.subscribe_attitude_quaternion())
+        counting = [asyncio.create_task(count(name)) for name in RATES_HZ]
+        end_us = first.timestamp_us + RATE_WINDOW_US
+        last = await see(self.telemetry.subscribe_attitude_quaternion(), lambda q: q.timestamp_us >= end_us)
+        for task in counting:
+            task.cancel()
+        await asyncio.gather(*counting, return_exceptions=True)
+        seconds = (last.timestamp_us - first.timestamp_us) * 1e-6
+        done("streams", {"asked_hz": RATES_HZ, "came_hz": {name: number / seconds for name, number in counts.items()}})
+
+    async def takes_off(self) -> None:
+        """Arms, climbs to the height asked for and holds it."""
+        await self.action.set_takeoff_altitude(5.0)
+        await self.action.arm()
+        await see(self.telemetry.subscribe_armed(), bool)
+        done("armed")
+        await self.action.takeoff()
+        await self.mode(FlightMode.TAKEOFF)
+        await self.mode(FlightMode.HOLD)
+        position = await see(self.telemetry.subscribe_position())
+        await see(self.telemetry.subscribe_landed_state(), lambda state: state == LandedState.IN_AIR)
+        done("takeoff", position.relative_altitude_m)
+        try:
+            await self.action.disarm()
+        except ActionError as error:
+            done("disarm in the air", error.result.name)
+
+    async def flies_offboard(self) -> None:
+        """Position, velocity and body rates, each told by what the vehicle does."""
+        offboard, telemetry = self.offboard, self.telemetry
+        await offboard.set_position_ned(PositionNedYaw(5.0, 3.0, -8.0, 90.0))
+        await offboard.start()
+        await self.mode(FlightMode.OFFBOARD)
+        place = await see(telemetry.subscribe_position_velocity_ned(), _near(5.0, 3.0, -8.0))
+        heading = await see(telemetry.subscribe_heading(), lambda h: abs(h.heading_deg - 90.0) < 5.0)
+        p = place.position
+        done("offboard position", [p.north_m, p.east_m, p.down_m, heading.heading_deg])
+        await offboard.set_velocity_ned(VelocityNedYaw(-2.0, 1.0, 0.0, 90.0))
+        v = await see(telemetry.subscribe_velocity_ned(), lambda v: v.north_m_s < -1.8 and v.east_m_s > 0.8)
+        done("offboard velocity", [v.north_m_s, v.east_m_s, v.down_m_s])
+        await offboard.set_position_ned(PositionNedYaw(6.0, 0.0, -8.0, 90.0))
+        await see(telemetry.subscribe_position_velocity_ned(), _near(6.0, 0.0, -8.0))
+        await offboard.set_attitude_rate(
+            AttitudeRate(0.0, 0.0, 40.0, await self.param.get_param_float("MPC_THR_HOVER"))
+        )
+        rates = telemetry.subscribe_attitude_angular_velocity_body()
+        turning = await see(rates, lambda w: abs(math.degrees(w.yaw_rad_s) - 40.0) < 6.0)
+        done("offboard rate", math.degrees(turning.yaw_rad_s))
+        await offboard.stop()
+        await self.mode(FlightMode.HOLD)
+        done("hold", await offboard.is_active())
+
+    async def comes_home(self) -> None:
+        """Holds, returns until it is above home, lands and disarms."""
+        await self.action.hold()
+        await self.mode(FlightMode.HOLD)
+        await self.action.return_to_launch()
+        await self.mode(FlightMode.RETURN_TO_LAUNCH)
+
+        def above_home(sample: Any) -> bool:
+            return math.hypot(sample.position.north_m, sample.position.east_m) < 1.0
+
+        p = (await see(self.telemetry.subscribe_position_velocity_ned(), above_home)).position
+        done("return", [p.north_m, p.east_m])
+        await self.action.land()
+        await self.mode(FlightMode.LAND)
+        await see(self.telemetry.subscribe_landed_state(), lambda state: state == LandedState.ON_GROUND)
+        position = await see(self.telemetry.subscribe_position())
+        done("landed", position.relative_altitude_m)
+        await self.action.disarm()
+        await see(self.telemetry.subscribe_armed(), lambda armed: not armed)
+        done("disarmed")
+
+
+def _near(north_m: float, east_m: float, down_m: float) -> Callable[[Any], bool]:
+    def near(sample: Any) -> bool:
+        p, v = sample.position, sample.velocity
+        speed = math.hypot(v.north_m_s, v.east_m_s, v.down_m_s)
+        return math.dist((p.north_m, p.east_m, p.down_m), (north_m, east_m, down_m)) < 0.5 and speed < 0.5
+
+    return near
+
+
+async def main(url: str) -> None:
+    """Connect and fly."""
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
+        await mavsdk.add_any_connection(url)
+        system = await mavsdk.first_autopilot(PATIENCE_S)
+        if system is None:
+            raise TimeoutError("no autopilot")
+        done("connected", {"sdk": await mavsdk.version(), "system": await system.get_system_id()})
+        flight = Flight(system)
+        await flight.healthy()
+        await flight.known()
+        await flight.parameters()
+        await flight.streams()
+        await flight.takes_off()
+        await flight.flies_offboard()
+        await flight.comes_home()
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1]))
