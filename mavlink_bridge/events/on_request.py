@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from flightstack.types import Tuple3
+if TYPE_CHECKING:
+    from flightstack.types import Tuple3
 
 
 class ActuatorOutputStatus(NamedTuple):
