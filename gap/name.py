@@ -48,6 +48,9 @@ _ACTS_SHARE = 0.1
 _MATTERS_MPS2 = 0.05
 _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
+_LOUD_SHARE = 0.5
+"""Of one step's noise in the group, the part that a remainder must reach before the flights are called unexplained: below,
+an estimator's own slow errors do as much."""
 _DRIFT_MARGIN = 10.0
 """Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
@@ -84,7 +87,8 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         [m & v for m, v in zip(fit, valid, strict=True)],
         [m & v for m, v in zip(holdout, valid, strict=True)],
     )
-    where = locate([residual(vehicle, s) for s in flights], flights)
+    residuals = [residual(vehicle, s) for s in flights]
+    where = locate(residuals, flights)
     if not any(m.any() for m in bench.fit):
         return Naming((), (), vehicle, Unexplained(False), where, {})
     state = search(bench, vehicle)
@@ -99,7 +103,9 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     }
     seen = identify(state.point)
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
-    unexplained = _unexplained(told)
+    noise = np.nan_to_num(np.array([r.noise for r in residuals])).max(axis=0)
+    loud = {g: r for g, r in told.items() if r.driven_rms > _LOUD_SHARE * np.linalg.norm(noise[list(GROUPS[g])])}
+    unexplained = _unexplained(loud)
     if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])

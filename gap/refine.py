@@ -6,10 +6,12 @@ Gauss-Newton on that difference, weighted by its own covariance: each channel's 
 from the residuals (generalised least squares), and the intervals are of the sandwich kind over windows, with their
 neighbours' correlation over 5 s (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
 
-Two nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
+Three nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
 a prior of a uniform distribution's width (beside a transport delay it can't be told from, it stays 0 and widens the
-delay's interval).  And what is left of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects
-themselves are not moved: the kinematic columns know them better.
+delay's interval).  Between their stamps commands are straight lines here, which passes less of a wave than a loop
+that is faster than the log, or that holds its commands, did: that bend has a prior between these two.  And what is
+left of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects themselves are not moved: the
+kinematic columns know them better.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
+from gap.naming.inputs import with_sharp_commands
 from gap.records import Estimate, Samples
 from gap.rollouts import Rollout, rollouts
 from gap.scales import natural_scale
@@ -54,7 +57,9 @@ _SWING = 4e-3
 _MEMORY_S = 5.0
 _STATES = 1.15
 """Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
-_NUISANCES = 4
+_NUISANCES = 5
+_BEND, _BEND_STD = 0.75, 0.25
+"""Of `with_sharp_commands`, mean and deviation: a loop as fast as the log, that holds, bends half; a faster one all."""
 _WORSE = 1.02
 
 
@@ -137,6 +142,8 @@ class _Windows:
     """(n + 1,) samples after a start, where pieces begin and end."""
     gathered: F64
     """(S, n, 6) integrals of specific force (m/s) and changes of rate (rad/s)."""
+    sharp: Samples
+    """The flight with its commands curved between their stamps."""
 
 
 def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
@@ -163,9 +170,8 @@ def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
     derived = "rate_frd_radps" in flight.missing
     rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
     at = chosen[:, None] + edges[None, :]
-    return _Windows(
-        flight, chosen, edges, np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
-    )
+    gathered = np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
+    return _Windows(flight, chosen, edges, gathered, with_sharp_commands(samples))
 
 
 def _gathered(run: Rollout, windows: _Windows) -> F64:
@@ -192,7 +198,7 @@ def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
 
 
 class _Problem:
-    """Parameters (K) and each flight's nuisances (shift, three biases) as one vector, over all windows."""
+    """Parameters (K) and each flight's nuisances (shift, bend, three biases) as one vector, over all windows."""
 
     def __init__(
         self,
@@ -216,10 +222,10 @@ class _Problem:
         for s, mask in zip(flights, masks, strict=True):
             bias, bias_std = _bias_prior(vehicle, s, mask)
             shift_std = 1e-9 if self._delayed else s.dt_s / math.sqrt(12.0)
-            means.append(np.array([0.0, *bias]))
-            stds.append(np.array([shift_std, *bias_std]))
-            steps.append(np.array([_TIMING_STEP_S, 1.0, 1.0, 1.0]))
-            reach.append(np.array([s.dt_s, 10.0, 10.0, 10.0]))
+            means.append(np.array([0.0, _BEND, *bias]))
+            stds.append(np.array([shift_std, _BEND_STD, *bias_std]))
+            steps.append(np.array([_TIMING_STEP_S, 1.0, 1.0, 1.0, 1.0]))
+            reach.append(np.array([s.dt_s, 2.0, 10.0, 10.0, 10.0]))
         self._start, self._prior_std, self._step = np.concatenate(means), np.concatenate(stds), np.concatenate(steps)
         self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
         self._high = np.concatenate([limits[:, 1], *reach])
@@ -260,7 +266,7 @@ class _Problem:
         return theta, covariance
 
     def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
-        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 4 F) of one flight."""
+        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 5 F) of one flight."""
         windows = self.windows[f]
         jacobian = np.zeros((*windows.gathered.shape, len(theta)))
         if len(windows.starts) == 0:
@@ -269,19 +275,18 @@ class _Problem:
         own = [*range(len(self._unknowns)), late]
         sign = np.where(theta + self._step > self._high, -1.0, 1.0)
         points = [theta] + [theta + sign[k] * self._step[k] * np.eye(len(theta))[k] for k in own]
-        runs = rollouts(
-            [(self.vehicle_at(x), float(x[late])) for x in points],
-            windows.flight.samples,
-            windows.starts,
-            windows.edges[-1] * windows.flight.samples.dt_s,
-        )
+        reach_s = windows.edges[-1] * windows.flight.samples.dt_s
+        variants = [(self.vehicle_at(x), float(x[late])) for x in points]
+        runs = rollouts(variants, windows.flight.samples, windows.starts, reach_s)
+        sharp = rollouts(variants[:1], windows.sharp, windows.starts, reach_s)[0]
         base = _gathered(runs[0], windows)
         for k, run in zip(own, runs[1:], strict=True):
             jacobian[..., k] = (_gathered(run, windows) - base) / (sign[k] * self._step[k])
+        jacobian[..., late + 1] = _gathered(sharp, windows) - base
         span = np.diff(windows.edges) * windows.flight.samples.dt_s
         for axis in range(3):
-            jacobian[:, :, axis, late + 1 + axis] = span
-        y = windows.gathered - base - jacobian[..., late + 1 : late + 4] @ theta[late + 1 : late + 4]
+            jacobian[:, :, axis, late + 2 + axis] = span
+        y = windows.gathered - base - jacobian[..., late + 1 : late + 5] @ theta[late + 1 : late + 5]
         # The first piece's change of rate holds the start's own error with the opposite sign: that looks like damping.
         return y[:, 1:], jacobian[:, 1:]
 

@@ -11,6 +11,8 @@ from gap.records import Estimate, Figures, Found, Gap, Rejected, Unexplained, Wh
 from gap.report import GapReport
 
 SCHEMA = "flightstack.gap/1"
+GAP_FROM = 1.2
+"""Times its noise floor, from which a figure holds a gap."""
 NOTHING = Figures(None, None, None)
 
 
@@ -126,12 +128,12 @@ def _known(value: float | None) -> float | None:
 def closed(before: Figures, after: Figures, floor: Figures) -> float | None:
     """(before - after) / (before - floor) of one step: the worse of force and torque; null without a gap in either.
 
-    A channel has a gap where its figure before is at least 1.2 times its floor.
+    A channel has a gap where its figure before is at least `GAP_FROM` times its floor.
     """
     shares = []
     for name in ("one_step_mps2", "one_step_radps2"):
         was, now, least = getattr(before, name), getattr(after, name), getattr(floor, name)
-        if was is None or now is None or least is None or was < 1.2 * least:
+        if was is None or now is None or least is None or was < GAP_FROM * least:
             continue
         shares.append((was - now) / (was - least))
     return min(shares) if shares else None

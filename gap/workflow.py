@@ -14,17 +14,20 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
+from gap.held import corrected, doubtful
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
 from gap.records import Checked, Gap, Rejected, Samples
 from gap.refine import refine
 from gap.report.words import sentence
-from gap.result import GapResult, closed
+from gap.result import GAP_FROM, GapResult, closed
 
 OnProgress = Callable[[float, str], None]
 _WORSE = 1.1
 """Times the held-out figure before, from which a correction is taken back."""
+_LEAST_CLOSED = 0.5
+"""Share of the held-out gap's power below which nothing is named beside something that nothing explains."""
 
 
 def analyse(
@@ -48,14 +51,18 @@ def analyse(
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
     on_progress(0.2, "naming")
-    naming = name(vehicle, of.flights, of.fit, of.holdout)
+    named = naming = name(vehicle, of.flights, of.fit, of.holdout)
     if naming.found:
         on_progress(0.6, "refining")
         naming, of = _refined(vehicle, naming, of)
     on_progress(0.75, "verifying")
+    gone = doubtful(vehicle, naming.found, of, beside=naming.unexplained.significant) if naming.found else ()
+    if gone:
+        naming = _taken_back(vehicle, named, gone, "does something else on data not used before")
+        naming, of = _refined(vehicle, naming, of)
     gap = _verdict(vehicle, naming, of)
-    if naming.found and _is_worse(gap):
-        naming = _taken_back(vehicle, naming)
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
+        naming = _taken_back(vehicle, naming, [f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
@@ -127,12 +134,24 @@ def _is_worse(gap: Gap) -> bool:
     return any(was is not None and now is not None and now > _WORSE * was for was, now in pairs)
 
 
-def _taken_back(vehicle: Vehicle, naming: Naming) -> Naming:
+def _closed_power(gap: Gap) -> float:
+    """Share of the held-out gap's mean square that is closed, of force or torque, the better; 1 without a gap."""
+    shares = []
+    for figure in ("one_step_mps2", "one_step_radps2"):
+        was, now, least = (getattr(each, figure) for each in (gap.before, gap.after, gap.noise_floor))
+        if was is not None and now is not None and least is not None and was >= GAP_FROM * least:
+            shares.append((was**2 - now**2) / (was**2 - least**2))
+    return max(shares, default=1.0)
+
+
+def _taken_back(vehicle: Vehicle, naming: Naming, gone: Sequence[str], reason: str) -> Naming:
     """Nothing is named that doesn't hold on data not used before; that something is missing stays true."""
-    reason = "makes data not used before worse"
-    back = tuple(Rejected(found.name, found.delta_bic, reason) for found in naming.found)
-    unexplained = replace(naming.unexplained, significant=True, fraction=1.0)
-    return replace(naming, found=(), rejected=(*back, *naming.rejected), vehicle=vehicle, unexplained=unexplained)
+    back = tuple(Rejected(found.name, found.delta_bic, reason) for found in naming.found if found.name in gone)
+    kept = tuple(found for found in naming.found if found.name not in gone)
+    rest = naming.unexplained
+    unexplained = replace(rest, significant=True, fraction=rest.fraction if kept else 1.0)
+    left = corrected(vehicle, kept)
+    return replace(naming, found=kept, rejected=(*back, *naming.rejected), vehicle=left, unexplained=unexplained)
 
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:

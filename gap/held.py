@@ -1,0 +1,89 @@
+"""Whether a named effect does on data not used before what it did where it was learned.
+
+Without the effect, the held-out disagreement is what the effect makes there and what is left anyway.  If the
+effect is really there and of the size that was found, the slope of the one against the other is 1 wherever one looks; a
+proxy's slope falls away, and what grows with time shows a slope beyond 1 on what was flown last.  The slope's error is
+of the sandwich kind over seconds, so that a slow remainder is not taken for many errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from gap.compare import residual
+from gap.pooled import Split
+from gap.records import Found
+from gap.simulate import with_value
+
+_BLOCK_S = 1.0
+_FEWEST_BLOCKS = 4
+_SURE = 2.0
+"""Standard errors by which a slope must miss what is allowed."""
+_LEAST = 0.5
+"""Slope below which less than nothing of the effect's own share is closed."""
+_LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
+"""What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Slope of the held-out disagreement against what effects make of it, and its standard error."""
+
+    value: float
+    error: float
+
+    def holds(self, *, beside: bool) -> bool:
+        """Whether the effects do what they did; `beside`: something that nothing explains is there as well."""
+        low, high = (_LEAST_BESIDE, _MOST_BESIDE) if beside else (_LEAST, np.inf)
+        return self.value + _SURE * self.error >= low and self.value - _SURE * self.error <= high
+
+
+def slope(without: Vehicle, corrected: Vehicle, of: Split) -> Slope:
+    """Of the held-out residual of `without` against what `corrected` makes of it; 1 +- 0 where that can't be said."""
+    shares: list[F64] = []
+    pairs = []
+    for samples, mask in zip(of.flights, of.holdout, strict=True):
+        if not mask.any():
+            continue
+        was, now = residual(without, samples).y[mask], residual(corrected, samples).y[mask]
+        pairs.append((np.nan_to_num(was), np.nan_to_num(now), max(1, round(_BLOCK_S / samples.dt_s))))
+    if not pairs:
+        return Slope(1.0, 0.0)
+    left = np.sqrt(np.mean(np.concatenate([now for _, now, _ in pairs]) ** 2, axis=0))
+    weight = np.where(left > 0.0, 1.0 / np.maximum(left, 1e-12), 0.0)
+    for was, now, size in pairs:
+        made, rest = (was - now) * weight, now * weight
+        rows = np.stack([np.sum(made * rest, axis=1), np.sum(made * made, axis=1)], axis=1)
+        count = len(rows) // size
+        shares.append(rows[: count * size].reshape(count, size, 2).sum(axis=1))
+    blocks = np.concatenate(shares)
+    power = float(blocks[:, 1].sum())
+    if len(blocks) < _FEWEST_BLOCKS or power <= 0.0:
+        return Slope(1.0, 0.0)
+    off = float(blocks[:, 0].sum()) / power
+    scatter = blocks[:, 0] - off * blocks[:, 1]
+    return Slope(1.0 + off, float(np.sqrt(np.sum(scatter**2))) / power)
+
+
+def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bool) -> tuple[str, ...]:
+    """Named effects that don't hold on data not used before; all of them where they don't hold together."""
+    whole = corrected(believed, found)
+    if not slope(believed, whole, of).holds(beside=beside):
+        return tuple(each.name for each in found)
+    if len(found) == 1:
+        return ()
+    others = {each.name: corrected(believed, [f for f in found if f is not each]) for each in found}
+    return tuple(name for name, without in others.items() if not slope(without, whole, of).holds(beside=beside))
+
+
+def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
+    """The vehicle with these effects at their estimates."""
+    vehicle = believed
+    for each in found:
+        vehicle = with_value(vehicle, each.name, {p: e.estimate for p, e in each.parameters.items()})
+    return vehicle
