@@ -49,8 +49,7 @@ _MATTERS_MPS2 = 0.05
 _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
 _LOUD_SHARE = 0.5
-"""Of one step's noise in the group, the part that a remainder must reach before the flights are called unexplained: below,
-an estimator's own slow errors do as much."""
+"""Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
 _DRIFT_MARGIN = 10.0
 """Chi-square by which the voltage must do better than time."""
 _CI = 1.959964

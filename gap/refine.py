@@ -6,11 +6,12 @@ Gauss-Newton on that difference, weighted by its own covariance: each channel's 
 from the residuals (generalised least squares), and the intervals are of the sandwich kind over windows, with their
 neighbours' correlation over 5 s (Newey and West, Econometrica 1987), so a coloured residual doesn't shrink them.
 
-Three nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
+Four nuisances of each flight are fitted along.  When the commands acted is known to half a sample only: that shift has
 a prior of a uniform distribution's width (beside a transport delay it can't be told from, it stays 0 and widens the
 delay's interval).  Between their stamps commands are straight lines here, which passes less of a wave than a loop
-that is faster than the log, or that holds its commands, did: that bend has a prior between these two.  And what is
-left of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects themselves are not moved: the
+that is faster than the log, or that holds its commands, did: that bend has a prior between these two.  Of the noise on
+the commands a share is folded in by sampling, for the force and for each torque (`gap.naming.inputs`).  What is left
+of the accelerometer's bias has a prior from the kinematic columns.  Sensor effects themselves are not moved: the
 kinematic columns know them better.
 """
 
@@ -29,15 +30,13 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
-from gap.naming.inputs import with_sharp_commands
 from gap.records import Estimate, Samples
-from gap.rollouts import Rollout, rollouts
+from gap.rollouts import rollouts
 from gap.scales import natural_scale
 from gap.simulate import unseen, value, with_value
-from gap.track import Track, track
+from gap.track import track
+from gap.windows import WINDOW_S, gathered_by, windows_of
 
-WINDOW_S = 0.5
-PIECE_S = 0.05
 _MOST_WINDOWS = 400
 _ROUNDS = 4
 _STEP_SHARE = 0.05
@@ -57,7 +56,14 @@ _SWING = 4e-3
 _MEMORY_S = 5.0
 _STATES = 1.15
 """Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
-_NUISANCES = 5
+_FOLDED = ((0, 1, 2), (3,), (4,), (5,))
+"""Channels of each part of the commands' noise."""
+_NUISANCES = 9
+"""Shift, bend, folded shares, biases."""
+_GAINS = (("thrust_scale", "scale"), *(("inertia", f"scale_{axis}") for axis in "xyz"))
+_GAIN_STEP = 0.01
+_GAIN_PER_S = np.array([0.05, 0.2, 0.2, 0.2])
+"""How well thrust and torques are known for each second between samples, one standard deviation: never fitted."""
 _BEND, _BEND_STD = 0.75, 0.25
 """Of `with_sharp_commands`, mean and deviation: a loop as fast as the log, that holds, bends half; a faster one all."""
 _WORSE = 1.02
@@ -132,55 +138,6 @@ def _limits(effect: str, parameter: str) -> tuple[float, float]:
     return spec.minimum, spec.maximum
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """One flight's windows and what its sensors gathered in their pieces."""
-
-    flight: Track
-    starts: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    """(n + 1,) samples after a start, where pieces begin and end."""
-    gathered: F64
-    """(S, n, 6) integrals of specific force (m/s) and changes of rate (rad/s)."""
-    sharp: Samples
-    """The flight with its commands curved between their stamps."""
-
-
-def _windows(samples: Samples, mask: NDArray[np.bool_], most: int) -> _Windows:
-    flight = track(samples)
-    good = mask & flight.usable
-    piece = max(1, round(PIECE_S / samples.dt_s))
-    steps = piece * max(2, round(WINDOW_S / samples.dt_s / piece))
-    starts, k = [], 0
-    bad = np.concatenate([[0], np.cumsum(~good)])
-    while k + steps + 1 < len(good):
-        if bad[k + steps + 1] == bad[k]:
-            starts.append(k)
-            k += steps
-        else:
-            k += 1
-    chosen = np.array(starts, dtype=np.int64)
-    if len(chosen) > most:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
-    edges = np.arange(0, steps + 1, piece)
-    force = flight.measured[:, 0:3]
-    sums = np.zeros_like(force)
-    sums[1:] = np.cumsum(0.5 * samples.dt_s * (force[1:] + force[:-1]), axis=0)
-    # The gyro as it is: a smoothed one's residuals are so alike from piece to piece that they would count too much.
-    derived = "rate_frd_radps" in flight.missing
-    rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
-    at = chosen[:, None] + edges[None, :]
-    gathered = np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
-    return _Windows(flight, chosen, edges, gathered, with_sharp_commands(samples))
-
-
-def _gathered(run: Rollout, windows: _Windows) -> F64:
-    """(S, n, 6) of a simulation, as `_Windows.gathered` has it."""
-    sums = np.cumsum(run.force_frd_mps2 * windows.flight.samples.dt_s, axis=1)[:, windows.edges]
-    rate = run.rate_frd_radps[:, windows.edges]
-    return np.concatenate([np.diff(sums, axis=1), np.diff(rate, axis=1)], axis=2)
-
-
 def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[F64, F64]:
     """Mean and standard deviation (3,) of the accelerometer's bias beyond the vehicle's, m/s^2."""
     flight = track(samples)
@@ -198,7 +155,7 @@ def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
 
 
 class _Problem:
-    """Parameters (K) and each flight's nuisances (shift, bend, three biases) as one vector, over all windows."""
+    """Parameters (K) and each flight's nuisances (`_NUISANCES`) as one vector, over all windows."""
 
     def __init__(
         self,
@@ -211,7 +168,8 @@ class _Problem:
         most = max(1, _MOST_WINDOWS // max(len(flights), 1))
         usable = [not any(unseen(s, effect) for effect, _ in unknowns) for s in flights]
         self.windows = [
-            _windows(s, m if ok else m & False, most) for s, m, ok in zip(flights, masks, usable, strict=True)
+            windows_of(vehicle, s, m if ok else m & False, most)
+            for s, m, ok in zip(flights, masks, usable, strict=True)
         ]
         self.count = sum(len(w.starts) for w in self.windows)
         scales = [natural_scale(vehicle, effect, parameter) for effect, parameter in unknowns]
@@ -222,10 +180,10 @@ class _Problem:
         for s, mask in zip(flights, masks, strict=True):
             bias, bias_std = _bias_prior(vehicle, s, mask)
             shift_std = 1e-9 if self._delayed else s.dt_s / math.sqrt(12.0)
-            means.append(np.array([0.0, _BEND, *bias]))
-            stds.append(np.array([shift_std, _BEND_STD, *bias_std]))
-            steps.append(np.array([_TIMING_STEP_S, 1.0, 1.0, 1.0, 1.0]))
-            reach.append(np.array([s.dt_s, 2.0, 10.0, 10.0, 10.0]))
+            means.append(np.array([0.0, _BEND, 0.0, 0.0, 0.0, 0.0, *bias]))
+            stds.append(np.array([shift_std, _BEND_STD, 1.0, 1.0, 1.0, 1.0, *bias_std]))
+            steps.append(np.array([_TIMING_STEP_S, *np.ones(_NUISANCES - 1)]))
+            reach.append(np.array([s.dt_s, 2.0, 5.0, 5.0, 5.0, 5.0, 10.0, 10.0, 10.0]))
         self._start, self._prior_std, self._step = np.concatenate(means), np.concatenate(stds), np.concatenate(steps)
         self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
         self._high = np.concatenate([limits[:, 1], *reach])
@@ -254,6 +212,8 @@ class _Problem:
             theta = moved
             if done:
                 break
+        shift = self._considered(theta)
+        covariance = covariance + shift @ shift.T
         for k, (effect, parameter) in enumerate(self._unknowns):
             if effect == "transport_delay":
                 covariance[k, k] += self._sampling_s**2 / 12.0
@@ -266,7 +226,7 @@ class _Problem:
         return theta, covariance
 
     def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
-        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 5 F) of one flight."""
+        """Residual (S, n, 6) and its derivatives by parameters and nuisances (S, n, 6, K + 9 F) of one flight."""
         windows = self.windows[f]
         jacobian = np.zeros((*windows.gathered.shape, len(theta)))
         if len(windows.starts) == 0:
@@ -278,17 +238,51 @@ class _Problem:
         reach_s = windows.edges[-1] * windows.flight.samples.dt_s
         variants = [(self.vehicle_at(x), float(x[late])) for x in points]
         runs = rollouts(variants, windows.flight.samples, windows.starts, reach_s)
-        sharp = rollouts(variants[:1], windows.sharp, windows.starts, reach_s)[0]
-        base = _gathered(runs[0], windows)
+        sharp, smooth = (
+            rollouts(variants[:1], other, windows.starts, reach_s)[0] for other in (windows.sharp, windows.smooth)
+        )
+        base = gathered_by(runs[0], windows)
         for k, run in zip(own, runs[1:], strict=True):
-            jacobian[..., k] = (_gathered(run, windows) - base) / (sign[k] * self._step[k])
-        jacobian[..., late + 1] = _gathered(sharp, windows) - base
+            jacobian[..., k] = (gathered_by(run, windows) - base) / (sign[k] * self._step[k])
+        jacobian[..., late + 1] = gathered_by(sharp, windows) - base
+        quiet = gathered_by(smooth, windows) - base
+        for part, channels in enumerate(_FOLDED):
+            jacobian[:, :, channels, late + 2 + part] = quiet[:, :, channels]
         span = np.diff(windows.edges) * windows.flight.samples.dt_s
         for axis in range(3):
-            jacobian[:, :, axis, late + 2 + axis] = span
-        y = windows.gathered - base - jacobian[..., late + 1 : late + 5] @ theta[late + 1 : late + 5]
+            jacobian[:, :, axis, late + 6 + axis] = span
+        linear = slice(late + 1, late + _NUISANCES)
+        y = windows.gathered - base - jacobian[..., linear] @ theta[linear]
         # The first piece's change of rate holds the start's own error with the opposite sign: that looks like damping.
         return y[:, 1:], jacobian[:, 1:]
+
+    def _considered(self, theta: F64) -> F64:
+        """(K, 4) how far gains of thrust and torques that nobody knows move the estimate (Schmidt, 1966)."""
+        count = len(self._unknowns)
+        information = np.diag(1.0 / self._prior_std**2)
+        cross = np.zeros((len(theta), len(_GAINS)))
+        for f, windows in enumerate(self.windows):
+            if len(windows.starts) == 0:
+                continue
+            y, x = self._linear(theta, f)
+            gains = self._gains(theta, f)
+            white = _whitened(y, np.concatenate([x, gains], axis=-1))[1]
+            own, other = white[..., : len(theta)], white[..., len(theta) :]
+            information += np.einsum("srck,srcl->kl", own, own)
+            cross += np.einsum("srck,srcl->kl", own, other * (_GAIN_PER_S * windows.flight.samples.dt_s))
+        out = np.zeros((len(theta), len(_GAINS)))
+        out[:count] = (_inverse(information) @ cross)[:count]
+        return out
+
+    def _gains(self, theta: F64, f: int) -> F64:
+        """(S, n, 6, 4) derivatives by gains of thrust and torques of one flight."""
+        windows, base = self.windows[f], self.vehicle_at(theta)
+        late = float(theta[len(self._unknowns) + _NUISANCES * f])
+        turned = [with_value(base, e, {p: value(base, e, p) * (1.0 + _GAIN_STEP)}) for e, p in _GAINS]
+        reach_s = windows.edges[-1] * windows.flight.samples.dt_s
+        runs = rollouts([(v, late) for v in (base, *turned)], windows.flight.samples, windows.starts, reach_s)
+        still, *moved = (gathered_by(run, windows) for run in runs)
+        return np.stack([(each - still) / _GAIN_STEP for each in moved], axis=-1)[:, 1:]
 
     def _step_from(self, theta: F64, parts: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
         """Gauss-Newton step and the sandwich covariance, all windows of all flights together."""
@@ -307,9 +301,14 @@ class _Problem:
             for lag in range(1, reach + 1):
                 neighbours = left[lag:].T @ left[:-lag]
                 meat += (1.0 - lag / (reach + 1.0)) * (neighbours + neighbours.T)
-        scale = 1.0 / np.sqrt(np.diag(information))
-        inverse = scale[:, None] * np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12) * scale
+        inverse = _inverse(information)
         return inverse @ score, inverse @ meat @ inverse
+
+
+def _inverse(information: F64) -> F64:
+    """Of a normal matrix of unknowns of very different size."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(scale[:, None] * np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12) * scale)
 
 
 def _reach(windows: int) -> int:
