@@ -4,6 +4,9 @@ Without the effect, the held-out disagreement is what the effect makes there and
 effect is really there and of the size that was found, the slope of the one against the other is 1 wherever one looks; a
 proxy's slope falls away, and what grows with time shows a slope beyond 1 on what was flown last.  The slope's error is
 of the sandwich kind over seconds, so that a slow remainder is not taken for many errors.
+
+Where a model leaves much more than noise, small effects only trim what it lacks: one is kept if what is left on the
+held-out data, all others fitted again, would be clearly more without it.
 """
 
 from __future__ import annotations
@@ -12,13 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
+from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
 from gap.pooled import Split
-from gap.records import Found
-from gap.simulate import with_value
+from gap.records import Found, Gap
+from gap.remainder import GROUPS
+from gap.simulate import Knob, sensitivities, value, with_value
 
 _BLOCK_S = 1.0
 _FEWEST_BLOCKS = 4
@@ -26,6 +32,12 @@ _SURE = 2.0
 """Standard errors by which a slope must miss what is allowed."""
 _LEAST = 0.5
 """Slope below which less than nothing of the effect's own share is closed."""
+_FAR = 3.0
+"""Times the noise floor, from which a model is taken to lack something."""
+_CLEARLY = 0.2
+"""Share by which the mean square that is left must rise."""
+_TRIFLE = 0.02
+"""Of the mean square before anything was named, what is small anyway."""
 _LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
 """What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
 
@@ -87,3 +99,65 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     for each in found:
         vehicle = with_value(vehicle, each.name, {p: e.estimate for p, e in each.parameters.items()})
     return vehicle
+
+
+def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) -> tuple[str, ...]:
+    """Named effects without which hardly more would be left on the held-out data, weakest first; () near the noise."""
+    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
+    if not any(now is not None and least is not None and now > _FAR * least for now, least in pairs):
+        return ()
+    gone = [f.name for f in found if any(_on_edge(f.name, p, e.estimate) for p, e in f.parameters.items())]
+    left = [f for f in found if f.name not in gone]
+    before = _powers(believed, [], of)
+    while len(left) > 1:
+        base = _powers(corrected(believed, left), [], of)
+        gains = {}
+        for each in left:
+            others = [f for f in left if f is not each]
+            more = _powers(corrected(believed, others), [Knob(f.name, p) for f in others for p in _free(f)], of)
+            gains[each.name] = float(np.max((more - base) / np.maximum(base + _TRIFLE * before, 1e-300)))
+        weakest = min(gains, key=lambda effect: gains[effect])
+        if gains[weakest] >= _CLEARLY:
+            break
+        gone.append(weakest)
+        left = [f for f in left if f.name != weakest]
+    return tuple(gone)
+
+
+def _on_edge(effect: str, parameter: str, estimate: float) -> bool:
+    """Whether an estimate has run against the far end of its range: what it stands for is something else."""
+    spec = next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    ends = [end for end in (spec.minimum, spec.maximum) if spec.null is None or end != spec.null]
+    return not spec.integer and any(abs(estimate - end) <= 1e-6 * abs(end) for end in ends)
+
+
+def _free(found: Found) -> list[str]:
+    return [p.name for p in EFFECT_SPECS[found.name].params if not p.integer and p.name in found.parameters]
+
+
+def _within(vehicle: Vehicle, knobs: Sequence[Knob], x: F64, y: F64) -> F64:
+    """(K,) changes of these parameters by least squares that stay in their ranges."""
+    size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
+    specs = [next(p for p in EFFECT_SPECS[k.effect].params if p.name == k.parameter) for k in knobs]
+    now = np.array([value(vehicle, k.effect, k.parameter) for k in knobs])
+    low = np.minimum((np.array([p.minimum for p in specs]) - now) * size, -1e-12)
+    high = np.maximum((np.array([p.maximum for p in specs]) - now) * size, 1e-12)
+    x = x / size
+    damped = x.T @ x + 1e-6 * np.eye(len(size))
+    root = np.linalg.cholesky(damped)
+    return np.asarray(lsq_linear(root.T, np.linalg.solve(root, x.T @ y), bounds=(low, high)).x / size)
+
+
+def _powers(vehicle: Vehicle, knobs: Sequence[Knob], of: Split) -> F64:
+    """(groups,) held-out mean square of side force, lift and torque, these parameters fitted again where one learns."""
+    rows: list[tuple[F64, F64, F64, F64]] = []
+    for samples, fit, held in zip(of.flights, of.fit, of.holdout, strict=True):
+        y = np.nan_to_num(residual(vehicle, samples).y[:, :6])
+        x = np.nan_to_num(sensitivities(vehicle, samples, knobs)[:, :6]) if knobs else np.zeros((*y.shape, 0))
+        rows.append((y[fit], x[fit], y[held], x[held]))
+    y_fit, x_fit, y_held, x_held = (np.concatenate([row[k] for row in rows]) for k in range(4))
+    if knobs and len(y_fit):
+        weight = 1.0 / np.maximum(np.std(y_fit, axis=0), 1e-9)
+        flat = (x_fit * weight[:, None]).reshape(-1, len(knobs))
+        y_held = y_held - x_held @ _within(vehicle, knobs, flat, (y_fit * weight).ravel())
+    return np.array([np.mean(np.sum(y_held[:, list(channels)] ** 2, axis=1)) for channels in GROUPS.values()])

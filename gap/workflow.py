@@ -14,7 +14,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import corrected, doubtful
+from gap.held import corrected, doubtful, trimmings
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
@@ -61,9 +61,17 @@ def analyse(
         naming = _taken_back(vehicle, named, gone, "does something else on data not used before")
         naming, of = _refined(vehicle, naming, of)
     gap = _verdict(vehicle, naming, of)
+    trimmed = trimmings(vehicle, naming.found, of, gap)
+    if trimmed:
+        naming = _taken_back(vehicle, named, [*gone, *trimmed], "changes hardly what is left on data not used before")
+        naming, of = _refined(vehicle, naming, of)
+        gap = _verdict(vehicle, naming, of)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
         naming = _taken_back(vehicle, naming, [f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    rest = naming.unexplained
+    if naming.found and rest.significant and not rest.depends_on:
+        naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, 1.0 - _closed_power(gap))))
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
