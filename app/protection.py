@@ -112,6 +112,8 @@ def protect(
 
 
 SOUND = "sound"
+_FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
+"""Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"
@@ -134,7 +136,7 @@ def _online(mode: str, scenario: Scenario, model: Model, learner: str, sensors: 
     if region.kind == "ellipsoid":
         vertical = replace(VERTICAL, accuracy=accuracy)
         return GrowingCertifier(model, limits, region, initial=scenario.knowledge, certifier=vertical)
-    config = CertifierConfig(accuracy=accuracy)
+    config = CertifierConfig(accuracy=accuracy, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config)
 
 

@@ -6,7 +6,7 @@ a millisecond, one a tick.  The scenario's region gives the safe set of each axi
 its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
 in it.
 
-    again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a fifth, and holds
+    again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a tenth, and holds
                  the vehicle, with room; later and later, up to 16 s, where nothing comes of it
     falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
                  it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -30,16 +31,18 @@ from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.queries import Envelope, budget
-from flightstack.barrier.records import AxisCertificate, Budget, Certificate, Margin, Response
+from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
+from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, Tuple3
 
 _VALID = 2
-_PATIENCE = 16.0
+_PATIENCE, _EAGER = 16.0, 3.0
+"""Longest wait in periods, with a certificate in force and without."""
 _T = TypeVar("_T")
 
 
@@ -67,8 +70,11 @@ class CertifierConfig:
     """Of hover: the least thrust of the budget."""
     every_s: float = 1.0
     growth: float = 1.02
-    surer: float = 0.8
+    surer: float = 0.9
     """Share of the held bounds of acceleration that are worth a certificate of the same size."""
+    most_doubt_mps2: Tuple3 = (math.inf, math.inf, math.inf)
+    """Bound of each axis' acceleration that the first certificate may have; one with wider bounds bends what is flown
+    well inside."""
     room_h: float = 0.05
     """h that the vehicle must have in a certificate that is taken."""
 
@@ -115,6 +121,7 @@ class OnlineCertifier:
         self.model, self.limits, self.region, self.initial = model, limits, region, initial
         self.config = config or CertifierConfig()
         self.safe = dict(safe) if safe is not None else safe_sets(region, self.config.axes)
+        compile_all()
 
     def init(self) -> CertifierState:
         """Nothing certified yet."""
@@ -142,7 +149,8 @@ class OnlineCertifier:
             return state, None
         state.work = None
         issued = self._judge(state, ready, measurement)
-        again, most = self.config.every_s, _PATIENCE * self.config.every_s
+        again = self.config.every_s
+        most = (_PATIENCE if state.certificate is not None else _EAGER) * again
         state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
         return state, issued
 
@@ -189,7 +197,9 @@ class OnlineCertifier:
     def _pays(self, ready: Certificate, area: float, state: CertifierState) -> bool:
         """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
         held = state.certificate
-        if held is None or area > self.config.growth * state.area:
+        if held is None:
+            return all(doubt(each) <= self.config.most_doubt_mps2[each.axis] for each in ready.axes)
+        if area > self.config.growth * state.area:
             return True
         before = {each.axis: doubt(each) for each in held.axes}
         surer = all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
@@ -288,6 +298,20 @@ class OnlineCertifier:
             )  # fmt: skip
 
         return Axis(axis, self.safe[axis], authority, response), needs
+
+
+@lru_cache(maxsize=1)
+def compile_all() -> None:
+    """Call everything compiled that a certificate in flight needs, once: no tick waits for the compiler."""
+    v, one = np.linspace(-1.0, 1.0, 3), np.ones(3)
+    authority = Authority(v, 0.0 * v, 0.0 * v, -3.0 * one, 3.0 * one, 0.1 * one, 0.1 * one)
+    axis = Axis(DOWN, SafeSet(1.0, 1.0), authority, Response(0.02, 0.0, 0.01))
+    setting = Setting(0.5, 0.01, 0.01, 0.004, 0.01, 0.01, 20.0)
+    for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
+        pass
+    none, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    still = Measurement.of(0, none, none, level, none, none, np.zeros(4), 0, 0, 0)
+    quat_to_matrix(still.q_ned_frd)
 
 
 def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:

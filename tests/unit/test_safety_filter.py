@@ -57,7 +57,7 @@ def priced(
     span = float((reach.u_high_mps2 - reach.u_low_mps2).max())
     setting, _ = ledger(
         axis, shape, reach, response, gamma_ps=2.0, dt_s=dt_s, accuracy=accuracy, doubts=Doubts(0.0, 0.0, 0.0),
-        coupling_mps=0.0 if axis == 2 else response.c1_s * 0.5 * span * apart,
+        coupling_mps=0.0 if axis == 2 else response.c1_s * 0.5 * span * apart, inside_ps=20.0,
     )  # fmt: skip
     return setting._replace(rate_ps=setting.rate_ps + 0.05)  # what the chain's integration may be off by
 
