@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from app.result import NO_BARRIER, NO_QP, percentiles
-from flightstack.barrier.falsify import Witness, marked
+from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.model import Model
@@ -84,6 +84,7 @@ class GivenCertificate:
 
     def __init__(self, certificate: Certificate, model: Model) -> None:
         self.certificate, self.model = certificate, model
+        prepare()
 
     def init(self) -> Witness | None:
         """Not given yet."""

@@ -129,15 +129,14 @@ class BarrierFilter:
         """
         if state.memory[0, M_MODE] != ENGAGED or state.handed_over:
             return setpoint
-        pos = setpoint.pos_ned_m
-        inside = np.clip(pos, state.rest_ned_m[0], state.rest_ned_m[1])
-        if (inside == pos).all():
+        row, (low, high) = setpoint.row, state.rest_ned_m
+        if (low[0] <= row[0] <= high[0]) and (low[1] <= row[1] <= high[1]) and (low[2] <= row[2] <= high[2]):
             return setpoint
-        moving = (inside == pos).astype(np.float64)
-        row = setpoint.row.copy()
-        row[:3] = inside
-        row[3:15] *= np.tile(moving, 4)
-        return FlatOutput(row)
+        inside = np.clip(row[:3], low, high)
+        bent = row.copy()
+        bent[:3] = inside
+        bent[3:15] *= np.tile(inside == row[:3], 4)
+        return FlatOutput(bent)
 
     def step(
         self, state: FilterState, measurement: Measurement, command: Command, sent: Command, learned: Learned

@@ -156,7 +156,7 @@ def _below(table: F64, v: float) -> int:
 
 
 @njit
-def _mean(table: F64, column: int, v: float) -> float:
+def column_at(table: F64, column: int, v: float) -> float:
     """A column at a speed: linear between nodes, constant beyond them."""
     if table.shape[1] < 2:
         return table[column, 0]  # type: ignore[no-any-return]
@@ -192,8 +192,8 @@ def assess(
     chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
     chain[C_HOLD] = min(max(step_s, _DT_RANGE_S[0]), _DT_RANGE_S[1]) if step_s < np.inf else _DT_RANGE_S[0]
     for i in range(3):
-        offset[i] = _mean(_table(flat, i), 1, measured[3 + i])
-    offset[3] = _mean(_table(flat, 2), 2, measured[5])
+        offset[i] = column_at(_table(flat, i), 1, measured[3 + i])
+    offset[3] = column_at(_table(flat, 2), 2, measured[5])
     follow_rotors(memory, chain, measured_us)
     thrust_us, rate_us = now_us + chain[C_THRUST_DELAY], now_us + chain[C_RATE_DELAY]
     ahead(memory, chain, measured, measured_us, thrust_us, offset, offset[3], predicted[0])
@@ -253,9 +253,9 @@ def _barriers(
         if flat[_CERTIFIED + i] == 0.0:
             continue
         table, pieces = _table(flat, i), _pieces(flat, i)
-        offset[i] = _mean(table, 1, v)
+        offset[i] = column_at(table, 1, v)
         if i == 2:
-            offset[3] = _mean(table, 2, v)
+            offset[3] = column_at(table, 2, v)
         reach, setting = _reach(table, v), _setting(flat, i)
         for piece in pieces:
             out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)

@@ -25,7 +25,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
-from flightstack.barrier.falsify import Witness, doubt, marked
+from flightstack.barrier.falsify import Witness, doubt, marked, prepare
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
@@ -34,7 +34,6 @@ from flightstack.barrier.queries import Envelope, budget
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
-from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -309,9 +308,7 @@ def compile_all() -> None:
     setting = Setting(0.5, 0.01, 0.01, 0.004, 0.01, 0.01, 20.0)
     for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
         pass
-    none, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    still = Measurement.of(0, none, none, level, none, none, np.zeros(4), 0, 0, 0)
-    quat_to_matrix(still.q_ned_frd)
+    prepare()
 
 
 def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:

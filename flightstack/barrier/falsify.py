@@ -9,13 +9,14 @@ which it would do by a model that is wrong, and the flight brakes and lands.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from flightstack.barrier.assess import column_at
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.records import AXES, AxisCertificate, Certificate
 from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Learned, Measurement
 
@@ -26,55 +27,76 @@ _MEAN_SHARE = 0.1
 _BEYOND_TICKS = 8
 _NOISE_MPS2 = 0.15
 """What the short mean of the accelerometer, with its bias, may be off by itself."""
+_NOTHING = np.empty((7, 0))
+_NO_EXCESS = np.zeros(3)
 
 
-@dataclass(slots=True)
 class Witness:
     """Compares tick by tick; changed in place."""
 
-    error_mps2: F64 = field(default_factory=lambda: np.zeros(3))
-    """Short mean of the acceleration as measured less the certificate's, NED."""
-    beyond: int = 0
-    """Ticks in a row that it has been beyond the bound."""
+    __slots__ = ("_beyond", "_bound", "_certificate", "_error", "_tables")
+
+    def __init__(self) -> None:
+        self._certificate: Certificate | None = None
+        self._tables = (_NOTHING, _NOTHING, _NOTHING)
+        self._bound = np.full(3, math.inf)
+        self._error = np.zeros(3)
+        self._beyond = 0
 
     def observe(
         self, certificate: Certificate, model: Model, measurement: Measurement, learned: Learned
     ) -> tuple[str, F64]:
         """Why the certificate is falsified (empty where it is not), and by how much, (3,) m/s^2, at least 0."""
-        observed = observed_error(certificate, model, measurement, learned)
-        if np.isfinite(observed).all():
-            self.error_mps2 += _MEAN_SHARE * (observed - self.error_mps2)
-        bound = np.full(3, math.inf)
-        for each in certificate.axes:
-            bound[each.axis] = doubt(each)
-        excess = np.abs(self.error_mps2) - bound - _NOISE_MPS2
-        self.beyond = self.beyond + 1 if (excess > 0.0).any() else 0
-        if self.beyond < _BEYOND_TICKS:
-            return "", np.zeros(3)
+        if certificate is not self._certificate:
+            self._take(certificate)
+        thrust_mps2 = learned.applied_thrust_n / model.mass_kg
+        over = _compare(measurement.row, thrust_mps2, self._tables, self._bound, self._error)
+        self._beyond = self._beyond + 1 if over else 0
+        if self._beyond < _BEYOND_TICKS:
+            return "", _NO_EXCESS
+        excess = np.abs(self._error) - self._bound - _NOISE_MPS2
         axis = int(np.argmax(excess))
         reason = (
-            f"{AXES[axis]}: acceleration off by {self.error_mps2[axis]:.2f} m/s^2, "
-            f"certified within {bound[axis]:.2f} m/s^2"
+            f"{AXES[axis]}: acceleration off by {self._error[axis]:.2f} m/s^2, "
+            f"certified within {self._bound[axis]:.2f} m/s^2"
         )
-        self.beyond = 0
-        self.error_mps2[:] = 0.0
+        self._beyond = 0
+        self._error[:] = 0.0
         return reason, np.maximum(excess, 0.0)
 
+    def _take(self, certificate: Certificate) -> None:
+        """What to compare with from now on; the mean so far goes on."""
+        tables, self._certificate = [_NOTHING] * 3, certificate
+        self._bound[:] = math.inf
+        for each in certificate.axes:
+            tables[each.axis] = each.authority.table
+            self._bound[each.axis] = doubt(each)
+        self._tables = (tables[0], tables[1], tables[2])
 
-def observed_error(certificate: Certificate, model: Model, measurement: Measurement, learned: Learned) -> F64:
-    """(3,) NED acceleration as measured less what the certificate's means say at the thrust that acted, m/s^2."""
-    turn = quat_to_matrix(measurement.q_ned_frd)
-    measured = turn @ measurement.specific_force_frd_mps2
-    measured[DOWN] += STANDARD_GRAVITY_MPS2
-    thrust = learned.applied_thrust_n / model.mass_kg * turn[:, DOWN]
+
+@njit
+def _compare(row: F64, thrust_mps2: float, tables: tuple[F64, F64, F64], bound: F64, mean: F64) -> bool:
+    """Take a tick's acceleration error into its short mean; whether that is beyond the bound on any axis.
+
+    `row`: a Measurement's; `tables`: each axis' `Authority.table`, empty where nothing is certified.
+    """
+    turn = quat_to_matrix(row[6:10])
+    gain = column_at(tables[DOWN], 2, row[3 + DOWN]) if tables[DOWN].size else 1.0
     error = np.zeros(3)
-    down = next((each.authority for each in certificate.axes if each.axis == DOWN), None)
-    vel = measurement.vel_ned_mps
-    gain = 1.0 if down is None else float(np.interp(vel[DOWN], down.v_mps, down.gain))
-    for each in certificate.axes:
-        i, table = each.axis, each.authority
-        error[i] = measured[i] - (float(np.interp(vel[i], table.v_mps, table.offset_mps2)) - gain * thrust[i])
-    return error
+    for i in range(3):
+        if tables[i].size:
+            measured = turn[i, 0] * row[13] + turn[i, 1] * row[14] + turn[i, 2] * row[15]
+            if i == DOWN:
+                measured += STANDARD_GRAVITY_MPS2
+            error[i] = measured - column_at(tables[i], 1, row[3 + i]) + gain * thrust_mps2 * turn[i, 2]
+    if np.isfinite(error).all():
+        mean += _MEAN_SHARE * (error - mean)
+    return bool(np.any(np.abs(mean) - bound - _NOISE_MPS2 > 0.0))
+
+
+def prepare() -> None:
+    """Compile what `Witness.observe` calls: no tick waits for it."""
+    _compare(np.eye(1, 20, 6)[0], 0.0, (_NOTHING, _NOTHING, np.zeros((7, 2))), np.zeros(3), np.zeros(3))
 
 
 def doubt(axis: AxisCertificate) -> float:

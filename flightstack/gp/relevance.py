@@ -47,9 +47,10 @@ def spread(points: F64, count: int) -> NDArray[np.int64]:
     z = (points[:, moving] - points[:, moving].mean(axis=0)) / scale[moving]
     pairs = [(i, j) for i in range(z.shape[1]) for j in range(i)]
     along = [z, *(z[:, [i]] + sign * z[:, [j]] for i, j in pairs for sign in (1.0, -1.0))]
-    order = np.argsort(np.hstack(along), axis=0, kind="stable")
-    each = 3 * count // (5 * 2 * max(order.shape[1], 1))
-    chosen = np.unique(np.concatenate([order[:each].ravel(), order[len(order) - each :].ravel()]))
+    directions = np.hstack(along)
+    each = 3 * count // (5 * 2 * max(directions.shape[1], 1))
+    ends = np.concatenate([np.arange(each), np.arange(len(points) - each, len(points))])
+    chosen = np.unique(np.argpartition(directions, (each, len(points) - each - 1), axis=0)[ends])
     rest = np.setdiff1d(np.arange(len(points)), chosen)
     evenly = np.round(np.linspace(0, len(rest) - 1, count - len(chosen))).astype(np.int64)
     return np.sort(np.concatenate([chosen, rest[evenly]]))
