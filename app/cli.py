@@ -11,7 +11,6 @@ import inspect
 import signal
 import sys
 from collections.abc import Callable
-from enum import StrEnum
 from functools import wraps
 from pathlib import Path
 from types import FrameType
@@ -19,6 +18,28 @@ from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
+
+from app.options import (
+    AsPublishedOption,
+    CertificateOption,
+    ControllerOption,
+    DurationOption,
+    JsonOption,
+    LearnedOption,
+    LogOption,
+    NoFilterOption,
+    NoLearningOption,
+    OutOption,
+    PlantName,
+    PlantOption,
+    ScenarioArgument,
+    SeedOption,
+    Sensors,
+    SensorsOption,
+    TruthOption,
+    VehicleOption,
+    WaypointsArgument,
+)
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -34,38 +55,6 @@ app = typer.Typer(
 )
 log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(log_app, name="log")
-
-
-class Sensors(StrEnum):
-    """Grades of sensors and estimate."""
-
-    mocap = "mocap"
-    gps = "gps"
-
-
-class PlantName(StrEnum):
-    """Plants that can fly."""
-
-    native = "native"
-    jsbsim = "jsbsim"
-
-
-ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
-WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `waypoints` (.toml or .csv).")]
-VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
-LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
-DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
-ControllerOption = Annotated[str, typer.Option(help="Controller: one of those named below.", metavar="NAME")]
-NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
-LearnedOption = Annotated[Path | None, typer.Option(help="File of hyper-parameters for the learner to begin with.")]
-NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter.")]
-AsPublishedOption = Annotated[
-    bool, typer.Option("--as-published", help="Fly the paper's own filter and learner, which can't be certified.")
-]
-CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 
 
 class FlightCommand(TyperCommand):
@@ -164,9 +153,9 @@ def fly(
     scenario: ScenarioArgument = "paper-tracking",
     waypoints: WaypointsArgument = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False,
-    plant: Annotated[PlantName, typer.Option(help="Physics.")] = PlantName.native,
-    sensors: Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")] = None,
-    truth: Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")] = None,
+    plant: PlantOption = PlantName.native,
+    sensors: SensorsOption = None,
+    truth: TruthOption = None,
     seed: SeedOption = 0,
     *,
     common: dict[str, Any],
@@ -220,8 +209,8 @@ def certify(
         bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
     ] = False,
     vehicle: VehicleOption = None,
-    truth: Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")] = None,
-    sensors: Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")] = None,
+    truth: TruthOption = None,
+    sensors: SensorsOption = None,
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
     out: OutOption = None,
@@ -271,7 +260,7 @@ def sim(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
     ] = None,
-    plant: Annotated[PlantName, typer.Option(help="Physics.")] = PlantName.native,
+    plant: PlantOption = PlantName.native,
     sensors: Annotated[Sensors, typer.Option(help="Grade of sensors and estimate.")] = Sensors.mocap,
     seed: SeedOption = 0,
     port: Annotated[

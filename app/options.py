@@ -1,0 +1,44 @@
+"""The options that several verbs have: one definition each."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Sensors(StrEnum):
+    """Grades of sensors and estimate."""
+
+    mocap = "mocap"
+    gps = "gps"
+
+
+class PlantName(StrEnum):
+    """Plants that can fly."""
+
+    native = "native"
+    jsbsim = "jsbsim"
+
+
+ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
+WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `waypoints` (.toml or .csv).")]
+VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
+LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
+OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
+DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
+ControllerOption = Annotated[str, typer.Option(help="Controller: one of those named below.", metavar="NAME")]
+NoLearningOption = Annotated[bool, typer.Option("--no-learning", help="Fly without the learner.")]
+LearnedOption = Annotated[Path | None, typer.Option(help="File of hyper-parameters for the learner to begin with.")]
+NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without the barrier filter.")]
+AsPublishedOption = Annotated[
+    bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
+]
+CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
+TruthOption = Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")]
+SensorsOption = Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
+PlantOption = Annotated[PlantName, typer.Option(help="Physics.")]
