@@ -21,7 +21,7 @@ PILOTS = ("sound", "unfiltered", "as-published")
 TASKS = ("explore", "adversary")
 TICK_MS = 4
 FLIGHT_S = 20.0
-"""From the first certificate on."""
+"""From the first certificate on; of an exploration, from its first round."""
 COUNTS = {"sound": 500, "unfiltered": 150, "as-published": 150}
 """Flights of each task."""
 QUICK = {"sound": 4, "unfiltered": 2, "as-published": 2}

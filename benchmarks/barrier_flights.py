@@ -45,8 +45,13 @@ class Task:
         self.begun = False
 
     def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
-        """The explorer's mission, at its end landed; from the first certificate on an adversary's place."""
-        if self._certifier.adopted and self._since_s < 0.0 and t_s >= mission.track_start_s:
+        """The explorer's mission, at its end landed; from the first certificate on an adversary's place.
+
+        An explorer's time counts from its first round on: what goes before identifies the vehicle.
+        """
+        explorer = self._planner.state
+        ready = self._adverse or (explorer is not None and bool(explorer.rounds))
+        if ready and self._certifier.adopted and self._since_s < 0.0 and t_s >= mission.track_start_s:
             self._since_s = t_s
         waited_s = t_s - self._since_s if self._since_s >= 0.0 else -1.0
         self.begun = self._adverse and waited_s >= 1.0  # the filter has engaged by then

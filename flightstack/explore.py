@@ -41,9 +41,11 @@ class ExploreConfig:
 
     identify_s: float = 5.0
     """At the start the vehicle hovers, going up and down a little, so that mass and force can be told apart."""
-    identify_mps: float = 0.3
-    identify_mps2: float = 0.8
-    """Gentle: quick changes of thrust would show how well its lag is known, not how much there is."""
+    identify_mps: tuple[float, float] = (0.4, 0.3)
+    """Sideways, and up and down."""
+    identify_mps2: tuple[float, float] = (1.2, 0.8)
+    """Gentle up and down: quick changes of thrust would show how well its lag is known, not how much there is.  Leaning
+    is measured; more of it leaves less to extrapolate to."""
     identify_at: tuple[tuple[int, float], ...] = ((2, 0.0), (0, 0.0), (1, 0.0), (2, 0.3), (2, -0.3), (2, 0.0))
     """Axis and distance from the middle (m), one after the other until something is certified."""
     identify_first: int = 3
@@ -150,7 +152,8 @@ class Explorer:
         """To and fro about a place, slow enough for any first region, but with some thrust."""
         config = self.config
         axis, place = config.identify_at[state.identified]
-        ramp, push, speed = config.search.ramp_s[int(axis == 2)], config.identify_mps2, config.identify_mps
+        along = int(axis == 2)
+        ramp, push, speed = config.search.ramp_s[along], config.identify_mps2[along], config.identify_mps[along]
         _, there = arcs.fly_through(place, speed, push, push, 0.5 * ramp, ramp)
         _, again = arcs.fly_through(place, -speed, push, push, 0.5 * ramp, ramp)
         rest, start = float(reference.pos_ned_m[axis] - state.centre_ned_m[axis]), float(there[0, 4])

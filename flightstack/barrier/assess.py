@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from flightstack.barrier.condition import Reach, Setting, coefficients, interval
+from flightstack.barrier.condition import Reach, Setting, coefficients, interval, margin_at
 from flightstack.barrier.cover import bands
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import (
@@ -55,7 +55,7 @@ _CHAIN = _RESPONSE + 9
 _BOUNDS = _CHAIN + CHAIN
 _SIZES = _BOUNDS + 5
 _HEAD = _SIZES + 2
-"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 7),
+"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
 response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
 pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
 WORK = 2 * STATE + 4
@@ -143,7 +143,9 @@ def _table(flat: F64, axis: int) -> F64:
 @njit
 def _setting(flat: F64, axis: int) -> Setting:
     at = _SETTING + _NUMBERS * axis
-    return Setting(flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6])
+    return Setting(
+        flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6], flat[at + 7]
+    )
 
 
 @njit
@@ -340,8 +342,7 @@ def _least_margin(flat: F64, out: F64) -> float:
         reach = _reach(_table(flat, i), out[26 + i])
         for piece in _pieces(flat, i):
             setting, u = _setting(flat, i), out[11 + i]
-            a, b, c = coefficients(piece, out[23 + i], out[26 + i], setting, reach)
-            least = min(least, (a * u + b) * u + c - setting.rate_spm * abs(u))
+            least = min(least, margin_at(coefficients(piece, out[23 + i], out[26 + i], setting, reach), u))
     return least
 
 

@@ -65,8 +65,9 @@ class CertifierConfig:
     """The filter's steering law: 1 / T."""
     lateral_need_mps2: float = 1.5
     """Acceleration to either side that the budget leaves beyond what balances forces."""
-    thrust_least_share: float = 0.85
-    """Of hover: the least thrust of the budget."""
+    thrust_shares: tuple[tuple[float, float], ...] = ((0.85, math.inf),)
+    """Least and greatest thrust of the budget, in hovers, one after the other in each search: with more thrust a region
+    may be faster, but lag and delay cost more."""
     every_s: float = 1.0
     growth: float = 1.02
     surer: float = 0.9
@@ -96,8 +97,10 @@ class CertifierState:
     widen_mps2: F64 = field(default_factory=lambda: np.zeros(3))
     witness: Witness = field(default_factory=Witness)
     falsified: str = ""
-    ratios: dict[int, Ratios] = field(default_factory=dict)
-    """Where each axis' last search ended."""
+    ratios: dict[tuple[int, int], Ratios] = field(default_factory=dict)
+    """Where each axis' last search with each of the thrust ranges ended."""
+    turn: int = 0
+    """Of the thrust ranges."""
 
 
 class OnlineCertifier:
@@ -138,9 +141,7 @@ class OnlineCertifier:
         self._watch(state, measurement, learned)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            state.work = self.work(
-                learner, learned, state.version + 1, widen_mps2=state.widen_mps2.copy(), ratios=state.ratios
-            )
+            state.work = self.work(learner, learned, state)
         if state.work is None:
             return state, None
         ready = next(state.work, None)
@@ -150,7 +151,9 @@ class OnlineCertifier:
         issued = self._judge(state, ready, measurement)
         again = self.config.every_s
         most = (_PATIENCE if state.certificate is not None else _EAGER) * again
-        state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
+        state.turn = (state.turn + 1) % len(self.config.thrust_shares)
+        if issued is not None or state.turn == 0:
+            state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
         return state, issued
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
@@ -204,29 +207,29 @@ class OnlineCertifier:
         surer = all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
         return surer and area * self.config.growth > state.area
 
-    def work(
-        self, learner: LearnerState, learned: Learned, version: int, *, widen_mps2: F64, ratios: dict[int, Ratios]
-    ) -> Iterator[Certificate | None]:
-        """A certificate, piece by piece: None after each; without axes where an axis has no region.
-
-        `ratios`: where each axis' last search ended; written to.
-        """
-        knowledge = yield from _last(self.knowledge_steps(learner, version, widen_mps2))
+    def work(self, learner: LearnerState, learned: Learned, state: CertifierState) -> Iterator[Certificate | None]:
+        """A certificate, piece by piece: None after each; without axes where an axis has no region."""
+        turn, ratios = state.turn, state.ratios
+        knowledge = yield from _last(
+            self.knowledge_steps(learner, state.version + 1, state.widen_mps2.copy(), self.config.thrust_shares[turn])
+        )
         axes: list[AxisCertificate] = []
         for number in self.config.axes:
-            found = yield from largest_steps(*self.axis_of(number, knowledge, learned), ratios.get(number))
+            found = yield from largest_steps(*self.axis_of(number, knowledge, learned), ratios.get((number, turn)))
             if found is None:
-                ratios.pop(number, None)
+                ratios.pop((number, turn), None)
                 axes.clear()
                 break
             axes.append(found[0])
-            ratios[number] = found[1]
+            ratios[number, turn] = found[1]
         yield self.certificate(knowledge, tuple(axes))
 
-    def knowledge_steps(self, learner: LearnerState, version: int, widen_mps2: F64) -> Iterator[Knowledge | None]:
+    def knowledge_steps(
+        self, learner: LearnerState, version: int, widen_mps2: F64, thrust_share: tuple[float, float]
+    ) -> Iterator[Knowledge | None]:
         """What the learner knows of this region now: None after each piece of the work, then the knowledge."""
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box = self._budget(accelerations)
+        box = self._budget(accelerations, thrust_share)
         yield None
         yield from Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
@@ -238,9 +241,14 @@ class OnlineCertifier:
         config = self.config
         return Certificate(
             "sound", self.region.centre_ned_m, axes, knowledge.budget, config.delta, knowledge.k_sigma,
-            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **config.doubts._asdict()}},
+            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **self.doubts._asdict()}},
             knowledge.version,
         )  # fmt: skip
+
+    @property
+    def doubts(self) -> Doubts:
+        """How far this vehicle's answer may be off."""
+        return self.config.doubts._replace(rotor_lag_s=self.model.motor_lag_s)
 
     def _envelope(self) -> Envelope:
         sets = [self.safe.get(i) for i in range(3)]
@@ -257,8 +265,8 @@ class OnlineCertifier:
             self.config.axes,
         )
 
-    def _budget(self, learned: Accelerations) -> Budget:
-        """The budget that balances what is known and leaves the need."""
+    def _budget(self, learned: Accelerations, thrust_share: tuple[float, float]) -> Budget:
+        """The budget that balances what is known and leaves the need, with thrust from so many to so many hovers."""
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
@@ -272,7 +280,7 @@ class OnlineCertifier:
         )
         return budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
-            low_mps2=config.thrust_least_share * hover, hover_mps2=hover,
+            low_mps2=thrust_share[0] * hover, high_mps2=thrust_share[1] * hover, hover_mps2=hover,
         )  # fmt: skip
 
     def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
@@ -292,7 +300,7 @@ class OnlineCertifier:
         def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
-                accuracy=config.accuracy, doubts=config.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+                accuracy=config.accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
                 coupling_mps=coupling, inside_ps=config.inside_ps,
             )  # fmt: skip
 
@@ -305,7 +313,7 @@ def compile_all() -> None:
     v, one = np.linspace(-1.0, 1.0, 3), np.ones(3)
     authority = Authority(v, 0.0 * v, 0.0 * v, -3.0 * one, 3.0 * one, 0.1 * one, 0.1 * one)
     axis = Axis(DOWN, SafeSet(1.0, 1.0), authority, Response(0.02, 0.0, 0.01))
-    setting = Setting(0.5, 0.01, 0.01, 0.004, 0.01, 0.01, 20.0)
+    setting = Setting(0.5, 0.01, 0.0, 0.004, 0.003, 0.01, 20.0, 0.02)
     for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
         pass
     prepare()

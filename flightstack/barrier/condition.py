@@ -14,19 +14,22 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - b_u |u| >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - off(u) >= 0
     alpha(x) = gamma x + inside max(x - 0.05, 0)
+    off(u)   = eps_e |Kee v + Kev u| + eps_v |he - Kev v - Kvv u| + rest
 
-eta: by how much h of the estimated state may be above h of the true one; b (1/s) and b_u (s/m): what else may be wrong
-in q, of estimate, delay and lag, at rest and for each m/s^2 of the command (hv u is off by the error of hv times u, so
-a gentle command costs little).  inner: h that z keeps, so that (p, v), off from means of z by what z leaves out, keeps
-h >= 0.  q is concave in u, so the commands that meet it are an interval, in closed form.
+z itself is known to (eps_e, eps_v), of estimate, delay and lag: `off` is by how much q0 and its doubt may be smaller at
+the true state than at the known one, exact to first order on an ellipse (on a stopping way, whose slope has a kink,
+eps_v (|he| + Kvv |u|)); rest holds the second order, Kee eps_e eps_v + |Kev| eps_v^2, and the small parts.  eta: by how
+much h of the known state may be above h of the true one.  b: what else may be wrong in q, 1/s.  inner: h that z keeps,
+so that (p, v), off from means of z by what z leaves out, keeps h >= 0.  q is concave in u, so the commands that meet it
+are an interval, in closed form, and concave along e and v as every term is.
 
 Where q >= 0 holds, x = h - inner - eta falls in a time t by t alpha(x) at most, less than itself: the true h never
 becomes negative, neither between two commands nor where they come early.  alpha is flat near the edge, which the tips
 of a region need, where no command changes h at once, and steep inside, where something may move outwards at a fair
 speed and a command far from the edge is left alone.  It is convex, the greater of two lines, so either line proves.
-The published form is dt = 0, E = k sigma, eta = inner = b = b_u = inside = 0.
+The published form is dt = 0, E = k sigma, eta = inner = b = eps = inside = 0.
 """
 
 from __future__ import annotations
@@ -54,12 +57,14 @@ class Setting(NamedTuple):
     """b: doubt about q in 1/s."""
     dt_s: float
     """Longest time between two commands."""
-    rate_spm: float = 0.0
-    """b_u: doubt about q for each m/s^2 of the command's size, s/m."""
+    off_m: float = 0.0
+    """eps_e: doubt about e."""
     inner: float = 0.0
     """h that the predicted state keeps, for position and velocity to keep 0."""
     inside_ps: float = 0.0
     """How much steeper alpha is beyond NEAR_H."""
+    off_mps: float = 0.0
+    """eps_v: doubt about v."""
 
 
 class Reach(NamedTuple):
@@ -74,13 +79,13 @@ class Reach(NamedTuple):
 @njit
 def coefficients(
     row: F64, e: float, v: float, setting: Setting, reach: Reach, steep: bool | None = None
-) -> tuple[float, float, float]:
-    """q(u) = A u^2 + B u + C - b_u |u| of one piece's row at (e, v); A <= 0.
+) -> tuple[float, float, float, float, float, float, float]:
+    """(A, B, C, k, m, l, n) of q(u) = A u^2 + B u + C - |k + m u| - |l + n u|, one piece's row at (e, v); A <= 0.
 
     `steep`: with one line of alpha only, the steep or the flat one; None: with the greater of them.
     """
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt, _, inner, inside = setting
+    gamma, eta, rate, dt, off_m, inner, inside, off_mps = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -101,7 +106,29 @@ def coefficients(
         c += inside * (x - NEAR_H)
     c += gamma * x
     c += swing_low - swing * u_low
-    return a, b, c
+    c -= _rest(kee, abs(kev), kvv, abs(v), dt, off_m, off_mps, most, worst)
+    if row[0] == 0.0:
+        return a, b, c, off_m * kee * v, off_m * kev, off_mps * (he - kev * v), -off_mps * kvv
+    return a, b, c - off_mps * abs(he), 0.0, 0.0, 0.0, off_mps * kvv
+
+
+@njit
+def _rest(
+    kee: float, kev: float, kvv: float, speed: float, dt: float, off_m: float, off_mps: float, most: float, worst: float
+) -> float:
+    """What an offset of the state may cost beyond the slopes of he v + hv u: by holding, by E, and to second order."""
+    half = 0.5 * dt
+    along_e = kee * half * most + (kev + kee * half) * worst
+    along_v = dt * (kee * (speed + off_mps) + kev * most) + half * (kee * dt + kev) * most
+    along_v += (kvv + kev * half + dt * (kee * half + kev)) * worst
+    return along_e * off_m + along_v * off_mps + kee * off_m * off_mps + kev * off_mps * off_mps
+
+
+@njit
+def margin_at(q: tuple[float, float, float, float, float, float, float], u: float) -> float:
+    """q(u) of `coefficients`, 1/s."""
+    a, b, c, k, m, l, n = q  # noqa: E741
+    return (a * u + b) * u + c - abs(k + m * u) - abs(l + n * u)
 
 
 @njit
@@ -116,17 +143,9 @@ def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> t
     if not low <= high:
         return low, low, -np.inf
     for i in range(rows.shape[0]):
-        a, b, c = coefficients(rows[i], e, v, setting, reach)
-        q, top, left, right = _half(a, b + setting[4], c, reach[0], min(reach[1], 0.0))
-        other, at, first, last = _half(a, b - setting[4], c, max(reach[0], 0.0), reach[1])
-        if np.isnan(q) or np.isnan(other):
+        q, top, left, right = _concave(coefficients(rows[i], e, v, setting, reach), reach[0], reach[1])
+        if np.isnan(q):
             return reach[0], reach[0], -np.inf
-        if q >= 0.0 and other >= 0.0:  # q is concave: both meet at 0
-            right = last
-        elif other >= 0.0:
-            left, right = first, last
-        if other > q:
-            q, top = other, at
         if q < margin:
             margin, best = q, top
         if q < 0.0:
@@ -141,10 +160,40 @@ def interval(rows: F64, e: float, v: float, setting: Setting, reach: Reach) -> t
 
 
 @njit
-def _half(a: float, b: float, c: float, low: float, high: float) -> tuple[float, float, float, float]:
-    """On one side of 0: the best q, its command, and the least and greatest command with q >= 0."""
-    if low > high:
-        return -np.inf, low, low, high
+def _concave(
+    q: tuple[float, float, float, float, float, float, float], low: float, high: float
+) -> tuple[float, float, float, float]:
+    """The best q on [low, high], its command, and the least and greatest command with q >= 0.
+
+    Between the zeros of the two absolute values q is a parabola.
+    """
+    a, b, c, k, m, l, n = q  # noqa: E741
+    one, two = (-k / m if m != 0.0 else low), (-l / n if n != 0.0 else low)
+    one, two = min(max(one, low), high), min(max(two, low), high)
+    one, two = min(one, two), max(one, two)
+    best, top, first, last = -np.inf, low, np.inf, -np.inf
+    for i in range(3):
+        start = low if i == 0 else (one if i == 1 else two)
+        stop = one if i == 0 else (two if i == 1 else high)
+        if start >= stop and not (i == 2 and low == high):
+            continue
+        middle = 0.5 * (start + stop)
+        s, t = (1.0 if k + m * middle >= 0.0 else -1.0), (1.0 if l + n * middle >= 0.0 else -1.0)
+        found, at, left, right = _parabola(a, b - s * m - t * n, c - s * k - t * l, start, stop)
+        if np.isnan(found):
+            return found, at, left, right
+        if found > best:
+            best, top = found, at
+        if found >= 0.0:
+            first, last = min(first, left), max(last, right)
+    if best < 0.0:
+        return best, top, top, top
+    return best, top, first, last
+
+
+@njit
+def _parabola(a: float, b: float, c: float, low: float, high: float) -> tuple[float, float, float, float]:
+    """The same of a u^2 + b u + c, a <= 0."""
     top = high if b >= 0.0 else low
     if a < -1e-12:
         top = min(max(-0.5 * b / a, low), high)

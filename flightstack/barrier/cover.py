@@ -192,8 +192,7 @@ def best_command(
 
     No kink of a piece may lie inside (v_low, v_high).
     """
-    quad = np.empty((4 * rows.shape[0], 4))
-    quad[:, 3] = setting.rate_spm
+    quad = np.empty((4 * rows.shape[0], 7))
     for i in range(rows.shape[0]):
         middle = piece_at(rows[i], 0.5 * (e_low + e_high), 0.5 * (v_low + v_high))[0]
         steep = middle - setting.inner - setting.eta > NEAR_H
@@ -201,8 +200,10 @@ def best_command(
         lift = curvature_lift(rows[i], setting, slope, v_high - v_low)
         for j in range(4):
             e, v = (e_high if j & 1 else e_low), (v_high if j & 2 else v_low)
-            a, b, c = coefficients(rows[i], e, v, setting, reach, steep)
-            quad[4 * i + j, 0], quad[4 * i + j, 1], quad[4 * i + j, 2] = a, b, c - lift - _SLACK
+            corner = coefficients(rows[i], e, v, setting, reach, steep)
+            for k in range(7):
+                quad[4 * i + j, k] = corner[k]
+            quad[4 * i + j, 2] -= lift + _SLACK
     span = reach.u_high - reach.u_low
     best_u, best_q = reach.u_low, -np.inf
     for k in range(_TRIES + 1):
@@ -234,7 +235,8 @@ def best_command(
 
 @njit
 def _at(quad: F64, u: float) -> float:
-    return float((quad[0] * u + quad[1]) * u + quad[2] - quad[3] * abs(u))
+    kinked = abs(quad[3] + quad[4] * u) + abs(quad[5] + quad[6] * u)
+    return float((quad[0] * u + quad[1]) * u + quad[2] - kinked)
 
 
 @njit

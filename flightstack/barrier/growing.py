@@ -8,6 +8,7 @@ ever learned at.)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, safe_sets
@@ -19,7 +20,7 @@ from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import Filtered, Learned, Measurement
 
-VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=0.3, thrust_least_share=0.6)
+VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=0.3, thrust_shares=((0.6, math.inf), (0.6, 1.4)))
 """The vertical axis alone: little thrust across."""
 
 
@@ -32,7 +33,7 @@ class GrowthConfig:
     factor: float = 1.3
     reached: float = 0.85
     """Share of the speed allowed at which it counts as reached."""
-    first_mps: float = 1.2
+    first_mps: float = 1.4
     """Speed that the first certificate may reach, where the region's own is less: in a slow region the doubt about the
     estimated speed is a large share of h, and nothing is left to certify."""
     most_mps: float = 3.0

@@ -1,26 +1,31 @@
 """The ledger: what estimate, delay and lags may cost, turned into the constants of the barrier condition.
 
 The condition (`condition`) is checked at a predicted state z^; what counts is the true one.  Every source says by how
-much z^ = (e, v) may be off: by (eps_e, eps_v), and *along the motion* by a time t: (t v, t a), a the acceleration now.
-S is the span between the ends of the command, E the greatest doubt of the acceleration:
+much z^ = (e, v) may be off: by (eps_e, eps_v), and *along the motion* by a time t: (t v, t a), a an acceleration in
+reach.  S is the span between the ends of the command, A the hardest of them, E the greatest doubt of the acceleration:
 
     estimate   position + (c1 + delay) velocity + c2 acceleration, velocity + (c1 + delay) acceleration, as reported
-    delay      t = d, the doubt of the delay, in which commands act that were not counted, with d E; and the model's
-               error over the delay itself, delay^2 E / 2 and delay E
-    rotor lag  t = l: z = (p + c1 v, v + c1 a) is built with c1 off by l; and its a, from a model whose lag is off by l,
-               differs after a step by S l / (c1 exp(1)) for a while: l S / exp(1)
+    delay      t = d, the doubt of the time until a command has acted, in which commands act that were not counted, with
+               d E; and the model's error over the delay itself, delay^2 E / 2 and delay E
+    rotor lag  the learner fits the delay with the lag as believed, so what it knows is their sum: a lag longer by l
+               comes with a delay shorter by l.  The velocity that a command gives then follows another course to the
+               same end; the two differ by l / e at most on either side, so z's speed is off by l S / e, and its
+               position by A (c1 + l / 2) l, from the second moments.  Sideways thrust's lag is not in the way, and the
+               delay there is off by l as well
     steering   the rate loop's lag is off by r, seen through T = c1: T r S / 2, and r S, as jerk is at most S / T
 
-Measurement-robust barrier functions: with q at z^ at least b, q at z is not below 0 where
+Measurement-robust barrier functions: all sources together are a box about z^ in which the true state lies.  The
+condition itself takes from q what may be lost in that box (`condition`: off); h may be less there by
 
-    b + b_u |u| >= sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|   (without gamma h: that is eta's)
-    eta >= sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
+    eta = sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
 
-over all accelerations a in reach and all states of the region; each slope of q is one at rest plus one times |u|.  (h
-is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so the slopes at the true state bound it.)  Source: S. Dean, A. Taylor,
-R. Cosner, B. Recht, A. Ames, "Guaranteeing safety of learned perception modules via measurement-robust control barrier
-functions", CoRL 2020, theorem 2.  On an ellipse every one of these is greatest on its edge: linear in e for a given v,
-and no interior maximum in v; a stopping way's are greatest at the greatest speed.
+over all accelerations a in reach and all states of the region.  (h is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so
+the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames, "Guaranteeing safety
+of learned perception modules via measurement-robust control barrier functions", CoRL 2020, theorem 2.  On an ellipse
+each of these is greatest on its edge; a stopping way's are greatest at the greatest speed.
+
+A margin in m/s^2 is what its source takes from q, with gamma times its part of eta, where braking is hardest, over
+sup |dh/dv| there: on an ellipse at e = 0 and the greatest speed that there is there.
 
 Between z and (p, v).  (p, v) follows z through the low pass 1 / (c1 s + 1) if v + c1 v' = z_v.  Two things come
 between: the acceleration that the model does not know, c1 E, and on lateral axes thrust that is not the F0 with which
@@ -55,11 +60,13 @@ class Doubts(NamedTuple):
     """How far the vehicle's answer to commands may be off."""
 
     delay_s: float = 0.004
-    """The learner finds latency in steps of this."""
+    """Of delay and lag together: the learner finds latency in steps of this."""
     lag_share: float = 0.2
     """Of the rotors' time constant."""
     rate_lag_share: float = 0.2
     """Of the rate loop's lag."""
+    rotor_lag_s: float = 0.0
+    """The rotors' time constant as believed: what its doubt puts wrong into the delay counts on the lateral axes."""
 
 
 USUAL = Doubts()
@@ -74,24 +81,12 @@ class Slopes(NamedTuple):
     """|dh/de|, 1/m."""
     h_v: float
     """|dh/dv|, s/m."""
-    q_e: float
-    """|dq/de| without gamma h at u = 0, 1/(m s)."""
-    q_v: float
-    """|dq/dv| without gamma h at u = 0, 1/m."""
     speed: float
     """|v|, m/s."""
     hold: float
     """What the time dt takes from q, 1/s."""
     flow_h: float
     """|dh/de v + dh/dv a|, 1/s: how fast h changes along the motion."""
-    flow_q: float
-    """|dq/de v + dq/dv a| without gamma h at u = 0, 1/s^2."""
-    q_eu: float
-    """What each m/s^2 of |u| adds to q_e, s/m^2."""
-    q_vu: float
-    """To q_v, s^2/m^2."""
-    flow_qu: float
-    """To flow_q, 1/m."""
 
 
 def slopes(
@@ -99,11 +94,7 @@ def slopes(
 ) -> Slopes:
     """For commands and accelerations from low to high and errors up to `error`."""
     ends = (low_mps2, high_mps2)
-    return max_slopes([_piece_slopes(barrier, row, ends, error_mps2, dt_s, eta) for row in range(len(barrier.rows))])
-
-
-def max_slopes(pieces: list[Slopes]) -> Slopes:
-    """The greatest of each."""
+    pieces = [_piece_slopes(barrier, row, ends, error_mps2, dt_s, eta) for row in range(len(barrier.rows))]
     return Slopes(*(max(values) for values in zip(*pieces, strict=True)))
 
 
@@ -123,22 +114,36 @@ def _piece_slopes(
         v = np.array([-speed, speed])
         h_e = np.full(2, -row[1] / row[5])
         h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
-    turning = np.abs(h_e - row[K_EV] * v).max()
     flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
-    flow_q = max(np.abs(kee * v * v - (h_e - row[K_EV] * v) * a).max() for a in ends)
-    flow_qu = max(np.abs(row[K_EV] * v + kvv * a).max() for a in ends)
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
     kappa += half * (kvv + kev * dt + kee * half * half) * error
-    held_e = kee * command * half + (kev + kee * half) * error  # what holding and the error add to the slopes of q
-    held_v = dt * (kee * speed + kev * command) + half * (kee * dt + kev) * command
-    held_v += (kvv + kev * half) * error + dt * (kee * half + kev) * error
     steep_e, steep_v = np.abs(h_e).max(), np.abs(h_v).max()
     hold = steep_e * half * command + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
     hold += half * (kvv + kev * dt + kee * half * half) * command**2 + (steep_e * half + kappa) * error
-    return Slopes(*(float(value) for value in (
-        steep_e, steep_v, kee * speed + held_e, turning + held_v, speed, hold, flow_h,
-        flow_q + held_e * speed + held_v * command, kev, kvv, flow_qu,
-    )))  # fmt: skip
+    return Slopes(float(steep_e), float(steep_v), speed, float(hold), float(flow_h))
+
+
+def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, float, float]:
+    """Where braking is hardest: what q loses there for each m and each m/s of offset, and |dh/dv|; of both ways."""
+    lost = (0.0, 0.0, 0.0)
+    for row in barrier.rows:
+        if isinstance(barrier, Quadratic):
+            fast = 1.0 / math.sqrt(barrier.p22)
+            sides = [(barrier.centre_mps + fast, fast, low_mps2), (barrier.centre_mps - fast, -fast, high_mps2)]
+            found = [
+                (
+                    abs(row[K_EE] * v + row[K_EV] * u),
+                    abs(-row[K_EV] * out - row[K_EV] * v - row[K_VV] * u),
+                    row[K_VV] * fast,
+                )
+                for v, out, u in sides
+            ]
+        else:
+            v, u = (barrier.box[3], low_mps2) if row[1] > 0.0 else (-barrier.box[2], high_mps2)
+            found = [(0.0, 1.0 / row[5] + row[K_VV] * abs(u), (row[3] + v / row[4]) / row[5])]
+        for each in found:
+            lost = (max(lost[0], each[0] / each[2]), max(lost[1], each[1] / each[2]), max(lost[2], each[2]))
+    return float(lost[0]), float(lost[1]), float(lost[2])
 
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
@@ -179,27 +184,26 @@ def ledger(
 ) -> tuple[Setting, tuple[Margin, ...]]:
     """The condition's constants for one axis, and every margin in m/s^2.
 
-    `gain_part_mps2`: how much of the error is the thrust gain's; `coupling_mps`: see above.  A margin in m/s^2 is
-    (its part of b, of b_u times the hardest command, of gamma eta and of gamma inner) / max |dh/dv|.
+    `gain_part_mps2`: how much of the error is the thrust gain's; `coupling_mps`: see above.
     """
     least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
     span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
+    hardest = max(abs(least), abs(most))
+    sources = _sources(axis, response, span, hardest, error, accuracy, doubts, coupling_mps)
     eta, at = 0.0, slopes(barrier, least, most, error, dt_s)
-    sources: tuple[_Source, ...] = ()
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         at = slopes(barrier, least, most, error, dt_s, eta)
-        sources = _sources(axis, response, span, error, accuracy, doubts, coupling_mps)
         eta = sum(_eta(at, source) for source in sources)
-    rate, steep = sum(_rate(at, source) for source in sources), sum(_steep(at, source) for source in sources)
+    offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
     claim = sum(source.claim for source in sources)
-    brake = max(abs(least), abs(most))
+    per_m, per_mps, steep = brakes(barrier, least, most)
     priced = {
         s.name: (
-            (_rate(at, s) + brake * _steep(at, s) + gamma_ps * _eta(at, s)) / at.h_v + gamma_ps * s.claim,
+            per_m * off_m + per_mps * off_mps + gamma_ps * (_eta(at, s) / steep + s.claim),
             s.because,
         )
-        for s in sources
+        for s, (off_m, off_mps) in zip(sources, offsets, strict=True)
         if s.name
     }
     low = float(authority.error_low_mps2.max())
@@ -215,22 +219,25 @@ def ledger(
     }
     order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
     margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
-    return Setting(gamma_ps, eta, rate, dt_s, steep, at.h_v * claim, inside_ps), margins
+    off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))
+    return Setting(gamma_ps, eta, 0.0, dt_s, off_m, at.h_v * claim, inside_ps, off_mps), margins
 
 
 def _sources(
-    axis: int, response: Response, span: float, error: float, accuracy: Accuracy, doubts: Doubts, coupling_mps: float
-) -> tuple[_Source, ...]:
+    axis: int, response: Response, span: float, hardest: float, error: float, accuracy: Accuracy, doubts: Doubts,
+    coupling_mps: float,
+) -> tuple[_Source, ...]:  # fmt: skip
     c1, delay = response.c1_s, response.delay_s
+    t = doubts.delay_s + (0.0 if axis == DOWN else doubts.lag_share * doubts.rotor_lag_s)
     late = _Source(
-        "delay", 0.5 * delay * delay * error, (doubts.delay_s + delay) * error, doubts.delay_s, 0.0,
-        f"{1e3 * delay:.3g} ms known to {1e3 * doubts.delay_s:.3g} ms; the model's error over it",
+        "delay", 0.5 * delay * delay * error, (t + delay) * error, t, 0.0,
+        f"{1e3 * delay:.3g} ms known to {1e3 * t:.3g} ms; the model's error over it",
     )  # fmt: skip
     rotor = attitude = _Source("", 0.0, 0.0, 0.0, 0.0, "")
     if axis == DOWN:
         lag = doubts.lag_share * c1
         rotor = _Source(
-            "rotor_lag", 0.0, lag * span / math.e, lag, c1 * error,
+            "rotor_lag", hardest * (c1 + 0.5 * lag) * lag, lag * span / math.e, 0.0, c1 * error,
             f"{1e3 * c1:.3g} ms known to {100 * doubts.lag_share:.3g} %; v within {c1 * error:.2g} m/s of what z keeps",
         )  # fmt: skip
         attitude = _Source("attitude_lag", 0.0, 0.0, 0.0, 0.0, "the lean is part of what thrust gives along down")
@@ -253,14 +260,6 @@ def _sources(
         f"acceleration {accuracy.acc_mps2:.2g} m/s^2",
     )  # fmt: skip
     return late, rotor, attitude, estimate
-
-
-def _rate(at: Slopes, source: _Source) -> float:
-    return at.q_e * source.eps_e + at.q_v * source.eps_v + at.flow_q * source.late_s
-
-
-def _steep(at: Slopes, source: _Source) -> float:
-    return at.q_eu * source.eps_e + at.q_vu * source.eps_v + at.flow_qu * source.late_s
 
 
 def _eta(at: Slopes, source: _Source) -> float:

@@ -76,14 +76,16 @@ class Queries(NamedTuple):
 
 
 def budget(
-    model: Model, limits: Limits, *, lateral_mps2: float = 0.0, low_mps2: float = 0.0, hover_mps2: float | None = None
-) -> Budget:
+    model: Model, limits: Limits, *, lateral_mps2: float = 0.0, low_mps2: float = 0.0, high_mps2: float = math.inf,
+    hover_mps2: float | None = None,
+) -> Budget:  # fmt: skip
     """Thrust of any length from `low` to the greatest, leaning as far as the lateral specific thrust asks for at F0.
 
     F0 = max(hover, (low + high) / 2) is the thrust that the filter steers with (`response`).  |b_n|, |b_e| <= beta =
     lateral / F0 is a square within the eight-sided pyramid in the tilt cone, sin(tilt) cos(pi/8) = sqrt(2) beta, and
-    whatever the lean in the cone, thrust reaches down to `low` and up to high = greatest cos(tilt) along down.  All is
-    specific thrust as commanded, so it fits whatever the gain is.  Tilt is cut at the limit, lateral with it.
+    whatever the lean in the cone, thrust reaches down to `low` and up to high = greatest cos(tilt) along down; the
+    greatest is the vehicle's, or what reaches up to `high_mps2`.  All is specific thrust as commanded, so it fits
+    whatever the gain is.  Tilt is cut at the limit, lateral with it.
     """
     least, greatest = (n / model.mass_kg for n in model.thrust_range_n(limits))
     hover, low = hover_mps2 or STANDARD_GRAVITY_MPS2, min(max(low_mps2, least), greatest)
@@ -91,9 +93,9 @@ def budget(
     lean, lead = 0.0, max(hover, 0.5 * (low + greatest))
     for _ in range(20):  # high and with it F0 fall a little with the lean: a contraction
         lean = min(math.sqrt(2.0) * lateral_mps2 / (lead * _EIGHT_SIDES), most)
-        lead = max(hover, 0.5 * (low + greatest * math.sqrt(1.0 - lean * lean)))
-    high = greatest * math.sqrt(1.0 - lean * lean)
-    return Budget(lead * _square(lean), low, max(high, low), greatest, math.asin(lean))
+        lead = max(hover, 0.5 * (low + min(greatest * math.sqrt(1.0 - lean * lean), high_mps2)))
+    high = max(min(greatest * math.sqrt(1.0 - lean * lean), high_mps2), low)
+    return Budget(lead * _square(lean), low, high, high / math.sqrt(1.0 - lean * lean), math.asin(lean))
 
 
 def lean(box: Budget) -> float:

@@ -26,7 +26,7 @@ _SLANTS, _SPEEDS = (0.2, 0.35, 0.5), (0.7, 0.85, 1.0)
 _STEPS = ((0.12, 0.12), (0.06, 0.06))
 _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
 _ROUNDS = 6
-GROWING = ("eta", "rate_ps", "rate_spm", "inner")
+GROWING = ("eta", "off_m", "off_mps", "inner")
 _LEAST_BRAKE_MPS2 = 0.05
 
 

@@ -41,7 +41,7 @@ def settled(
             safe=safe,
         )  # fmt: skip
         knowledge: Knowledge | None = None
-        for piece in asked.knowledge_steps(learner, version, widen_mps2):
+        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrust_shares[0]):
             knowledge = piece
         assert knowledge is not None
         one, needs = asked.axis_of(axis, knowledge, learned)

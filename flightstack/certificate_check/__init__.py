@@ -34,7 +34,7 @@ _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cell
 _AXES = ("north", "east", "down")
 _BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
 _AUTHORITY = ("v_mps", "offset_mps2", "gain", "u_low_mps2", "u_high_mps2", "error_low_mps2", "error_high_mps2")
-_SETTING = ("gamma_ps", "eta", "rate_ps", "dt_s", "rate_spm", "inner", "inside_ps")
+_SETTING = ("gamma_ps", "eta", "rate_ps", "dt_s", "off_m", "inner", "inside_ps", "off_mps")
 _KINDS = {
     "quadratic": ("centre_m", "centre_mps", "p11", "p12", "p22"),
     "stopping": ("low_m", "high_m", "reaction_s", "brake_high_mps2", "brake_low_mps2"),
@@ -152,28 +152,29 @@ def _condition(axis: dict[str, Any], where: str) -> tuple[Condition, tuple[float
     if kind not in _KINDS:
         raise Refused(f"{where}.barrier.kind must be one of {', '.join(_KINDS)}")
     p = numbers({k: x for k, x in axis["barrier"].items() if k != "kind"}, _KINDS[kind], f"{where}.barrier")
-    gamma, eta, rate, dt, steep, inner, inside = numbers(axis["setting"], _SETTING, f"{where}.setting")
+    gamma, eta, rate, dt, off_m, inner, inside, off_mps = numbers(axis["setting"], _SETTING, f"{where}.setting")
     if not (
         gamma > 0.0
         and min(eta, inner) >= 0.0
         and eta + inner < 1.0
-        and min(rate, steep, dt, inside) >= 0.0
+        and min(rate, off_m, off_mps, dt, inside) >= 0.0
         and (gamma + inside) * dt <= 1.0
     ):
         raise Refused(
-            f"{where}.setting: gamma must be above 0, eta and inner in 0 to 1, b, dt and inside at least 0, "
+            f"{where}.setting: gamma must be above 0, eta and inner in 0 to 1, b, offsets, dt and inside at least 0, "
             "(gamma + inside) dt at most 1"
         )
+    setting = gamma, eta, rate, dt, off_m, inner, inside, off_mps
     if kind == "quadratic":
         if not (p[2] > 0.0 and p[4] > 0.0 and (Interval(p[2]) * p[4] - Interval(p[3]) * p[3]).lo > 0.0):
             raise Refused(f"{where}.barrier: P is not positive definite, so the region is no ellipse")
-        return Condition([Piece(True, tuple(p))], gamma, eta, rate, dt, steep, inner, inside), (p[0], p[1])
+        return Condition([Piece(True, tuple(p))], *setting), (p[0], p[1])
     low, high, reaction, brake_high, brake_low = p
     if not (low < high and min(reaction, brake_high, brake_low) > 0.0):
         raise Refused(f"{where}.barrier: limits must be in order, reaction time and braking above 0")
     scale = 0.5 * (high - low)
     ways = (1.0, high, reaction, brake_high, scale), (-1.0, -low, reaction, brake_low, scale)
-    return Condition([Piece(False, way) for way in ways], gamma, eta, rate, dt, steep, inner, inside), (
+    return Condition([Piece(False, way) for way in ways], *setting), (
         0.5 * (low + high),
         0.0,
     )

@@ -4,9 +4,13 @@ u: commanded acceleration; dt: longest time to the next one; E: how far the true
 over the range of u; U, Emax: the largest |u| and E; h concave with gradient (he, hv) and curvature at most K:
 
     q = he v + hv u + c - dt/2 (Kee v^2 + 2 Kev v u + (Kvv + |Kev| dt + Kee dt^2/4) u^2) - dt^2/2 Kee |v| U
-        - (|hv| + |he| dt/2 + kappa) E + alpha(h - inner - eta) - b - b_u |u|
+        - (|hv| + |he| dt/2 + kappa) E + alpha(h - inner - eta) - b - off
     alpha(x) = gamma x + inside max(x - 0.05, 0)
     c = chord over the range of u of min(0, he u dt/2)
+    off = x |Kee v + Kev u| + y |he - Kev v - Kvv u| + Kee x y + |Kev| y^2 + x ke + y kv,  x, y: offsets of e and v;
+        of a stopping distance y (|he| + Kvv |u|) in place of the first two
+    ke = Kee U dt/2 + (|Kev| + Kee dt/2) Emax
+    kv = dt (Kee (|v| + y) + |Kev| U) + dt/2 (Kee dt + |Kev|) U + (Kvv + |Kev| dt/2 + dt (Kee dt/2 + |Kev|)) Emax
     kappa = dt ((Kee dt/2 + |Kev|) (|v| + U dt/2) + (|Kev| dt/2 + Kvv) U) + dt/2 (Kvv + |Kev| dt + Kee dt^2/4) Emax
 
 To second order in time it bounds the fall of h over any t in (0, dt], divided by t.  For a fixed u, and away from the
@@ -89,9 +93,10 @@ class Condition:
     eta: float
     rate: float
     dt: float
-    steep: float
+    off_m: float
     inner: float
     inside: float
+    off_mps: float
 
     @property
     def edge(self) -> float:
@@ -110,14 +115,16 @@ class Condition:
 
     def fastest(self) -> float:
         """Greatest speed of the region h >= 0 of stopping distances."""
-        if self.pieces[0].quadratic:
-            return 0.0
-        room, speeds = self.pieces[0].p[1] + self.pieces[1].p[1], []
-        for piece, other in zip(self.pieces, reversed(self.pieces), strict=True):
-            _, _, reaction, brake, _ = piece.p
-            way = room + 0.5 * other.p[3] * reaction**2  # = reaction v + v^2 / (2 brake)
-            speeds.append(brake * (float(np.sqrt(reaction**2 + 2.0 * way / brake)) - reaction))
-        return max(speeds)
+        return 0.0 if self.pieces[0].quadratic else max(self.fastest_of(piece) for piece in self.pieces)
+
+    def fastest_of(self, piece: Piece) -> float:
+        """The same towards one limit."""
+        other = self.pieces[1] if piece is self.pieces[0] else self.pieces[0]
+        _, _, reaction, brake, _ = piece.p
+        way = self.pieces[0].p[1] + self.pieces[1].p[1] + 0.5 * other.p[3] * other.p[2] ** 2
+        return brake * (
+            float(np.sqrt(reaction**2 + 2.0 * way / brake)) - reaction
+        )  # way = reaction v + v^2 / (2 brake)
 
     def margin(
         self, piece: Piece, e: Any, v: Any, u: Any, reach: F64, line: bool | None = None
@@ -145,7 +152,19 @@ class Condition:
         beyond = (x - NEAR_H) * self.inside
         if line is None or line:
             q = q + (beyond if line else beyond.at_least(0.0))
-        return q + x * self.gamma - self.rate - abs(u) * self.steep, h
+        return q + x * self.gamma - self.rate - self._off(piece, he, v, u, (most, worst)), h
+
+    def _off(self, piece: Piece, he: Interval, v: Interval, u: Interval, ends: tuple[F64, F64]) -> Interval:
+        """By how much q may be less where the state is off."""
+        (kee, kev, kvv), (most, worst), (x, y) = piece.curvature(), ends, (self.off_m, self.off_mps)
+        half, cross = 0.5 * self.dt, abs(kev)
+        along_e = kee * half * most + (cross + kee * half) * worst
+        along_v = (kee * (abs(v) + y) + cross * most) * self.dt + (kee * self.dt + cross) * half * most
+        along_v = along_v + (kvv + cross * half + (kee * half + cross) * self.dt) * worst
+        rest = along_e * x + along_v * y + kee * x * y + cross * y * y
+        if piece.quadratic:
+            return rest + abs(kee * v + kev * u) * x + abs(he - kev * v - kvv * u) * y
+        return rest + (abs(he) + kvv * abs(u)) * y
 
     def _steepest(self, piece: Piece, helper: Piece, weight: float, slope: float) -> tuple[Interval, Interval]:
         """Most of d2/de2 and d2/dv2 of q - weight (h of helper - edge), where it is smooth."""

@@ -1,20 +1,21 @@
-"""The ledger: every margin by its name, and the condition's constants eta and b that follow from them, worked out anew.
+"""The ledger: every margin by its name, and the condition's constants that follow from them, worked out anew.
 
-A source puts the predicted (e, v) off by (eps_e, eps_v), or along the motion by a time t: by (t v, t a), a the
-acceleration.  E: greatest error; S: span of the commands; d, l, r: doubt of delay, rotors' lag and rate loop.
+A source puts the predicted (e, v) off by (x, y), or along the motion by a time t: by (t v, t a), a the acceleration.
+E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of delay, rotors' lag and rate loop.
 
-    delay           delay^2 E / 2,  (d + delay) E,  t = d
-    rotor_lag       vertical: 0,  l S / e,  t = l
+    delay           delay^2 E / 2,  (t + delay) E,  t = d; lateral t = d + l of the rotors
+    rotor_lag       vertical: A (c1 + l / 2) l,  l S / e
     attitude_lag    lateral: c1 r S / 2,  r S
     estimate_error  pos + (c1 + delay) vel + c2 acc,  vel + (c1 + delay) acc
 
-    b + b_u |u| = sum of sup |dq/de| eps_e + sup |dq/dv| eps_v + t sup |dq/de v + dq/dv a|     (q without gamma h)
-    eta = sum of sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|,    suprema over {h >= -eta}
+    off_m, off_mps = sum of x + t sup |v|,  sum of y + t A
+    eta = sum of sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|,  suprema over {h >= -eta}
     inner = sup |dh/dv| w,  w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
-    a margin in m/s^2 = (its part of b + its part of b_u U + gamma its part of eta) / sup |dh/dv|,  U: greatest |u|;
-    to the lag's comes gamma w
+    a margin in m/s^2 = (what `off` takes for its x + t sup |v| and y + t A where braking is hardest, without the small
+    parts, + gamma its part of eta) / sup |dh/dv| there; to the lag's comes gamma w
 
-Each is greatest on the edge of an ellipse, and at the greatest speed of a stopping distance.
+Each supremum is on the edge of an ellipse, and at the greatest speed of a stopping distance; braking is hardest at the
+greatest speed that there is at the centre's e, and at the greatest speed of a stopping distance.
 What holding a command costs (`zero_order_hold`) is part of q itself.  The two parts of the error make up its greatest
 value at u_low.
 """
@@ -35,7 +36,7 @@ MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
     "estimate_error",
 )  # fmt: skip
-_DOUBTS = ("pos_m", "vel_mps", "acc_mps2", "delay_s", "lag_share", "rate_lag_share")
+_DOUBTS = ("pos_m", "vel_mps", "acc_mps2", "delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
 _CLOSE = 1e-3
 """Share by which a stated constant may differ; beyond it, whatever lies between three rounds of eta and all of them."""
 _NEAR = 1e-6
@@ -54,38 +55,34 @@ def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, known: 
     if doubts is None:
         raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
     claim, eta = _claim(name == "down", response, nodes, known), 0.0
+    sources, hardest = _sources(name == "down", response, nodes, doubts), float(np.abs(nodes[3:5]).max())
+    per_m, per_mps, steep = _hardest(condition, nodes)
     rounds = list[tuple[tuple[float, float, float, float], dict[str, float]]]()
     for _ in range(30):  # eta widens the region whose suprema it comes from
         at = _suprema(condition, nodes, eta)
-        parts = {
-            key: (
-                at["qe"] * one + at["qv"] * two + at["flow_q"] * late,
-                at["he"] * one + at["hv"] * two + at["flow_h"] * late,
-                at["qeu"] * one + at["qvu"] * two + at["flow_qu"] * late,
-            )
-            for key, (one, two, late) in _sources(name == "down", response, nodes, doubts).items()
-        }
-        rate, eta, steep = (sum(part[i] for part in parts.values()) for i in range(3))
-        eta, hardest = min(eta, 1.0), float(np.abs(nodes[3:5]).max())
-        found = {key: (b + bu * hardest + condition.gamma * h) / at["hv"] for key, (b, h, bu) in parts.items()}
+        eta_of = {key: at["he"] * x + at["hv"] * y + at["flow_h"] * t for key, (x, y, t) in sources.items()}
+        off = {key: (x + t * at["speed"], y + t * hardest) for key, (x, y, t) in sources.items()}
+        eta = min(sum(eta_of.values()), 1.0)
+        found = {key: per_m * x + per_mps * y + condition.gamma * eta_of[key] / steep for key, (x, y) in off.items()}
         found["rotor_lag" if name == "down" else "attitude_lag"] += condition.gamma * claim
         found |= {"discretisation": 0.0, "zero_order_hold": at["hold"] / at["hv"]}
-        rounds.append(((eta, rate, steep, at["hv"] * claim), found))
+        off_m, off_mps = (sum(each[i] for each in off.values()) for i in range(2))
+        rounds.append(((eta, off_m, at["hv"] * claim, off_mps), found))
     for key in rounds[2][1]:
         ends = sorted(rounds[i][1][key] for i in (2, -1))
         if not (1.0 - _CLOSE) * ends[0] - _NEAR <= stated[key] <= (1.0 + _CLOSE) * ends[1] + _NEAR:
             raise Refused(f"{name}: margin {key} = {stated[key]:.9g} m/s^2, its sources give {ends[1]:.9g}")
     held = (
         ("eta", condition.eta),
-        ("rate_ps", condition.rate),
-        ("rate_spm", condition.steep),
+        ("off_m", condition.off_m),
         ("inner", condition.inner),
+        ("off_mps", condition.off_mps),
     )
     for (key, value), least in zip(held, rounds[2][0], strict=True):
         if not value >= least * (1.0 - _CLOSE):
             raise Refused(f"{name}.setting.{key} = {value:.9g} is less than the {least:.9g} that its margins need")
     total = sum(stated.values())
-    return f"{name}: all {len(MARGINS)} margins of the ledger, {total:.4g} m/s^2 in all, held by eta and b"
+    return f"{name}: all {len(MARGINS)} margins of the ledger, {total:.4g} m/s^2 in all, held by eta and the offsets"
 
 
 def _margins(value: Any, name: str) -> dict[str, float]:
@@ -103,17 +100,18 @@ def _margins(value: Any, name: str) -> dict[str, float]:
 
 
 def _sources(vertical: bool, response: list[float], nodes: F64, doubts: Any) -> dict[str, tuple[float, float, float]]:
-    """(eps_e, eps_v, t) by name."""
-    pos, vel, acc, late, share, rate_share = numbers(doubts, _DOUBTS, "knowledge.doubts")
-    if min(pos, vel, acc, late, share, rate_share) < 0.0:
+    """(x, y, t) by name."""
+    pos, vel, acc, late, share, rate_share, rotor = numbers(doubts, _DOUBTS, "knowledge.doubts")
+    if min(pos, vel, acc, late, share, rate_share, rotor) < 0.0:
         raise Refused("knowledge.doubts must be at least 0")
     c1, c2, delay = response
     error, span = float(nodes[5:].max()), float((nodes[4] - nodes[3]).max())
     lag, turn = share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
-    none = 0.0, 0.0, 0.0
+    most, none = float(np.abs(nodes[3:5]).max()), (0.0, 0.0, 0.0)
+    late += 0.0 if vertical else share * rotor
     return {
         "delay": (0.5 * delay**2 * error, (late + delay) * error, late),
-        "rotor_lag": (0.0, lag * span / math.e, lag) if vertical else none,
+        "rotor_lag": (most * (c1 + 0.5 * lag) * lag, lag * span / math.e, 0.0) if vertical else none,
         "attitude_lag": none if vertical else (0.5 * c1 * turn * span, turn * span, 0.0),
         "estimate_error": (pos + (c1 + delay) * vel + c2 * acc, vel + (c1 + delay) * acc, 0.0),
     }
@@ -134,25 +132,35 @@ def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:
         kee, cross, kvv = (float(k.hi) for k in piece.curvature())
         kev = abs(cross)
         v, he, hv = _edge(condition, piece, eta)
-        speed, steep, turning = float(np.abs(v).max()), float(np.abs(he).max()), he - cross * v
+        speed, steep = float(np.abs(v).max()), float(np.abs(he).max())
         flow_h = np.abs((he * v)[:, None] + hv[:, None] * ends)
-        flow_q = np.abs((kee * v * v)[:, None] - turning[:, None] * ends)
-        flow_qu = np.abs((cross * v)[:, None] + kvv * ends)
         bent, early = kvv + kev * dt + kee * half * half, half * command
         kappa = dt * ((kee * half + kev) * (speed + early) + (kev * half + kvv) * command) + half * bent * error
-        held_e = kee * early + (kev + kee * half) * error
-        held_v = kev * early + dt * (kee * speed + kev * command) + kee * dt * early
-        held_v += (kvv + kev * half + dt * (kee * half + kev)) * error
         found = {
-            "he": steep, "hv": float(np.abs(hv).max()), "flow_h": float(flow_h.max()),
-            "qe": kee * speed + held_e, "qeu": kev, "qvu": kvv, "flow_qu": float(flow_qu.max()),
-            "qv": float(np.abs(turning).max()) + held_v,
-            "flow_q": float(flow_q.max()) + held_e * speed + held_v * command,
+            "he": steep, "hv": float(np.abs(hv).max()), "flow_h": float(flow_h.max()), "speed": speed,
             "hold": steep * early + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
             + half * bent * command**2 + (steep * half + kappa) * error,
         }  # fmt: skip
         most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
     return most
+
+
+def _hardest(condition: Condition, nodes: F64) -> tuple[float, float, float]:
+    """What q loses for each m and m/s of offset where braking is hardest, over |dh/dv| there; that; of both ways."""
+    low, high = float(nodes[3].min()), float(nodes[4].max())
+    lost = list[tuple[float, float, float]]()
+    for piece in condition.pieces:
+        kee, kev, kvv = (float(k.hi) for k in piece.curvature())
+        if piece.quadratic:
+            _, centre, _, p12, p22 = piece.p
+            for out, u in ((p22**-0.5, low), (-(p22**-0.5), high)):
+                v, steep, he = centre + out, 2.0 * p22 * abs(out), -2.0 * p12 * out
+                lost.append((abs(kee * v + kev * u) / steep, abs(he - kev * v - kvv * u) / steep, steep))
+            continue
+        sign, _, reaction, brake, scale = piece.p
+        steep, u = (reaction + condition.fastest_of(piece) / brake) / scale, low if sign > 0.0 else high
+        lost.append((0.0, (1.0 / scale + kvv * abs(u)) / steep, steep))
+    return max(x for x, _, _ in lost), max(y for _, y, _ in lost), max(z for _, _, z in lost)
 
 
 def _edge(condition: Condition, piece: Piece, eta: float) -> tuple[F64, F64, F64]:

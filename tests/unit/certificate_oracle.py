@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,7 +16,7 @@ from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.records import AxisCertificate
-from flightstack.barrier.shapes import Barrier, Quadratic
+from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.gp.kernels import kernel_from_dict
 from flightstack.model import Limits
 from flightstack.types import F64
@@ -101,7 +102,9 @@ def untrue(text: str) -> str:
 
 def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
     """Where a vehicle that obeys the cell's command loses h faster than the cell claims; empty if nowhere."""
-    gamma, eta, rate, dt, steep, inner, more = axis.setting
+    gamma, eta, rate, dt, off_m, inner, more, off_mps = axis.setting
+    if isinstance(axis.barrier, Stopping):
+        off_m = 0.0  # h falls as fast at any e
     reach = axis.authority.reach(0.5 * (low + high))
     share = (cell[4] - reach.u_low) / (reach.u_high - reach.u_low)
     error = reach.error_low + share * (reach.error_high - reach.error_low)
@@ -114,10 +117,12 @@ def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
         return ""
     if not reach.u_low - 1e-6 <= cell[4] <= reach.u_high + 1e-6:
         return f"command {cell[4]} is not to be had"
-    for a in (cell[4] - error, cell[4] + error):
+    for a, x, y in itertools.product((cell[4] - error, cell[4] + error), (-off_m, off_m), (-off_mps, off_mps)):
+        there_e, there_v = e + x, v + y
+        before = h_at(axis.barrier, there_e, there_v)
         for t in (0.3 * dt, dt) if dt > 0.0 else (1e-7,):
-            after = h_at(axis.barrier, e + v * t + 0.5 * a * t * t, v + a * t)
-            if np.any((after - h + t * alpha)[inside] / t - rate - steep * abs(cell[4]) < cell[5] - 1e-5):
+            after = h_at(axis.barrier, there_e + there_v * t + 0.5 * a * t * t, there_v + a * t)
+            if np.any((after - before + t * alpha)[inside] / t - rate < cell[5] - 1e-5):
                 return f"cell {cell}"
     return ""
 
@@ -140,7 +145,7 @@ def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool
         return True
     if path[0] == "knowledge":
         return supported(data)
-    if path[2] == "setting" and path[3] in ("eta", "rate_ps", "rate_spm"):  # the margins need so much
+    if path[2] == "setting" and path[3] in ("eta", "off_m", "off_mps"):  # the margins need so much
         old, new = (each["axes"][0]["setting"][path[3]] for each in (before, data))
         return new >= old * (1.0 - 1.1e-3) and untrue(text) == ""
     return path[2] in ("setting", "barrier", "cells") and untrue(text) == ""

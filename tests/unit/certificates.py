@@ -59,8 +59,8 @@ def best_command(barrier: Barrier, setting: Setting, reach: Reach, box: tuple[fl
         corners = [
             coefficients(row, e, v, setting, reach, steep) for row in barrier.rows for e in box[:2] for v in box[2:]
         ]
-        a, b, c = np.array(corners).T
-        q = (a[:, None] * us * us + b[:, None] * us + c[:, None]).min(axis=0) - setting.rate_spm * np.abs(us)
+        a, b, c, k, m, l, n = np.array(corners).T[:, :, None]  # noqa: E741
+        q = ((a * us + b) * us + c - np.abs(k + m * us) - np.abs(l + n * us)).min(axis=0)
         best = int(np.argmax(q))
         found.append((float(us[best]), float(q[best]) - 1e-7))
     return max(found, key=lambda pair: pair[1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,13 @@ def _random_case(rng: np.random.Generator, shape: Barrier) -> tuple[float, float
     return e, v, setting, Reach(low, low + rng.uniform(1.0, 14.0), *rng.uniform(0.0, 0.8, 2))
 
 
+def _with_offsets(rng: np.random.Generator, setting: Setting) -> Setting:
+    """The same, the state known to a centimetre or two and some cm/s."""
+    return setting._replace(
+        off_m=rng.uniform(0.0, 0.02), off_mps=rng.uniform(0.0, 0.1), inside_ps=rng.uniform(0.0, 20.0)
+    )
+
+
 def _after(e: float, v: float, u: float, parts: list[tuple[float, float]]) -> tuple[float, float]:
     """Exact motion under u + d, d constant over each part (time, d)."""
     for time, d in parts:
@@ -34,9 +43,9 @@ def _after(e: float, v: float, u: float, parts: list[tuple[float, float]]) -> tu
     return e, v
 
 
-def _q(row: F64, e: float, v: float, setting: Setting, reach: Reach, u: float) -> float:
-    a, b, c = coefficients(row, e, v, setting, reach)
-    return (a * u + b) * u + c
+def _q(row: F64, e: float, v: float, setting: Setting, reach: Reach, u: F64 | float) -> Any:
+    a, b, c, k, m, l, n = coefficients(row, e, v, setting, reach)  # noqa: E741
+    return (a * u + b) * u + c - abs(k + m * u) - abs(l + n * u)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -86,6 +95,32 @@ def test_h_less_its_doubt_falls_by_no_more_than_its_share(shape: Barrier) -> Non
     assert met > 150
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_state_that_is_off_by_what_is_stated_moves_no_worse_than_the_bound(shape: Barrier) -> None:
+    """The true state anywhere in its box about the known one, integrated exactly under the worst disturbances."""
+    rng = np.random.default_rng(6)
+    closest = np.inf
+    for _ in range(1500):
+        e, v, setting, reach = _random_case(rng, shape)
+        setting = _with_offsets(rng, setting)._replace(inside_ps=0.0)
+        u = rng.choice([reach.u_low, reach.u_high, rng.uniform(reach.u_low, reach.u_high)])
+        share = (u - reach.u_low) / (reach.u_high - reach.u_low)
+        error = reach.error_low + share * (reach.error_high - reach.error_low)
+        time = rng.choice([setting.dt_s, rng.uniform(1e-4, setting.dt_s)])
+        corners = [(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+        for x, y in (*corners, tuple(rng.uniform(-1.0, 1.0, 2))):
+            true_e, true_v = e + x * setting.off_m, v + y * setting.off_mps
+            for d in (-error, error):
+                there = _after(true_e, true_v, u, [(time, d)])
+                for row in shape.rows:
+                    known = piece_at(row, e, v)[0]
+                    rate = _q(row, e, v, setting, reach, u) - setting.gamma_ps * (known - setting.eta) + setting.rate_ps
+                    gap = piece_at(row, *there)[0] - (piece_at(row, true_e, true_v)[0] + time * rate)
+                    assert gap >= -1e-12
+                    closest = min(closest, gap / time)
+    assert closest < 0.1
+
+
 def test_an_early_next_command_is_allowed_for() -> None:
     """At the end of a full hold this command would do; half-way h has fallen further than the share of that time."""
     shape = Quadratic(0.0, -0.88, 3.284, 0.313, 0.194)
@@ -118,6 +153,7 @@ def test_interval_against_a_grid_of_commands(shape: Barrier) -> None:
     some = none = 0
     for _ in range(600):
         e, v, setting, reach = _random_case(rng, shape)
+        setting = _with_offsets(rng, setting)
         u = np.linspace(reach.u_low, reach.u_high, 2001)
         q = np.min([_q(row, e, v, setting, reach, u) for row in shape.rows], axis=0)
         low, high, margin = interval(shape.rows, e, v, setting, reach)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,12 @@ from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.types import F64
 
 
+def at(q: tuple[float, ...], u: F64 | float) -> Any:
+    """q(u) from its coefficients."""
+    a, b, c, k, m, l, n = q  # noqa: E741
+    return (a * u + b) * u + c - abs(k + m * u) - abs(l + n * u)
+
+
 def brute(barrier: Barrier, setting: Setting, authority: Authority, e: F64, v: F64) -> F64:
     """(n,) max over u of min over pieces of q, by 101 commands, point by point, with plain numpy."""
     best = []
@@ -24,8 +31,7 @@ def brute(barrier: Barrier, setting: Setting, authority: Authority, e: F64, v: F
         u = np.linspace(reach.u_low, reach.u_high, 101)
         q = np.full(u.shape, np.inf)
         for row in barrier.rows:
-            a, b, c = coefficients(row, x, y, setting, reach)
-            q = np.minimum(q, (a * u + b) * u + c)
+            q = np.minimum(q, at(coefficients(row, x, y, setting, reach), u))
         best.append(q.max())
     return np.array(best)
 
@@ -44,6 +50,12 @@ CASES = [
     (Quadratic(0.0, -0.794, 3.4245, 0.4102, 0.2604), Setting(2.0, 0.02, 0.1, 0.02), changing()),
     (Stopping(-0.56, 0.56, 0.1, 2.2, 7.0), Setting(2.0, 0.02, 0.1, 0.01), changing()),
     (Stopping(-0.585, 0.595, 0.06, 2.5, 9.0), Setting(2.0, 0.02, 0.1, 0.004), constant(*PAPER, 0.1)),
+    (
+        Quadratic(0.0, -0.6, 3.6, 0.6, 0.35),
+        Setting(1.0, 0.05, 0.0, 0.004, 0.006, 0.02, 10.0, 0.05),
+        constant(*PAPER, 0.1),
+    ),
+    (Stopping(-0.55, 0.55, 0.15, 2.0, 7.0), Setting(1.0, 0.05, 0.0, 0.004, 0.006, 0.02, 10.0, 0.05), changing()),
 ]
 
 
@@ -65,8 +77,7 @@ def test_what_closes_is_true_on_a_finer_grid(barrier: Barrier, setting: Setting,
             u = cell[4]
             assert reach.u_low <= u <= reach.u_high
             for row in barrier.rows:
-                k2, k1, k0 = coefficients(row, x, y, setting, reach)
-                assert (k2 * u + k1) * u + k0 >= cell[5]
+                assert at(coefficients(row, x, y, setting, reach), u) >= cell[5]
 
 
 @pytest.mark.parametrize(("barrier", "setting", "authority"), CASES)

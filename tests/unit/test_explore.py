@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.optimize import brentq, minimize_scalar
 
 from flightstack import arcs
-from flightstack.barrier.condition import coefficients
+from flightstack.barrier.condition import coefficients, margin_at
 from flightstack.barrier.design import at_speed
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, gradient, value
@@ -30,8 +30,7 @@ CENTRE = np.array([0.3, -0.2, -0.8])
 def worst_q(axis: AxisCertificate, e: float, v: float, u: float) -> float:
     """The condition's least margin over the pieces, at a given command."""
     reach = axis.authority.reach(v)
-    quadratics = [coefficients(row, e, v, axis.setting, reach) for row in axis.barrier.rows]
-    return min((a * u + b) * u + c for a, b, c in quadratics)
+    return min(margin_at(coefficients(row, e, v, axis.setting, reach), u) for row in axis.barrier.rows)
 
 
 # ------------------------------------------------------------------ arcs
