@@ -8,9 +8,11 @@ in it.
 
     again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a tenth, and holds
                  the vehicle, with room; later and later, up to 16 s, where nothing comes of it
-    falsified    the learner notices a change, or the acceleration as measured stays beyond what the certificate says
-                 it may be: at once a new certificate with the bound widened by what was seen; where there is none, the
-                 last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
+    changed      the learner notices a change: the work begins anew.  The certificate in force was made with bounds of
+                 its own, many times wider than what the learner calls a change, and stands while they hold
+    falsified    the acceleration as measured stays beyond what the certificate says it may be (`falsify`): at once a
+                 new certificate with the bound widened by what was seen; where there is none, the last one again, marked
+                 `hand_over`.  `knowledge["falsified"]` says why.
 """
 
 from __future__ import annotations
@@ -158,22 +160,15 @@ class OnlineCertifier:
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
         """Whether what is certified is still so; where it is not, the work begins anew."""
-        reason = ""
         if learned.changes > state.changes:
-            reason = "the learner noticed a change"
+            state.work, state.begun_us = None, -(10**12)
         state.changes = learned.changes
         certificate = state.certificate
-        if certificate is None:
+        if certificate is None or state.falsified:  # nothing to watch, or known already and being worked on
             return
-        if state.falsified:  # already so, and being worked on
-            state.work = None if reason else state.work
-            state.begun_us = -(10**12) if reason else state.begun_us
-            return
-        seen, excess = state.witness.observe(certificate, self.model, measurement, learned)
-        if seen:
-            reason = seen
-            state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * excess)
+        reason, excess = state.witness.observe(certificate, self.model, measurement, learned)
         if reason:
+            state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * excess)
             state.falsified, state.work, state.begun_us = reason, None, -(10**12)
 
     def _judge(self, state: CertifierState, ready: Certificate, measurement: Measurement) -> Certificate | None:
