@@ -19,7 +19,7 @@ from flightstack.barrier.design import slice_area, worst_slice_area
 from flightstack.barrier.physics import Plant, mu_physics
 from flightstack.barrier.published import of_authority
 from flightstack.barrier.records import AxisCertificate, Certificate
-from flightstack.barrier.sampling import Claim, adaptive, crossed, uniform
+from flightstack.barrier.sampling import Claim, adaptive, crossed, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.model import Model
 from flightstack.types import STANDARD_GRAVITY_MPS2
@@ -143,4 +143,4 @@ def _samples(axis: AxisCertificate, limit_m: float, mu: float) -> tuple[int | No
     if not sparse.closed:
         return None, None
     grid = uniform(claim)
-    return len(sparse.points), len(grid.points) if grid.closed else None
+    return len(thinned(claim, sparse).points), len(grid.points) if grid.closed else None

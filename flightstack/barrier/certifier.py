@@ -11,8 +11,8 @@ in it.
     changed      the learner notices a change: the work begins anew.  The certificate in force was made with bounds of
                  its own, many times wider than what the learner calls a change, and stands while they hold
     falsified    the acceleration as measured stays beyond what the certificate says it may be (`falsify`): at once a
-                 new certificate with the bound widened by what was seen; where there is none, the last one again, marked
-                 `hand_over`.  `knowledge["falsified"]` says why.
+                 new certificate with the bound widened by what was seen; where there is none, the last one again,
+                 marked `hand_over`.  `knowledge["falsified"]` says why.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 The acceleration as measured (specific force and gravity) less the certificate's mean at the thrust that acted must keep
 within the certificate's bound and what the sensor may be off.  When thrust acts is known to the ledger's doubts of lag
 and delay only, so a hard command may put it off for a moment, by no more than velocity may be: what is beyond the bound
-is summed up, each way for itself and never below 0, and where the sum, a velocity, is more than the certificate's offset
-twice (at the sum's beginning and at its end), the certificate is falsified.  (A cumulative sum: E. Page, "Continuous
-inspection schemes", Biometrika 41, 1954.)  Whoever issued it finds a smaller one, or hands over: the filter stops changing commands,
-which it would do by a model that is wrong, and the flight brakes and lands.
+is summed up, each way for itself and never below 0, and where the sum, a velocity, is more than twice the certificate's
+offset (at the sum's beginning and at its end), the certificate is falsified.  (A cumulative sum: E. Page, "Continuous
+inspection schemes", Biometrika 41, 1954.)  Whoever issued it finds a smaller one, or hands over: the filter stops
+changing commands, which it would do by a model that is wrong, and the flight brakes and lands.
 """
 
 from __future__ import annotations

@@ -10,6 +10,8 @@ boundary too, and constants over the region suffice.
     uniform    all cells alike, as large as the condition allows; L over the region
     adaptive   a cell that fails is cut in four; L over the region
     local      the same with what phi can lose in each cell's own ball instead of L r
+    thinned    each local sample with the largest ball that it proves; of these the fewest that a greedy choice finds to
+               hold every cell, the cells cut in four once more
 
 All of it is in closed form: for a given acceleration phi is quadratic, so within r it loses at most |gradient| r +
 |Hessian| r^2 / 2, and L is the greatest gradient over the region.  For the published h_mu no covering ends: phi is 0 at
@@ -74,6 +76,8 @@ class Samples:
     """Times that phi was computed, samples that did not suffice included."""
     open: F64
     """(m, 2) middles of the cells left uncertified; none: the claim is proven."""
+    centres: F64
+    """(n, 2) middles of the samples' cells: a sample is the region's nearest point to one."""
 
     @property
     def closed(self) -> bool:
@@ -94,6 +98,7 @@ def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> Samples:
     points: list[F64] = []
     radii: list[F64] = []
     lefts: list[F64] = []
+    middles: list[F64] = []
     evaluated = 0
     for level in range(depth + 1):
         centres, samples = _touching(claim.barrier, centres, half)
@@ -104,12 +109,47 @@ def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> Samples:
         points.append(samples[enough])
         radii.append(np.full(int(enough.sum()), radius))
         lefts.append(left[enough])
+        middles.append(centres[enough])
         centres = centres[~enough]
         if len(centres) == 0 or level == depth or 4 * len(centres) > _MOST_CELLS:
             break
         half *= 0.5
         centres = (centres[:, None, :] + half * _CORNERS).reshape(-1, 2)
-    return Samples(np.concatenate(points), np.concatenate(radii), np.concatenate(lefts), evaluated, centres)
+    parts = (np.concatenate(each) for each in (points, radii, lefts))
+    return Samples(*parts, evaluated, centres, np.concatenate(middles))
+
+
+def thinned(claim: Claim, samples: Samples) -> Samples:
+    """Fewer of these samples that carry the same claim; as they are where they don't carry it."""
+    if not samples.closed:
+        return samples
+    reach = _farthest(claim, samples)
+    half = samples.radius / math.sqrt(2.0)
+    cells = (samples.centres[:, None, :] + 0.5 * half[:, None, None] * _CORNERS).reshape(-1, 2)
+    corners = cells[:, None, :] + 0.5 * np.repeat(half, 4)[:, None, None] * _CORNERS
+    held = np.zeros((len(reach), len(cells)), dtype=bool)
+    for i, radius in enumerate(reach):  # a ball about the sample, or of the same size about what it is nearest to
+        for middle in (samples.points[i], samples.centres[i]):
+            held[i] |= np.hypot(*np.moveaxis(corners - middle, 2, 0)).max(axis=1) <= radius
+    left, chosen = np.ones(len(cells), dtype=bool), list[int]()
+    while left.any():
+        best = int(np.argmax(held @ left))
+        chosen.append(best)
+        left &= ~held[best]
+    return Samples(
+        samples.points[chosen], reach[chosen], samples.left[chosen], samples.evaluated, samples.open,
+        samples.centres[chosen],
+    )  # fmt: skip
+
+
+def _farthest(claim: Claim, samples: Samples) -> F64:
+    """(n,) the radius that each sample proves: its cell's at least, found by halving."""
+    low, high = samples.radius.copy(), 16.0 * samples.radius
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        holds = local_margin(claim, samples.points, middle) >= 0.0
+        low, high = np.where(holds, middle, low), np.where(holds, high, middle)
+    return low
 
 
 def uniform(claim: Claim, *, local: bool = False, twofold: bool = False, finest: int = 1024) -> Samples:
@@ -132,7 +172,7 @@ def uniform(claim: Claim, *, local: bool = False, twofold: bool = False, finest:
     return found
 
 
-def local_margin(claim: Claim, points: F64, radius: float) -> F64:
+def local_margin(claim: Claim, points: F64, radius: F64 | float) -> F64:
     """phi less what it may lose within `radius` of points (n, 2), (n,): the best of both ends of thrust.
 
     One end is used in the whole ball, so its phi is smooth there; bounds that change with speed are charged besides.
@@ -206,4 +246,5 @@ def _grid(claim: Claim, count: int, local: bool, twofold: bool) -> Samples:
     reach = 2.0 * radius if twofold else radius
     margin = local_margin(claim, samples, reach) if local else left - claim.modulus * reach
     enough = margin >= 0.0
-    return Samples(samples[enough], np.full(int(enough.sum()), radius), left[enough], len(samples), centres[~enough])
+    radii = np.full(int(enough.sum()), radius)
+    return Samples(samples[enough], radii, left[enough], len(samples), centres[~enough], centres[enough])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.barrier.published import Bounds, constant, left_side, on_the_vertical
-from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, local_margin, project, uniform
+from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, local_margin, project, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.types import F64, InputError
 
@@ -48,6 +48,16 @@ def test_each_sample_vouches_for_its_ball_and_together_for_the_region(local: boo
     found = adaptive(claim, local=local)
     assert found.closed
     _check(claim, found)
+
+
+@pytest.mark.parametrize("doubt", [0.0, 0.5, 0.8])
+def test_fewer_samples_with_larger_balls_still_vouch_for_the_region(doubt: float) -> None:
+    claim = Claim(STRICT, 2.0, bounded(doubt))
+    found = adaptive(claim, local=True)
+    fewer = thinned(claim, found)
+    assert len(fewer.points) < 0.8 * len(found.points)
+    _check(claim, fewer)
+    assert len(fewer.points) <= 0.05 * len(uniform(claim).points)
 
 
 def _check(claim: Claim, found: Samples) -> None:
