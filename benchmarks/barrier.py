@@ -5,17 +5,25 @@ Run: python -m benchmarks.barrier
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from app import files
 from flightstack.barrier import viability
+from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.cover import best_command, cover, outside, region_box
 from flightstack.barrier.design import SafeSet, at_speed, grow, largest, slice_area, worst_slice_area
+from flightstack.barrier.growing import VERTICAL
 from flightstack.barrier.records import Authority, Response
+from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
+from flightstack.learning.learner import GpLearner
+from flightstack.model import Model
+from flightstack.types import Learned, changed
 
 U_LOW, U_HIGH = -2.80286, 9.81
 SAFE = SafeSet(0.6)
@@ -63,8 +71,49 @@ def uniform_cells(shape: Barrier, at: Authority) -> int:
     return -1
 
 
+def recertification() -> str:
+    """The vertical slice with a live learner of 300 points: bounds, ledger, size and proof, as one call."""
+    vehicle, _ = files.load_vehicle(None)
+    scenario, _ = files.load_scenario("paper-barrier")
+    model, region = Model.from_vehicle(vehicle), scenario.region
+    assert region is not None
+    learner, learned = GpLearner(model).init(), changed(Learned.nothing(), latency_s=0.02)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        weights, speed, lean = rng.uniform(0.6, 1.8), rng.uniform(-1.2, 1.2, 3), rng.uniform(-0.15, 0.15, 2)
+        x = np.array([*speed, *lean, weights, 1e-3 * weights])
+        noise = 0.02 * rng.normal(size=3)
+        learner.lateral.gp.add(x, noise[:2])
+        learner.vertical.gp.add(x, 9.81 * weights * (1.0 - 1.0 / 1.4) + noise[2:])
+    config = dataclasses.replace(VERTICAL, slice_only=True)
+    certifier = OnlineCertifier(
+        model, scenario.limits, region, initial=scenario.knowledge, config=config, safe={2: SafeSet(0.6, 1.4)}
+    )
+
+    def asked() -> tuple[Axis, Ledger]:
+        return certifier.axis_of(2, certifier.knowledge_now(learner), learned)
+
+    first = whole(largest_steps(*asked()))
+    assert first is not None
+
+    def again_now() -> float:
+        axis, ledger = asked()
+        found = again(axis, ledger, first[0])
+        assert found is not None
+        return found.barrier.area_m2ps
+
+    again_now()
+    half, most = milliseconds(again_now, 200)
+    return (
+        f"re-certification of the vertical slice, live learner of {len(learner.vertical.gp)} points: "
+        f"{half:.2f} ms (p99 {most:.2f} ms), {again_now():.3f} m^2/s; {first[0].barrier.area_m2ps:.3f} before"
+    )
+
+
 def main() -> None:
     """Print the tables."""
+    print(recertification())
+    print()
     print("| shape | authority's nodes | cover ms p50 / p99 | cells | uniform cells | grow ms p50 / p99 |")
     print("|---|---|---|---|---|---|")
     for name, shape in SHAPES.items():

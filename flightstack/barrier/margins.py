@@ -191,7 +191,7 @@ def ledger(
     span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
     hardest = max(abs(least), abs(most))
     sources = _sources(axis, response, span, hardest, error, accuracy, doubts, coupling_mps)
-    eta, at = 0.0, slopes(barrier, least, most, error, dt_s)
+    eta, at = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         at = slopes(barrier, least, most, error, dt_s, eta)
         eta = sum(_eta(at, source) for source in sources)

@@ -115,8 +115,8 @@ def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> Samples:
             break
         half *= 0.5
         centres = (centres[:, None, :] + half * _CORNERS).reshape(-1, 2)
-    parts = (np.concatenate(each) for each in (points, radii, lefts))
-    return Samples(*parts, evaluated, centres, np.concatenate(middles))
+    places, reach, phi, cells = (np.concatenate(each) for each in (points, radii, lefts, middles))
+    return Samples(places, reach, phi, evaluated, centres, cells)
 
 
 def thinned(claim: Claim, samples: Samples) -> Samples:

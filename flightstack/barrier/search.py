@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from flightstack.barrier.design_search import farthest
 from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
 from flightstack.barrier.shapes import Barrier, Quadratic
 
+_T = TypeVar("_T")
 Ledger = Callable[[Barrier], tuple[Setting, tuple[Margin, ...]]]
 """The condition's constants and margins that a barrier needs."""
 _SLANTS, _SPEEDS = (0.2, 0.35, 0.5), (0.7, 0.85, 1.0)
@@ -28,6 +29,7 @@ _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
 _ROUNDS = 6
 GROWING = ("eta", "off_m", "off_mps", "inner")
 _LEAST_BRAKE_MPS2 = 0.05
+_AGAIN_MOST = 1.5
 
 
 class Ratios(NamedTuple):
@@ -72,7 +74,7 @@ def largest_steps(
     """
     starts = [Ratios(c, v) for v in _SPEEDS for c in _SLANTS] if near is None else [near]
     best: tuple[AxisCertificate, Ratios] | None = None
-    for ratios in starts:
+    for ratios in sorted(starts, key=lambda each: -ellipse(axis, each).area_m2ps):  # the large ones spare the others
         best = yield from _better(axis, ledger, ratios, best)
     for slant, speed in _STEPS if best is not None else ():
         assert best is not None
@@ -90,21 +92,42 @@ def _better(
     shape = ellipse(axis, ratios)
     if best is not None and shape.area_m2ps <= best[0].barrier.area_m2ps:
         return best
-    found = yield from _grown(axis, ledger, shape)
+    found = yield from _grown(axis, ledger, shape, best[0].setting if best is not None else None)
     if found is None or (best is not None and found.barrier.area_m2ps <= best[0].barrier.area_m2ps):
         return best
     return found, ratios
 
 
-def _grown(axis: Axis, ledger: Ledger, shape: Quadratic) -> Generator[None, None, AxisCertificate | None]:
-    """One shape at its largest level, whose own ledger is no larger than the one that it was grown with."""
+def again(axis: Axis, ledger: Ledger, before: AxisCertificate) -> AxisCertificate | None:
+    """A certificate's shape at the size that what is known now leaves it, in one go: a matter of milliseconds."""
+    return whole(_grown(axis, ledger, before.barrier, before.setting, most=_AGAIN_MOST))
+
+
+def whole(steps: Generator[None, None, _T]) -> _T:
+    """What comes of a piece-wise search, without a pause."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: _T = end.value
+            return result
+
+
+def _grown(
+    axis: Axis, ledger: Ledger, shape: Barrier, before: Setting | None, most: float = 1.0
+) -> Generator[None, None, AxisCertificate | None]:
+    """One shape at its largest level, whose own ledger is no larger than the one that it was grown with.
+
+    `before`: a setting that did for a shape like it.
+    """
     setting, _ = ledger(shape)
+    if before is not None:
+        setting = setting._replace(**{part: max(getattr(setting, part), getattr(before, part)) for part in GROWING})
     for _ in range(_ROUNDS):
-        design = grow(shape, axis.safe, setting, axis.authority, most=1.0)
+        design = grow(shape, axis.safe, setting, axis.authority, most=most)
         yield
         if design.barrier is None or design.cover is None:
             return None
-        assert isinstance(design.barrier, Quadratic)
         own, margins = ledger(design.barrier)
         if all(getattr(own, part) <= getattr(setting, part) for part in GROWING):
             return AxisCertificate(

@@ -1,0 +1,75 @@
+"""The search in flight: what it finds keeps its own ledger, and a certificate is made again for what is known now."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from barriers import h
+
+from flightstack.barrier.condition import Setting, interval
+from flightstack.barrier.design import SafeSet
+from flightstack.barrier.margins import ledger
+from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
+from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
+from flightstack.barrier.shapes import Barrier
+
+SLOW = Response(0.06, 0.0, 0.035)
+"""Rotors and a link as bad as a flight may have them."""
+
+
+def asked(error: float, low: float = -3.2, high: float = 2.8) -> tuple[Axis, Ledger]:
+    v, one = np.linspace(-1.4, 1.4, 8), np.ones(8)
+    authority = Authority(v, high * one, one, low * one, high * one, error * one, error * one)
+
+    def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
+        return ledger(2, barrier, authority, SLOW, gamma_ps=0.5, dt_s=0.012, inside_ps=20.0)
+
+    return Axis(2, SafeSet(0.6, 1.4), authority, SLOW), needs
+
+
+def proven(axis: Axis, needs: Ledger, found: AxisCertificate) -> None:
+    """Its own ledger asks no more than it was made with, and on a fine grid there is a command everywhere."""
+    own, _ = needs(found.barrier)
+    assert own.eta <= found.setting.eta
+    assert own.off_m <= found.setting.off_m
+    assert own.off_mps <= found.setting.off_mps
+    assert own.inner <= found.setting.inner
+    e_low, e_high, v_low, v_high = found.barrier.box
+    e, v = (each.ravel() for each in np.meshgrid(np.linspace(e_low, e_high, 61), np.linspace(v_low, v_high, 61)))
+    inside = h(found.barrier, e, v) >= found.setting.inner - found.setting.eta
+    margins = [
+        interval(found.barrier.rows, x, y, found.setting, axis.authority.reach(y))[2]
+        for x, y in zip(e[inside], v[inside], strict=True)
+    ]
+    assert len(margins) > 1000
+    assert min(margins) >= 0.0
+
+
+def test_slow_rotors_and_a_late_link_leave_a_region_of_a_fair_size() -> None:
+    axis, needs = asked(0.5)
+    found = whole(largest_steps(axis, needs))
+    assert found is not None
+    proven(axis, needs, found[0])
+    assert found[0].barrier.area_m2ps > 0.5 * np.pi * 0.6 * 1.1  # half of the ellipse that 2 m/s^2 brake in 0.6 m
+
+
+@pytest.mark.parametrize(("before", "now"), [(0.5, 0.3), (0.4, 0.45)])
+def test_made_again_it_is_as_large_as_what_is_known_now_leaves_it(before: float, now: float) -> None:
+    axis, needs = asked(before)
+    first = whole(largest_steps(axis, needs))
+    assert first is not None
+    axis, needs = asked(now)
+    second = again(axis, needs, first[0])
+    assert second is not None
+    proven(axis, needs, second)
+    if now < before:
+        assert second.barrier.area_m2ps >= 0.999 * first[0].barrier.area_m2ps
+
+
+def test_without_enough_braking_there_is_none() -> None:
+    axis, needs = asked(0.5)
+    first = whole(largest_steps(axis, needs))
+    assert first is not None
+    axis, needs = asked(1.2, low=-1.0, high=1.0)
+    assert whole(largest_steps(axis, needs)) is None
+    assert again(axis, needs, first[0]) is None
