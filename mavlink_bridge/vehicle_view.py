@@ -12,6 +12,8 @@ from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mod
 from mavlink_bridge.vehicle_clock import VehicleClock
 
 _TEXT_MEMORY = 50
+_ROUND_TRIPS = 6_000
+"""Ten minutes of them."""
 
 
 class VehicleView:
@@ -23,6 +25,7 @@ class VehicleView:
         self.heartbeat_at_us = -1
         self.custom_mode = 0
         self.intended_mode = 0
+        self.intended_at_us = -1
         self.mode_at_us = -1
         self.landed_state = 0
         self.estimator_flags = 0
@@ -32,6 +35,8 @@ class VehicleView:
         self.can_arm = False
         self.texts: deque[tuple[int, int, str]] = deque(maxlen=_TEXT_MEMORY)
         """(local time of receipt, severity, text), whole messages only."""
+        self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)
+        """Local microseconds from our TIMESYNC questions to their answers."""
         self._partial_text = ""
 
     @property
@@ -75,7 +80,7 @@ class VehicleView:
 
     def _on_current_mode(self, message: m.CurrentMode, now_us: int) -> None:
         self.custom_mode, self.mode_at_us = message.custom_mode, now_us
-        self.intended_mode = message.intended_custom_mode
+        self.intended_mode, self.intended_at_us = message.intended_custom_mode, now_us
 
     def _on_attitude(self, message: m.AttitudeQuaternion, now_us: int) -> None:
         self.streams.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
@@ -118,6 +123,7 @@ class VehicleView:
     def _on_timesync(self, message: m.Timesync, now_us: int) -> None:
         """The answer to a question of ours carries our own stamp; the vehicle's own questions have tc1 0."""
         if message.tc1_ns:
+            self.round_trips_us.append(max(0, now_us - message.ts1_ns // 1000))
             self.clock.observe_round_trip(message.ts1_ns // 1000, message.tc1_ns // 1000, now_us)
 
 
