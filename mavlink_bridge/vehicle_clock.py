@@ -29,7 +29,7 @@ class VehicleClock:
         self.rate = 1.0
         """Vehicle seconds per local second."""
         self.jumps = 0
-        """How often stamps or a round trip left the line by over half a second (a reboot, a jump): the fit began anew."""
+        """How often stamps or a round trip left the line by over 0.5 s (a reboot, a jump): the fit began anew."""
         self.slips = 0
         """How often a round trip showed that the vehicle's clock had stood still or run ahead."""
         self._anchor: tuple[int, int] | None = None
