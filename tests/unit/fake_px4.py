@@ -26,6 +26,10 @@ class FakePx4:
     armed: bool = False
     mode: int = HOLD
     landed: int = 1
+    intended: int | None = None
+    """The mode that it goes back to when setpoints arrive; None: the present one."""
+    tells_mode: bool = True
+    """Whether it sends CURRENT_MODE."""
     flags: int = 1023
     answers_version: bool = True
     arm_result: int = 0
@@ -55,7 +59,9 @@ class FakePx4:
             self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
         if self._ticks % 25 == 0:
             self.link.send(m.ExtendedSysState(0, self.landed))
-            self.link.send(m.CurrentMode(0, self.mode, self.mode))
+            if self.tells_mode:
+                intended = self.mode if self.intended is None else self.intended
+                self.link.send(m.CurrentMode(0, self.mode, intended))
         if self._ticks % 50 == 0:
             self.link.send(_estimator(now_us, self.flags))
         if self.streams:
