@@ -7,8 +7,6 @@ stack lives in the vehicle's time (`vehicle_clock`), in which stamps, delays and
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from flightstack.guard import stale
@@ -23,7 +21,9 @@ from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, Event, State, transition
 from mavlink_bridge.link import Link, Received
+from mavlink_bridge.onlookers import Observer, Planner
 from mavlink_bridge.requests import CommandQueue, stream_requests
+from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
 from mavlink_bridge.watchdogs import Watchdogs
@@ -39,26 +39,6 @@ _MODE_KNOWN_US = 1_500_000
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
 _RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
-
-
-class Observer(Protocol):
-    """Who wants to know (the log, the progress bar).  Called inside the tick: must be quick and must not raise."""
-
-    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
-        """A transition, a change of mode, a text of the vehicle; `t_us` in the vehicle's time."""
-
-    def on_tick(self, record: TickRecord) -> None:
-        """One tick of the stack."""
-
-    def on_message(self, t_us: int, message: object) -> None:
-        """A message of the identified vehicle, at vehicle time `t_us`."""
-
-
-class Planner(Protocol):
-    """Who changes the mission while it is flown."""
-
-    def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
-        """The mission from here on, after a tick at mission time `t_s`; mostly the same one."""
 
 
 class Companion:
@@ -237,6 +217,11 @@ class Companion:
         if state is State.STANDBY:
             for request in stream_requests():
                 self._commands.request(request, now_us)
+        elif state is State.STREAMING:
+            params = self.view.params
+            self._voice.thrust_model_factor = params.values["THR_MDL_FAC"]
+            self._voice.rate_max_radps = params.rate_max_radps
+            self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.OFFBOARD:
             self._engage(t_us)
         elif state is State.LANDING:
@@ -281,6 +266,8 @@ class Companion:
             self._fly(now_us)
         elif state is State.IDENTIFYING:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
+        elif state is State.STANDBY:
+            self.view.params.ask(self.link, system, now_us)
         elif state is State.STREAMING and not self._config.dry_run:
             self._stream_idle()
             if self._config.arm:

@@ -13,6 +13,7 @@ from mavlink_bridge import px4
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import Event, State
 from mavlink_bridge.requests import CommandQueue
+from mavlink_bridge.vehicle_params import unsafe
 from mavlink_bridge.vehicle_view import VehicleView
 
 SECOND_US = 1_000_000
@@ -139,6 +140,8 @@ def _standby(now: Situation, now_us: int) -> Verdict | None:
         return Verdict(
             Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
         )
+    if view.params.settled and (danger := unsafe(view.params.values)):
+        return Verdict(Event.UNFIT, danger)
     missing = _missing(now)
     if now.unfit:
         missing.append(FAULTS[now.unfit].what)
@@ -160,6 +163,8 @@ def _missing(now: Situation) -> list[str]:
         missing.append(f"estimate not good (ESTIMATOR_STATUS flags {flags:#x})")
     if now.view.landed_state == 0:
         missing.append("landed state unknown")
+    if not now.view.params.settled:
+        missing.append(f"parameters not told ({', '.join(now.view.params.missing) or 'still asking'})")
     if now.view.armed and now.view.intended_at_us < 0:
         missing.append("armed, and which mode it would go back to is not known (CURRENT_MODE)")
     return missing

@@ -211,7 +211,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "parameters": Fault(
         "the vehicle's parameters would make the flight unsafe",
-        "COM_OF_LOSS_T outside 0.1 to 2 s, COM_OBL_RC_ACT terminate or disarm, or not told",
+        "COM_OF_LOSS_T outside 0.1 to 2 s, COM_OBL_RC_ACT terminate or disarm, MC_*RATE_MAX below 30, or not told",
         Reaction.REFUSE, None, _P + "test_unsafe_parameters_are_refused_with_the_reason",
     ),
 }  # fmt: skip

@@ -65,7 +65,7 @@ class Event(Enum):
     TOOK_OVER = "the mode was changed or the vehicle disarmed by someone else"
     DISARMED = "disarmed after our landing"
     LINK_LOST = "no heartbeat for too long"
-    UNFIT = "the state is not fit to fly with"
+    UNFIT = "its state or its parameters are not fit to fly with"
     FAULT_LAND = "a watchdog barked: PX4 is to land"
     FAULT_HOLD = "a watchdog barked: PX4 is to hold"
     HANDED_OVER = "PX4 has taken the vehicle"
@@ -87,6 +87,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
         _S.STANDBY: {
             _E.READY: _S.STREAMING,
             _E.FOREIGN: _S.REFUSED,
+            _E.UNFIT: _S.REFUSED,
             _E.BUSY: _S.REFUSED,
             _E.TIMEOUT: _S.REFUSED,
             _E.LINK_LOST: _S.REFUSED,

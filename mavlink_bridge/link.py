@@ -129,6 +129,11 @@ class Link:
         self._peer = 0
         self._lean = signing is None and isinstance(self._framing, DatagramFraming)
 
+    @property
+    def signing(self) -> bool:
+        """What goes out is signed, and only what is rightly signed comes in."""
+        return self._signing is not None
+
     def expect_peer(self, system: int) -> None:
         """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""
         self._peer = system

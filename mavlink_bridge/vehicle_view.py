@@ -10,6 +10,7 @@ from flightstack.predictor import Streams
 from mavlink_bridge import messages as m
 from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
 from mavlink_bridge.vehicle_clock import VehicleClock
+from mavlink_bridge.vehicle_params import ParamReader
 
 _TEXT_MEMORY = 50
 _ROUND_TRIPS = 6_000
@@ -29,6 +30,7 @@ class VehicleView:
         self.mode_at_us = -1
         self.landed_state = 0
         self.estimator_flags = 0
+        self.params = ParamReader()
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
         self.battery_v = float("nan")
@@ -93,16 +95,17 @@ class VehicleView:
         self.clock.observe(message.t_us, now_us)  # the one stream whose stamps have microseconds, not milliseconds
 
     def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
-        """Outputs scaled as PX4's defaults do (1000 us stopped, 2000 us full); 900 us is disarmed."""
         if message.port == 0:
-            commands = [min(1.0, max(0.0, (pwm - 1000.0) * 1e-3)) for pwm in message.pwm_us[:4]]
-            self.streams.motors(message.t_us, (commands[0], commands[1], commands[2], commands[3]))
+            self.streams.motors(message.t_us, self.params.outputs_now.commands(message.pwm_us))
 
     def _on_landed(self, message: m.ExtendedSysState, now_us: int) -> None:
         self.landed_state = message.landed_state
 
     def _on_estimator(self, message: m.EstimatorStatus, now_us: int) -> None:
         self.estimator_flags = message.flags
+
+    def _on_param(self, message: m.ParamValue | m.ParamError, now_us: int) -> None:
+        self.params.take(message)
 
     def _on_version(self, message: m.AutopilotVersion, now_us: int) -> None:
         self.version = message
@@ -140,6 +143,8 @@ _HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
     m.EstimatorStatus: VehicleView._on_estimator,
     m.AutopilotVersion: VehicleView._on_version,
     m.SysStatus: VehicleView._on_status,
+    m.ParamValue: VehicleView._on_param,
+    m.ParamError: VehicleView._on_param,
     m.Statustext: VehicleView._on_text,
     m.Timesync: VehicleView._on_timesync,
 }

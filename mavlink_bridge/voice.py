@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.types import F64, Command, Tuple4
+from flightstack.types import F64, Command, Tuple3, Tuple4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.link import Link
@@ -26,6 +26,8 @@ class Voice:
         self.system = 0
         self.thrust_model_factor = 0.0
         """The vehicle's THR_MDL_FAC: the curve that PX4 undoes before the motors."""
+        self.rate_max_radps: Tuple3 = (math.inf, math.inf, math.inf)
+        """The vehicle's MC_*RATE_MAX, which PX4 itself does not apply to body rates."""
         self._heartbeat_due_us = 0
         self._timesync_due_us = 0
 
@@ -44,8 +46,9 @@ class Voice:
 
     def fly(self, command: Command) -> None:
         """A setpoint of the stack: body rates and thrust."""
-        roll, pitch, yaw = command.rate_frd_radps.tolist()
-        self._setpoint(command.t_us, RATES, _NO_TURN, (roll, pitch, yaw), command.thrust_norm)
+        (x, y, z), (roll, pitch, yaw) = self.rate_max_radps, command.rate_frd_radps.tolist()
+        rates = (min(x, max(-x, roll)), min(y, max(-y, pitch)), min(z, max(-z, yaw)))
+        self._setpoint(command.t_us, RATES, _NO_TURN, rates, command.thrust_norm)
 
     def stand(self, t_us: int) -> None:
         """A setpoint that does nothing on the ground."""
@@ -60,8 +63,8 @@ class Voice:
             heading = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
             self._setpoint(t_us, LEVEL, heading, rest, thrust_norm)
 
-    def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: tuple[float, float, float], thrust: float) -> None:
-        f = self.thrust_model_factor
+    def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
+        f = min(1.0, max(0.0, self.thrust_model_factor))
         wire = min(1.0, max(0.0, f * thrust * thrust + (1.0 - f) * thrust))  # PX4 undoes the same curve
         self._link.send(m.SetAttitudeTarget(t_us, self.system, px4.COMPONENT_AUTOPILOT, mask, q, rates, wire))
 

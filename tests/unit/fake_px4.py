@@ -13,6 +13,12 @@ from mavlink_bridge.link import Link, Signing
 
 HOLD, LAND, OFFBOARD, POSITION, RTL = 0x03040000, 0x06040000, 0x00060000, 0x00030000, 0x05040000
 STEP_US = 4_000
+PARAMS = {
+    "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0.0, "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MC_BAT_SCALE_EN": 0.0,
+    "MC_ROLLRATE_MAX": 220.0, "MC_PITCHRATE_MAX": 220.0, "MC_YAWRATE_MAX": 200.0,
+    "PWM_MAIN_FUNC1": 101.0, "PWM_MAIN_FUNC2": 102.0, "PWM_MAIN_FUNC3": 103.0, "PWM_MAIN_FUNC4": 104.0,
+}  # fmt: skip
+"""As a PX4 with its internal simulator has them; all sent as REAL32."""
 REST: Tuple3 = (0.0, 0.0, 0.0)
 
 
@@ -44,6 +50,9 @@ class FakePx4:
     """Position, velocity and acceleration at a time."""
     alter: Callable[[Any], Any | None] = lambda message: message
     """What becomes of attitude, position and IMU on their way; None: lost."""
+    params: dict[str, float] = field(default_factory=lambda: dict(PARAMS))
+    answers_params: bool = True
+    lacks_param_error: bool = False
     setpoints: list[m.SetAttitudeTarget] = field(default_factory=list)
     commands: list[m.CommandLong] = field(default_factory=list)
 
@@ -86,6 +95,13 @@ class FakePx4:
     def _take(self, message: object, system: int, component: int) -> None:
         if isinstance(message, m.SetAttitudeTarget):
             self.setpoints.append(message)
+        elif isinstance(message, m.ParamRequestRead) and self.answers_params:
+            kind = m.PARAM_REAL32
+            if message.param_id in self.params:
+                bits = m.param_bits(self.params[message.param_id], kind)
+                self.link.send(m.ParamValue(message.param_id, bits, kind, 875, 1))
+            elif not self.lacks_param_error:
+                self.link.send(m.ParamError(system, component, message.param_id, -1, 1))
         elif isinstance(message, m.CommandLong):
             self.commands.append(message)
             self._obey(message, system, component)

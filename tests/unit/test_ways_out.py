@@ -229,7 +229,7 @@ def test_a_lost_link_falls_silent_before_it_may_come_back() -> None:
 def test_a_link_that_comes_back_finds_a_companion_that_keeps_its_hands_off(
     mode: int, seconds: float, final: State
 ) -> None:
-    """PX4's failsafe, or the pilot on a link of his own, has taken over meanwhile; setpoints would bring OFFBOARD back."""
+    """PX4's failsafe, or a pilot on another link, has taken over meanwhile; setpoints would bring OFFBOARD back."""
     flight = flying()
     companion, _, vehicle, now = flight
     now, _ = _apart(flight, seconds, now)
