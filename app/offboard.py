@@ -14,6 +14,7 @@ from app.preparation import FlightOptions, Prepared, prepare_flight
 from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming
 from app.score import FlightScore
+from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from logs.threaded import ThreadedLog
 from logs.writer import Recorder
@@ -23,12 +24,21 @@ from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.signing import Signer
-from mavlink_bridge.transport.address import Transport, framing_for, open_address, parse_address
+from mavlink_bridge.transport.address import (
+    Serial,
+    Transport,
+    UdpIn,
+    UdpOut,
+    framing_for,
+    open_address,
+    parse_address,
+)
 from mavlink_bridge.transport.clock import monotonic_us
 from mavlink_bridge.transport.key_file import KeyFile
 
 PERIOD_US = 4_000
 _LEAST_PERIOD_US = 500
+_LEAST_BAUD = 500_000
 _LAST_WORDS_S = 0.3
 """After the end the link stays open for so long, for the last command and its answer."""
 _LAST_WORDS_TIMES = 5
@@ -66,7 +76,7 @@ def offboard(
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     prepared = prepare_flight(options)
-    parse_address(options.connect)
+    require_room(parse_address(options.connect))
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
         messages.prepare()
@@ -130,6 +140,15 @@ def _offboard(
     )
     files.write_flight_report(log_path, out / "report.html", result)
     return result
+
+
+def require_room(address: UdpIn | UdpOut | Serial) -> None:
+    """InputError where a serial line is too slow for the streams that a flight needs."""
+    if isinstance(address, Serial) and address.baud < _LEAST_BAUD:
+        raise InputError(
+            f"serial line {address.device} at {address.baud} baud carries {address.baud // 10_000} kB/s, the streams "
+            "need some 50: set it and PX4's port (SER_*_BAUD) to 921600"
+        )
 
 
 @contextmanager

@@ -19,6 +19,8 @@ from mavlink_bridge.vehicle_view import VehicleView
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
+_ROUND_TRIP_MAX_US = 40_000
+"""Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
 
@@ -158,6 +160,8 @@ def _missing(now: Situation) -> list[str]:
     missing = []
     if not now.fresh:
         missing.append("no fresh attitude, position and IMU streams")
+    if slow := _too_slow(now.view):
+        missing.append(slow)
     flags = now.view.estimator_flags
     if flags & _ESTIMATOR_READY != _ESTIMATOR_READY or not flags & _ESTIMATOR_POSITION:
         missing.append(f"estimate not good (ESTIMATOR_STATUS flags {flags:#x})")
@@ -170,12 +174,22 @@ def _missing(now: Situation) -> list[str]:
     return missing
 
 
+def _too_slow(view: VehicleView) -> str:
+    """What is wrong with the link's latency; empty where nothing is."""
+    trip_us = view.round_trip_us
+    if trip_us <= _ROUND_TRIP_MAX_US:
+        return ""
+    return f"link too slow: {trip_us / 1000:.0f} ms there and back, {_ROUND_TRIP_MAX_US // 1000} at most"
+
+
 def _streaming(now: Situation, now_us: int) -> Verdict | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
         return Verdict(Event.ENGAGED)
     if now.unfit:
         return Verdict(Event.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
+    if slow := _too_slow(view):
+        return Verdict(Event.UNFIT, slow)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:
         return None

@@ -62,6 +62,12 @@ class VehicleView:
         return self.landed_state == 1
 
     @property
+    def round_trip_us(self) -> int:
+        """Median of the last ten round trips; 0 before the third one."""
+        latest = sorted(list(self.round_trips_us)[-10:])
+        return latest[len(latest) // 2] if len(latest) >= 3 else 0
+
+    @property
     def mode_name(self) -> str:
         """The mode in PX4's words."""
         return describe_mode(self.custom_mode)

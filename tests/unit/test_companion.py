@@ -184,6 +184,23 @@ def test_streams_that_stop_in_flight_end_in_a_landing_and_hold_is_left_selected(
     assert len(blind) <= 0.6 * 250  # half a second of the guard, then words of our own
 
 
+def test_a_link_that_is_too_slow_for_body_rates_is_refused_with_its_latency() -> None:
+    """TIMESYNC answers that come 60 ms after the question: the round trip says so."""
+    companion, _ = build()
+    vehicle, asked = FakePx4(), []
+
+    def answer(now_us: int) -> None:
+        asked.append(now_us)
+        if len(asked) % 25 == 0:
+            question_us = now_us - 60_000
+            vehicle.link.send(m.Timesync(question_us * 1000 + 30_000_000, question_us * 1000, 240, 191))
+
+    exchange(companion, vehicle, 60.0, each=answer)
+    assert companion.state is State.REFUSED
+    assert "link too slow: 60 ms there and back" in companion.reason
+    assert not vehicle.set_modes(400)
+
+
 def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:
     companion, _ = build()
     vehicle = FakePx4()
