@@ -174,10 +174,10 @@ class Companion:
 
     def _take(self, message: object, now_us: int) -> None:
         t_us = self._t_us
-        self._observer.on_message(t_us, message)
         if isinstance(message, m.CommandAck | m.Timesync) and message.target_system not in (0, self.link.system):
             return  # somebody else's answer
         self.view.update(self._watch.see(message), now_us)
+        self._observer.on_message(t_us, message)
         if isinstance(message, m.CommandAck):
             self._commands.acknowledge(message)
         elif isinstance(message, m.Statustext):
