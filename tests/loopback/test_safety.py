@@ -137,6 +137,47 @@ def test_a_companion_killed_in_a_manoeuvre_is_caught_by_px4s_failsafe(
     assert "already armed" in restarted.reason
 
 
+def test_last_words_alone_level_a_turning_vehicle_until_px4s_failsafe_acts(turning: SimulatedFlight) -> None:
+    """The worst case: of all that was said last only one setpoint arrives, and the command to hold is lost."""
+    plant, commander = turning.vehicle.plant, turning.shell.server.commander
+    assert _tilt_rad(turning) > 0.1
+    height_m = -float(plant.pos_ned_m[2])
+    turning.companion.say_last_words("a bug")
+    word, *_ = [data for data in turning.companion.link.datagrams_to_send() if _is_setpoint(data)]
+    turning.shell.server.receive(ONBOARD, word)
+    while commander.state.mode.title == "Offboard":
+        turning.shell.advance(4)
+    assert _tilt_rad(turning) < 0.03
+    assert -float(plant.pos_ned_m[2]) > height_m - 0.5
+    assert float(np.abs(plant.rate_frd_radps).max()) < 0.1
+
+
+def test_last_words_end_in_px4s_hold(turning: SimulatedFlight) -> None:
+    plant, commander = turning.vehicle.plant, turning.shell.server.commander
+    turning.companion.say_last_words("a bug")
+    for data in turning.companion.link.datagrams_to_send():
+        turning.shell.server.receive(ONBOARD, data)
+    turning.shell.advance(8)
+    assert commander.state.mode.title == "Hold"
+    for _ in range(6 * 250):
+        turning.shell.advance(4)
+        assert not plant.on_ground
+    assert commander.state.mode.title == "Hold"
+    assert float(np.linalg.norm(plant.vel_ned_mps)) < 0.1
+
+
+def _tilt_rad(flight: SimulatedFlight) -> float:
+    w, x, y, z = flight.vehicle.plant.q_ned_frd
+    return float(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
+
+
+def _is_setpoint(data: bytes) -> bool:
+    ear = Link(9, 9)
+    ear.receive_datagram(data, 0)
+    received = ear.next_event()
+    return received is not None and isinstance(received.message, m.SetAttitudeTarget)
+
+
 def _restarted(flight: SimulatedFlight) -> Companion:
     """A new companion on the same link, as a supervisor would start it: without --arm."""
     flight.companion = Companion(
