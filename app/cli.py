@@ -8,17 +8,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: a second BLA
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import inspect
-import signal
 import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
+from app.interrupts import Interrupts
 from app.options import (
     AsPublishedOption,
     CertificateOption,
@@ -36,6 +35,7 @@ from app.options import (
     SeedOption,
     Sensors,
     SensorsOption,
+    SigningKeyOption,
     TruthOption,
     VehicleOption,
     WaypointsArgument,
@@ -93,24 +93,6 @@ def _flight_options(
         "log": log,
         "out": out,
     }
-
-
-class Interrupts:
-    """Ctrl-C: once asks for a landing, twice ends the program."""
-
-    def __init__(self) -> None:
-        self.reason = ""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._handle)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.reason:
-            raise KeyboardInterrupt
-        self.reason = "stopped by the user (Ctrl-C)" if number == signal.SIGINT else "stopped by a signal (SIGTERM)"
-
-    def requested(self) -> str:
-        """Why to stop; empty if not."""
-        return self.reason
 
 
 def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None) -> None:
@@ -184,6 +166,7 @@ def offboard(
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
+    signing_key: SigningKeyOption = None,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -198,6 +181,7 @@ def offboard(
         arm=arm,
         dry_run=dry_run,
         heartbeat_timeout_s=timeout,
+        signing_key=signing_key,
         **common,
     )
 

@@ -162,6 +162,14 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
             f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
         )
+        trip = result.link["round_trip_us"]
+        if trip["p50"] is not None:
+            dropped = sum(result.link["dropped"].values())
+            yield (
+                "link",
+                f"round trip {trip['p50'] / 1e3:.1f} ms (p50), {trip['p99'] / 1e3:.1f} ms (p99); "
+                f"{result.link['lost']} messages lost, {dropped} dropped, {result.link['received']} taken",
+            )
     for check in result.checks:
         yield "check", f"{'[green]kept[/]' if check['passed'] else '[red]FAILED[/]'}: {check['words']}"
 

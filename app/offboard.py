@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from app import files
 from app.compiled import ensure_compiled
-from app.preparation import FlightOptions, prepare_flight
+from app.preparation import FlightOptions, Prepared, prepare_flight
 from app.recorder import LogObserver
 from app.result import FlightResult, LoopTiming
 from app.score import FlightScore
+from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from logs.threaded import ThreadedLog
 from logs.writer import Recorder
@@ -20,13 +23,26 @@ from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import Pace, undisturbed
-from mavlink_bridge.transport.address import Transport, framing_for, open_address, parse_address
+from mavlink_bridge.signing import Signer
+from mavlink_bridge.transport.address import (
+    Serial,
+    Transport,
+    UdpIn,
+    UdpOut,
+    framing_for,
+    open_address,
+    parse_address,
+)
 from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.key_file import KeyFile
 
 PERIOD_US = 4_000
 _LEAST_PERIOD_US = 500
+_LEAST_BAUD = 500_000
 _LAST_WORDS_S = 0.3
 """After the end the link stays open for so long, for the last command and its answer."""
+_LAST_WORDS_TIMES = 5
+"""A program that ends without warning says them so often: a link may lose one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +54,8 @@ class OffboardOptions(FlightOptions):
     arm: bool = False
     dry_run: bool = False
     heartbeat_timeout_s: float = 10.0
+    signing_key: Path | None = None
+    """File of the key that signs what is sent and without which nothing counts that is received."""
 
     @property
     def in_real_time(self) -> bool:
@@ -58,13 +76,24 @@ def offboard(
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     prepared = prepare_flight(options)
+    require_room(parse_address(options.connect))
+    with _key(options.signing_key) as signer:
+        ensure_compiled(lambda text: on_progress(0.0, text))
+        messages.prepare()
+        warm_up(prepared.stack, prepared.scenario)
+        return _offboard(options, prepared, signer, stop_requested, on_progress)
+
+
+def _offboard(
+    options: OffboardOptions,
+    prepared: Prepared,
+    signer: Signer | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
-    ensure_compiled(lambda text: on_progress(0.0, text))
-    messages.prepare()
-    warm_up(stack, scenario)
     address = parse_address(options.connect)
-    transport = open_address(address)
-    try:
+    with closing(open_address(address)) as transport:
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
         settings = {
@@ -72,6 +101,7 @@ def offboard(
             "arm": str(options.arm),
             "dry_run": str(options.dry_run),
             "pace": "realtime",
+            "signing": "off" if signer is None else "on",
         }
         log = prepared.with_more(settings).open_log(log_path)
         recorder = ThreadedLog(log)
@@ -85,7 +115,7 @@ def offboard(
             certifier=prepared.protection.watched,
         )
         companion = Companion(
-            Link(240, 191, framing=framing_for(address)),
+            Link(240, 191, framing=framing_for(address), signing=signer),
             stack,
             scenario,
             observer,
@@ -95,12 +125,10 @@ def offboard(
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
         try:
-            with undisturbed():
+            with undisturbed(), last_words(companion, transport):
                 _loop(companion, transport, recorder, timing, stop_requested, on_progress)
         finally:
             recorder.close()
-    finally:
-        transport.close()
     wall_s = time.perf_counter() - started
     result = score.result(
         log,
@@ -112,6 +140,40 @@ def offboard(
     )
     files.write_flight_report(log_path, out / "report.html", result)
     return result
+
+
+def require_room(address: UdpIn | UdpOut | Serial) -> None:
+    """InputError where a serial line is too slow for the streams that a flight needs."""
+    if isinstance(address, Serial) and address.baud < _LEAST_BAUD:
+        raise InputError(
+            f"serial line {address.device} at {address.baud} baud carries {address.baud // 10_000} kB/s, the streams "
+            "need some 50: set it and PX4's port (SER_*_BAUD) to 921600"
+        )
+
+
+@contextmanager
+def _key(path: Path | None) -> Iterator[Signer | None]:
+    """The key, ours alone; InputError where it can't be had."""
+    if path is None:
+        yield None
+        return
+    with closing(KeyFile.open(path)) as key:
+        yield key.signer
+
+
+@contextmanager
+def last_words(companion: Companion, transport: Transport) -> Iterator[None]:
+    """Whatever ends the flight (a bug, a second Ctrl-C): a vehicle that is ours is levelled and given to PX4's Hold."""
+    try:
+        yield
+    except BaseException as error:
+        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        with suppress(Exception):  # the first exception counts, and what can be said is said
+            for _ in range(_LAST_WORDS_TIMES):
+                companion.say_last_words(reason)
+                for data in companion.link.datagrams_to_send():
+                    transport.send(data)
+        raise
 
 
 def _loop(

@@ -40,5 +40,9 @@ AsPublishedOption = Annotated[
 ]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 TruthOption = Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")]
+SigningKeyOption = Annotated[
+    Path | None,
+    typer.Option(help="Sign with the key in this file (MAVLink 2) and hear nothing unsigned.", metavar="FILE"),
+]
 SensorsOption = Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
 PlantOption = Annotated[PlantName, typer.Option(help="Physics.")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,11 +53,11 @@ class LoopTiming:
         return {"rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed}
 
 
-def percentiles(values: Sequence[float]) -> dict[str, float | None]:
+def percentiles(values: Collection[float]) -> dict[str, float | None]:
     """p50, p99 and maximum; null where there is nothing."""
     if not values:
         return {"p50": None, "p99": None, "max": None}
-    array = np.asarray(values, dtype=np.float64)
+    array = np.array(list(values), dtype=np.float64)
     return {"p50": float(np.percentile(array, 50)), "p99": float(np.percentile(array, 99)), "max": float(array.max())}
 
 
@@ -89,6 +89,14 @@ NO_QP: dict[str, Any] = {
     "infeasible": None,
     "histogram": None,
 }
+NO_LINK: dict[str, Any] = {
+    "round_trip_us": {"p50": None, "p99": None, "max": None},
+    "received": None,
+    "lost": None,
+    "dropped": None,
+    "signed": None,
+}
+"""The MAVLink link: TIMESYNC round trips by the local clock, messages, and how many were dropped for which reason."""
 NO_REGION: dict[str, Any] = {
     "of": None,
     "engaged_s": None,
@@ -125,6 +133,7 @@ class FlightResult:
     barrier: dict[str, Any] = field(default_factory=lambda: dict(NO_BARRIER))
     qp: dict[str, Any] = field(default_factory=lambda: dict(NO_QP))
     region: dict[str, Any] = field(default_factory=lambda: dict(NO_REGION))
+    link: dict[str, Any] = field(default_factory=lambda: dict(NO_LINK))
     protection: str = ""
     """What the barrier filter was, in words, or why there was none."""
     report: str | None = None
@@ -186,6 +195,7 @@ class FlightResult:
             "qp": self.qp,
             "region": self.region,
             "loop": self.loop,
+            "link": self.link,
             "checks": self.checks,
             "log_complete": not self.log_problem,
         }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from app.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary
 from app.calibration import gp_summary
 from app.preparation import Prepared
-from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge
+from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge, percentiles
 from flightstack.types import F64, Learned, TickRecord, Tuple3
 from logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
@@ -112,12 +112,26 @@ class FlightScore:
             barrier=barrier_summary(self._filtering, region, self._interventions),
             qp=qp_summary(stack.filter, self._infeasible),
             region=region,
+            link=link_summary(companion),
             protection=prepared.protection.words,
             log_problem=log.failed or "",
         )
         if checked:
             result.checks = [judge(check, result.as_json()) for check in prepared.scenario.checks]
         return result
+
+
+def link_summary(companion: Companion) -> dict[str, object]:
+    """The JSON's `link`."""
+    stats = companion.link.stats.as_dict()
+    reasons = ("bad_crc", "bad_length", "bad_signature", "unsigned", "replayed", "unknown_id", "not_finite")
+    return {
+        "round_trip_us": percentiles(companion.view.round_trips_us),
+        "received": stats["received"],
+        "lost": stats["lost"],
+        "dropped": {name: stats[name] for name in reasons if stats[name]},
+        "signed": companion.link.signing,
+    }
 
 
 def _relative(position_ned_m: Position, start_ned_m: Position) -> Tuple3:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flightstack.applied import Applied
 from flightstack.control.feedback import FlatnessController
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
@@ -34,6 +35,8 @@ class StackState(NamedTuple):
     """Where the flight began, (3,)."""
     carried_n: float
     """Vertical thrust of the last second or so: what the guard trusts to carry the vehicle."""
+    applied: Applied = Applied()
+    """What the motors made of the thrust that was sent."""
 
 
 class Stack:
@@ -82,10 +85,12 @@ class Stack:
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
         control, learner, certifier, safe = state.control, state.learner, state.certifier, state.filter
+        applied = state.applied
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, state.sent, False
         filtered = _UNFILTERED
         if usable:
-            learner, learned = self.learner.step(learner, seen, state.sent, setpoint)
+            applied = applied.follow(state.sent, seen.motor_command, self.model, now_us - state.sent.t_us)
+            learner, learned = self.learner.step(learner, seen, applied.of(state.sent), setpoint)
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, state.filtered)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
@@ -100,7 +105,8 @@ class Stack:
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
-        after = StackState(control, learner, certifier, safe, filtered, seen, command, state.origin_ned_m, carried)
+        origin = state.origin_ned_m
+        after = StackState(control, learner, certifier, safe, filtered, seen, command, origin, carried, applied)
         return after, command, record
 
 

@@ -7,8 +7,6 @@ stack lives in the vehicle's time (`vehicle_clock`), in which stamps, delays and
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from flightstack.guard import stale
@@ -16,42 +14,31 @@ from flightstack.mission import Mission, plan
 from flightstack.predictor import predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack, StackState
-from flightstack.types import F64, Command, FlatOutput, Measurement, TickRecord
+from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide
+from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, Event, State, transition
 from mavlink_bridge.link import Link, Received
+from mavlink_bridge.onlookers import Observer, Planner
 from mavlink_bridge.requests import CommandQueue, stream_requests
+from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
+from mavlink_bridge.voice import Voice, yaw_of
+from mavlink_bridge.watchdogs import Watchdogs
 
 __all__ = ["Companion", "CompanionConfig", "Observer", "Planner"]
 
 _REST_TICKS = 1_000
 """Ticks over which the position at rest is averaged; on a longer wait the last 4 s or so count."""
-_TIMESYNC_PERIOD_US = 100_000
-_FULL_MASK_RATES = 128
-"""SET_ATTITUDE_TARGET: ignore the attitude, take body rates and thrust.  Never the throttle-ignore bit (64)."""
-
-
-class Observer(Protocol):
-    """Who wants to know (the log, the progress bar).  Called inside the tick: must be quick and must not raise."""
-
-    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
-        """A transition, a change of mode, a text of the vehicle; `t_us` in the vehicle's time."""
-
-    def on_tick(self, record: TickRecord) -> None:
-        """One tick of the stack."""
-
-    def on_message(self, t_us: int, message: object) -> None:
-        """A message of the identified vehicle, at vehicle time `t_us`."""
-
-
-class Planner(Protocol):
-    """Who changes the mission while it is flown."""
-
-    def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
-        """The mission from here on, after a tick at mission time `t_s`; mostly the same one."""
+_CALM_US = 1_000_000
+"""Safe words go on for so long at most while PX4 is asked to take the vehicle; then silence, and its own failsafe."""
+_MODE_KNOWN_US = 1_500_000
+"""An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
+_BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
+"""Rows after which the attitude is not trusted any more."""
+_RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
 class Companion:
@@ -87,8 +74,8 @@ class Companion:
         """Estimated position where the flight began, (3,): the scenario's coordinates are relative to it."""
         self._commands = CommandQueue(link)
         self._now = Situation(config, self.view, self._commands)
-        self._heartbeat_due_us = 0
-        self._timesync_due_us = 0
+        self._voice = Voice(link)
+        self._watch = Watchdogs(self.view.clock)
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
@@ -99,6 +86,12 @@ class Companion:
         self._measurement: Measurement | None = None
         """The state at this step; None until every stream has been heard."""
         self._phase_now = ""
+        self._fault = ""
+        """Row of the fault table that ended the flight; empty: none."""
+        self._guard = ""
+        self._guard_since_us = -1
+        """Local time from which the guard has flown without a break; -1: it does not."""
+        self._resets = 0
 
     # ---------------------------------------------------------------- outside
 
@@ -130,11 +123,12 @@ class Companion:
         now = self._now
         if now.entered_us < 0:
             now.entered_us = now_us
+        self._watch.step(now_us)
         self._t_us = self.view.clock.vehicle_us(now_us)
         self._read(now_us)
         self._t_us = self.view.clock.vehicle_us(now_us)
         if not self.done:
-            self._look()
+            self._look(now_us)
         while (verdict := decide(now, now_us)) is not None:
             self.reason = verdict.reason or self.reason
             after = transition(now.state, verdict.event)
@@ -143,12 +137,27 @@ class Companion:
             self._enter(after, verdict.event, now_us)
         self._act(now_us)
 
+    def say_last_words(self, reason: str) -> None:
+        """The process is about to end, whatever the cause: where it flies the vehicle, level it and ask for Hold."""
+        if self.state not in (State.OFFBOARD, State.HOLDING) and not (
+            self.state is State.LANDING and not self._landing
+        ):
+            return
+        self.reason = reason
+        self._observer.on_event(self._t_us, "fault", f"exception: {reason}: last words, asking for Hold", "warning")
+        self._calm()
+        self._commands.insist(_set_mode(px4.MODE_HOLD))
+
     # ---------------------------------------------------------------- read
 
     def _read(self, now_us: int) -> None:
         now = self._now
         while (received := self.link.next_event()) is not None:
-            if now.system == 0:
+            if received.system == self.link.system and received.component == self.link.component:
+                now.rival = now.rival or "another companion is on this link (our own system and component speak)"
+            elif isinstance(received.message, _RIVALS) and received.system != now.system:
+                now.rival = now.rival or f"system {received.system} sends offboard setpoints on this link"
+            elif now.system == 0:
                 self._meet(received, now_us)
             elif received.system == now.system and received.component == px4.COMPONENT_AUTOPILOT:
                 self._take(received.message, now_us)
@@ -159,13 +168,15 @@ class Companion:
         """Before anyone is identified only heartbeats of autopilots count."""
         message = received.message
         if isinstance(message, m.Heartbeat) and received.component == px4.COMPONENT_AUTOPILOT:
-            self._now.system = received.system
+            self._now.system = self._voice.system = received.system
             self.link.expect_peer(received.system)
             self._take(message, now_us)
 
     def _take(self, message: object, now_us: int) -> None:
-        self.view.update(message, now_us)
         t_us = self._t_us
+        if isinstance(message, m.CommandAck | m.Timesync) and message.target_system not in (0, self.link.system):
+            return  # somebody else's answer
+        self.view.update(self._watch.see(message), now_us)
         self._observer.on_message(t_us, message)
         if isinstance(message, m.CommandAck):
             self._commands.acknowledge(message)
@@ -175,12 +186,16 @@ class Companion:
             self._mode_seen = self.view.custom_mode
             self._observer.on_event(t_us, "mode", f"vehicle is in {self.view.mode_name}", "info")
 
-    def _look(self) -> None:
+    def _look(self, now_us: int) -> None:
         """The state of the vehicle and of the mission at this step."""
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
         self._measurement = predict(self.view.streams, t_us)
-        now.fresh = not stale(self._measurement, self._stack.limits)
+        lost = stale(self._measurement, self._stack.limits)
+        now.fresh = not lost
+        now.unfit, now.trouble = self._watch.unfit, self._watch.trouble
+        if self._guard_since_us >= 0 and now_us - self._guard_since_us > now.config.blind_s * SECOND_US:
+            now.trouble = f"stale-{lost}" if lost else "guard"
         if now.state is State.OFFBOARD and self.mission is not None:
             self._phase_now = self.mission.phase(self._mission_time_s())
             now.mission_done = self._phase_now == "done"
@@ -191,37 +206,53 @@ class Companion:
         """What happens once, on the way into a state."""
         self._now.state, self._now.entered_us = state, now_us
         t_us = self._t_us
-        severity = "warning" if state in (State.PILOT, State.LOST, State.REFUSED) else "info"
+        if event in (Event.FAULT_LAND, Event.FAULT_HOLD):
+            fault = FAULTS[self._now.trouble]
+            self._observer.on_event(
+                t_us, "fault", f"{self._now.trouble}: {fault.what}; {fault.reaction.value}", "warning"
+            )
+        severity = "warning" if state in (State.PILOT, State.LOST, State.REFUSED, State.HOLDING) else "info"
         text = f"{state.value}: {event.value}" + (f" ({self.reason})" if self.reason else "")
         self._observer.on_event(t_us, "state", text, severity)
         if state is State.STANDBY:
             for request in stream_requests():
                 self._commands.request(request, now_us)
+        elif state is State.STREAMING:
+            params = self.view.params
+            self._voice.thrust_model_factor = params.values["THR_MDL_FAC"]
+            self._voice.rate_max_radps = params.rate_max_radps
+            self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.OFFBOARD:
-            self._engage(now_us, t_us)
+            self._engage(t_us)
         elif state is State.LANDING:
             self.land_command_us = t_us
             if event is Event.STOP and self.mission is not None:
                 self.mission = self.mission.stop(self._mission_time_s())
             self._mission_complete = event is Event.MISSION_DONE
+            self._now.landing_for = "" if self._mission_complete else self.reason
+            self._fault = self._now.trouble if event is Event.FAULT_LAND else ""
             self._set_phase("land", t_us)
             self._command_mode(px4.MODE_LAND, now_us)
-        elif state is State.LOST:
+        elif state in (State.HOLDING, State.LOST):
             self.land_command_us = t_us if self.land_command_us < 0 else self.land_command_us
-            self._command_mode(px4.MODE_LAND, now_us)
+            self._fault = self._now.trouble if state is State.HOLDING else self._fault
+            if self._ours(now_us):
+                self._calm()
+                self._command_mode(px4.MODE_HOLD if state is State.HOLDING else px4.MODE_LAND, now_us)
         elif state is State.LANDED:
             self._set_phase("landed", t_us)
             self._command_mode(px4.MODE_HOLD, now_us)
 
-    def _engage(self, now_us: int, t_us: int) -> None:
+    def _engage(self, t_us: int) -> None:
         measurement = self._measurement
         assert measurement is not None  # STREAMING is not entered without one
         self.start_ned_m = measurement.pos_ned_m.copy()
         if self._rested:  # at rest the mean says better where the vehicle stands than any one noisy sample
             self.start_ned_m = self._rest_ned_m.copy()
-        self.mission = plan(self._scenario, self.start_ned_m, _yaw(measurement.q_ned_frd))
+        self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd))
         self._stack_state = self._stack.init(measurement, self.start_ned_m)
-        self._now.last_good_us = now_us
+        self._watch.begin()
+        self._guard_since_us = -1
         self.flight_start_us = t_us
         self._phase_now = self.mission.phase(0.0)
 
@@ -230,16 +261,13 @@ class Companion:
         state, system = self._now.state, self._now.system
         if state in FINAL and self._now.entered_us != now_us:
             return
-        if now_us >= self._heartbeat_due_us and system:
-            self._heartbeat_due_us = now_us + SECOND_US
-            self._send_heartbeats()
-        if now_us >= self._timesync_due_us and system:
-            self._timesync_due_us = now_us + _TIMESYNC_PERIOD_US
-            self.link.send(m.Timesync(0, now_us * 1000, system, px4.COMPONENT_AUTOPILOT))
+        self._voice.keep_in_touch(now_us)
         if state is State.OFFBOARD:
             self._fly(now_us)
         elif state is State.IDENTIFYING:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
+        elif state is State.STANDBY:
+            self.view.params.ask(self.link, system, now_us)
         elif state is State.STREAMING and not self._config.dry_run:
             self._stream_idle()
             if self._config.arm:
@@ -247,8 +275,9 @@ class Companion:
         elif state is State.LANDING:
             self._landing = self._landing or self.view.custom_mode == px4.MODE_LAND
             if not self._landing:  # until PX4 says that it lands, the stack holds the vehicle
-                self._fly(now_us)
-                self._command_mode(px4.MODE_LAND, now_us)
+                self._hand_back(px4.MODE_LAND, now_us)
+        elif state is State.HOLDING:
+            self._hand_back(px4.MODE_HOLD, now_us)
         self._commands.step(now_us, system)
 
     def _ask_for_offboard_and_arm(self, now_us: int) -> None:
@@ -264,7 +293,7 @@ class Companion:
         t_us, measurement = self._t_us, self._measurement
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
-            self._send_setpoint(Command(t_us, 0.0, 0.0, np.zeros(3)))
+            self._voice.stand(t_us)
             if measurement is not None and self.view.on_ground:
                 self._rested = min(self._rested + 1, _REST_TICKS)
                 self._rest_ned_m += (measurement.pos_ned_m - self._rest_ned_m) / self._rested
@@ -277,12 +306,11 @@ class Companion:
 
     def _fly(self, now_us: int) -> None:
         assert self.mission is not None
-        if self._now.fresh:
-            self._now.last_good_us = now_us
         if self._now.state is State.OFFBOARD:
             self._set_phase(self._phase_now, self._t_us)
         t_s = self._mission_time_s()
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
+        self._note(record, now_us)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
@@ -291,10 +319,45 @@ class Companion:
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
         self._stack_state, command, record = self._stack.tick(self._stack_state, measurement, setpoint, t_us)
-        self._send_setpoint(command)
+        self._voice.fly(command)
         self._observer.on_tick(record)
         self.ticks += 1
         return record
+
+    def _hand_back(self, mode: int, now_us: int) -> None:
+        """PX4 is asked to take the vehicle; until it has, keep it safe.  Without a fault the stack just flies on."""
+        if not self._fault:
+            self._fly(now_us)
+        elif self._ours(now_us) and now_us - self._now.entered_us < _CALM_US:
+            self._calm()
+        if self._ours(now_us):
+            self._command_mode(mode, now_us)
+
+    def _ours(self, now_us: int) -> bool:
+        """Of late the vehicle was in OFFBOARD: it is ours to command."""
+        return self.view.in_offboard and now_us - self.view.mode_at_us <= _MODE_KNOWN_US
+
+    def _calm(self) -> None:
+        """Safe words: what PX4 may go on with until its own failsafe acts."""
+        state, model = self._stack_state, self._stack.model
+        carried = model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n
+        measurement = self._measurement if self._fault not in _BLIND else None
+        yaw_rad = None if measurement is None else yaw_of(measurement.q_ned_frd)
+        self._voice.calm(self._t_us, model.norm_of(carried), yaw_rad)
+
+    def _note(self, record: TickRecord, now_us: int) -> None:
+        """What the guard and the watch of resets did, told once."""
+        acts = "" if record.guard.startswith("clip") else record.guard
+        if acts != self._guard:
+            self._guard, self._guard_since_us = acts, (now_us if acts and not self._guard else self._guard_since_us)
+            self._guard_since_us = self._guard_since_us if acts else -1
+            self._observer.on_event(self._t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
+        resets = self._watch.resets
+        if resets.counted != self._resets:
+            self._resets = resets.counted
+            moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
+            text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
+            self._observer.on_event(self._t_us, "fault", text, "warning")
 
     def _mission_time_s(self) -> float:
         return (self._t_us - self.flight_start_us) / SECOND_US
@@ -306,38 +369,17 @@ class Companion:
 
     # ---------------------------------------------------------------- send
 
-    def _send_heartbeats(self) -> None:
-        """As onboard controller, and as a ground station: PX4 sends STATUSTEXT only to links that saw one."""
-        self.link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-        self.link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)
-
-    def _send_setpoint(self, command: Command) -> None:
-        roll, pitch, yaw = command.rate_frd_radps.tolist()
-        self.link.send(
-            m.SetAttitudeTarget(
-                command.t_us,
-                self._now.system,
-                px4.COMPONENT_AUTOPILOT,
-                _FULL_MASK_RATES,
-                (1.0, 0.0, 0.0, 0.0),
-                (roll, pitch, yaw),
-                command.thrust_norm,
-            )
-        )
-
     def _command_mode(self, custom_mode: int, now_us: int) -> None:
-        params = (1.0, float(px4.main_mode(custom_mode)), float(px4.sub_mode(custom_mode)))
-        self._commands.ensure((px4.Cmd.DO_SET_MODE, params), now_us)
+        self._commands.ensure(_set_mode(custom_mode), now_us)
 
     def _request(self, message: type) -> tuple[px4.Cmd, tuple[float, ...]]:
         return px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(message)),)
 
 
-def _yaw(q_ned_frd: F64) -> float:
-    w, x, y, z = (float(value) for value in q_ned_frd)
-    return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+def _set_mode(custom_mode: int) -> tuple[px4.Cmd, tuple[float, ...]]:
+    return px4.Cmd.DO_SET_MODE, (1.0, float(px4.main_mode(custom_mode)), float(px4.sub_mode(custom_mode)))
 
 
 def _hover_at(measurement: Measurement) -> FlatOutput:
     zero = np.zeros(3)
-    return FlatOutput.of(measurement.pos_ned_m, zero, zero, zero, zero, _yaw(measurement.q_ned_frd))
+    return FlatOutput.of(measurement.pos_ned_m, zero, zero, zero, zero, yaw_of(measurement.q_ned_frd))

@@ -10,13 +10,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from mavlink_bridge import px4
+from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import Event, State
 from mavlink_bridge.requests import CommandQueue
+from mavlink_bridge.vehicle_params import unsafe
 from mavlink_bridge.vehicle_view import VehicleView
 
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
+_ROUND_TRIP_MAX_US = 40_000
+"""Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
 
@@ -36,7 +40,7 @@ class CompanionConfig:
     link_loss_s: float = 3.0
     """Heartbeats missing for so long: the link is lost (PX4 sends 1 Hz)."""
     blind_s: float = 0.5
-    """No usable state for so long in flight: land and stop streaming (PX4's own failsafe follows)."""
+    """The guard has flown for so long without a break (no usable state, outside the envelope): hand back."""
     stream_before_offboard_s: float = 0.5
 
 
@@ -54,13 +58,19 @@ class Situation:
     """The vehicle's system id; 0 before the first heartbeat."""
     foreign_system: int = 0
     """Another autopilot on the link; 0: none."""
+    rival: str = ""
+    """Another companion on the link, in words; empty: none."""
     stop_requested: str = ""
     """Why the user wants to stop; empty: goes on."""
     fresh: bool = False
     """Attitude, position and IMU are there and not stale."""
-    last_good_us: int = -1
-    """Local time of the last fresh state in flight."""
+    unfit: str = ""
+    """Row of the fault table that says that the state can't be flown with; empty: it can."""
+    trouble: str = ""
+    """Row of the fault table that applies in flight; empty: none."""
     mission_done: bool = False
+    landing_for: str = ""
+    """Why the landing began before the mission's end; empty: it did not."""
 
 
 class Verdict(NamedTuple):
@@ -76,15 +86,16 @@ def decide(now: Situation, now_us: int) -> Verdict | None:
     look = _LOOKS.get(state)
     if look is None:
         return None
-    if now.stop_requested and state is not State.LANDING:
+    if now.stop_requested and state not in (State.LANDING, State.HOLDING):
         return Verdict(Event.STOP, now.stop_requested)
     if state is not State.DISCONNECTED and (lost := _link_lost(now, now_us)):
         return Verdict(Event.LINK_LOST, lost)
-    if now.foreign_system and state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
-        return Verdict(
-            Event.FOREIGN,
-            f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing",
-        )
+    if state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
+        if now.foreign_system:
+            words = f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing"
+            return Verdict(Event.FOREIGN, words)
+        if now.rival:
+            return Verdict(Event.FOREIGN, f"{now.rival}: stop it first")
     return look(now, now_us)
 
 
@@ -131,7 +142,11 @@ def _standby(now: Situation, now_us: int) -> Verdict | None:
         return Verdict(
             Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
         )
+    if view.params.settled and (danger := unsafe(view.params.values)):
+        return Verdict(Event.UNFIT, danger)
     missing = _missing(now)
+    if now.unfit:
+        missing.append(FAULTS[now.unfit].what)
     if not missing:
         return Verdict(Event.READY)
     if _in_state_s(now, now_us) > config.ready_timeout_s:
@@ -145,18 +160,36 @@ def _missing(now: Situation) -> list[str]:
     missing = []
     if not now.fresh:
         missing.append("no fresh attitude, position and IMU streams")
+    if slow := _too_slow(now.view):
+        missing.append(slow)
     flags = now.view.estimator_flags
     if flags & _ESTIMATOR_READY != _ESTIMATOR_READY or not flags & _ESTIMATOR_POSITION:
         missing.append(f"estimate not good (ESTIMATOR_STATUS flags {flags:#x})")
     if now.view.landed_state == 0:
         missing.append("landed state unknown")
+    if not now.view.params.settled:
+        missing.append(f"parameters not told ({', '.join(now.view.params.missing) or 'still asking'})")
+    if now.view.armed and now.view.intended_at_us < 0:
+        missing.append("armed, and which mode it would go back to is not known (CURRENT_MODE)")
     return missing
+
+
+def _too_slow(view: VehicleView) -> str:
+    """What is wrong with the link's latency; empty where nothing is."""
+    trip_us = view.round_trip_us
+    if trip_us <= _ROUND_TRIP_MAX_US:
+        return ""
+    return f"link too slow: {trip_us / 1000:.0f} ms there and back, {_ROUND_TRIP_MAX_US // 1000} at most"
 
 
 def _streaming(now: Situation, now_us: int) -> Verdict | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
         return Verdict(Event.ENGAGED)
+    if now.unfit:
+        return Verdict(Event.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
+    if slow := _too_slow(view):
+        return Verdict(Event.UNFIT, slow)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:
         return None
@@ -185,6 +218,10 @@ def _offboard(now: Situation, now_us: int) -> Verdict | None:
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
         return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
+    if now.trouble:
+        fault = FAULTS[now.trouble]
+        event = Event.FAULT_HOLD if fault.reaction is Reaction.HOLD else Event.FAULT_LAND
+        return Verdict(event, f"{now.trouble}: {fault.what}")
     return Verdict(Event.MISSION_DONE) if now.mission_done else None
 
 
@@ -194,9 +231,22 @@ def _landing(now: Situation, now_us: int) -> Verdict | None:
         return Verdict(Event.DISARMED)
     settled = view.mode_at_us > now.entered_us + SECOND_US // 2
     if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
+        why = f"{now.landing_for}; " if now.landing_for else ""
         return Verdict(
-            Event.TOOK_OVER, f"the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot"
+            Event.TOOK_OVER,
+            f"{why}the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot",
         )
+    return None
+
+
+def _holding(now: Situation, now_us: int) -> Verdict | None:
+    view = now.view
+    if view.heartbeat_at_us > now.entered_us and not view.armed:
+        return Verdict(Event.HANDED_OVER)
+    if view.mode_at_us > now.entered_us and not view.in_offboard:
+        return Verdict(Event.HANDED_OVER)
+    if _in_state_s(now, now_us) > now.config.link_loss_s:
+        return Verdict(Event.TIMEOUT)
     return None
 
 
@@ -205,10 +255,6 @@ def _link_lost(now: Situation, now_us: int) -> str:
     silent_us = now_us - now.view.heartbeat_at_us
     if silent_us > now.config.link_loss_s * SECOND_US:
         return f"link lost: no heartbeat for {silent_us / SECOND_US:.1f} s"
-    if now.state is State.OFFBOARD and now.last_good_us >= 0:
-        blind_us = now_us - now.last_good_us
-        if blind_us > now.config.blind_s * SECOND_US:
-            return f"no usable state for {blind_us / SECOND_US:.1f} s: landing commanded, setpoints stopped"
     return ""
 
 
@@ -229,5 +275,6 @@ _LOOKS: dict[State, Callable[[Situation, int], Verdict | None]] = {
     State.STREAMING: _streaming,
     State.OFFBOARD: _offboard,
     State.LANDING: _landing,
+    State.HOLDING: _holding,
 }
 """State -> what to look at; the final ones are not there."""

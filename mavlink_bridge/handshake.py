@@ -18,9 +18,10 @@ States in the order of a good flight:
   companion selects OFFBOARD and arms, else it waits for the pilot to do so.
 * OFFBOARD: armed, in OFFBOARD, flown by the stack.
 * LANDING: AUTO.LAND is commanded; PX4 lands and disarms.
+* HOLDING: a watchdog barked and PX4's Hold is commanded; safe setpoints until PX4 is seen in it.
 * LANDED: disarmed on the ground, Hold selected so that OFFBOARD isn't left standing.
-* PILOT: someone else changed the mode or disarmed: hands off.
-* LOST: the link or the state estimate went away for good: landing was commanded, the stream is stopped.
+* PILOT: someone else changed the mode or disarmed, or PX4's Hold has the vehicle for the pilot: hands off.
+* LOST: the link went away for good, or PX4 didn't take the vehicle back: the stream is stopped.
 * REFUSED: something is wrong before the flight; the reason is one line.
 """
 
@@ -41,6 +42,7 @@ class State(Enum):
     STREAMING = "streaming"
     OFFBOARD = "offboard"
     LANDING = "landing"
+    HOLDING = "holding"
     LANDED = "landed"
     PILOT = "pilot"
     LOST = "lost"
@@ -62,7 +64,11 @@ class Event(Enum):
     STOP = "the user asked to stop"
     TOOK_OVER = "the mode was changed or the vehicle disarmed by someone else"
     DISARMED = "disarmed after our landing"
-    LINK_LOST = "no heartbeat or no usable state for too long"
+    LINK_LOST = "no heartbeat for too long"
+    UNFIT = "its state or its parameters are not fit to fly with"
+    FAULT_LAND = "a watchdog barked: PX4 is to land"
+    FAULT_HOLD = "a watchdog barked: PX4 is to hold"
+    HANDED_OVER = "PX4 has taken the vehicle"
 
 
 FINAL = frozenset({State.LANDED, State.PILOT, State.LOST, State.REFUSED})
@@ -81,6 +87,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
         _S.STANDBY: {
             _E.READY: _S.STREAMING,
             _E.FOREIGN: _S.REFUSED,
+            _E.UNFIT: _S.REFUSED,
             _E.BUSY: _S.REFUSED,
             _E.TIMEOUT: _S.REFUSED,
             _E.LINK_LOST: _S.REFUSED,
@@ -90,6 +97,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
             _E.ENGAGED: _S.OFFBOARD,
             _E.ARM_REFUSED: _S.REFUSED,
             _E.FOREIGN: _S.REFUSED,
+            _E.UNFIT: _S.REFUSED,
             _E.TOOK_OVER: _S.PILOT,
             _E.TIMEOUT: _S.REFUSED,
             _E.LINK_LOST: _S.REFUSED,
@@ -98,9 +106,12 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
         _S.OFFBOARD: {
             _E.MISSION_DONE: _S.LANDING,
             _E.STOP: _S.LANDING,
+            _E.FAULT_LAND: _S.LANDING,
+            _E.FAULT_HOLD: _S.HOLDING,
             _E.TOOK_OVER: _S.PILOT,
             _E.LINK_LOST: _S.LOST,
         },
+        _S.HOLDING: {_E.HANDED_OVER: _S.PILOT, _E.TIMEOUT: _S.LOST, _E.LINK_LOST: _S.LOST},
         _S.LANDING: {_E.DISARMED: _S.LANDED, _E.TOOK_OVER: _S.PILOT, _E.LINK_LOST: _S.LOST},
         _S.LANDED: {},
         _S.PILOT: {},

@@ -55,8 +55,8 @@ class Received(NamedTuple):
 class Signing(Protocol):
     """MAVLink 2 signing, as the link needs it."""
 
-    def accepts(self, frame: bytes, signed: bool, now_us: int) -> bool:
-        """Whether a received frame (whole, signature included) may be used."""
+    def judge(self, frame: bytes, signed: bool, number: int, now_us: int) -> str:
+        """Empty where a received frame (whole, signature included) may be used, else the counter it belongs to."""
 
     def signature(self, frame: bytes) -> bytes:
         """The 13 bytes to append to an outgoing frame whose signed flag is set."""
@@ -79,6 +79,11 @@ class Stats:
     skipped_bytes: int = 0
     """All bytes that belonged to no frame."""
     bad_signature: int = 0
+    """Signed with another key, or altered on the way."""
+    unsigned: int = 0
+    """Without a signature where one is needed."""
+    replayed: int = 0
+    """Rightly signed, but no newer than what was heard before."""
     unknown_id: int = 0
     not_finite: int = 0
     """NaN or infinity where the message's row forbids it."""
@@ -95,7 +100,7 @@ class Stats:
         """Frames and runs of bytes that gave no message."""
         return (
             self.garbage + self.bad_length + self.bad_flags + self.bad_crc
-            + self.bad_signature + self.unknown_id + self.not_finite
+            + self.bad_signature + self.unsigned + self.replayed + self.unknown_id + self.not_finite
         )  # fmt: skip
 
     def as_dict(self) -> dict[str, int]:
@@ -123,6 +128,11 @@ class Link:
         self._expected: dict[int, int] = {}
         self._peer = 0
         self._lean = signing is None and isinstance(self._framing, DatagramFraming)
+
+    @property
+    def signing(self) -> bool:
+        """What goes out is signed, and only what is rightly signed comes in."""
+        return self._signing is not None
 
     def expect_peer(self, system: int) -> None:
         """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""
@@ -199,10 +209,12 @@ class Link:
     def _trusted(self, data: bytes, at: int, frame: Frame, now_us: int) -> bool:
         """Whether signing lets a frame pass; without a key, signatures are neither checked nor needed."""
         self.stats.signed += frame.flags & SIGNED
-        if self._signing is None or self._signing.accepts(data[at : frame.end], bool(frame.flags & SIGNED), now_us):
+        if self._signing is None:
             return True
-        self.stats.bad_signature += 1
-        return False
+        fault = self._signing.judge(data[at : frame.end], bool(frame.flags & SIGNED), frame.id, now_us)
+        if fault:
+            setattr(self.stats, fault, getattr(self.stats, fault) + 1)
+        return not fault
 
     def _take(
         self, data: bytes, at: int, size: int, sequence: int, system: int, component: int, number: int, now_us: int

@@ -287,6 +287,7 @@ _PROTOCOLS: tuple[Row, ...] = (
     row(ev.MessageInterval),
     row(ev.RequestDataStream, req_message_rate_hz="req_message_rate"),
     row(ev.Statustext),
+    row(ev.RadioStatus),
     row(
         ev.Event,
         t_boot_us=wire("event_time_boot_ms", times=1000),

@@ -30,7 +30,7 @@ STREAMS: tuple[tuple[type, int], ...] = (
     (m.EstimatorStatus, 200_000),
     (m.GlobalPositionInt, 200_000),  # for the map only
     (m.Attitude, -1),  # the quaternion says the same
-    (m.Odometry, -1),  # position and attitude come on their own, faster
+    (m.Odometry, 40_000),  # for its reset counter alone; position and attitude come on their own, faster
 )
 """The streams that the companion asks for: message, interval in us (-1: off)."""
 
@@ -85,6 +85,10 @@ class CommandQueue:
         if status.request != request or now_us - status.sent_us >= _RETRY_US:
             status.request, status.sent_us, status.result = request, now_us, None
             self._urgent.append(request)
+
+    def insist(self, request: Request) -> None:
+        """Send a command at once, whatever is queued, and wait for nothing."""
+        self._transmit(request)
 
     def acknowledge(self, ack: m.CommandAck) -> None:
         """Take a COMMAND_ACK."""

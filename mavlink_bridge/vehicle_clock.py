@@ -29,7 +29,7 @@ class VehicleClock:
         self.rate = 1.0
         """Vehicle seconds per local second."""
         self.jumps = 0
-        """How often the stamps left the line by more than half a second (a reboot, a jump): the fit began anew."""
+        """How often stamps or a round trip left the line by over 0.5 s (a reboot, a jump): the fit began anew."""
         self.slips = 0
         """How often a round trip showed that the vehicle's clock had stood still or run ahead."""
         self._anchor: tuple[int, int] | None = None
@@ -72,6 +72,7 @@ class VehicleClock:
         error_us = vehicle_us - self.vehicle_us(middle_us)
         if abs(error_us) > (trip_us / 2 + _SLIP_US) * max(1.0, self.rate):
             self.slips += 1
+            self.jumps += abs(error_us) > _JUMP_US * max(1.0, self.rate)
             rate = self.rate
             self._restart(vehicle_us, middle_us)
             self.rate = rate

@@ -10,8 +10,11 @@ from flightstack.predictor import Streams
 from mavlink_bridge import messages as m
 from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
 from mavlink_bridge.vehicle_clock import VehicleClock
+from mavlink_bridge.vehicle_params import ParamReader
 
 _TEXT_MEMORY = 50
+_ROUND_TRIPS = 6_000
+"""Ten minutes of them."""
 
 
 class VehicleView:
@@ -23,15 +26,19 @@ class VehicleView:
         self.heartbeat_at_us = -1
         self.custom_mode = 0
         self.intended_mode = 0
+        self.intended_at_us = -1
         self.mode_at_us = -1
         self.landed_state = 0
         self.estimator_flags = 0
+        self.params = ParamReader()
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
         self.battery_v = float("nan")
         self.can_arm = False
         self.texts: deque[tuple[int, int, str]] = deque(maxlen=_TEXT_MEMORY)
         """(local time of receipt, severity, text), whole messages only."""
+        self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)
+        """Local microseconds from our TIMESYNC questions to their answers."""
         self._partial_text = ""
 
     @property
@@ -55,6 +62,12 @@ class VehicleView:
         return self.landed_state == 1
 
     @property
+    def round_trip_us(self) -> int:
+        """Median of the last ten round trips; 0 before the third one."""
+        latest = sorted(list(self.round_trips_us)[-10:])
+        return latest[len(latest) // 2] if len(latest) >= 3 else 0
+
+    @property
     def mode_name(self) -> str:
         """The mode in PX4's words."""
         return describe_mode(self.custom_mode)
@@ -75,7 +88,7 @@ class VehicleView:
 
     def _on_current_mode(self, message: m.CurrentMode, now_us: int) -> None:
         self.custom_mode, self.mode_at_us = message.custom_mode, now_us
-        self.intended_mode = message.intended_custom_mode
+        self.intended_mode, self.intended_at_us = message.intended_custom_mode, now_us
 
     def _on_attitude(self, message: m.AttitudeQuaternion, now_us: int) -> None:
         self.streams.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
@@ -88,16 +101,17 @@ class VehicleView:
         self.clock.observe(message.t_us, now_us)  # the one stream whose stamps have microseconds, not milliseconds
 
     def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
-        """Outputs scaled as PX4's defaults do (1000 us stopped, 2000 us full); 900 us is disarmed."""
         if message.port == 0:
-            commands = [min(1.0, max(0.0, (pwm - 1000.0) * 1e-3)) for pwm in message.pwm_us[:4]]
-            self.streams.motors(message.t_us, (commands[0], commands[1], commands[2], commands[3]))
+            self.streams.motors(message.t_us, self.params.outputs_now.commands(message.pwm_us))
 
     def _on_landed(self, message: m.ExtendedSysState, now_us: int) -> None:
         self.landed_state = message.landed_state
 
     def _on_estimator(self, message: m.EstimatorStatus, now_us: int) -> None:
         self.estimator_flags = message.flags
+
+    def _on_param(self, message: m.ParamValue | m.ParamError, now_us: int) -> None:
+        self.params.take(message)
 
     def _on_version(self, message: m.AutopilotVersion, now_us: int) -> None:
         self.version = message
@@ -118,6 +132,7 @@ class VehicleView:
     def _on_timesync(self, message: m.Timesync, now_us: int) -> None:
         """The answer to a question of ours carries our own stamp; the vehicle's own questions have tc1 0."""
         if message.tc1_ns:
+            self.round_trips_us.append(max(0, now_us - message.ts1_ns // 1000))
             self.clock.observe_round_trip(message.ts1_ns // 1000, message.tc1_ns // 1000, now_us)
 
 
@@ -134,6 +149,8 @@ _HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
     m.EstimatorStatus: VehicleView._on_estimator,
     m.AutopilotVersion: VehicleView._on_version,
     m.SysStatus: VehicleView._on_status,
+    m.ParamValue: VehicleView._on_param,
+    m.ParamError: VehicleView._on_param,
     m.Statustext: VehicleView._on_text,
     m.Timesync: VehicleView._on_timesync,
 }

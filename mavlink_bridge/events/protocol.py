@@ -195,6 +195,19 @@ class Statustext(NamedTuple):
     chunk_seq: int = 0
 
 
+class RadioStatus(NamedTuple):
+    """A telemetry radio's own word, never signed: signal and noise of both ends (254 at most; 255 unknown)."""
+
+    rssi: int
+    remrssi: int
+    txbuf: int
+    """Percent free."""
+    noise: int
+    remnoise: int
+    rxerrors: int
+    fixed: int
+
+
 class Event(NamedTuple):
     """A PX4 event; id = component << 24 | hash of its name; destination 0: everyone."""
 

@@ -1,10 +1,11 @@
-"""The only clock: monotonic microseconds, and a sleep that keeps its deadline."""
+"""The only clocks: monotonic microseconds and a sleep that keeps its deadline; signatures count the wall's time."""
 
 from __future__ import annotations
 
 import time
 
 _SPIN_US = 150
+_SIGNING_EPOCH_NS = 1_420_070_400 * 10**9
 
 
 def monotonic_us() -> int:
@@ -24,3 +25,8 @@ def sleep_until_us(deadline_us: int, spin_us: int = _SPIN_US) -> None:
     clock = time.monotonic_ns
     while clock() < deadline_ns:
         pass
+
+
+def signing_stamp() -> int:
+    """The wall clock in tens of microseconds since 2015-01-01 UTC, as MAVLink's signatures count; it may jump."""
+    return max(0, (time.time_ns() - _SIGNING_EPOCH_NS) // 10_000)

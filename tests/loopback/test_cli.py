@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(autouse=True)
 def _own_signals() -> Iterator[None]:
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)
@@ -219,6 +219,8 @@ def test_a_bad_vehicle_file_is_one_line_that_names_the_key(
         (("offboard", "--connect", "udpin:127.0.0.1:0", "--controller", "bang-bang"), "bang-bang"),
         (("offboard", "--connect", "tcp:1.2.3.4:5"), "tcp"),
         (("offboard",), "--connect"),
+        (("offboard", "--connect", "serial:/dev/ttyACM0:57600"), "921600"),
+        (("offboard", "--connect", "udpin:127.0.0.1:14999", "--signing-key", "absent.key"), "absent.key"),
         (("log", "info", "absent.mcap"), "absent.mcap"),
         (("learn", "absent.mcap"), "absent.mcap"),
         (("explode",), "explode"),

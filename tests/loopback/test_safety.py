@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 from app.flight import FlyOptions, SimulatedFlight, prepare
+from flightstack.types import TickRecord
 from logs.reader import read
 from logs.writer import FlightLog
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from sim.shell import ONBOARD
@@ -93,6 +95,108 @@ def test_a_companion_that_dies_in_flight_leaves_a_vehicle_that_px4s_failsafe_lan
     assert not flight.shell.server.commander.state.armed
     assert flight.vehicle.plant.on_ground
     assert float(np.abs(flight.vehicle.plant.vel_ned_mps).max()) < 0.01
+
+
+@pytest.fixture
+def turning(tmp_path: Path) -> Iterator[SimulatedFlight]:
+    """A figure of eight at speed, 3 s into its track."""
+    options = FlyOptions(scenario="figure8", out=tmp_path, learning=False)
+    log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
+    flying = SimulatedFlight(prepare(options), options, log)
+    while flying.companion.phase != "track":
+        flying.step()
+    _advance(flying, 3.0)
+    yield flying
+    flying.close()
+    log.close()
+
+
+@pytest.mark.parametrize("loss_t_s", [1.0, 0.2])
+def test_a_companion_killed_in_a_manoeuvre_is_caught_by_px4s_failsafe(
+    turning: SimulatedFlight, loss_t_s: float
+) -> None:
+    """PX4, measured: OFFBOARD ends COM_OF_LOSS_T + 0 to 0.1 s after the last setpoint; until then the rates go on."""
+    vehicle, commander = turning.vehicle, turning.shell.server.commander
+    vehicle.params.set("COM_OF_LOSS_T", loss_t_s)
+    speed = float(np.linalg.norm(vehicle.plant.vel_ned_mps))
+    assert speed > 1.0
+    start = turning.t_us
+    while commander.state.mode.title == "Offboard":
+        turning.shell.advance(4)
+    assert loss_t_s <= (turning.t_us - start) * 1e-6 <= loss_t_s + 0.104
+    restarted = _restarted(turning)
+    for _ in range(60 * 250):
+        turning.step()
+        if not commander.state.armed:
+            break
+    assert vehicle.plant.on_ground
+    assert not commander.state.armed
+    _advance(turning, 10.0)  # and it stays there: nobody takes off again
+    assert vehicle.plant.on_ground
+    assert restarted.state is State.REFUSED
+    assert "already armed" in restarted.reason
+
+
+def test_last_words_alone_level_a_turning_vehicle_until_px4s_failsafe_acts(turning: SimulatedFlight) -> None:
+    """The worst case: of all that was said last only one setpoint arrives, and the command to hold is lost."""
+    plant, commander = turning.vehicle.plant, turning.shell.server.commander
+    assert _tilt_rad(turning) > 0.1
+    height_m = -float(plant.pos_ned_m[2])
+    turning.companion.say_last_words("a bug")
+    word, *_ = [data for data in turning.companion.link.datagrams_to_send() if _is_setpoint(data)]
+    turning.shell.server.receive(ONBOARD, word)
+    while commander.state.mode.title == "Offboard":
+        turning.shell.advance(4)
+    assert _tilt_rad(turning) < 0.03
+    assert -float(plant.pos_ned_m[2]) > height_m - 0.5
+    assert float(np.abs(plant.rate_frd_radps).max()) < 0.1
+
+
+def test_last_words_end_in_px4s_hold(turning: SimulatedFlight) -> None:
+    plant, commander = turning.vehicle.plant, turning.shell.server.commander
+    turning.companion.say_last_words("a bug")
+    for data in turning.companion.link.datagrams_to_send():
+        turning.shell.server.receive(ONBOARD, data)
+    turning.shell.advance(8)
+    assert commander.state.mode.title == "Hold"
+    for _ in range(6 * 250):
+        turning.shell.advance(4)
+        assert not plant.on_ground
+    assert commander.state.mode.title == "Hold"
+    assert float(np.linalg.norm(plant.vel_ned_mps)) < 0.1
+
+
+def _tilt_rad(flight: SimulatedFlight) -> float:
+    w, x, y, z = flight.vehicle.plant.q_ned_frd
+    return float(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
+
+
+def _is_setpoint(data: bytes) -> bool:
+    ear = Link(9, 9)
+    ear.receive_datagram(data, 0)
+    received = ear.next_event()
+    return received is not None and isinstance(received.message, m.SetAttitudeTarget)
+
+
+def _restarted(flight: SimulatedFlight) -> Companion:
+    """A new companion on the same link, as a supervisor would start it: without --arm."""
+    flight.companion = Companion(
+        Link(240, 191), flight.score.prepared.stack, flight.scenario, _Deaf(), CompanionConfig()
+    )
+    return flight.companion
+
+
+class _Deaf:
+    """An observer that notes nothing."""
+
+    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
+        pass
+
+    def on_tick(self, record: TickRecord) -> None:
+        pass
+
+    def on_message(self, t_us: int, message: object) -> None:
+        pass
 
 
 def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
+from flightstack.types import Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
-from mavlink_bridge.link import Link
+from mavlink_bridge.link import Link, Signing
 
 HOLD, LAND, OFFBOARD, POSITION, RTL = 0x03040000, 0x06040000, 0x00060000, 0x00030000, 0x05040000
 STEP_US = 4_000
+PARAMS = {
+    "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0.0, "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MC_BAT_SCALE_EN": 0.0,
+    "MC_ROLLRATE_MAX": 220.0, "MC_PITCHRATE_MAX": 220.0, "MC_YAWRATE_MAX": 200.0,
+    "PWM_MAIN_FUNC1": 101.0, "PWM_MAIN_FUNC2": 102.0, "PWM_MAIN_FUNC3": 103.0, "PWM_MAIN_FUNC4": 104.0,
+}  # fmt: skip
+"""As a PX4 with its internal simulator has them; all sent as REAL32."""
+REST: Tuple3 = (0.0, 0.0, 0.0)
 
 
 @dataclass
@@ -23,6 +32,10 @@ class FakePx4:
     armed: bool = False
     mode: int = HOLD
     landed: int = 1
+    intended: int | None = None
+    """The mode that it goes back to when setpoints arrive; None: the present one."""
+    tells_mode: bool = True
+    """Whether it sends CURRENT_MODE."""
     flags: int = 1023
     answers_version: bool = True
     arm_result: int = 0
@@ -30,11 +43,21 @@ class FakePx4:
     texts: tuple[str, ...] = ()
     heartbeats: bool = True
     streams: bool = True
+    resets: int = 0
+    """ODOMETRY's reset counter."""
+    signing: Signing | None = None
+    motion: Callable[[int], tuple[Tuple3, Tuple3, Tuple3]] = lambda now_us: (REST, REST, REST)
+    """Position, velocity and acceleration at a time."""
+    alter: Callable[[Any], Any | None] = lambda message: message
+    """What becomes of attitude, position and IMU on their way; None: lost."""
+    params: dict[str, float] = field(default_factory=lambda: dict(PARAMS))
+    answers_params: bool = True
+    lacks_param_error: bool = False
     setpoints: list[m.SetAttitudeTarget] = field(default_factory=list)
     commands: list[m.CommandLong] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.link = Link(self.system, 1)
+        self.link = Link(self.system, 1, signing=self.signing)
         self._ticks = 0
 
     def step(self, now_us: int) -> None:
@@ -45,17 +68,40 @@ class FakePx4:
             self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
         if self._ticks % 25 == 0:
             self.link.send(m.ExtendedSysState(0, self.landed))
-            self.link.send(m.CurrentMode(0, self.mode, self.mode))
+            if self.tells_mode:
+                intended = self.mode if self.intended is None else self.intended
+                self.link.send(m.CurrentMode(0, self.mode, intended))
+        if self._ticks % 50 == 0:
             self.link.send(_estimator(now_us, self.flags))
         if self.streams:
-            self.link.send(m.AttitudeQuaternion(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-            self.link.send(m.LocalPositionNed(now_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-            self.link.send(_imu(now_us))
+            self._send_state(now_us)
         self._ticks += 1
+
+    def _send_state(self, now_us: int) -> None:
+        """Level where `motion` says, with the least noise that a float can show: an estimate never repeats itself."""
+        noise = 1e-6 * (self._ticks % 7)
+        (n, e, d), (vn, ve, vd), acc = self.motion(now_us)
+        for message in (
+            m.AttitudeQuaternion(now_us, (1.0, 0.0, noise, 0.0), (0.0, noise, 0.0)),
+            m.LocalPositionNed(now_us, (n + noise, e, d), (vn, ve + noise, vd)),
+            _imu(now_us, noise, acc),
+        ):
+            altered = self.alter(message)
+            if altered is not None:
+                self.link.send(altered)
+        if self._ticks % 10 == 0:
+            self.link.send(_odometry(now_us, self.resets))
 
     def _take(self, message: object, system: int, component: int) -> None:
         if isinstance(message, m.SetAttitudeTarget):
             self.setpoints.append(message)
+        elif isinstance(message, m.ParamRequestRead) and self.answers_params:
+            kind = m.PARAM_REAL32
+            if message.param_id in self.params:
+                bits = m.param_bits(self.params[message.param_id], kind)
+                self.link.send(m.ParamValue(message.param_id, bits, kind, 875, 1))
+            elif not self.lacks_param_error:
+                self.link.send(m.ParamError(system, component, message.param_id, -1, 1))
         elif isinstance(message, m.CommandLong):
             self.commands.append(message)
             self._obey(message, system, component)
@@ -90,8 +136,13 @@ def _estimator(now_us: int, flags: int) -> m.EstimatorStatus:
     return m.EstimatorStatus(now_us, flags, *(0.1 for _ in m.EstimatorStatus._fields[2:]))
 
 
-def _imu(now_us: int) -> m.HighresImu:
-    return m.HighresImu(now_us, (0.0, 0.0, -9.80665), (0.0, 0.0, 0.0), (0.2, 0.0, 0.4), 955.0, 0.0, 488.0, 20.0, 63)
+def _odometry(now_us: int, resets: int) -> m.Odometry:
+    return m.Odometry(now_us, 1, 1, REST, (1.0, 0.0, 0.0, 0.0), REST, REST, resets)
+
+
+def _imu(now_us: int, noise: float, acc: Tuple3) -> m.HighresImu:
+    force = (acc[0] + noise, acc[1], acc[2] - 9.80665)
+    return m.HighresImu(now_us, force, (0.0, 0.0, 0.0), (0.2, 0.0, 0.4), 955.0, 0.0, 488.0, 20.0, 63)
 
 
 def exchange(

@@ -2,54 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-
 import numpy as np
 import pytest
+from companions import build
 from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
 
-from flightstack.model import Model
-from flightstack.scenario import parse_scenario
-from flightstack.stack import Stack
-from flightstack.types import TickRecord
-from flightstack.vehicle import parse_vehicle
 from mavlink_bridge import messages as m
-from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@dataclass
-class Notes:
-    """An observer that remembers."""
-
-    events: list[tuple[int, str, str, str]] = field(default_factory=list)
-    ticks: list[TickRecord] = field(default_factory=list)
-
-    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
-        self.events.append((t_us, name, text, severity))
-
-    def on_tick(self, record: TickRecord) -> None:
-        self.ticks.append(record)
-
-    def on_message(self, t_us: int, message: object) -> None:
-        pass
-
-
-def _companion(*, arm: bool = True, dry_run: bool = False) -> tuple[Companion, Notes]:
-    scenario = parse_scenario((ROOT / "scenarios" / "hover.toml").read_text(), "hover").with_duration(1.0)
-    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x")
-    notes = Notes()
-    config = CompanionConfig(arm=arm, dry_run=dry_run)
-    stack = Stack(Model.from_vehicle(vehicle), limits=scenario.limits)
-    return Companion(Link(240, 191), stack, scenario, notes, config), notes
-
 
 def test_a_good_flight_arms_flies_lands_and_leaves_hold_selected() -> None:
-    companion, notes = _companion()
+    companion, notes = build()
     vehicle = FakePx4()
 
     def land_when_told(now_us: int) -> None:
@@ -66,7 +30,7 @@ def test_a_good_flight_arms_flies_lands_and_leaves_hold_selected() -> None:
 
 
 def test_setpoints_flow_before_offboard_and_are_harmless_on_the_ground() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4()
     exchange(companion, vehicle, 10.0, until=lambda: bool(vehicle.set_modes(176)))
     assert len(vehicle.setpoints) >= 100  # 0.4 s at 250 Hz at least
@@ -77,7 +41,7 @@ def test_setpoints_flow_before_offboard_and_are_harmless_on_the_ground() -> None
 
 @pytest.mark.parametrize("autopilot", [0, 3, 8])
 def test_a_peer_that_is_no_px4_is_refused_and_gets_no_command(autopilot: int) -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(autopilot=autopilot)
     exchange(companion, vehicle, 10.0)
     assert companion.state is State.REFUSED
@@ -88,14 +52,14 @@ def test_a_peer_that_is_no_px4_is_refused_and_gets_no_command(autopilot: int) ->
 
 
 def test_a_fixed_wing_is_refused() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     exchange(companion, FakePx4(type=1), 10.0)
     assert companion.state is State.REFUSED
     assert "no quadrotor" in companion.reason
 
 
 def test_a_vehicle_that_does_not_say_who_it_is_is_never_armed() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(answers_version=False)
     exchange(companion, vehicle, 20.0)
     assert companion.state is State.REFUSED
@@ -105,14 +69,14 @@ def test_a_vehicle_that_does_not_say_who_it_is_is_never_armed() -> None:
 
 
 def test_silence_is_told_from_a_vehicle() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     exchange(companion, FakePx4(heartbeats=False), 20.0)
     assert companion.state is State.REFUSED
     assert "no heartbeat" in companion.reason
 
 
 def test_a_refused_arming_says_why_in_the_vehicles_words() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(arm_result=1, texts=("Arming denied: Resolve system health failures first",))
     exchange(companion, vehicle, 60.0)
     assert companion.state is State.REFUSED
@@ -122,7 +86,7 @@ def test_a_refused_arming_says_why_in_the_vehicles_words() -> None:
 
 
 def test_an_accepting_first_ack_does_not_hide_a_refused_mode() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(mode_result=1)
     exchange(companion, vehicle, 60.0)
     assert companion.state is State.REFUSED
@@ -131,7 +95,7 @@ def test_an_accepting_first_ack_does_not_hide_a_refused_mode() -> None:
 
 
 def test_without_leave_to_arm_it_waits_for_the_pilot() -> None:
-    companion, _ = _companion(arm=False)
+    companion, _ = build(arm=False)
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 40.0)
     assert companion.state is State.STREAMING
@@ -144,7 +108,7 @@ def test_without_leave_to_arm_it_waits_for_the_pilot() -> None:
 
 @pytest.mark.parametrize("mode", [POSITION, RTL, HOLD])
 def test_when_the_pilot_changes_the_mode_the_stream_stops_at_once_and_for_good(mode: int) -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
     assert companion.state is State.OFFBOARD
@@ -162,7 +126,7 @@ def test_when_the_pilot_changes_the_mode_the_stream_stops_at_once_and_for_good(m
 
 
 def test_a_vehicle_disarmed_by_someone_else_is_never_armed_again() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
     vehicle.armed = False
@@ -173,7 +137,7 @@ def test_a_vehicle_disarmed_by_someone_else_is_never_armed_again() -> None:
 
 @pytest.mark.parametrize("mode", [OFFBOARD, HOLD])
 def test_an_armed_vehicle_that_we_did_not_arm_is_left_alone(mode: int) -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(armed=True, mode=mode, landed=2)
     exchange(companion, vehicle, 10.0)
     assert companion.state is State.REFUSED
@@ -182,7 +146,7 @@ def test_an_armed_vehicle_that_we_did_not_arm_is_left_alone(mode: int) -> None:
 
 
 def test_a_dry_run_checks_and_sends_no_setpoint() -> None:
-    companion, _ = _companion(dry_run=True)
+    companion, _ = build(dry_run=True)
     vehicle = FakePx4()
     exchange(companion, vehicle, 20.0)
     assert companion.state is State.STREAMING
@@ -192,7 +156,7 @@ def test_a_dry_run_checks_and_sends_no_setpoint() -> None:
 
 
 def test_a_bad_estimate_is_waited_for_and_then_named() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4(flags=164)
     exchange(companion, vehicle, 60.0)
     assert companion.state is State.REFUSED
@@ -200,22 +164,45 @@ def test_a_bad_estimate_is_waited_for_and_then_named() -> None:
     assert not vehicle.setpoints
 
 
-def test_streams_that_stop_in_flight_end_in_a_landing_command_and_silence() -> None:
-    companion, notes = _companion()
+def test_streams_that_stop_in_flight_end_in_a_landing_and_hold_is_left_selected() -> None:
+    companion, notes = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
     vehicle.streams = False
     before = len(notes.ticks)
-    now = exchange(companion, vehicle, 3.0, start_us=now)
-    assert companion.state is State.LOST
-    assert vehicle.mode == LAND
+
+    def land_when_told(now_us: int) -> None:
+        if vehicle.mode == LAND:
+            vehicle.armed = False
+
+    exchange(companion, vehicle, 5.0, start_us=now, each=land_when_told)
+    assert companion.state is State.LANDED
+    assert not companion.completed
+    assert vehicle.mode == HOLD
     blind = notes.ticks[before:]
     assert any(record.guard for record in blind)
-    assert len(blind) <= 0.65 * 250  # half a second of fallback setpoints, then silence
+    assert len(blind) <= 0.6 * 250  # half a second of the guard, then words of our own
+
+
+def test_a_link_that_is_too_slow_for_body_rates_is_refused_with_its_latency() -> None:
+    """TIMESYNC answers that come 60 ms after the question: the round trip says so."""
+    companion, _ = build()
+    vehicle, asked = FakePx4(), []
+
+    def answer(now_us: int) -> None:
+        asked.append(now_us)
+        if len(asked) % 25 == 0:
+            question_us = now_us - 60_000
+            vehicle.link.send(m.Timesync(question_us * 1000 + 30_000_000, question_us * 1000, 240, 191))
+
+    exchange(companion, vehicle, 60.0, each=answer)
+    assert companion.state is State.REFUSED
+    assert "link too slow: 60 ms there and back" in companion.reason
+    assert not vehicle.set_modes(400)
 
 
 def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
     companion.stop("stopped by the user")
@@ -231,7 +218,7 @@ def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:
 
 
 def test_messages_of_other_systems_do_not_count() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
     stranger = Link(7, 1)
@@ -244,7 +231,7 @@ def test_messages_of_other_systems_do_not_count() -> None:
 
 
 def test_two_autopilots_on_the_link_are_refused_before_arming() -> None:
-    companion, _ = _companion()
+    companion, _ = build()
     vehicle, other = FakePx4(), FakePx4(system=2)
 
     def also(now_us: int) -> None:

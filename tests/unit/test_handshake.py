@@ -45,6 +45,11 @@ def test_flight_is_only_entered_from_streaming() -> None:
     assert [state for state in State if State.OFFBOARD in TRANSITIONS[state].values()] == [State.STREAMING]
 
 
+def test_a_watchdog_that_barks_leads_to_px4_and_never_back() -> None:
+    assert _reachable(State.HOLDING) == {State.HOLDING, State.PILOT, State.LOST}
+    assert transition(State.OFFBOARD, Event.FAULT_LAND) is State.LANDING
+
+
 def test_once_flown_it_never_streams_or_flies_again() -> None:
     assert _reachable(State.LANDING) == {State.LANDING, State.LANDED, State.PILOT, State.LOST}
 
@@ -54,9 +59,9 @@ def test_the_pilot_can_take_over_whenever_setpoints_flow(state: State) -> None:
     assert transition(state, Event.TOOK_OVER) is State.PILOT
 
 
-def test_every_state_but_landing_hears_the_users_stop() -> None:
+def test_every_state_hears_the_users_stop_unless_px4_is_taking_over_already() -> None:
     deaf = {state for state in State if state not in FINAL and Event.STOP not in TRANSITIONS[state]}
-    assert deaf == {State.LANDING}  # it is on its way down already
+    assert deaf == {State.LANDING, State.HOLDING}
 
 
 def test_every_event_is_used_and_every_state_has_a_row() -> None:

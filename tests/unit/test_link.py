@@ -195,11 +195,13 @@ class _FakeSigning:
         self.count += 1
         return self.count.to_bytes(13, "little")
 
-    def accepts(self, frame: bytes, signed: bool, now_us: int) -> bool:
-        if not signed or int.from_bytes(frame[-13:], "little") <= self.count:
-            return False
+    def judge(self, frame: bytes, signed: bool, number: int, now_us: int) -> str:
+        if not signed:
+            return "unsigned"
+        if int.from_bytes(frame[-13:], "little") <= self.count:
+            return "replayed"
         self.count += 1
-        return True
+        return ""
 
 
 def test_without_a_key_a_signed_message_is_taken_and_counted() -> None:
@@ -213,7 +215,7 @@ def test_with_a_key_only_what_it_accepts_comes_in() -> None:
     signed = _sent(sender, HEARTBEAT)
     unsigned = _sent(Link(1, 1), HEARTBEAT)
     assert _deliver(receiver, signed + signed + unsigned) == [HEARTBEAT]
-    assert receiver.stats.bad_signature == 2
+    assert (receiver.stats.replayed, receiver.stats.unsigned) == (1, 1)
 
 
 def test_messages_are_packed_into_datagrams_that_are_not_too_long() -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 from station import ONBOARD, Station
+from tlog import Heard, recording
 
 from mavlink_bridge import messages as m
-from mavlink_bridge.link import Link
 from sim import builders
 from sim.autopilot.params import find
 
@@ -19,30 +18,6 @@ GROUND_US = 63_000_000
 """Until then the recorded vehicle stood on the ground; later the recorded setpoints answer to another flight."""
 SETTLE_S = 22.0
 """The recording begins this long after boot."""
-
-
-class Heard(NamedTuple):
-    """One message of the recording."""
-
-    t_us: int
-    system: int
-    frame: bytes
-    message: Any
-
-
-def recording(path: Path) -> Iterator[Heard]:
-    """A tlog: 8 bytes of big-endian microseconds before every frame."""
-    data, link, at, start = path.read_bytes(), Link(1, 1), 0, None
-    while at + 8 < len(data):
-        t_us = int.from_bytes(data[at : at + 8], "big")
-        start = t_us if start is None else start
-        size = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
-        frame = data[at + 8 : at + 8 + size]
-        at += 8 + size
-        link.receive_datagram(frame, 0)
-        received = link.next_event()
-        if received is not None:
-            yield Heard(t_us - start, received.system, frame, received.message)
 
 
 class Exchange(NamedTuple):

@@ -1,0 +1,61 @@
+"""What was really applied of what was sent: the collective thrust by the motors' own word.
+
+An autopilot may change a collective on its way to the motors: with the battery (PX4's MC_BAT_SCALE_EN), at its limits.
+The motors' reported commands say by how much, on average over two seconds, so that sampling and delays fall out; what
+differs by less than 3 % is the same.  Where the motors are not reported the commands that were sent have to do.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from flightstack.model import Model
+from flightstack.types import F64, Command
+
+_TIME_CONSTANT_US = 2_000_000
+_SAME = 0.03
+_RANGE = (0.5, 2.0)
+_LEAST_NORM = 0.2
+"""Below this, as on the ground, mixing and idling say more than the collective."""
+_RECENT_US = 50_000
+_STEADY = 0.05
+"""Thrust that changes faster than this share in 50 ms says more about delays."""
+_KNOWN = 0.1
+"""Of a sum that grows towards the collective: a quarter of the time constant or more was steady."""
+
+
+class Applied(NamedTuple):
+    """Forgetting sums of both collectives, over the ticks in which thrust was steady."""
+
+    recent_norm: float = 0.0
+    sent: float = 0.0
+    measured: float = 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Applied over sent, 1 where they agree or too little is known."""
+        if self.sent < _KNOWN:
+            return 1.0
+        ratio = self.measured / self.sent
+        return 1.0 if abs(ratio - 1.0) < _SAME else min(max(ratio, _RANGE[0]), _RANGE[1])
+
+    def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
+        """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
+        norm = sent.thrust_norm
+        recent = self.recent_norm + min(max(dt_us / _RECENT_US, 0.0), 1.0) * (norm - self.recent_norm)
+        a, b, c, d = motor_command.tolist()
+        steady = norm > _LEAST_NORM and abs(norm - recent) < _STEADY * norm
+        if not (steady and min(a, b, c, d) >= 0.0 and max(a, b, c, d) <= 1.0 and a + b + c + d >= 0.0):
+            return Applied(recent, self.sent, self.measured)
+        f = model.thrust_model_factor
+        mean = 0.25 * (f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d))
+        share = min(max(dt_us / _TIME_CONSTANT_US, 0.0), 1.0)
+        measured = model.norm_of(mean * model.max_thrust_n)
+        return Applied(
+            recent, self.sent + share * (norm - self.sent), self.measured + share * (measured - self.measured)
+        )
+
+    def of(self, sent: Command) -> Command:
+        """The command as it was applied; the very same one where nothing was changed."""
+        ratio = self.ratio
+        return sent if ratio == 1.0 else sent._replace(thrust_norm=min(1.0, sent.thrust_norm * ratio))

@@ -1,0 +1,227 @@
+"""Everything that can go wrong round the companion: one table.
+
+A row says what happens, how it is noticed and from when on, what is done about it, how long that takes (from the fault
+to the companion's deed, measured in the test that the row names), and the test.  `docs/safety.md` holds the same table,
+and a test keeps both and the tests' names together.
+
+PX4 goes on with the last setpoint that it got until COM_OF_LOSS_T has passed.  So whoever stops sending says safe last
+words first: level, no rotation, the thrust that carried so far; then a mode of PX4's.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+
+class Reaction(Enum):
+    """What the companion does."""
+
+    REREFERENCE = "goes on: the jump is taken out of the position, nothing is chased"
+    LAND = "hands back: safe words until PX4 is seen in its Land"
+    HOLD = "hands back: safe words until PX4 is seen in its Hold, then silence"
+    HANDS_OFF = "hands off: silence, no way back but a new run"
+    STOP = "brakes, then PX4's Land"
+    REFUSE = "refuses before the flight, one line says why; no setpoint is sent"
+    DROP = "drops the frame and counts it"
+    PX4 = "nothing: PX4's own offboard-loss failsafe acts"
+
+
+class Fault(NamedTuple):
+    """A row."""
+
+    what: str
+    """In words."""
+    noticed: str
+    """By what, and from when on."""
+    reaction: Reaction
+    after_s: float | None
+    """From the fault to the deed, measured by the test (250 Hz lockstep); None where time has no meaning."""
+    test: str
+    """File under tests/ and name of the test that shows it."""
+
+
+_W = "unit/test_watchdogs.py::"
+_L = "unit/test_ways_out.py::"
+_S = "unit/test_signing.py::"
+_C = "unit/test_companion.py::"
+_P = "unit/test_vehicle_params.py::"
+
+FAULTS: dict[str, Fault] = {
+    "stale-position": Fault(
+        "position and velocity stop arriving",
+        "older than 34 ms: the guard levels and sinks; 0.5 s of it",
+        Reaction.LAND, 0.536, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "stale-attitude": Fault(
+        "the attitude stops arriving",
+        "older than 25 ms: the guard stops all rotation; 0.5 s of it",
+        Reaction.LAND, 0.528, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "stale-imu": Fault(
+        "the IMU stops arriving",
+        "older than 22 ms: the guard levels and sinks; 0.5 s of it",
+        Reaction.LAND, 0.524, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "frozen-position": Fault(
+        "position or velocity repeat themselves with stamps that go on",
+        "the very same numbers for 0.1 s",
+        Reaction.LAND, 0.096, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "frozen-attitude": Fault(
+        "the attitude repeats itself with stamps that go on",
+        "the very same numbers for 0.1 s; the last words hold the rates at zero",
+        Reaction.LAND, 0.096, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "frozen-imu": Fault(
+        "the IMU repeats itself with stamps that go on",
+        "the very same numbers for 0.1 s",
+        Reaction.LAND, 0.096, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "velocity-against-imu": Fault(
+        "velocity runs away from what the IMU felt",
+        "2 m/s apart within half a second or so (shown at 8 m/s^2)",
+        Reaction.LAND, 0.348, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "position-against-velocity": Fault(
+        "position runs away from velocity",
+        "1.5 m apart within a second or so (shown at 4 m/s)",
+        Reaction.LAND, 0.472, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "attitude-against-gyro": Fault(
+        "the attitude tilts and the gyro feels nothing",
+        "0.35 rad apart (shown at 30 degrees); the last words hold the rates at zero",
+        Reaction.LAND, 0.0, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "estimator-attitude": Fault(
+        "the estimator says that its attitude is not good",
+        "ESTIMATOR_STATUS twice (5 Hz: 0.2 to 0.4 s); the last words hold the rates at zero",
+        Reaction.LAND, 0.356, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "estimator-position": Fault(
+        "the estimator says that position, velocity or height is not good",
+        "ESTIMATOR_STATUS twice (5 Hz: 0.2 to 0.4 s)",
+        Reaction.LAND, 0.356, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "reset": Fault(
+        "the estimator resets its position and counts it",
+        "ODOMETRY's reset_counter, and a step of 0.05 m or more that velocity does not explain (shown at 3 m)",
+        Reaction.REREFERENCE, 0.0, _W + "test_a_counted_reset_is_not_chased",
+    ),
+    "resets": Fault(
+        "the estimator resets its position again and again",
+        "the third counted step within 10 s",
+        Reaction.LAND, 0.04, _W + "test_a_third_reset_within_ten_seconds_hands_back",
+    ),
+    "jump": Fault(
+        "position jumps and no reset is counted",
+        "a step of 0.25 m, taken out at once, and no count within 0.2 s (shown at 3 m)",
+        Reaction.LAND, 0.204, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "reboot": Fault(
+        "the vehicle's time since boot goes back: it started anew",
+        "an IMU stamp 1 s or more behind the newest, off the line through the earlier ones",
+        Reaction.HOLD, 0.0, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "clock": Fault(
+        "the vehicle's clock jumps ahead, or this machine slept",
+        "stamps or a TIMESYNC answer 0.5 s off the line through the earlier ones",
+        Reaction.HOLD, 0.0, _W + "test_every_fault_of_the_state_has_its_stated_reaction_in_its_stated_time",
+    ),
+    "overrun-gap": Fault(
+        "no tick for a while: the machine was busy, the process was stopped",
+        "0.25 s between two ticks; noticed with the next one",
+        Reaction.HOLD, 0.0, _W + "test_a_long_gap_between_ticks_hands_back_to_hold",
+    ),
+    "overrun-rate": Fault(
+        "the machine is too slow: ticks are missed all the time",
+        "150 of 250 missed within 1 s (shown with two of three)",
+        Reaction.HOLD, 0.9, _W + "test_too_many_missed_ticks_hand_back_to_hold",
+    ),
+    "guard": Fault(
+        "outside the envelope, tipped over, or a command that is no number",
+        "at once the guard brakes; 0.5 s of it without a break",
+        Reaction.LAND, 0.504, _W + "test_a_guard_that_does_not_let_go_ends_the_flight",
+    ),
+    "exception": Fault(
+        "an exception in the companion (a bug), or a second Ctrl-C",
+        "at once",
+        Reaction.HOLD, 0.0, _L + "test_an_exception_in_flight_says_safe_last_words_and_asks_for_hold",
+    ),
+    "stopped": Fault(
+        "Ctrl-C or SIGTERM in flight",
+        "within 0.1 s",
+        Reaction.STOP, 0.0, _C + "test_stop_in_flight_lands_and_is_no_completed_flight",
+    ),
+    "killed": Fault(
+        "the companion is killed in flight (SIGKILL, power)",
+        "by PX4: COM_OF_LOSS_T after the last setpoint",
+        Reaction.PX4, 1.1, "loopback/test_safety.py::test_a_companion_killed_in_a_manoeuvre_is_caught_by_px4s_failsafe",
+    ),
+    "restarted": Fault(
+        "the companion is started again while the vehicle still flies",
+        "armed, and OFFBOARD is what PX4 would go back to, or --arm was given, or the mode is not known",
+        Reaction.REFUSE, None, _L + "test_a_restarted_companion_does_not_touch_a_vehicle_that_still_flies",
+    ),
+    "started-twice": Fault(
+        "a second companion on the same UDP port or serial line",
+        "the port is bound, the line locked by the first alone",
+        Reaction.REFUSE, None, _L + "test_a_second_companion_on_the_same_port_is_refused",
+    ),
+    "other-companion": Fault(
+        "another companion on the same link, through a router",
+        "heartbeats of our own system and component, or another system's offboard setpoints",
+        Reaction.REFUSE, None, _L + "test_another_companion_on_the_link_is_refused",
+    ),
+    "pilot-mode": Fault(
+        "the pilot changes the mode",
+        "HEARTBEAT or CURRENT_MODE (10 Hz)",
+        Reaction.HANDS_OFF, 0.1, _L + "test_a_pilots_mode_ends_the_flight_at_once_and_for_good",
+    ),
+    "pilot-disarm": Fault(
+        "the pilot disarms (kill switch)",
+        "HEARTBEAT (1 Hz)",
+        Reaction.HANDS_OFF, 1.0, _L + "test_a_pilots_kill_switch_ends_the_flight_and_nothing_arms_again",
+    ),
+    "link-lost": Fault(
+        "the link is lost both ways",
+        "no usable state for 0.5 s: Land is asked for, safe words for 1 s, then silence",
+        Reaction.LAND, 0.524, _L + "test_a_lost_link_falls_silent_before_it_may_come_back",
+    ),
+    "link-back": Fault(
+        "the link comes back after PX4's failsafe has acted",
+        "another mode than OFFBOARD",
+        Reaction.HANDS_OFF, 0.1, _L + "test_a_link_that_comes_back_finds_a_companion_that_keeps_its_hands_off",
+    ),
+    "unsigned": Fault(
+        "a frame without a signature although a key is set", "every frame but RADIO_STATUS",
+        Reaction.DROP, None, _S + "test_unsigned_frames_are_dropped_and_counted",
+    ),
+    "wrong-key": Fault(
+        "a frame signed with another key, or altered on the way", "every frame",
+        Reaction.DROP, None, _S + "test_frames_of_another_key_are_dropped_and_counted",
+    ),
+    "replayed": Fault(
+        "a signed frame that was recorded and is sent again", "its stamp is not newer, across restarts too",
+        Reaction.DROP, None, _S + "test_replayed_frames_are_dropped_and_counted",
+    ),
+    "foreign": Fault(
+        "frames of another system", "system and component of every frame",
+        Reaction.DROP, None, _C + "test_messages_of_other_systems_do_not_count",
+    ),
+    "parameters": Fault(
+        "the vehicle's parameters would make the flight unsafe",
+        "COM_OF_LOSS_T outside 0.1 to 2 s, COM_OBL_RC_ACT terminate or disarm, MC_*RATE_MAX below 30, or not told",
+        Reaction.REFUSE, None, _P + "test_unsafe_parameters_are_refused_with_the_reason",
+    ),
+}  # fmt: skip
+
+
+def as_markdown() -> str:
+    """The table as `docs/safety.md` holds it."""
+    lines = ["| fault | noticed | reaction | after | test |", "| --- | --- | --- | --- | --- |"]
+    for name, fault in FAULTS.items():
+        after = "-" if fault.after_s is None else f"{fault.after_s:.3g} s"
+        noticed = fault.noticed.replace("|", "\\|")
+        lines.append(f"| **{name}**: {fault.what} | {noticed} | {fault.reaction.value} | {after} | `{fault.test}` |")
+    return "\n".join(lines) + "\n"

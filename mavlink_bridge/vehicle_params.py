@@ -1,0 +1,173 @@
+"""The vehicle's parameters that matter to an offboard flight: asked for, awaited, judged.  Sans-IO.
+
+PX4 has no rate limit on the body rates of an offboard setpoint; its MC_*RATE_MAX are what its owner allows, and are
+kept to here.  PX4 undoes THR_MDL_FAC's curve before the motors, so the same curve is applied to what is sent.
+SERVO_OUTPUT_RAW is scaled by the outputs' own limits, which a simulated PX4 does not have: there it is 1000 to 2000.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from flightstack.model import Model
+from flightstack.types import Tuple3, Tuple4
+from mavlink_bridge import messages as m
+from mavlink_bridge.link import Link
+
+NEEDED = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "THR_MDL_FAC", "MPC_THR_HOVER")
+"""Without these nobody flies."""
+RATE_LIMITS = ("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX")
+_OUTPUTS = 8
+_FUNCTIONS = tuple(f"PWM_MAIN_FUNC{i}" for i in range(1, _OUTPUTS + 1))
+_FIRST_MOTOR = 101
+_MOTORS = 4
+OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", *_FUNCTIONS)
+"""A PX4 may lack them, or be too old to say that it does."""
+_RETRY_US = 300_000
+_TRIES_NEEDED = 20
+_TRIES_OPTIONAL = 3
+_LOSS_T_RANGE_S = (0.1, 2.0)
+_LEAST_RATE_DEGPS = 30.0
+_DEADLY = {6: "terminate", 7: "disarm"}
+
+
+class Outputs(NamedTuple):
+    """Which SERVO_OUTPUT_RAW values are the four motors, and the pulses that mean 0 and 1."""
+
+    channels: tuple[int, int, int, int] = (0, 1, 2, 3)
+    low_us: Tuple4 = (1000.0, 1000.0, 1000.0, 1000.0)
+    high_us: Tuple4 = (2000.0, 2000.0, 2000.0, 2000.0)
+
+    def commands(self, pwm_us: tuple[int, ...]) -> Tuple4:
+        """Normalised commands, 0..1; below the low pulse is stopped."""
+        values = [
+            min(1.0, max(0.0, (pwm_us[channel] - low) / (high - low)))
+            for channel, low, high in zip(self.channels, self.low_us, self.high_us, strict=True)
+        ]
+        return values[0], values[1], values[2], values[3]
+
+
+@dataclass(slots=True)
+class _Asked:
+    tries: int = 0
+    sent_us: int = -1
+
+
+class ParamReader:
+    """Asks for every parameter until it is told, refused, or asked for often enough."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, float] = {}
+        self.outputs_now = Outputs()
+        """`outputs` as of the last parameter that came."""
+        self._absent: set[str] = set()
+        self._asked: dict[str, _Asked] = {name: _Asked() for name in (*NEEDED, *OPTIONAL)}
+
+    def ask(self, link: Link, system: int, now_us: int) -> None:
+        """Send what is due."""
+        for name in self._limits_wanted():
+            self._asked.setdefault(name, _Asked())
+        for name in self._open():
+            asked = self._asked[name]
+            if asked.sent_us < 0 or now_us - asked.sent_us >= _RETRY_US:
+                asked.tries, asked.sent_us = asked.tries + 1, now_us
+                link.send(m.ParamRequestRead(system, 1, name, -1))
+
+    def take(self, message: object) -> None:
+        """PARAM_VALUE or PARAM_ERROR; others mean nothing here."""
+        if isinstance(message, m.ParamValue) and message.param_id in self._asked:
+            value = float(message.value)
+            if math.isfinite(value):
+                self.values[message.param_id] = value
+                self.outputs_now = self.outputs
+        elif isinstance(message, m.ParamError) and message.param_id in self._asked:
+            self._absent.add(message.param_id)
+
+    @property
+    def missing(self) -> list[str]:
+        """The needed ones that were not told."""
+        return [name for name in NEEDED if name not in self.values]
+
+    @property
+    def settled(self) -> bool:
+        """Nothing more is to be expected."""
+        return not self.missing and not self._open() and all(name in self._asked for name in self._limits_wanted())
+
+    @property
+    def rate_max_radps(self) -> Tuple3:
+        """The rates that the vehicle's owner allows; infinite where not told."""
+        roll, pitch, yaw = (math.radians(self.values.get(name, math.inf)) for name in RATE_LIMITS)
+        return roll, pitch, yaw
+
+    @property
+    def outputs(self) -> Outputs:
+        """How SERVO_OUTPUT_RAW is to be read; the usual four where the vehicle says nothing of its outputs."""
+        channels = self._channels()
+        if channels is None:
+            return Outputs()
+        low = [self.values.get(f"PWM_MAIN_MIN{c + 1}", 1000.0) for c in channels]
+        high = [self.values.get(f"PWM_MAIN_MAX{c + 1}", 2000.0) for c in channels]
+        if not all(below < above for below, above in zip(low, high, strict=True)):
+            return Outputs(channels)
+        return Outputs(channels, (low[0], low[1], low[2], low[3]), (high[0], high[1], high[2], high[3]))
+
+    def _channels(self) -> tuple[int, int, int, int] | None:
+        found = {int(self.values.get(name, 0.0)): channel for channel, name in enumerate(_FUNCTIONS)}
+        places = [found.get(_FIRST_MOTOR + motor) for motor in range(_MOTORS)]
+        a, b, c, d = places
+        return None if a is None or b is None or c is None or d is None else (a, b, c, d)
+
+    def _limits_wanted(self) -> list[str]:
+        channels = self._channels()
+        if channels is None:
+            return []
+        return [f"PWM_MAIN_{end}{channel + 1}" for channel in channels for end in ("MIN", "MAX")]
+
+    def _open(self) -> list[str]:
+        return [
+            name
+            for name, asked in self._asked.items()
+            if name not in self.values
+            and name not in self._absent
+            and asked.tries < (_TRIES_NEEDED if name in NEEDED else _TRIES_OPTIONAL)
+        ]
+
+
+def unsafe(values: Mapping[str, float]) -> str:
+    """Why the vehicle should not be flown as it is set, one line; empty where it may."""
+    low, high = _LOSS_T_RANGE_S
+    loss_t_s = values.get("COM_OF_LOSS_T", math.nan)
+    if not low <= loss_t_s <= high:
+        return (
+            f"COM_OF_LOSS_T is {loss_t_s:g} s: PX4 goes on with the last body rates for so long; "
+            f"set it to {low:g} to {high:g} s"
+        )
+    for name in RATE_LIMITS:
+        if values.get(name, math.inf) < _LEAST_RATE_DEGPS:
+            return f"{name} is {values[name]:g} deg/s: that leaves no control; set it to {_LEAST_RATE_DEGPS:g} or more"
+    action = int(values.get("COM_OBL_RC_ACT", -1.0))
+    if action in _DEADLY:
+        return (
+            f"COM_OBL_RC_ACT is {action} ({_DEADLY[action]}): a lost link would stop the motors in the air; "
+            "set it to 5 (hold), 4 (land) or 3 (return)"
+        )
+    return ""
+
+
+def remarks(values: Mapping[str, float], model: Model) -> str:
+    """What was read and what is made of it, for the log."""
+    factor = values.get("THR_MDL_FAC", 0.0)
+    hover = model.hover_norm
+    believed = factor * hover * hover + (1.0 - factor) * hover
+    parts = [
+        f"COM_OF_LOSS_T {values.get('COM_OF_LOSS_T', math.nan):g} s",
+        f"COM_OBL_RC_ACT {values.get('COM_OBL_RC_ACT', math.nan):g}",
+        f"THR_MDL_FAC {factor:g}",
+        f"MPC_THR_HOVER {values.get('MPC_THR_HOVER', math.nan):.2f}, by the vehicle file {believed:.2f}",
+    ]
+    if values.get("MC_BAT_SCALE_EN", 0.0):
+        parts.append("MC_BAT_SCALE_EN is on: PX4 changes thrust with the battery, too; better switch it off")
+    return "; ".join(parts)

@@ -1,0 +1,75 @@
+"""What the companion says to one vehicle: heartbeats, setpoints, its clock.  Nothing here decides anything."""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.types import F64, Command, Tuple3, Tuple4
+from mavlink_bridge import messages as m
+from mavlink_bridge import px4
+from mavlink_bridge.link import Link
+
+RATES = 128
+"""SET_ATTITUDE_TARGET: ignore the attitude, take body rates and thrust.  Never the throttle-ignore bit (64)."""
+LEVEL = 7
+"""Ignore the body rates, take attitude and thrust: PX4's own attitude loop levels the vehicle."""
+_HEARTBEAT_US = 1_000_000
+_TIMESYNC_US = 100_000
+_NO_TURN: Tuple4 = (1.0, 0.0, 0.0, 0.0)
+
+
+class Voice:
+    """Speaks to `system` once it is known (0: to nobody)."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self.system = 0
+        self.thrust_model_factor = 0.0
+        """The vehicle's THR_MDL_FAC: the curve that PX4 undoes before the motors."""
+        self.rate_max_radps: Tuple3 = (math.inf, math.inf, math.inf)
+        """The vehicle's MC_*RATE_MAX, which PX4 itself does not apply to body rates."""
+        self._heartbeat_due_us = 0
+        self._timesync_due_us = 0
+
+    def keep_in_touch(self, now_us: int) -> None:
+        """Heartbeats as onboard controller and as a ground station (PX4 sends STATUSTEXT only to links that saw one);
+        TIMESYNC questions."""
+        if not self.system:
+            return
+        if now_us >= self._heartbeat_due_us:
+            self._heartbeat_due_us = now_us + _HEARTBEAT_US
+            self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
+            self._link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)
+        if now_us >= self._timesync_due_us:
+            self._timesync_due_us = now_us + _TIMESYNC_US
+            self._link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
+
+    def fly(self, command: Command) -> None:
+        """A setpoint of the stack: body rates and thrust."""
+        (x, y, z), (roll, pitch, yaw) = self.rate_max_radps, command.rate_frd_radps.tolist()
+        rates = (min(x, max(-x, roll)), min(y, max(-y, pitch)), min(z, max(-z, yaw)))
+        self._setpoint(command.t_us, RATES, _NO_TURN, rates, command.thrust_norm)
+
+    def stand(self, t_us: int) -> None:
+        """A setpoint that does nothing on the ground."""
+        self._setpoint(t_us, RATES, _NO_TURN, (0.0, 0.0, 0.0), 0.0)
+
+    def calm(self, t_us: int, thrust_norm: float, yaw_rad: float | None) -> None:
+        """Safe words: level at a heading, or, where the attitude can't be trusted (None), no rotation; some thrust."""
+        rest = (0.0, 0.0, 0.0)
+        if yaw_rad is None or not math.isfinite(yaw_rad):
+            self._setpoint(t_us, RATES, _NO_TURN, rest, thrust_norm)
+        else:
+            heading = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
+            self._setpoint(t_us, LEVEL, heading, rest, thrust_norm)
+
+    def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
+        f = min(1.0, max(0.0, self.thrust_model_factor))
+        wire = min(1.0, max(0.0, f * thrust * thrust + (1.0 - f) * thrust))  # PX4 undoes the same curve
+        self._link.send(m.SetAttitudeTarget(t_us, self.system, px4.COMPONENT_AUTOPILOT, mask, q, rates, wire))
+
+
+def yaw_of(q_ned_frd: F64) -> float:
+    """Heading of an attitude (4,)."""
+    w, x, y, z = (float(value) for value in q_ned_frd)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,211 @@
+"""What the companion watches in flight: the estimate, its resets, the vehicle's clock and its own pace.
+
+Sans-IO.  `see` takes every message of the vehicle before anyone else does and gives the position back without the jumps
+of the estimator's resets; `step` is called once a tick and names the first row of `faults.FAULTS` that applies.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from flightstack.consistency import JUMP_M, EstimateWatch
+from flightstack.types import Tuple3
+from mavlink_bridge import messages as m
+from mavlink_bridge.vehicle_clock import VehicleClock
+
+PERIOD_US = 4_000
+GAP_US = 250_000
+"""No tick for so long: the vehicle flew on its last rates all the while."""
+_MISSED_OF_A_SECOND = 150
+_SECOND_US = 1_000_000
+_COUNTED_STEP_M = 0.05
+_COUNT_WITHIN_US = 200_000
+_RESETS, _RESETS_WITHIN_US = 3, 10_000_000
+_STEPS_KEPT = 16
+_BACK_US = 1_000_000
+_FLAG_ATTITUDE = 0x01
+_FLAGS_STATE = 0x26
+"""ESTIMATOR_STATUS.flags: horizontal and vertical velocity, height."""
+_FLAGS_POSITION = 0x18
+_FLAGS_TWICE = 2
+
+
+@dataclass(slots=True)
+class ResetWatch:
+    """Jumps of position, counted or not: `shift_ned_m` is what they add up to since `begin`."""
+
+    shift_ned_m: Tuple3 = (0.0, 0.0, 0.0)
+    counted: int = 0
+    """Counted steps since `begin`."""
+    _counter: int = -1
+    _steps: deque[tuple[int, Tuple3]] = field(default_factory=lambda: deque(maxlen=_STEPS_KEPT))
+    """(stamp, unexplained step) of the newest samples that are not in the shift."""
+    _uncounted_us: int = -1
+    """Stamp of a jump that no counter has told yet; -1: none."""
+    _resets_us: deque[int] = field(default_factory=lambda: deque(maxlen=_RESETS))
+    _now_us: int = 0
+
+    def begin(self) -> None:
+        """From here on jumps are taken out."""
+        self.shift_ned_m, self.counted = (0.0, 0.0, 0.0), 0
+        self._uncounted_us = -1
+        self._steps.clear()
+        self._resets_us.clear()
+
+    def position(self, t_us: int, step_ned_m: Tuple3) -> bool:
+        """Take a sample's unexplained step; whether it is a jump, and now in the shift."""
+        self._now_us = max(self._now_us, t_us)
+        if _size(step_ned_m) < JUMP_M:
+            self._steps.append((t_us, step_ned_m))
+            return False
+        self._add(step_ned_m)
+        self._uncounted_us = t_us
+        return True
+
+    def counter(self, t_us: int, count: int) -> bool:
+        """Take ODOMETRY's reset counter; whether it tells of a step of position."""
+        before, self._counter = self._counter, count
+        if before in (-1, count):
+            return False
+        if self._uncounted_us < 0:  # a small one, if any: the largest of the last samples
+            when, step = max(self._steps, key=lambda one: _size(one[1]), default=(0, (0.0, 0.0, 0.0)))
+            if _size(step) < _COUNTED_STEP_M:
+                return False  # of heading or velocity: nothing to take out
+            self._add(step)
+            self._steps = deque((one for one in self._steps if one[0] != when), maxlen=_STEPS_KEPT)
+        self._uncounted_us = -1
+        self.counted += 1
+        self._resets_us.append(t_us)
+        return True
+
+    @property
+    def trouble(self) -> str:
+        """Name of a row, empty where all is well."""
+        if 0 <= self._uncounted_us < self._now_us - _COUNT_WITHIN_US:
+            return "jump"
+        resets = self._resets_us
+        return "resets" if len(resets) == _RESETS and resets[-1] - resets[0] < _RESETS_WITHIN_US else ""
+
+    def _add(self, step: Tuple3) -> None:
+        north, east, down = self.shift_ned_m
+        self.shift_ned_m = (north + step[0], east + step[1], down + step[2])
+
+
+@dataclass(slots=True)
+class PaceWatch:
+    """Our own ticks, counted in the vehicle's time: how many were missed, and the longest gap of late."""
+
+    _last_us: int = -1
+    _missed: deque[tuple[int, int]] = field(default_factory=deque)
+    _sum: int = 0
+    gap_us: int = 0
+    """The newest one."""
+
+    def step(self, now_us: int, rate: float) -> str:
+        """A tick at local time `now_us`, `rate` vehicle seconds per local second; name of a row, or empty."""
+        if self._last_us < 0:
+            self._last_us = now_us
+            return ""
+        self.gap_us, self._last_us = round((now_us - self._last_us) * rate), now_us
+        missed = max(0, round(self.gap_us / PERIOD_US) - 1)
+        if missed:
+            self._missed.append((now_us, missed))
+            self._sum += missed
+        while self._missed and (now_us - self._missed[0][0]) * rate > _SECOND_US:
+            self._sum -= self._missed.popleft()[1]
+        if self.gap_us >= GAP_US:
+            return "overrun-gap"
+        return "overrun-rate" if self._sum >= _MISSED_OF_A_SECOND else ""
+
+    def begin(self) -> None:
+        """Forget what was missed so far."""
+        self._missed.clear()
+        self._sum = 0
+
+
+class Watchdogs:
+    """All of them for one flight."""
+
+    def __init__(self, clock: VehicleClock) -> None:
+        self.estimate = EstimateWatch()
+        self.resets = ResetWatch()
+        self.pace = PaceWatch()
+        self._clock = clock
+        self._clock_jumps = 0
+        self._newest_us = -1
+        self._behind = False
+        self._bad_flags = 0
+        self._flags_trouble = ""
+        self._flying = False
+        self._pace_trouble = ""
+
+    def begin(self) -> None:
+        """The flight begins: jumps are taken out from here on, old troubles are forgotten."""
+        self._flying = True
+        self.resets.begin()
+        self.pace.begin()
+        self._clock_jumps = self._clock.jumps
+
+    def see(self, message: object) -> object:
+        """Take a message; the same one back, a position without the jumps of the flight."""
+        if isinstance(message, m.HighresImu):
+            self._stamp(message.t_us)
+            self.estimate.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
+        elif isinstance(message, m.AttitudeQuaternion):
+            self.estimate.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
+        elif isinstance(message, m.LocalPositionNed):
+            return self._position(message)
+        elif isinstance(message, m.Odometry):
+            if self.resets.counter(message.t_us, message.reset_counter):
+                self.estimate.forgive()
+        elif isinstance(message, m.EstimatorStatus):
+            self._flags(message.flags)
+        return message
+
+    def step(self, now_us: int) -> None:
+        """A tick at local time `now_us`."""
+        self._pace_trouble = self.pace.step(now_us, self._clock.rate)
+
+    @property
+    def unfit(self) -> str:
+        """Name of a row that says that the state is not fit to fly with; empty where it is."""
+        return self._flags_trouble or self.estimate.trouble
+
+    @property
+    def trouble(self) -> str:
+        """Name of the first row that applies, empty where all is well."""
+        if self._flying and self._clock.jumps > self._clock_jumps:
+            return "reboot" if self._behind else "clock"
+        return self._pace_trouble or self._flags_trouble or self.resets.trouble or self.estimate.trouble
+
+    def _position(self, message: m.LocalPositionNed) -> m.LocalPositionNed:
+        self.estimate.position(message.t_boot_us, message.pos_ned_m, message.vel_ned_mps)
+        if not self._flying:
+            return message
+        if self.resets.position(message.t_boot_us, self.estimate.step_ned_m):
+            self.estimate.forgive()
+        shift = self.resets.shift_ned_m
+        if shift == (0.0, 0.0, 0.0):
+            return message
+        north, east, down = message.pos_ned_m
+        return message._replace(pos_ned_m=(north - shift[0], east - shift[1], down - shift[2]))
+
+    def _stamp(self, t_us: int) -> None:
+        """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
+        self._behind = t_us < self._newest_us - _BACK_US
+        if not self._behind:
+            self._newest_us = max(self._newest_us, t_us)
+
+    def _flags(self, flags: int) -> None:
+        bad = ""
+        if not flags & _FLAG_ATTITUDE:
+            bad = "estimator-attitude"
+        elif flags & _FLAGS_STATE != _FLAGS_STATE or not flags & _FLAGS_POSITION:
+            bad = "estimator-position"
+        self._bad_flags = self._bad_flags + 1 if bad else 0
+        self._flags_trouble = bad if self._bad_flags >= _FLAGS_TWICE else ""
+
+
+def _size(step: Tuple3) -> float:
+    return max(abs(step[0]), abs(step[1]), abs(step[2]))
