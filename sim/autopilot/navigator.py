@@ -3,6 +3,7 @@
 Hold keeps the place, take-off climbs MIS_TAKEOFF_ALT, Land goes down where it is, Return flies home and lands: within
 RTL_MIN_DIST of home at the height it has, from further away at RTL_RETURN_ALT above home at least.
 Follow, orbit and VTOL take-off hold (there is nothing to follow or to transition), Precision Landing lands.
+Descend goes down level and lets the vehicle drift.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from sim.autopilot.params import Params
 from sim.autopilot.setpoint import HOLD, LAND, NAN, OFF, ControlKind, ControlSetpoint
 
 _ARRIVED_M: Final = 1.0
-_LANDING_MODES: Final = (modes.LAND, modes.DESCEND, modes.PRECLAND)
+_LANDING_MODES: Final = (modes.LAND, modes.PRECLAND)
 
 
 @dataclass(slots=True)
@@ -48,6 +49,17 @@ class Navigator:
     def set_home(self, pos_ned_m: Tuple3, now_us: int) -> None:
         """Home is here from now on."""
         self.state.home_ned_m, self.state.home_t_us = pos_ned_m, now_us
+
+    def outside_fence(self, pos_ned_m: Tuple3) -> bool:
+        """Whether a place lies outside the cylinder round home (GF_MAX_HOR_DIST, GF_MAX_VER_DIST; 0: no such wall)."""
+        home, get = self.state.home_ned_m, self._params.get
+        radius_m, height_m = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
+        if home is None:
+            return False
+        return bool(
+            (radius_m > 0.0 and math.dist(home[:2], pos_ned_m[:2]) > radius_m)
+            or (height_m > 0.0 and home[2] - pos_ned_m[2] > height_m)
+        )
 
     def step(
         self,
@@ -83,11 +95,18 @@ class Navigator:
             return self._start_takeoff(pos_ned_m, takeoff_altitude_m)
         if mode is modes.RTL:
             return self._start_return(pos_ned_m)
+        if mode is modes.DESCEND:
+            return self._descend(), ()
         if mode in _LANDING_MODES:
             return LAND, ()
         if mode is modes.HOLD and self.state.takeoff_done:
             return ControlSetpoint(ControlKind.GOTO, pos_ned_m=(NAN, NAN, self.state.takeoff_down_m)), ()
         return (OFF if mode is modes.TERMINATION else HOLD), ()
+
+    def _descend(self) -> ControlSetpoint:
+        """Down at the landing speed, level: for want of a position nothing holds the place."""
+        vel = (NAN, NAN, self._params.get("MPC_LAND_SPEED"))
+        return ControlSetpoint(ControlKind.POSITION, vel_ned_mps=vel, acc_ned_mps2=(0.0, 0.0, NAN))
 
     def _start_takeoff(self, pos_ned_m: Tuple3, altitude_m: float) -> tuple[ControlSetpoint, tuple[Notice, ...]]:
         """Climb to an altitude above the sea, where one was named above the vehicle, else by MIS_TAKEOFF_ALT."""
