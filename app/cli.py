@@ -23,6 +23,7 @@ from app.options import (
     CertificateOption,
     ControllerOption,
     DurationOption,
+    FaultOption,
     JsonOption,
     LearnedOption,
     LogOption,
@@ -139,6 +140,7 @@ def fly(
     sensors: SensorsOption = None,
     truth: TruthOption = None,
     seed: SeedOption = 0,
+    fault: FaultOption = None,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -154,6 +156,7 @@ def fly(
         seed=seed,
         plant=plant.value,
         realtime=realtime,
+        fault=fault,
         **common,
     )
 
@@ -253,6 +256,7 @@ def sim(
     gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
     speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
     duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
+    fault: FaultOption = None,
     json: JsonOption = None,
 ) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C."""
@@ -260,7 +264,7 @@ def sim(
     from app.simulate import SimOptions, simulate
 
     interrupts = Interrupts()
-    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration, plant.value)
+    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration, plant.value, fault)
     result = simulate(
         options,
         stop_requested=interrupts.requested,

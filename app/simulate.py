@@ -12,6 +12,7 @@ from app.compiled import ensure_compiled
 from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket
+from sim.faults import parse_faults
 from sim.grade import load_grade
 from sim.server import Server
 from sim.shell import GCS, ONBOARD, Shell
@@ -41,6 +42,8 @@ class SimOptions:
     speed: float = 1.0
     duration_s: float | None = None
     plant: str = "native"
+    fault: str | None = None
+    """As on the command line; see sim.faults."""
 
 
 def simulate(
@@ -51,6 +54,7 @@ def simulate(
     on_wait: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
+    faults = parse_faults(options.fault)
     truth, _ = files.load_vehicle(options.vehicle)
     grade = load_grade(options.sensors)
     ensure_compiled(on_wait)
@@ -64,7 +68,7 @@ def simulate(
     except BaseException:
         onboard.close()
         raise
-    shell = Shell(Server(vehicle), (onboard, gcs))
+    shell = Shell(Server(vehicle, faults=faults), (onboard, gcs), options.seed)
     on_ready(
         f"{truth.name} is up: offboard link {HOST}:{options.port} (bound to {onboard.address[1]}), "
         f"ground station {HOST}:{options.gcs_port} (bound to {gcs.address[1]}), {options.speed:g} times real time"
@@ -72,7 +76,7 @@ def simulate(
     sent = [0, 0]
     try:
         with undisturbed():
-            pace = _loop(shell, options, stop_requested, sent)
+            pace = _loop(shell, options, stop_requested, sent, on_ready)
     finally:
         shell.close()
     return {
@@ -87,7 +91,13 @@ def simulate(
     }
 
 
-def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], sent: list[int]) -> Pace:
+def _loop(
+    shell: Shell,
+    options: SimOptions,
+    stop_requested: Callable[[], str],
+    sent: list[int],
+    on_fault: Callable[[str], None],
+) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     vehicle = shell.server.vehicle
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
@@ -98,6 +108,8 @@ def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], 
         for index, count in enumerate(shell.advance(TICK_MS)):
             sent[index] += count
         ticks += 1
+        for at_us, words in shell.server.faults.new():
+            on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
         if ticks % 25 == 0 and stop_requested():
             break
         if ticks % 250 == 0:

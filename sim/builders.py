@@ -123,7 +123,9 @@ def vfr_hud(view: View) -> m.VfrHud:
     thrust = view.vehicle.control.thrust_setpoint if view.commander.armed else 0.0
     throttle = round(100.0 * thrust) if math.isfinite(thrust) else 0
     speed = math.hypot(v_north, v_east)
-    return m.VfrHud(NAN, speed, int(view.heading_deg), throttle, view.altitude_amsl_m, -v_down)
+    heading_deg = view.heading_deg  # not finite where the plant's state isn't
+    heading = int(heading_deg) if math.isfinite(heading_deg) else 0
+    return m.VfrHud(NAN, speed, heading, throttle, view.altitude_amsl_m, -v_down)
 
 
 def altitude(view: View) -> m.Altitude:
@@ -343,7 +345,8 @@ def open_drone_id_location(view: View) -> m.OpenDroneIdLocation:
     return m.OpenDroneIdLocation(
         0, 0, status=1 if view.commander.landed else 2, direction_deg=course,
         speed_horizontal_mps=math.hypot(v_north, v_east), speed_vertical_mps=-v_down, lat_deg=lat, lon_deg=lon,
-        alt_geodetic_m=view.altitude_amsl_m, height_m=view.relative_alt_m, timestamp_s=1e-6 * (view.stamp_us % _HOUR_US),
+        alt_geodetic_m=view.altitude_amsl_m, height_m=view.relative_alt_m,
+        timestamp_s=1e-6 * (view.stamp_us % _HOUR_US),
     )  # fmt: skip
 
 

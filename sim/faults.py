@@ -160,11 +160,12 @@ FAULTS: Final[tuple[FaultSpec, ...]] = (
     ),
     FaultSpec(
         "low-battery", "the charge that is left falls to VALUE",
-        "below BAT_LOW_THR: a warning; BAT_CRIT_THR: Hold, after COM_FAIL_ACT_T Return; BAT_EMERGEN_THR: Hold, then Land",
+        "low: a warning; critical: Hold, after COM_FAIL_ACT_T (5 s) Return; emergency: Hold, then Land",
         _FAILSAFES, value=0.06, unit="0..1", limits=(0.0, 1.0), start=_drain, stop=_charge,
     ),
     FaultSpec(
-        "geofence", "the fence (GF_MAX_VER_DIST) comes down to half of the vehicle's height", "Hold at once", _FAILSAFES,
+        "geofence", "the fence (GF_MAX_VER_DIST) comes down to half of the vehicle's height", "Hold at once",
+        _FAILSAFES,
         unit="GF_ACTION", limits=(0.0, 5.0), start=_shrink_fence, stop=_lift_fence,
     ),
     FaultSpec(
