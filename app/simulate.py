@@ -23,6 +23,7 @@ HOST = "127.0.0.1"
 OFFBOARD_PORT = 14540
 GCS_PORT = 14550
 GCS_BIND = 18570
+DEFAULT_SENSORS = "mocap"
 PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
 TICK_MS = 4
@@ -35,7 +36,8 @@ class SimOptions:
     """What `sim` was asked for."""
 
     vehicle: str | None = None
-    sensors: str = "mocap"
+    sensors: str | None = None
+    """None: mocap, behind a real PX4 gps."""
     seed: int = 0
     port: int = OFFBOARD_PORT
     gcs_port: int = GCS_PORT
@@ -44,6 +46,8 @@ class SimOptions:
     plant: str = "native"
     fault: str | None = None
     """As on the command line; see sim.faults."""
+    hil_port: int = 4560
+    """Of `--px4-hil`."""
 
 
 def simulate(
@@ -56,7 +60,7 @@ def simulate(
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
     faults = parse_faults(options.fault)
     truth, _ = files.load_vehicle(options.vehicle)
-    grade = load_grade(options.sensors)
+    grade = load_grade(options.sensors or DEFAULT_SENSORS)
     ensure_compiled(on_wait)
     messages.prepare()
     warm_up(truth, grade, options.plant)

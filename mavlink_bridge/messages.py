@@ -12,6 +12,7 @@ from typing import Any
 from mavlink_bridge import events as ev
 from mavlink_bridge.codec import Row, row, wire
 from mavlink_bridge.events import *  # noqa: F403
+from mavlink_bridge.hil_rows import HIL_ROWS
 
 _T_BOOT = wire("time_boot_ms", times=1000)
 _Q = wire("q1 q2 q3 q4")
@@ -381,7 +382,7 @@ _INFORMATION: tuple[Row, ...] = (
     ),
 )
 
-MESSAGES: tuple[Row, ...] = _TELEMETRY + _SETPOINTS + _PROTOCOLS + _INFORMATION
+MESSAGES: tuple[Row, ...] = _TELEMETRY + _SETPOINTS + _PROTOCOLS + _INFORMATION + HIL_ROWS
 """The table."""
 
 BY_ID: dict[int, Row] = {entry.id: entry for entry in MESSAGES}

@@ -205,7 +205,7 @@ FAULTS: Final[tuple[FaultSpec, ...]] = (
 
 _BY_NAME: Final = {spec.name: spec for spec in FAULTS}
 _FORM: Final = re.compile(
-    r"(?P<name>[a-z-]+?)(:(?P<value>[-+.\deE]+))?(@(?P<at>[.\d]+))?(\+(?P<duration>[.\d]+))?", re.ASCII
+    r"(?P<name>[a-z-]+?)(:(?P<value>[^@+]+))?(@(?P<at>[.\d]+))?(\+(?P<duration>[.\d]+))?", re.ASCII
 )
 
 

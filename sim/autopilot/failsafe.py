@@ -219,24 +219,28 @@ class Failsafe:
     """The failsafes of one vehicle; `selected` is what they call for now."""
 
     __slots__ = (
-        "_at_arming", "_delay_us", "_last_us", "_new_warning", "_params", "_standing", "_start_delay_us", "_taken_over",
+        "_at_arming",
+        "_configured_us",
+        "_delay_us",
+        "_last_us",
+        "_new_warning",
+        "_params",
+        "_standing",
+        "_start_delay_us",
+        "_taken_over",
         "selected",
-    )  # fmt: skip
+    )
 
     def __init__(self, params: Params) -> None:
         self._params = params
         self.selected = Selected()
         self._standing: dict[str, _Standing] = {}
         self._delay_us = 0.0
-        self._start_delay_us = self._configured_us
+        self._configured_us = self._start_delay_us = -1.0
         self._last_us = -1
         self._taken_over = False
         self._new_warning = False
         self._at_arming = Warning.NONE
-
-    @property
-    def _configured_us(self) -> float:
-        return self._params.get("COM_FAIL_ACT_T") * 1e6
 
     def reset(self) -> None:
         """Armed or disarmed: start anew."""
@@ -253,6 +257,9 @@ class Failsafe:
             self.reset()
             self._at_arming = status.battery
             return self.selected
+        configured_us = self._params.get("COM_FAIL_ACT_T") * 1e6
+        if configured_us != self._configured_us:
+            self._configured_us = self._start_delay_us = configured_us
         if chosen or self._taken_over:
             self._drop_ended()
         self._delay_us = max(0.0, self._delay_us - step_us)
