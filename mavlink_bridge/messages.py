@@ -31,6 +31,8 @@ def _degrees(name: str) -> Any:
     return wire(name, per=1e7)
 
 
+_ORIGIN: dict[str, Any] = {"lat_deg": _degrees("latitude"), "lon_deg": _degrees("longitude")}
+_ORIGIN |= {"alt_msl_m": wire("altitude", per=1000.0), "t_us": "time_usec"}
 _SETPOINT: dict[str, Any] = {
     "t_boot_us": _T_BOOT,
     "frame": "coordinate_frame",
@@ -337,13 +339,8 @@ _INFORMATION: tuple[Row, ...] = (
         t_us="time_usec",
         nan="pos_ned_m q_ned_frd approach_ned_m",
     ),
-    row(
-        ev.GpsGlobalOrigin,
-        lat_deg=_degrees("latitude"),
-        lon_deg=_degrees("longitude"),
-        alt_msl_m=wire("altitude", per=1000.0),
-        t_us="time_usec",
-    ),
+    row(ev.GpsGlobalOrigin, **_ORIGIN),
+    row(ev.SetGpsGlobalOrigin, **_ORIGIN),
     row(ev.MissionCurrent, rate_hz=1.0),
     row(ev.MissionRequestList),
     row(ev.MissionCount, items="count"),

@@ -22,6 +22,7 @@ from sim.autopilot.navigator import Navigator
 from sim.autopilot.notices import Notice
 from sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
+from sim.builders import gps_global_origin
 from sim.faults import Fault, Injector
 from sim.geodesy import PX4_SIH, LocalFrame
 from sim.protocols import EventMemory, ParameterList
@@ -164,6 +165,8 @@ class Server:
             answer = protocols.read_parameter(message, self.vehicle.params, sender)
         elif isinstance(message, m.ParamRequestList):
             port.parameters.start()
+        elif isinstance(message, m.SetGpsGlobalOrigin):
+            answer = gps_global_origin(self.view)
         elif isinstance(message, m.FileTransferProtocol):
             answer = protocols.answer_file(message, sender)
         elif isinstance(message, m.RequestEvent):
@@ -198,6 +201,8 @@ class Server:
             view.pos_ned_m,
             armed=state.armed,
             takeoff_altitude_m=state.takeoff_altitude_m,
+            goal=state.goal,
+            now_us=now_us,
         )
         if said:
             self._say(said, now_us)
@@ -304,6 +309,7 @@ _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
     m.Timesync: Server._on_protocol,
     m.Ping: Server._on_protocol,
     m.FileTransferProtocol: Server._on_protocol,
+    m.SetGpsGlobalOrigin: Server._on_protocol,
     m.RequestEvent: Server._on_protocol,
     m.MissionRequestList: Server._on_protocol,
     m.MissionClearAll: Server._on_protocol,

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from sim.autopilot import arming, failsafe, modes, notices
 from sim.autopilot.arming import Checks, Conditions
 from sim.autopilot.failsafe import Action, Failsafe, Status, battery_warning
+from sim.autopilot.goal import Goal
 from sim.autopilot.modes import Mode
 from sim.autopilot.notices import Notice
 from sim.autopilot.params import Params
@@ -39,6 +40,7 @@ COMMAND_ARM: Final = 400
 COMMAND_TAKEOFF: Final = 22
 COMMAND_LAND: Final = 21
 COMMAND_RETURN: Final = 20
+COMMAND_ORBIT: Final = 34
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
@@ -77,7 +79,16 @@ class FlyRequest(NamedTuple):
     """Of a take-off, above the sea; NaN takes MIS_TAKEOFF_ALT."""
 
 
-Request = ModeRequest | ArmRequest | FlyRequest
+class GoRequest(NamedTuple):
+    """DO_REPOSITION or DO_ORBIT: a goal, and whether the mode shall change for it."""
+
+    sender: Sender
+    command: int
+    goal: Goal
+    changes_mode: bool = True
+
+
+Request = ModeRequest | ArmRequest | FlyRequest | GoRequest
 
 
 class Answer(NamedTuple):
@@ -141,6 +152,8 @@ class CommanderState:
     reported: tuple[Notice, ...] = ()
     reported_at_us: int = NEVER
     explained_at_us: int = NEVER
+    goal: Goal | None = None
+    """Where Hold or Orbit was sent; None: where it is."""
     gcs_lost: bool = True
     """No ground station is heard; true until one is."""
     gcs_seen: bool = False
@@ -310,6 +323,8 @@ class Commander:
             self._answers.append(Answer(request.sender, COMMAND_SET_MODE, result))
         elif isinstance(request, ArmRequest):
             self._arm_or_disarm(request, inputs, now_us)
+        elif isinstance(request, GoRequest):
+            self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
         else:
             self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
 
@@ -333,7 +348,7 @@ class Commander:
         state = self.state
         if state.armed and mode is not modes.LAND and not state.checks.runs(mode):
             return False
-        state.intended = mode
+        state.intended, state.goal = mode, None
         if mode.kept_after_disarm and not mode.prevents_arming:
             state.kept = mode
         state.checks = arming.check(mode, state.checks.conditions)
@@ -353,6 +368,17 @@ class Commander:
         if chosen and notice is not None:
             self._notices.append(notice)
         return ACCEPTED if chosen else TEMPORARILY_REJECTED
+
+    def _go(self, request: GoRequest, now_us: int) -> int:
+        """Reposition (in Hold) or orbit; without the change of mode the goal counts where Hold flies already."""
+        mode = modes.ORBIT if request.command == COMMAND_ORBIT else modes.HOLD
+        if request.changes_mode and not self._choose(mode, now_us):
+            orbit = mode is modes.ORBIT
+            self._notices.append(notices.ORBIT_REJECTED if orbit else notices.REPOSITION_REJECTED)
+            return TEMPORARILY_REJECTED
+        if self.state.intended is mode:
+            self.state.goal = request.goal
+        return ACCEPTED
 
     def _arm_or_disarm(self, request: ArmRequest, inputs: Inputs, now_us: int) -> None:
         """COMPONENT_ARM_DISARM; a value that is neither 0 nor 1 gets words but no answer, as on PX4."""

@@ -67,6 +67,7 @@ GCS_LOST: Final = _said("commander_gcs_lost", 0x64, INFO, "Connection to ground 
 GCS_REGAINED: Final = _said("commander_dl_regained", 0x66, INFO, "GCS connection regained")
 NO_GCS: Final = Notice(0, 0, b"", 4, "Preflight Fail: No connection to the ground control station\t")
 REPOSITION_REJECTED: Final = _said("commander_reposition_rejected", 0x63, CRITICAL, "Reposition command rejected")
+ORBIT_REJECTED: Final = Notice(0, 0, b"", CRITICAL, "Orbit command rejected")
 READY: Final = Notice(0, 0, b"", INFO, "Ready for takeoff!\t")
 HEADING_NOT_STABLE: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: heading estimate not stable\t")
 

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.client
 HERE = Path(__file__).resolve().parent
 HOST = "127.0.0.1"
 SPEED = 4
-FLIGHT_LIMIT_S = 60.0
+FLIGHT_LIMIT_S = 90.0
 SIM_ENDS_AFTER_S = 600.0
 """Of simulated time: the simulator ends by itself should nobody stop it."""
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE.parents[1]), "PYTHONUNBUFFERED": "1"}
@@ -121,6 +121,13 @@ def test_offboard_flies_positions_velocities_and_body_rates(flight: dict[str, An
     assert flight["offboard velocity"] == pytest.approx([-2.0, 1.0, 0.0], abs=0.5)
     assert flight["offboard rate"] == pytest.approx(40.0, abs=6.0)
     assert flight["hold"] is False  # no longer offboard
+
+
+def test_it_goes_to_places_on_the_globe_circles_and_takes_a_home(flight: dict[str, Any]) -> None:
+    assert flight["goto"] == pytest.approx([0.0, 0.0, 45.0], abs=5.0)
+    assert flight["goto"][:2] == pytest.approx([0.0, 0.0], abs=0.5)
+    assert flight["orbit"] == pytest.approx(2.0, abs=0.5)
+    assert flight["set home"] == pytest.approx([-5.0], abs=0.01)
 
 
 def test_it_returns_lands_and_disarms(flight: dict[str, Any]) -> None:
