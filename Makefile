@@ -90,7 +90,7 @@ client-dronekit: $(BIN)/.installed-client
 	$(BIN)/python -m pytest -q -m client tests/client/test_dronekit.py
 
 decoder: $(BIN)/.installed-dev
-	$(BIN)/python -m pytest -q -m client tests/client/test_tshark.py
+	FLIGHTSTACK_DECODER=1 $(BIN)/python -m pytest -q -s -m client tests/client/test_tshark.py
 
 fuzz: $(BIN)/.installed-dev
 	FLIGHTSTACK_FUZZ=1000000 $(BIN)/python -m pytest -q tests/property/test_fuzz.py
