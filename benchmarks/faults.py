@@ -2,6 +2,7 @@
 
     python -m benchmarks.faults            all of them, as a Markdown table
     python -m benchmarks.faults NAME...    these, written as for --fault
+    python -m benchmarks.faults --links    figure8 on links that are bad in every way, and on a good one
 
 A hover is flown in lockstep with the companion; the fault comes 2 s after take-off unless it says otherwise.  Times
 are simulated seconds from the fault to each change of the autopilot's mode and to the disarm.
@@ -14,7 +15,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.flight import FlyOptions, SimulatedFlight, prepare
+from app.flight import FlyOptions, SimulatedFlight, fly, prepare
 from logs.writer import FlightLog
 from sim.faults import FAULTS
 from sim.link_faults import LINK_FAULTS
@@ -83,8 +84,34 @@ def _watch(flight: SimulatedFlight, fault: str, limit_s: float) -> FaultFlight:
     )
 
 
+LINKS = (
+    "", *(row.name for row in LINK_FAULTS), "link-delay:50", "link-loss:0.3", "link-loss:0.3,link-jitter:40",
+)  # fmt: skip
+
+
+def fly_link(fault: str, *, seed: int = 0) -> str:
+    """A row of the table of links: figure8, two laps."""
+    with tempfile.TemporaryDirectory() as folder:
+        options = FlyOptions(scenario="figure8", duration_s=16.0, fault=fault or None, seed=seed, out=Path(folder))
+        result = fly(options, stop_requested=lambda: "").as_json()
+    tracking = result["tracking"]
+    figures = " | ".join("-" if tracking[key] is None else f"{100 * tracking[key]:.1f}" for key in ("rmse_m", "max_m"))
+    return f"| {f'`{fault}`' if fault else 'none'} | {figures} | {'yes' if result['completed'] else 'no'} |"
+
+
+def show_links() -> None:
+    """Print the table of links."""
+    print("| fault | tracking, rms cm | most, cm | completed |")
+    print("| --- | --- | --- | --- |")
+    for fault in LINKS:
+        print(fly_link(fault), flush=True)
+
+
 def main(names: list[str]) -> None:
     """Print the table."""
+    if names == ["--links"]:
+        show_links()
+        return
     asked = names or [f"{row.name}@2" for row in FAULTS if row.name not in _LINK] + list(VARIANTS)
     print("| fault | the autopilot's modes, s after the fault | disarmed, s | companion |")
     print("| --- | --- | --- | --- |")

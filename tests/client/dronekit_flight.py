@@ -36,6 +36,7 @@ def main(url: str) -> None:
     done("connected", str(vehicle.version))
     vehicle.wait_ready("parameters", "gps_0", "armed", "mode", "attitude", timeout=PATIENCE_S)
     done("parameters", len(list(vehicle.parameters.keys())))
+    wait(lambda: vehicle.system_status.state == "STANDBY", "arming checks")
     vehicle.armed = True
     wait(lambda: vehicle.armed, "arm")
     done("armed")
