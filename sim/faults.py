@@ -144,9 +144,9 @@ def _jump_clock(server: Server, value: float) -> None:
 
 
 _FAILSAFES: Final = "tests/loopback/test_fault_flights.py::test_the_autopilot_reacts_as_the_table_says"
-_STREAMS: Final = "tests/unit/test_sim_faults.py::test_{}"
+_HANDED_BACK: Final = "tests/loopback/test_fault_flights.py::test_the_companion_hands_back_what_it_can_not_trust"
 _DEGRADED: Final = "tests/loopback/test_fault_flights.py::test_tracking_degrades_gracefully_on_a_bad_link"
-_WATCHDOG: Final = "the companion's: its watchdog"
+_LANDS: Final = "the companion hands back: Land within {} s"
 
 FAULTS: Final[tuple[FaultSpec, ...]] = (
     FaultSpec(
@@ -174,24 +174,25 @@ FAULTS: Final[tuple[FaultSpec, ...]] = (
         start=_lose_position, stop=_find_position,
     ),
     FaultSpec(
-        "position-stale", "the position streams stop coming", _WATCHDOG, _STREAMS.format("a_stale_position"),
+        "position-stale", "the position streams stop coming", _LANDS.format(0.6), _HANDED_BACK,
         start=_silence_position, stop=_tell_position,
     ),
     FaultSpec(
-        "position-frozen", "the position streams repeat one place and speed with fresh stamps", _WATCHDOG,
-        _STREAMS.format("a_frozen_position"), start=_freeze_position, stop=_thaw_position,
+        "position-frozen", "the position streams repeat one place and speed with fresh stamps",
+        _LANDS.format(0.2), _HANDED_BACK, start=_freeze_position, stop=_thaw_position,
     ),
     FaultSpec(
-        "ekf-reset", "the estimate jumps VALUE metres north and counts a reset", _WATCHDOG,
-        _STREAMS.format("an_estimate_that_jumps"), value=1.0, unit="m", limits=(-100.0, 100.0), start=_reset_estimate,
+        "ekf-reset", "the estimate jumps VALUE metres north and counts a reset", "the companion flies on",
+        "tests/loopback/test_fault_flights.py::test_a_counted_reset_ends_nothing",
+        value=1.0, unit="m", limits=(-100.0, 100.0), start=_reset_estimate,
     ),
     FaultSpec(
-        "attitude-loss", "the attitude streams stop coming and the estimator's attitude flag falls", _WATCHDOG,
-        _STREAMS.format("a_lost_attitude"), start=_silence_attitude, stop=_tell_attitude,
+        "attitude-loss", "the attitude streams stop coming and the estimator's attitude flag falls", _LANDS.format(0.5),
+        _HANDED_BACK, start=_silence_attitude, stop=_tell_attitude,
     ),
     FaultSpec(
-        "clock-jump", "every stamp of the autopilot's jumps by VALUE seconds", _WATCHDOG,
-        _STREAMS.format("a_clock_that_jumps"), value=1.0, unit="s", limits=(-1e4, 1e4), start=_jump_clock,
+        "clock-jump", "every stamp of the autopilot's jumps by VALUE seconds", "the companion hands back: Hold at once",
+        _HANDED_BACK, value=1.0, unit="s", limits=(-1e4, 1e4), start=_jump_clock,
     ),
     *(
         FaultSpec(

@@ -56,6 +56,30 @@ def test_an_estimate_without_a_position_ends_on_the_ground() -> None:
     assert flown.drift_m < 3.0
 
 
+@pytest.mark.parametrize(
+    ("fault", "mode", "within_s"),
+    [
+        ("position-stale@2", "Land", 1.0),
+        ("position-frozen@2", "Land", 0.5),
+        ("attitude-loss@2", "Land", 1.0),
+        ("clock-jump@2", "Hold", 0.5),
+    ],
+)
+def test_the_companion_hands_back_what_it_can_not_trust(fault: str, mode: str, within_s: float) -> None:
+    """Each within the time that a second's flight at the present speed allows; what it hands back to is PX4's own."""
+    pytest.importorskip("mavlink_bridge.faults", reason="the companion's watchdogs are not there")
+    flown = fly_fault(fault, limit_s=3.0)
+    at_s, seen, by_failsafe = flown.modes[0]
+    assert (seen, by_failsafe) == (mode, False)
+    assert at_s < within_s
+
+
+def test_a_counted_reset_ends_nothing() -> None:
+    flown = fly_fault("ekf-reset:1@2", limit_s=3.0)
+    assert flown.modes == ()
+    assert flown.companion == State.OFFBOARD.value
+
+
 def _tracked(fault: str | None, folder: Path, *, seed: int = 0) -> dict[str, object]:
     options = FlyOptions(scenario="figure8", duration_s=8.0, fault=fault, seed=seed, out=folder, learning=False)
     return fly(options, stop_requested=lambda: "").as_json()

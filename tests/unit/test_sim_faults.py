@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from station import Station, airborne
+from station import ROOT, Station, airborne
 
 from flightstack.types import InputError
 from mavlink_bridge import messages as m
@@ -66,7 +66,8 @@ def test_every_row_of_the_table_is_complete_and_its_own_words_are_taken(spec) ->
     assert fault.spec is spec
     assert spec.does
     assert spec.reaction
-    assert "::test_" in spec.test
+    path, test = spec.test.split("::")
+    assert f"def {test}(" in (ROOT / path).read_text()
     if spec.unit and not math.isnan(spec.value):
         assert spec.limits[0] <= spec.value <= spec.limits[1]
 
