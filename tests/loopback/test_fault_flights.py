@@ -67,7 +67,6 @@ def test_an_estimate_without_a_position_ends_on_the_ground() -> None:
 )
 def test_the_companion_hands_back_what_it_can_not_trust(fault: str, mode: str, within_s: float) -> None:
     """Each within the time that a second's flight at the present speed allows; what it hands back to is PX4's own."""
-    pytest.importorskip("mavlink_bridge.faults", reason="the companion's watchdogs are not there")
     flown = fly_fault(fault, limit_s=3.0)
     at_s, seen, by_failsafe = flown.modes[0]
     assert (seen, by_failsafe) == (mode, False)
