@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -19,6 +19,10 @@ help:
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make client-20    MAVSDK-Python flies the simulator twenty times"
+	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
+	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
+	@echo "make fuzz         a million hostile datagrams against both ends (the tests take 100,000)"
+	@echo "make faults       every fault flown: the table of docs/safety.md"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
@@ -34,6 +38,10 @@ $(BIN)/.installed: pyproject.toml
 
 $(BIN)/.installed-dev: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(BIN)/.installed-client: $(BIN)/.installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[client]'
 	@touch $@
 
 $(BIN)/.installed-bench: $(BIN)/.installed
@@ -77,6 +85,18 @@ client-20: $(BIN)/.installed-dev
 	@for run in $$(seq 20); do \
 	  echo "run $$run of 20"; $(BIN)/python -m pytest -q -m client --durations=0 tests/client || exit 1; \
 	done
+
+client-dronekit: $(BIN)/.installed-client
+	$(BIN)/python -m pytest -q -m client tests/client/test_dronekit.py
+
+decoder: $(BIN)/.installed-dev
+	FLIGHTSTACK_DECODER=1 $(BIN)/python -m pytest -q -s -m client tests/client/test_tshark.py
+
+fuzz: $(BIN)/.installed-dev
+	FLIGHTSTACK_FUZZ=1000000 $(BIN)/python -m pytest -q tests/property/test_fuzz.py
+
+faults: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.faults
 
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py

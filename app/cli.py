@@ -23,6 +23,7 @@ from app.options import (
     CertificateOption,
     ControllerOption,
     DurationOption,
+    FaultOption,
     JsonOption,
     LearnedOption,
     LogOption,
@@ -139,6 +140,7 @@ def fly(
     sensors: SensorsOption = None,
     truth: TruthOption = None,
     seed: SeedOption = 0,
+    fault: FaultOption = None,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -154,6 +156,7 @@ def fly(
         seed=seed,
         plant=plant.value,
         realtime=realtime,
+        fault=fault,
         **common,
     )
 
@@ -245,7 +248,9 @@ def sim(
         str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
     ] = None,
     plant: PlantOption = PlantName.native,
-    sensors: Annotated[Sensors, typer.Option(help="Grade of sensors and estimate.")] = Sensors.mocap,
+    sensors: Annotated[
+        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+    ] = None,
     seed: SeedOption = 0,
     port: Annotated[
         int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
@@ -253,15 +258,25 @@ def sim(
     gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
     speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
     duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
+    fault: FaultOption = None,
+    px4_hil: Annotated[
+        bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
+    ] = False,
+    hil_port: Annotated[
+        int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
+    ] = 4_560,
     json: JsonOption = None,
 ) -> None:
-    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C."""
+    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
     from app import console, files
+    from app.hil import serve
     from app.simulate import SimOptions, simulate
 
     interrupts = Interrupts()
-    options = SimOptions(vehicle, sensors.value, seed, port, gcs_port, speed, duration, plant.value)
-    result = simulate(
+    options = SimOptions(
+        vehicle, sensors.value if sensors else None, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port
+    )
+    result = (serve if px4_hil else simulate)(
         options,
         stop_requested=interrupts.requested,
         on_ready=lambda text: print(text, flush=True),

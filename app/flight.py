@@ -27,6 +27,7 @@ from mavlink_bridge.companion import Companion, CompanionConfig, Planner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket, connected_pair
+from sim.faults import Fault, parse_faults
 from sim.grade import Grade, load_grade
 from sim.plant import Truth
 from sim.server import Server
@@ -39,6 +40,8 @@ TICK_MS = 4
 LOCKSTEP_TIMEOUT_S = 2.0
 FLIGHT_TIME_LIMIT_S = 180.0
 """Simulated time that a flight may take beyond its scenario before it counts as stuck."""
+AFTERMATH_US = 60_000_000
+"""After a fault the simulator goes on for so long after the companion's end, or until the vehicle is disarmed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +54,8 @@ class FlyOptions(FlightOptions):
     seed: int = 0
     plant: str = "native"
     realtime: bool = False
+    fault: str | None = None
+    """As on the command line; see sim.faults."""
 
     @property
     def in_real_time(self) -> bool:
@@ -60,7 +65,7 @@ class FlyOptions(FlightOptions):
     @property
     def as_written(self) -> bool:
         """The flight is the one that the scenario's checks were written for."""
-        return self.stack_as_written and self.truth is None and self.sensors is None
+        return self.stack_as_written and self.truth is None and self.sensors is None and self.fault is None
 
     def grade(self, scenario: Scenario) -> str:
         """Grade of the sensors that fly."""
@@ -75,10 +80,12 @@ class Setup:
     truth: Vehicle
     grade: Grade
     plant: str = "native"
+    faults: tuple[Fault, ...] = ()
 
 
 def prepare(options: FlyOptions) -> Setup:
     """Read and check everything before anything moves; InputError with one line where something is wrong."""
+    faults = parse_faults(options.fault)
     flight = prepare_flight(options)
     if options.truth is not None:
         truth, _ = files.load_vehicle(options.truth)
@@ -92,13 +99,15 @@ def prepare(options: FlyOptions) -> Setup:
         "plant": options.plant,
         "pace": "realtime" if options.realtime else "lockstep",
     }
+    if faults:
+        settings["fault"] = options.fault or ""
     carried = {"truth.toml": vehicle_to_toml(truth)}
     if options.plant == "jsbsim":
         from sim.jsbsim.trial import try_out
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
-    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant)
+    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant, faults)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -119,7 +128,8 @@ class SimulatedFlight:
             prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant
         )
         self._ours, self._theirs = connected_pair()
-        self.shell = Shell(Server(self.vehicle, links=(LinkKind.ONBOARD,)), (self._theirs,))
+        server = Server(self.vehicle, links=(LinkKind.ONBOARD,), faults=setup.faults)
+        self.shell = Shell(server, (self._theirs,), options.seed)
         self.score = FlightScore(prepared, of="truth")
         observer = LogObserver(
             log,
@@ -141,6 +151,11 @@ class SimulatedFlight:
         return self.vehicle.t_us
 
     @property
+    def faulty(self) -> bool:
+        """Whether faults were asked for."""
+        return bool(self.shell.server.faults.faults)
+
+    @property
     def progress(self) -> float:
         """Share of the scenario flown, 0..1."""
         companion = self.companion
@@ -151,18 +166,21 @@ class SimulatedFlight:
 
     def step(self) -> None:
         """4 ms of both ends."""
-        companion, server, log = self.companion, self.shell.server, self._log
+        companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
+        most_bytes = 0 if seam.bad else MAX_DATAGRAM
         server.advance(TICK_MS)
         now_us = self.vehicle.t_us
-        for data in self._carry(server.datagrams(ONBOARD, MAX_DATAGRAM), self._theirs, self._ours):
+        for at_us, words in server.faults.new():
+            log.event(at_us, "fault", words)
+        for data in self._carry(seam.out(ONBOARD, server.datagrams(ONBOARD, most_bytes)), self._theirs, self._ours):
             log.mavlink("rx", now_us, data)
             companion.receive_datagram(data, now_us)
         engaged = companion.flight_start_us
         companion.step(now_us)
-        answers = companion.link.datagrams_to_send(MAX_DATAGRAM)
+        answers = companion.link.datagrams_to_send(most_bytes)
         for data in answers:
             log.mavlink("tx", now_us, data)
-        for data in self._carry(answers, self._ours, self._theirs):
+        for data in seam.into(ONBOARD, self._carry(answers, self._ours, self._theirs)):
             server.receive(ONBOARD, data)
         truth = self.vehicle.plant.truth()
         if engaged != companion.flight_start_us:
@@ -275,4 +293,7 @@ def _run(
             companion.reason = companion.reason or f"stuck in {companion.state.value}: gave up"
             break
     for _ in range(50):  # what the last words (Hold) do is in the log too
+        flight.step()
+    end_us = min(limit_us, flight.t_us + AFTERMATH_US) if flight.faulty else 0
+    while flight.t_us < end_us and flight.shell.server.commander.state.armed:  # what the autopilot makes of the fault
         flight.step()

@@ -46,3 +46,9 @@ SigningKeyOption = Annotated[
 ]
 SensorsOption = Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
 PlantOption = Annotated[PlantName, typer.Option(help="Physics.")]
+FaultOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Inject faults: NAME[:VALUE][@SECONDS after take-off][+DURATION], several with commas.", metavar="NAME"
+    ),
+]

@@ -12,6 +12,7 @@ from app.compiled import ensure_compiled
 from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.udp import UdpSocket
+from sim.faults import parse_faults
 from sim.grade import load_grade
 from sim.server import Server
 from sim.shell import GCS, ONBOARD, Shell
@@ -22,6 +23,7 @@ HOST = "127.0.0.1"
 OFFBOARD_PORT = 14540
 GCS_PORT = 14550
 GCS_BIND = 18570
+DEFAULT_SENSORS = "mocap"
 PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
 TICK_MS = 4
@@ -34,13 +36,18 @@ class SimOptions:
     """What `sim` was asked for."""
 
     vehicle: str | None = None
-    sensors: str = "mocap"
+    sensors: str | None = None
+    """None: mocap, behind a real PX4 gps."""
     seed: int = 0
     port: int = OFFBOARD_PORT
     gcs_port: int = GCS_PORT
     speed: float = 1.0
     duration_s: float | None = None
     plant: str = "native"
+    fault: str | None = None
+    """As on the command line; see sim.faults."""
+    hil_port: int = 4560
+    """Of `--px4-hil`."""
 
 
 def simulate(
@@ -51,8 +58,9 @@ def simulate(
     on_wait: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
+    faults = parse_faults(options.fault)
     truth, _ = files.load_vehicle(options.vehicle)
-    grade = load_grade(options.sensors)
+    grade = load_grade(options.sensors or DEFAULT_SENSORS)
     ensure_compiled(on_wait)
     messages.prepare()
     warm_up(truth, grade, options.plant)
@@ -64,7 +72,7 @@ def simulate(
     except BaseException:
         onboard.close()
         raise
-    shell = Shell(Server(vehicle), (onboard, gcs))
+    shell = Shell(Server(vehicle, faults=faults), (onboard, gcs), options.seed)
     on_ready(
         f"{truth.name} is up: offboard link {HOST}:{options.port} (bound to {onboard.address[1]}), "
         f"ground station {HOST}:{options.gcs_port} (bound to {gcs.address[1]}), {options.speed:g} times real time"
@@ -72,7 +80,7 @@ def simulate(
     sent = [0, 0]
     try:
         with undisturbed():
-            pace = _loop(shell, options, stop_requested, sent)
+            pace = _loop(shell, options, stop_requested, sent, on_ready)
     finally:
         shell.close()
     return {
@@ -87,7 +95,13 @@ def simulate(
     }
 
 
-def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], sent: list[int]) -> Pace:
+def _loop(
+    shell: Shell,
+    options: SimOptions,
+    stop_requested: Callable[[], str],
+    sent: list[int],
+    on_fault: Callable[[str], None],
+) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     vehicle = shell.server.vehicle
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
@@ -98,6 +112,8 @@ def _loop(shell: Shell, options: SimOptions, stop_requested: Callable[[], str], 
         for index, count in enumerate(shell.advance(TICK_MS)):
             sent[index] += count
         ticks += 1
+        for at_us, words in shell.server.faults.new():
+            on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
         if ticks % 25 == 0 and stop_requested():
             break
         if ticks % 250 == 0:

@@ -114,7 +114,12 @@ _POSE_MATRIX = _pose_matrix()
 
 def timestamp(t_us: int) -> Timestamp:
     """Vehicle time as Foxglove's time stamp."""
+    t_us = min(max(t_us, 0), _LATEST_US)  # a vehicle's stamp is what it says, and may be absurd
     return Timestamp(sec=t_us // 1_000_000, nsec=t_us % 1_000_000 * 1000)
+
+
+_LATEST_US = (2**32 - 1) * 1_000_000
+"""Foxglove's seconds have 32 bits."""
 
 
 def _points(ned_m: F64) -> list[Point3]:

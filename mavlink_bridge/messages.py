@@ -12,6 +12,7 @@ from typing import Any
 from mavlink_bridge import events as ev
 from mavlink_bridge.codec import Row, row, wire
 from mavlink_bridge.events import *  # noqa: F403
+from mavlink_bridge.hil_rows import HIL_ROWS
 
 _T_BOOT = wire("time_boot_ms", times=1000)
 _Q = wire("q1 q2 q3 q4")
@@ -30,6 +31,8 @@ def _degrees(name: str) -> Any:
     return wire(name, per=1e7)
 
 
+_ORIGIN: dict[str, Any] = {"lat_deg": _degrees("latitude"), "lon_deg": _degrees("longitude")}
+_ORIGIN |= {"alt_msl_m": wire("altitude", per=1000.0), "t_us": "time_usec"}
 _SETPOINT: dict[str, Any] = {
     "t_boot_us": _T_BOOT,
     "frame": "coordinate_frame",
@@ -336,13 +339,8 @@ _INFORMATION: tuple[Row, ...] = (
         t_us="time_usec",
         nan="pos_ned_m q_ned_frd approach_ned_m",
     ),
-    row(
-        ev.GpsGlobalOrigin,
-        lat_deg=_degrees("latitude"),
-        lon_deg=_degrees("longitude"),
-        alt_msl_m=wire("altitude", per=1000.0),
-        t_us="time_usec",
-    ),
+    row(ev.GpsGlobalOrigin, **_ORIGIN),
+    row(ev.SetGpsGlobalOrigin, **_ORIGIN),
     row(ev.MissionCurrent, rate_hz=1.0),
     row(ev.MissionRequestList),
     row(ev.MissionCount, items="count"),
@@ -381,7 +379,7 @@ _INFORMATION: tuple[Row, ...] = (
     ),
 )
 
-MESSAGES: tuple[Row, ...] = _TELEMETRY + _SETPOINTS + _PROTOCOLS + _INFORMATION
+MESSAGES: tuple[Row, ...] = _TELEMETRY + _SETPOINTS + _PROTOCOLS + _INFORMATION + HIL_ROWS
 """The table."""
 
 BY_ID: dict[int, Row] = {entry.id: entry for entry in MESSAGES}

@@ -20,19 +20,25 @@ CURRENT_A: Final = -1.0
 class BatteryState:
     """Voltage and remaining charge (0..1), renewed by `update`."""
 
-    __slots__ = ("_armed_s", "_params", "_t_us", "remaining", "voltage_v")
+    __slots__ = ("_armed_s", "_params", "_t_us", "forced", "remaining", "voltage_v")
 
     def __init__(self, params: Params) -> None:
         self._params = params
         self._armed_s = 0.0
         self._t_us = 0
         self.remaining = 1.0
+        self.forced: float | None = None
+        """Charge that a fault pretends."""
         self.voltage_v = params.get("BAT1_N_CELLS") * CELL_FULL_V
 
     def update(self, t_us: int, *, armed: bool, plant_v: float) -> None:
         """Advance to `t_us`; `plant_v` is the plant's terminal voltage, 0 where it has no battery."""
         step_s, self._t_us = (t_us - self._t_us) * 1e-6, t_us
         cells = max(1.0, self._params.get("BAT1_N_CELLS"))
+        if self.forced is not None:
+            self.remaining = self.forced
+            self.voltage_v = cells * (CELL_EMPTY_V + (CELL_FULL_V - CELL_EMPTY_V) * self.forced)
+            return
         if plant_v > 0.0:
             self.voltage_v = plant_v
             share = (plant_v / cells - CELL_EMPTY_V) / (CELL_FULL_V - CELL_EMPTY_V)

@@ -11,6 +11,7 @@ from typing import Any, Final
 from mavlink_bridge import messages as m
 from sim.autopilot import modes
 from sim.autopilot.commander import ESTIMATE_READY_US
+from sim.autopilot.failsafe import battery_warning
 from sim.autopilot.setpoint import ControlKind
 from sim.battery_state import CURRENT_A
 from sim.view import View
@@ -43,35 +44,44 @@ def attitude(view: View) -> m.Attitude:
     w, x, y, z = view.q_ned_frd
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    return m.Attitude(view.t_us, roll, pitch, view.heading_rad, view.rate_frd_radps)
+    return m.Attitude(view.stamp_us, roll, pitch, view.heading_rad, view.rate_frd_radps)
 
 
 def attitude_quaternion(view: View) -> m.AttitudeQuaternion:
     """The estimate's attitude and the rate loop's filtered gyro."""
-    return m.AttitudeQuaternion(view.t_us, view.q_ned_frd, view.rate_frd_radps)
+    return m.AttitudeQuaternion(view.stamp_us, view.q_ned_frd, view.rate_frd_radps)
 
 
-def local_position_ned(view: View) -> m.LocalPositionNed:
-    """The estimate's position and velocity."""
-    return m.LocalPositionNed(view.t_us, view.pos_ned_m, view.vel_ned_mps)
+def local_position_ned(view: View) -> m.LocalPositionNed | None:
+    """The estimate's position and velocity; None while it has none."""
+    if not view.vehicle.sensors.position_valid:
+        return None
+    return m.LocalPositionNed(view.stamp_us, view.told_pos_ned_m, view.told_vel_ned_mps)
 
 
 def odometry(view: View) -> m.Odometry:
-    """The whole estimate; velocity in NED (child frame 1), as PX4 sends it."""
+    """The whole estimate, velocity in NED (child frame 1), as PX4 sends it; NaN for a position that isn't known."""
     pose, velocity = view.covariances
+    pos, vel = view.told_pos_ned_m, view.told_vel_ned_mps
+    if not view.vehicle.sensors.position_valid:
+        pos = vel = (NAN, NAN, NAN)
     return m.Odometry(
-        view.t_us, 1, 1, view.pos_ned_m, view.q_ned_frd, view.vel_ned_mps, view.rate_frd_radps,
+        view.stamp_us, 1, 1, pos, view.q_ned_frd, vel, view.rate_frd_radps,
         view.vehicle.sensors.position_resets & 0xFF, pose, velocity,
     )  # fmt: skip
 
 
-def global_position_int(view: View) -> m.GlobalPositionInt:
-    """The estimate on the globe."""
-    north, east, _ = view.pos_ned_m
+def global_position_int(view: View) -> m.GlobalPositionInt | None:
+    """The estimate on the globe; None while it has no position."""
+    if not view.vehicle.sensors.position_valid:
+        return None
+    north, east, down = view.told_pos_ned_m
     lat, lon = view.frame.to_globe(north, east)
+    lower_m = down - view.pos_ned_m[2]
     return m.GlobalPositionInt(
-        view.t_us, lat, lon, view.altitude_amsl_m, view.relative_alt_m, view.vel_ned_mps, view.heading_deg
-    )
+        view.stamp_us, lat, lon, view.altitude_amsl_m - lower_m, view.relative_alt_m - lower_m, view.told_vel_ned_mps,
+        view.heading_deg,
+    )  # fmt: skip
 
 
 def highres_imu(view: View) -> m.HighresImu:
@@ -80,7 +90,7 @@ def highres_imu(view: View) -> m.HighresImu:
     view.sample_air()
     means = tuple(sensors.mean_imu.tolist())
     return m.HighresImu(
-        view.t_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
+        view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
         view.fields_updated,
     )  # fmt: skip
 
@@ -88,23 +98,23 @@ def highres_imu(view: View) -> m.HighresImu:
 def scaled_imu(view: View) -> m.ScaledImu:
     """HIGHRES_IMU's motion in whole numbers; sent on request only."""
     means = tuple(view.vehicle.sensors.mean_imu.tolist())
-    return m.ScaledImu(view.t_us, means[3:6], means[0:3], view.mag_frd_gauss, 15.0)
+    return m.ScaledImu(view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, 15.0)
 
 
 def servo_output_raw(view: View) -> m.ServoOutputRaw:
     """What the motors get: 1000 + 1000 u, 900 while disarmed or stopped (no finite thrust)."""
     setpoint = view.setpoint
     if setpoint.kind is ControlKind.OFF or not math.isfinite(setpoint.thrust_norm):
-        return m.ServoOutputRaw(view.t_us, 0, _DISARMED_SERVOS)
+        return m.ServoOutputRaw(view.stamp_us, 0, _DISARMED_SERVOS)
     u1, u2, u3, u4 = view.vehicle.motor_command.tolist()
     pwm = (int(1000.5 + 1000.0 * u1), int(1000.5 + 1000.0 * u2), int(1000.5 + 1000.0 * u3), int(1000.5 + 1000.0 * u4))
-    return m.ServoOutputRaw(view.t_us, 0, pwm + _UNUSED_SERVOS)
+    return m.ServoOutputRaw(view.stamp_us, 0, pwm + _UNUSED_SERVOS)
 
 
 def actuator_output_status(view: View) -> m.ActuatorOutputStatus:
     """The motors' outputs once more; sent on request only."""
     outputs = tuple(float(pwm) for pwm in servo_output_raw(view).pwm_us)
-    return m.ActuatorOutputStatus(view.t_us, len(outputs), outputs + _NO_OUTPUTS)
+    return m.ActuatorOutputStatus(view.stamp_us, len(outputs), outputs + _NO_OUTPUTS)
 
 
 def vfr_hud(view: View) -> m.VfrHud:
@@ -113,21 +123,23 @@ def vfr_hud(view: View) -> m.VfrHud:
     thrust = view.vehicle.control.thrust_setpoint if view.commander.armed else 0.0
     throttle = round(100.0 * thrust) if math.isfinite(thrust) else 0
     speed = math.hypot(v_north, v_east)
-    return m.VfrHud(NAN, speed, int(view.heading_deg), throttle, view.altitude_amsl_m, -v_down)
+    heading_deg = view.heading_deg  # not finite where the plant's state isn't
+    heading = int(heading_deg) if math.isfinite(heading_deg) else 0
+    return m.VfrHud(NAN, speed, heading, throttle, view.altitude_amsl_m, -v_down)
 
 
 def altitude(view: View) -> m.Altitude:
     """Heights; the ground is at home's height."""
     home_m, amsl_m, relative_m = view.home_altitude_m, view.altitude_amsl_m, view.relative_alt_m
     return m.Altitude(
-        view.t_us, amsl_m, amsl_m, -view.pos_ned_m[2], relative_m, home_m - view.frame.altitude_m, relative_m
+        view.stamp_us, amsl_m, amsl_m, -view.pos_ned_m[2], relative_m, home_m - view.frame.altitude_m, relative_m
     )
 
 
 def distance_sensor(view: View) -> m.DistanceSensor:
     """A rangefinder that looks down."""
     distance_m = min(max(view.relative_alt_m, 0.0), _RANGEFINDER_M)
-    return m.DistanceSensor(view.t_us, 0.0, _RANGEFINDER_M, distance_m, 0, 0, 25, 0)
+    return m.DistanceSensor(view.stamp_us, 0.0, _RANGEFINDER_M, distance_m, 0, 0, 25, 0)
 
 
 def hil_state_quaternion(view: View) -> m.HilStateQuaternion:
@@ -167,7 +179,7 @@ def position_target_local_ned(view: View) -> m.PositionTargetLocalNed | None:
     if not view.has_position_target:
         return None
     mask, (x, y, z, vx, vy, vz, ax, ay, az, yaw) = _position_target(view)
-    return m.PositionTargetLocalNed(view.t_us, 1, mask, (x, y, z), (vx, vy, vz), (ax, ay, az), yaw, 0.0)
+    return m.PositionTargetLocalNed(view.stamp_us, 1, mask, (x, y, z), (vx, vy, vz), (ax, ay, az), yaw, 0.0)
 
 
 def position_target_global_int(view: View) -> m.PositionTargetGlobalInt | None:
@@ -178,7 +190,7 @@ def position_target_global_int(view: View) -> m.PositionTargetGlobalInt | None:
     known = math.isfinite(x) and math.isfinite(y)
     lat, lon = view.frame.to_globe(x, y) if known else (0.0, 0.0)
     return m.PositionTargetGlobalInt(
-        view.t_us, 5, mask, lat, lon, view.frame.altitude_m - z, (vx, vy, vz), (ax, ay, az), yaw, 0.0
+        view.stamp_us, 5, mask, lat, lon, view.frame.altitude_m - z, (vx, vy, vz), (ax, ay, az), yaw, 0.0
     )
 
 
@@ -229,7 +241,7 @@ def battery_status(view: View) -> m.BatteryStatus:
     battery = view.battery
     return m.BatteryStatus(
         0, 1, 1, NAN, (battery.voltage_v, *_CELLS_ABSENT), CURRENT_A, remaining=round(100.0 * battery.remaining),
-        charge_state=1,
+        charge_state=1 + battery_warning(battery.remaining, view.vehicle.params),
     )  # fmt: skip
 
 
@@ -247,7 +259,7 @@ def estimator_status(view: View) -> m.EstimatorStatus:
     if not sensors.position_valid:
         flags &= ~0x37A
     return m.EstimatorStatus(
-        view.t_us, flags, *_GOOD_RATIOS, NAN, accuracy.pos_horizontal_std_m, accuracy.pos_vertical_std_m
+        view.stamp_us, flags, *_GOOD_RATIOS, NAN, accuracy.pos_horizontal_std_m, accuracy.pos_vertical_std_m
     )
 
 
@@ -278,12 +290,12 @@ def gps_raw_int(view: View) -> m.GpsRawInt | None:
 
 def scaled_pressure(view: View) -> m.ScaledPressure:
     """Barometer."""
-    return m.ScaledPressure(view.t_us, view.vehicle.sensors.pressure_hpa(), 0.0, 11.82)
+    return m.ScaledPressure(view.stamp_us, view.vehicle.sensors.pressure_hpa(), 0.0, 11.82)
 
 
 def vibration(view: View) -> m.Vibration:
     """Not modelled: a quiet vehicle."""
-    return m.Vibration(view.t_us, (0.0, 0.0, 0.0), (0, 0, 0))
+    return m.Vibration(view.stamp_us, (0.0, 0.0, 0.0), (0, 0, 0))
 
 
 # --- clocks, links, information ---
@@ -291,18 +303,18 @@ def vibration(view: View) -> m.Vibration:
 
 def timesync(view: View) -> m.Timesync:
     """A question about the other side's clock."""
-    return m.Timesync(0, 1000 * view.t_us)
+    return m.Timesync(0, 1000 * view.stamp_us)
 
 
 def system_time(view: View) -> m.SystemTime:
     """The simulated wall clock."""
-    return m.SystemTime(view.unix_at_boot_us + view.t_us, view.t_us)
+    return m.SystemTime(view.unix_at_boot_us + view.stamp_us, view.stamp_us)
 
 
 def ping(view: View) -> m.Ping:
     """A ping to everybody."""
     view.ping_sequence += 1
-    return m.Ping(view.t_us, view.ping_sequence - 1, 0, 0)
+    return m.Ping(view.stamp_us, view.ping_sequence - 1, 0, 0)
 
 
 def mission_current(view: View) -> m.MissionCurrent:
@@ -317,7 +329,7 @@ def current_event_sequence(view: View) -> m.CurrentEventSequence:
 
 def link_node_status(view: View) -> m.LinkNodeStatus:
     """Not measured: an idle link."""
-    return m.LinkNodeStatus(view.t_us, 0, 0, 0, 0)
+    return m.LinkNodeStatus(view.stamp_us, 0, 0, 0, 0)
 
 
 def time_estimate_to_target(view: View) -> m.TimeEstimateToTarget:
@@ -333,7 +345,8 @@ def open_drone_id_location(view: View) -> m.OpenDroneIdLocation:
     return m.OpenDroneIdLocation(
         0, 0, status=1 if view.commander.landed else 2, direction_deg=course,
         speed_horizontal_mps=math.hypot(v_north, v_east), speed_vertical_mps=-v_down, lat_deg=lat, lon_deg=lon,
-        alt_geodetic_m=view.altitude_amsl_m, height_m=view.relative_alt_m, timestamp_s=1e-6 * (view.t_us % _HOUR_US),
+        alt_geodetic_m=view.altitude_amsl_m, height_m=view.relative_alt_m,
+        timestamp_s=1e-6 * (view.stamp_us % _HOUR_US),
     )  # fmt: skip
 
 
@@ -358,7 +371,7 @@ def protocol_version(view: View) -> m.ProtocolVersion:
 
 def flight_information(view: View) -> m.FlightInformation:
     """Times of this flight: not kept."""
-    return m.FlightInformation(view.t_us, 0, 0, 0)
+    return m.FlightInformation(view.stamp_us, 0, 0, 0)
 
 
 def gps_global_origin(view: View) -> m.GpsGlobalOrigin:

@@ -11,10 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from flightstack.types import Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.px4 import Cmd, Result
 from sim import builders, streams
-from sim.autopilot.commander import FORCE, ArmRequest, FlyRequest, ModeRequest, Request, Sender
+from sim.autopilot.commander import FORCE, ArmRequest, FlyRequest, GoRequest, ModeRequest, Request, Sender
+from sim.autopilot.goal import Goal, orbit_goal
 from sim.streams import LinkStreams
 from sim.view import View
 
@@ -25,6 +27,11 @@ _GET_HOME: Final = 410
 _REQUEST_PROTOCOL: Final = 519
 _REQUEST_CAPABILITIES: Final = 520
 _CUSTOM: Final = 1
+_GLOBAL_FRAMES: Final = (0, 3, FRAME_GLOBAL_INT, 6, 11)
+"""Above the sea, above home, both once more with integers, above the terrain."""
+_INT32_MAX: Final = 2**31 - 1
+_FAR_M: Final = 1e5
+_FASTEST_MPS: Final = 20.0
 
 _HOME: Final = m.id_of(m.HomePosition)
 _GPS: Final = m.id_of(m.GpsRawInt)
@@ -61,11 +68,19 @@ def handle_long(message: m.CommandLong, context: Context) -> None:
 
 
 def handle_int(message: m.CommandInt, context: Context) -> None:
-    """A COMMAND_INT addressed to this vehicle: only frame GLOBAL_INT is known, whatever the command."""
-    if message.frame != FRAME_GLOBAL_INT:
+    """A COMMAND_INT addressed to this vehicle: frame GLOBAL_INT, for commands with a place the other global ones too.
+
+    Whatever the frame says, PX4 takes altitudes for those above the sea.
+    """
+    placed = message.command in _WITH_A_PLACE
+    if message.frame not in (_GLOBAL_FRAMES if placed else (FRAME_GLOBAL_INT,)):
         _answer(context, message.command, UNSUPPORTED_FRAME)
         return
-    _handle(message.command, message.params, context)
+    params: Params = message.params
+    if placed:
+        one, two, three, four, x, y, z = message.params
+        params = one, two, three, four, _whole_degrees(x), _whole_degrees(y), z
+    _handle(message.command, params, context)
 
 
 def handle_set_mode(message: m.SetMode, context: Context) -> None:
@@ -91,6 +106,24 @@ def _answer(context: Context, command: int, result: int) -> None:
 def _integer(value: float) -> int:
     """A whole number from a float parameter; -1 for what is none."""
     return int(value) if math.isfinite(value) and abs(value) < 2**31 else -1
+
+
+def _whole_degrees(value: float) -> float:
+    """A coordinate of COMMAND_INT in degrees; INT32_MAX is unset."""
+    return math.nan if value == _INT32_MAX else value * 1e-7
+
+
+def _place(context: Context, params: Params) -> Tuple3 | None:
+    """A command's place in the local frame, NaN where it is unset; None where it is none on this globe."""
+    lat, lon, altitude_m = params[4:7]
+    frame = context.view.frame
+    north = east = math.nan
+    if math.isfinite(lat) and math.isfinite(lon):
+        if abs(lat) > 90.0 or abs(lon) > 180.0:
+            return None
+        north, east = frame.to_local(lat, lon)
+    down = frame.altitude_m - altitude_m
+    return north, east, down if abs(down) < _FAR_M else math.nan
 
 
 # --- to the commander, which answers ---
@@ -121,7 +154,53 @@ def _return(context: Context, params: Params) -> None:
     context.requests.append(FlyRequest(context.sender, Cmd.NAV_RETURN_TO_LAUNCH))
 
 
+def _reposition(context: Context, params: Params) -> Result | None:
+    """DO_REPOSITION: hold there; its heading is in radians."""
+    place = _place(context, params)
+    if place is None:
+        return Result.DENIED
+    if params[0] > 0.0:  # False where it is unset
+        context.view.navigator.cruise_mps = min(params[0], _FASTEST_MPS)
+    yaw = math.remainder(params[3], 2.0 * math.pi) if math.isfinite(params[3]) else math.nan
+    changes = bool(_integer(params[1]) & 1) and _integer(params[1]) > 0
+    context.requests.append(GoRequest(context.sender, Cmd.DO_REPOSITION, Goal(place, yaw), changes))
+    return None
+
+
+def _orbit(context: Context, params: Params) -> Result | None:
+    """DO_ORBIT: circle there."""
+    place = _place(context, params)
+    if place is None:
+        return Result.DENIED
+    goal = orbit_goal(place, params[0], params[1], params[2])
+    context.requests.append(GoRequest(context.sender, Cmd.DO_ORBIT, goal))
+    return None
+
+
 # --- answered here ---
+
+
+def _change_speed(context: Context, params: Params) -> Result:
+    """DO_CHANGE_SPEED: horizontal speed of automatic modes; 0 or less takes the parameter's again."""
+    speed = params[1]
+    if math.isfinite(speed):
+        context.view.navigator.cruise_mps = min(speed, _FASTEST_MPS) if speed > 0.0 else math.nan
+    return Result.ACCEPTED
+
+
+def _set_home(context: Context, params: Params) -> Result:
+    """DO_SET_HOME: here, or a whole place."""
+    view, navigator = context.view, context.view.navigator
+    if params[0] > 0.5:
+        place: Tuple3 | None = view.pos_ned_m
+    else:
+        place = _place(context, params)
+        if place is None or not all(map(math.isfinite, place)):
+            return Result.DENIED
+    if not view.vehicle.sensors.position_valid:
+        return Result.TEMPORARILY_REJECTED
+    navigator.home_ned_m, navigator.home_t_us, navigator.home_is_manual = place, view.t_us, True
+    return Result.ACCEPTED
 
 
 def _reboot(context: Context, params: Params) -> Result:
@@ -198,6 +277,7 @@ def _request_capabilities(context: Context, params: Params) -> Result:
     return _send(context, _VERSION)
 
 
+_WITH_A_PLACE: Final = frozenset({Cmd.DO_REPOSITION, Cmd.DO_ORBIT, Cmd.DO_SET_HOME})
 _HANDLERS: Final[dict[int, Handler]] = {
     Cmd.DO_SET_MODE: _set_mode,
     Cmd.COMPONENT_ARM_DISARM: _arm,
@@ -208,6 +288,10 @@ _HANDLERS: Final[dict[int, Handler]] = {
     Cmd.SET_MESSAGE_INTERVAL: _set_interval,
     Cmd.GET_MESSAGE_INTERVAL: _get_interval,
     Cmd.REQUEST_MESSAGE: _request_message,
+    Cmd.DO_REPOSITION: _reposition,
+    Cmd.DO_ORBIT: _orbit,
+    Cmd.DO_CHANGE_SPEED: _change_speed,
+    Cmd.DO_SET_HOME: _set_home,
     _GET_HOME: _get_home,
     _REQUEST_PROTOCOL: _request_protocol,
     _REQUEST_CAPABILITIES: _request_capabilities,

@@ -101,6 +101,10 @@ class EstimatorModel:
         )
         self.used()
 
+    def jump_north(self, distance_m: float) -> None:
+        """From now on the position is off by so much more."""
+        self.model[_BIAS, 0] += distance_m
+
     def noise_row(self) -> int:
         """Row of `noise` for the next sample."""
         if self._next == _BLOCK:

@@ -170,6 +170,11 @@ class Sensors:
             self.position_resets,
         )
 
+    def jump_north(self, distance_m: float) -> None:
+        """The estimate's position jumps, and the reset is counted."""
+        self.estimator.jump_north(distance_m)
+        self.position_resets += 1
+
     def pressure_hpa(self) -> float:
         """Barometer now: standard atmosphere at the true height, with noise."""
         altitude_m = HOME_ALTITUDE_M - float(self._pos_ned_m[2])

@@ -21,7 +21,9 @@ from sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, 
 from sim.autopilot.navigator import Navigator
 from sim.autopilot.notices import Notice
 from sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
-from sim.autopilot.setpoint import ControlSetpoint
+from sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
+from sim.builders import gps_global_origin
+from sim.faults import Fault, Injector
 from sim.geodesy import PX4_SIH, LocalFrame
 from sim.protocols import EventMemory, ParameterList
 from sim.simulated_vehicle import SimulatedVehicle
@@ -64,6 +66,7 @@ class Server:
         system: int = 1,
         frame: LocalFrame = PX4_SIH,
         unix_at_boot_us: int = UNIX_AT_BOOT_US,
+        faults: tuple[Fault, ...] = (),
     ) -> None:
         self.vehicle = vehicle
         self.system = system
@@ -72,10 +75,15 @@ class Server:
         self.view = View(vehicle, self.commander.state, self.navigator.state, frame, unix_at_boot_us)
         self.view.sysid = system
         self.events = EventMemory()
+        self.faults = Injector(faults)
+        self.deaf_to: frozenset[type[Any]] = frozenset()
+        """Messages that a fault keeps from the autopilot."""
         self._ports = [_Port(kind, system) for kind in links]
         self._requests: list[Request] = []
         self._offboard: ControlSetpoint | None = None
         self._offboard_at_us = NEVER
+        self._gcs_at_us = NEVER
+        self._breached = False
         self._next_slow_us = 0
         self._was_armed = False
 
@@ -95,8 +103,9 @@ class Server:
         port = self._ports[link_index]
         port.link.receive_datagram(data, self.vehicle.plant.t_us)
         while (received := port.link.next_event()) is not None:
-            handler = _HANDLERS.get(type(received.message))
-            if handler is not None and self._addressed(received.message):
+            kind = type(received.message)
+            handler = _HANDLERS.get(kind)
+            if handler is not None and kind not in self.deaf_to and self._addressed(received.message):
                 handler(self, link_index, received)
 
     def _addressed(self, message: Any) -> bool:
@@ -125,7 +134,7 @@ class Server:
             port = self._ports[link_index]
             if not self._has_gcs(port):
                 self.commander.report_again()
-            port.gcs_at_us = received.t_us
+            port.gcs_at_us = self._gcs_at_us = received.t_us
 
     def _on_command(self, link_index: int, received: Received) -> None:
         port = self._ports[link_index]
@@ -149,13 +158,15 @@ class Server:
         message = received.message
         answer: Any = None
         if isinstance(message, m.Timesync):
-            answer = protocols.answer_timesync(message, sender, self.t_us)
+            answer = protocols.answer_timesync(message, sender, self.view.stamp_us)
         elif isinstance(message, m.Ping):
             answer = protocols.answer_ping(message, sender)
         elif isinstance(message, m.ParamRequestRead):
             answer = protocols.read_parameter(message, self.vehicle.params, sender)
         elif isinstance(message, m.ParamRequestList):
             port.parameters.start()
+        elif isinstance(message, m.SetGpsGlobalOrigin):
+            answer = gps_global_origin(self.view)
         elif isinstance(message, m.FileTransferProtocol):
             answer = protocols.answer_file(message, sender)
         elif isinstance(message, m.RequestEvent):
@@ -179,6 +190,8 @@ class Server:
         """Simulate n_ms milliseconds under what has been received, then queue the streams that are due."""
         vehicle, view, state = self.vehicle, self.view, self.commander.state
         now_us = view.t_us
+        if self.faults.faults:
+            self.faults.step(self)
         landed = vehicle.control.land_detector.landed
         if self._requests or now_us >= state.next_cycle_us or landed is not state.landed:
             self._command(landed, now_us)  # between its cycles the commander sleeps unless something happens
@@ -188,6 +201,8 @@ class Server:
             view.pos_ned_m,
             armed=state.armed,
             takeoff_altitude_m=state.takeoff_altitude_m,
+            goal=state.goal,
+            now_us=now_us,
         )
         if said:
             self._say(said, now_us)
@@ -209,8 +224,7 @@ class Server:
         if self._requests:
             requests = tuple(self._requests)
             self._requests.clear()
-        done = self.navigator.state.takeoff_done
-        outputs = self.commander.step(Inputs(landed, self._offboard_at_us, done, requests), now_us)
+        outputs = self.commander.step(self._inputs(landed, requests), now_us)
         armed = self.commander.state.armed
         if armed is not self._was_armed:
             self._was_armed = armed
@@ -219,9 +233,25 @@ class Server:
         if outputs.notices or outputs.answers:
             self._tell(outputs, now_us)
 
+    def _inputs(self, landed: bool, requests: tuple[Request, ...]) -> Inputs:
+        """What the commander looks at; a position setpoint without a position is no signal."""
+        valid, offboard = self.vehicle.sensors.position_valid, self._offboard
+        usable = valid or offboard is None or offboard.kind not in POSITION_KINDS
+        return Inputs(
+            landed,
+            self._offboard_at_us if usable else NEVER,
+            self.navigator.state.takeoff_done,
+            requests,
+            self._gcs_at_us,
+            self.view.battery.remaining,
+            valid,
+            self._breached,
+        )
+
     def _slow(self) -> None:
         """What is looked at ten times a second."""
         view = self.view
+        self._breached = self.navigator.outside_fence(view.pos_ned_m)
         self._next_slow_us = view.t_us - view.t_us % SLOW_US + SLOW_US
         view.refresh_slow()
         if view.t_us >= HOME_SET_US and self.navigator.state.home_ned_m is None:
@@ -279,6 +309,7 @@ _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
     m.Timesync: Server._on_protocol,
     m.Ping: Server._on_protocol,
     m.FileTransferProtocol: Server._on_protocol,
+    m.SetGpsGlobalOrigin: Server._on_protocol,
     m.RequestEvent: Server._on_protocol,
     m.MissionRequestList: Server._on_protocol,
     m.MissionClearAll: Server._on_protocol,

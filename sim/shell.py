@@ -2,12 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mavlink_bridge.transport.udp import UdpSocket
+from sim.link_faults import BadLink
 from sim.server import Server
 
 ONBOARD, GCS = 0, 1
+
+
+class Seam:
+    """Between a server and the network: where link faults happen, each direction of each link on its own."""
+
+    __slots__ = ("_faults", "_in", "_out", "_server", "bad")
+
+    def __init__(self, server: Server, links: int, seed: int) -> None:
+        self._server, self._faults = server, server.faults
+        self.bad = server.faults.on_the_link
+        """Whether any fault concerns the link: then every message has a datagram of its own, as on PX4."""
+        self._out = [BadLink(seed, 2 * index) for index in range(links)]
+        self._in = [BadLink(seed, 2 * index + 1) for index in range(links)]
+
+    def out(self, index: int, datagrams: list[bytes]) -> list[bytes]:
+        """What leaves now of what the server has sent till now."""
+        return self._carry(self._out[index], datagrams)
+
+    def into(self, index: int, datagrams: list[bytes]) -> list[bytes]:
+        """What the server gets now of what was sent to it."""
+        return self._carry(self._in[index], datagrams)
+
+    def _carry(self, link: BadLink, datagrams: list[bytes]) -> list[bytes]:
+        if not self.bad:
+            return datagrams
+        now_us = self._server.t_us
+        return link.carry(datagrams, self._faults.link_quality(now_us), now_us)
 
 
 @dataclass(slots=True)
@@ -16,13 +44,19 @@ class Shell:
 
     server: Server
     sockets: tuple[UdpSocket | None, ...]
+    seed: int = 0
+    """Of the link faults."""
+    seam: Seam = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.seam = Seam(self.server, len(self.sockets), self.seed)
 
     def advance(self, milliseconds: int) -> list[int]:
         """Simulate, then send what is due: how many datagrams went out on each link."""
         self.server.advance(milliseconds)
         sent = []
         for index, socket in enumerate(self.sockets):
-            datagrams = self.server.datagrams(index)
+            datagrams = self.seam.out(index, self.server.datagrams(index))
             if socket is not None:
                 for data in datagrams:
                     socket.send(data)
@@ -33,15 +67,8 @@ class Shell:
         """Hand over everything that has arrived."""
         for index, socket in enumerate(self.sockets):
             if socket is not None:
-                for data in socket.receive_all():
+                for data in self.seam.into(index, socket.receive_all()):
                     self.server.receive(index, data)
-
-    def receive_exactly(self, index: int, count: int, timeout_s: float) -> None:
-        """Hand over `count` datagrams of one link; in lockstep both ends know how many are on the way."""
-        socket = self.sockets[index]
-        if socket is not None:
-            for data in socket.receive_exactly(count, timeout_s):
-                self.server.receive(index, data)
 
     def close(self) -> None:
         """Close all sockets."""

@@ -165,5 +165,5 @@ class LinkStreams:
         """Send what is due."""
         for index in self._schedule.due(view.t_us):
             message = _BUILDERS[index](view)
-            if message is not None:
+            if message is not None and type(message) not in view.silenced:
                 send(message)

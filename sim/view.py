@@ -6,7 +6,7 @@ Builders (`sim.builders`) read a `View` and nothing else.  It changes nothing in
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 from flightstack.types import Tuple3, Tuple4
 from sim.autopilot import modes
@@ -46,12 +46,14 @@ class View:
     __slots__ = (
         "_attitude_target",
         "_baro_at_us",
+        "_frozen",
         "_mag_at_us",
         "_moved_at_us",
         "accuracy",
         "altitude_m",
         "attitude_controlled",
         "battery",
+        "clock_offset_us",
         "commander",
         "covariances",
         "event_sequence",
@@ -66,6 +68,7 @@ class View:
         "q_ned_frd",
         "rate_frd_radps",
         "setpoint",
+        "silenced",
         "sysid",
         "t_us",
         "unix_at_boot_us",
@@ -90,6 +93,11 @@ class View:
         self.covariances = _covariances(self.accuracy)
         self.battery = BatteryState(vehicle.params)
         self.sysid = 1
+        self.silenced: frozenset[type[Any]] = frozenset()
+        """Messages that a fault keeps from being sent."""
+        self.clock_offset_us = 0
+        """By how much a fault has moved the stamps."""
+        self._frozen: tuple[Tuple3, Tuple3] | None = None
         self.setpoint: ControlSetpoint = vehicle.control.setpoint
         self.event_sequence = 0
         self.ping_sequence = 0
@@ -125,6 +133,29 @@ class View:
         self.battery.update(self.t_us, armed=armed, plant_v=self.vehicle.plant.battery_v)
         if armed:
             self._moved_at_us = self.t_us
+
+    def freeze(self) -> None:
+        """From now on this place and velocity are reported."""
+        self._frozen = (self.pos_ned_m, self.vel_ned_mps)
+
+    def thaw(self) -> None:
+        """Report what is."""
+        self._frozen = None
+
+    @property
+    def stamp_us(self) -> int:
+        """Time since boot as messages carry it."""
+        return max(0, self.t_us + self.clock_offset_us)
+
+    @property
+    def told_pos_ned_m(self) -> Tuple3:
+        """The position that is reported."""
+        return self._frozen[0] if self._frozen is not None else self.pos_ned_m
+
+    @property
+    def told_vel_ned_mps(self) -> Tuple3:
+        """The velocity that is reported."""
+        return self._frozen[1] if self._frozen is not None else self.vel_ned_mps
 
     def use(self, setpoint: ControlSetpoint) -> None:
         """Note the setpoint of the next step; PX4's attitude setpoint goes stale when body rates take over."""

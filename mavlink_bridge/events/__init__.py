@@ -25,6 +25,7 @@ from mavlink_bridge.events.information import (
     OpenDroneIdLocation,
     OpenDroneIdSystem,
     ProtocolVersion,
+    SetGpsGlobalOrigin,
 )
 from mavlink_bridge.events.on_request import ActuatorOutputStatus, ScaledImu
 from mavlink_bridge.events.protocol import (
@@ -149,6 +150,7 @@ __all__ = [
     "ScaledPressure",
     "ServoOutputRaw",
     "SetAttitudeTarget",
+    "SetGpsGlobalOrigin",
     "SetMode",
     "SetPositionTargetGlobalInt",
     "SetPositionTargetLocalNed",

@@ -117,6 +117,16 @@ class GpsGlobalOrigin(NamedTuple):
     t_us: int = 0
 
 
+class SetGpsGlobalOrigin(NamedTuple):
+    """A wish that the local frame begin elsewhere."""
+
+    target_system: int
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    t_us: int = 0
+
+
 class MissionCurrent(NamedTuple):
     """The mission item in force."""
 

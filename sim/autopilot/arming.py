@@ -25,6 +25,10 @@ class Conditions:
     """Whether a mission is loaded."""
     armed: bool = False
     """Whether it is armed already: nothing bars arming then."""
+    position_valid: bool = True
+    """Whether there is a horizontal position."""
+    gcs_missing: bool = False
+    """Whether a ground station is needed (NAV_DLL_ACT) and none is heard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,9 @@ def check(mode: Mode, conditions: Conditions) -> Checks:
         can_run &= ~modes.MISSION_WORD
     if not conditions.offboard_signal:
         can_run &= ~modes.OFFBOARD.bit
-    can_arm = can_run if conditions.estimate_ready else 0
+    if not conditions.position_valid:
+        can_run &= ~modes.POSITION_WORD
+    can_arm = can_run if conditions.estimate_ready and not conditions.gcs_missing else 0
     if mode.prevents_arming and not conditions.armed:
         can_arm &= ~modes.PREVENTS_ARMING_WORD
     return Checks(conditions, mode, can_arm, can_run)
@@ -73,6 +79,9 @@ def report(checks: Checks) -> tuple[Notice, ...]:
         failed.append(notices.check_failed("check_modes_cannot_takeoff", 0x66, barred, notices.SYSTEM))
     if not conditions.mission:
         failed.append(notices.check_failed("check_modes_mission", 0x66, modes.MISSION_WORD, notices.SYSTEM))
+    if not conditions.position_valid:
+        failed.append(notices.check_failed("check_modes_local_pos", 0x33, modes.POSITION_WORD, notices.SYSTEM))
+        errors |= 1 << notices.SYSTEM
     if not conditions.offboard_signal:
         barred = modes.OFFBOARD.bit
         failed.append(notices.check_failed("check_modes_offboard_signal", 0x33, barred, notices.SYSTEM))
@@ -83,5 +92,8 @@ def report(checks: Checks) -> tuple[Notice, ...]:
     if not conditions.estimate_ready:
         failed.append(notices.check_failed("check_estimator_heading_not_stable", 0x33, ~0, notices.SYSTEM))
         errors |= 1 << notices.SYSTEM
+    if conditions.gcs_missing:
+        failed.append(notices.check_failed("check_rc_dl_no_dllink", 0x33, ~0, notices.COMMUNICATION))
+        errors |= 1 << notices.COMMUNICATION
     summary = notices.check_summary(errors, warnings, checks.can_arm, checks.can_run)
     return summary, *failed, notices.health_summary(0, 0)

@@ -16,7 +16,8 @@ from typing import Final, NamedTuple
 
 from sim.autopilot import arming, failsafe, modes, notices
 from sim.autopilot.arming import Checks, Conditions
-from sim.autopilot.failsafe import Action
+from sim.autopilot.failsafe import Action, Failsafe, Status, battery_warning
+from sim.autopilot.goal import Goal
 from sim.autopilot.modes import Mode
 from sim.autopilot.notices import Notice
 from sim.autopilot.params import Params
@@ -39,6 +40,7 @@ COMMAND_ARM: Final = 400
 COMMAND_TAKEOFF: Final = 22
 COMMAND_LAND: Final = 21
 COMMAND_RETURN: Final = 20
+COMMAND_ORBIT: Final = 34
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
@@ -77,7 +79,16 @@ class FlyRequest(NamedTuple):
     """Of a take-off, above the sea; NaN takes MIS_TAKEOFF_ALT."""
 
 
-Request = ModeRequest | ArmRequest | FlyRequest
+class GoRequest(NamedTuple):
+    """DO_REPOSITION or DO_ORBIT: a goal, and whether the mode shall change for it."""
+
+    sender: Sender
+    command: int
+    goal: Goal
+    changes_mode: bool = True
+
+
+Request = ModeRequest | ArmRequest | FlyRequest | GoRequest
 
 
 class Answer(NamedTuple):
@@ -97,6 +108,14 @@ class Inputs(NamedTuple):
     takeoff_done: bool = False
     """AUTO.TAKEOFF has reached its height."""
     requests: tuple[Request, ...] = ()
+    gcs_at_us: int = NEVER
+    """When a ground station's last heartbeat came, on any link."""
+    battery_remaining: float = 1.0
+    """Charge, 0..1."""
+    position_valid: bool = True
+    """Whether the estimate has a horizontal position."""
+    breached: bool = False
+    """Outside the geofence."""
 
 
 class Outputs(NamedTuple):
@@ -133,37 +152,45 @@ class CommanderState:
     reported: tuple[Notice, ...] = ()
     reported_at_us: int = NEVER
     explained_at_us: int = NEVER
+    goal: Goal | None = None
+    """Where Hold or Orbit was sent; None: where it is."""
+    gcs_lost: bool = True
+    """No ground station is heard; true until one is."""
+    gcs_seen: bool = False
 
     @property
     def in_failsafe(self) -> bool:
         """Whether a failsafe flies instead of the intention."""
-        return self.action is not Action.NONE
+        return self.action > Action.WARN
 
 
 class Commander:
     """PX4's commander for one vehicle."""
 
-    __slots__ = ("_answers", "_notices", "_params", "state")
+    __slots__ = ("_answers", "_failsafe", "_inputs", "_notices", "_params", "state")
 
     def __init__(self, params: Params) -> None:
         self._params = params
         self._notices: list[Notice] = []
         self._answers: list[Answer] = []
+        self._failsafe = Failsafe(params)
+        self._inputs = Inputs(True, NEVER)
         nothing = Conditions(estimate_ready=False, offboard_signal=False)
         self.state = CommanderState(arming.check(modes.HOLD, nothing))
 
     def step(self, inputs: Inputs, now_us: int) -> Outputs:
         """Advance to `now_us`; requests are handled in their order, before the failsafes."""
-        state = self.state
+        state, self._inputs = self.state, inputs
         if inputs.landed is not state.landed:
             self._landed_changed(inputs.landed, now_us)
         if inputs.takeoff_done and state.intended is modes.TAKEOFF and state.armed:
             state.intended = modes.HOLD
-            self._apply_mode(now_us)
+            self._apply_mode(now_us, chosen=True)
         for request in inputs.requests:
             self._handle(request, inputs, now_us)
         if now_us >= state.next_cycle_us:
             state.next_cycle_us = now_us - now_us % CYCLE_US + CYCLE_US
+            self._hear_gcs(inputs, now_us)
             self._check(inputs, now_us)
             self._apply_mode(now_us)
             self._disarm_by_timer(now_us)
@@ -182,29 +209,51 @@ class Commander:
         state = self.state
         age_us = now_us - inputs.last_setpoint_us
         ready = now_us >= ESTIMATE_READY_US
-        conditions = Conditions(ready, age_us < self._params.get("COM_OF_LOSS_T") * 1e6, armed=state.armed)
+        conditions = Conditions(
+            ready,
+            age_us < self._params.get("COM_OF_LOSS_T") * 1e6,
+            armed=state.armed,
+            position_valid=inputs.position_valid,
+            gcs_missing=state.gcs_lost and not state.armed and self._params.get("NAV_DLL_ACT") > 0.0,
+        )
         if ready and not state.checks.conditions.estimate_ready:
             self._notices.append(notices.READY)
         if conditions != state.checks.conditions or state.intended is not state.checks.mode:
             state.checks = arming.check(state.intended, conditions)
 
-    def _apply_mode(self, now_us: int) -> None:
-        """Fly the intention, or the failsafe that takes its place."""
+    def _hear_gcs(self, inputs: Inputs, now_us: int) -> None:
+        """Whether a ground station is there (COM_DL_LOSS_T)."""
         state = self.state
-        action = failsafe.evaluate(
+        lost = now_us - inputs.gcs_at_us > self._params.get("COM_DL_LOSS_T") * 1e6
+        if lost is not state.gcs_lost:
+            if lost or state.gcs_seen:
+                self._notices.append(notices.GCS_LOST if lost else notices.GCS_REGAINED)
+            state.gcs_lost, state.gcs_seen = lost, True
+
+    def _apply_mode(self, now_us: int, *, chosen: bool = False) -> None:
+        """Fly the intention, or the failsafe that takes its place; `chosen`: somebody has just chosen a mode."""
+        state, inputs = self.state, self._inputs
+        status = Status(
             state.intended,
-            armed=state.armed,
-            offboard_signal=state.checks.conditions.offboard_signal,
-            params=self._params,
+            state.armed,
+            state.checks.can_run,
+            state.checks.conditions.offboard_signal,
+            state.gcs_lost,
+            battery_warning(inputs.battery_remaining, self._params),
+            inputs.breached,
         )
-        if action is not state.action:
-            state.action = action
-            if action is not Action.NONE:
-                self._notices.append(notices.failsafe(state.intended.custom_mode, action))
-        if action is Action.DISARM:
+        selected = self._failsafe.update(status, now_us, chosen=chosen)
+        state.action = selected.action
+        if selected.announce:
+            self._notices.append(
+                notices.failsafe(
+                    state.intended.custom_mode, selected.action, selected.cause, selected.then, selected.delay_s
+                )
+            )
+        if selected.action is Action.DISARM:
             self._disarm(notices.BY_FAILSAFE)
         else:
-            state.mode = failsafe.ACTION_MODES.get(action, state.intended)
+            state.mode = failsafe.ACTION_MODES.get(selected.action, state.intended)
 
     def _disarm_by_timer(self, now_us: int) -> None:
         """Disarm after a landing, and when nobody takes off."""
@@ -259,6 +308,7 @@ class Commander:
         state.armed = False
         state.flown = False
         state.action = Action.NONE
+        self._failsafe.reset()
         if not state.intended.kept_after_disarm:
             state.intended = state.kept
         state.mode = state.intended
@@ -273,6 +323,8 @@ class Commander:
             self._answers.append(Answer(request.sender, COMMAND_SET_MODE, result))
         elif isinstance(request, ArmRequest):
             self._arm_or_disarm(request, inputs, now_us)
+        elif isinstance(request, GoRequest):
+            self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
         else:
             self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
 
@@ -294,13 +346,13 @@ class Commander:
     def _choose(self, mode: Mode, now_us: int) -> bool:
         """Make `mode` the intention; a disarmed vehicle takes any, an armed one only what can run."""
         state = self.state
-        if state.armed and not state.checks.runs(mode):
+        if state.armed and mode is not modes.LAND and not state.checks.runs(mode):
             return False
-        state.intended = mode
+        state.intended, state.goal = mode, None
         if mode.kept_after_disarm and not mode.prevents_arming:
             state.kept = mode
         state.checks = arming.check(mode, state.checks.conditions)
-        self._apply_mode(now_us)
+        self._apply_mode(now_us, chosen=True)
         return True
 
     def _fly(self, request: FlyRequest, now_us: int) -> int:
@@ -317,6 +369,17 @@ class Commander:
             self._notices.append(notice)
         return ACCEPTED if chosen else TEMPORARILY_REJECTED
 
+    def _go(self, request: GoRequest, now_us: int) -> int:
+        """Reposition (in Hold) or orbit; without the change of mode the goal counts where Hold flies already."""
+        mode = modes.ORBIT if request.command == COMMAND_ORBIT else modes.HOLD
+        if request.changes_mode and not self._choose(mode, now_us):
+            orbit = mode is modes.ORBIT
+            self._notices.append(notices.ORBIT_REJECTED if orbit else notices.REPOSITION_REJECTED)
+            return TEMPORARILY_REJECTED
+        if self.state.intended is mode:
+            self.state.goal = request.goal
+        return ACCEPTED
+
     def _arm_or_disarm(self, request: ArmRequest, inputs: Inputs, now_us: int) -> None:
         """COMPONENT_ARM_DISARM; a value that is neither 0 nor 1 gets words but no answer, as on PX4."""
         state = self.state
@@ -331,6 +394,8 @@ class Commander:
                     self._notices.append(notices.ARMING_DENIED)
                     if not state.checks.conditions.estimate_ready:
                         self._notices.append(notices.HEADING_NOT_STABLE)
+                    if state.checks.conditions.gcs_missing:
+                        self._notices.append(notices.NO_GCS)
                     result = TEMPORARILY_REJECTED
         elif request.param == 0.0:
             if state.armed and not state.landed and not request.force:

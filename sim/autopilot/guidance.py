@@ -99,6 +99,8 @@ class Guidance:
             return
         self._ramp_s += self._dt_s
         speed, climb, descent, tilt = self._limits[setpoint.kind]
+        if setpoint.speed_mps > 0.0:  # False where it is unset
+            speed = setpoint.speed_mps
         ramping = self._ramp_s < self._ramp_time_s
         if ramping:
             climb *= self._ramp_s / self._ramp_time_s
@@ -140,6 +142,8 @@ class Guidance:
                     target[axis] = self._hold_ned_m[axis]
             if not np.isnan(target[0:2]).any() and np.isnan(target[3:5]).all():
                 self._move_reference(target, state)
+            else:  # a way of its own: what follows it begins where the vehicle is
+                self._start_reference(state, moving=True)
         if setpoint.kind is ControlKind.LAND:
             target[2], target[5] = math.nan, self._landing_speed(-float(state[2]))
         if not math.isnan(setpoint.yaw_rad):
@@ -157,7 +161,9 @@ class Guidance:
         north, east, v_north, v_east = self._reference
         to_n, to_e = float(target[0]) - north, float(target[1]) - east
         left_m = math.hypot(to_n, to_e)
-        speed = min(self._limits[ControlKind.GOTO][0], math.sqrt(2.0 * self._brake_mps2[0] * left_m))
+        asked = self._last.speed_mps
+        cruise = asked if asked > 0.0 else self._limits[ControlKind.GOTO][0]
+        speed = min(cruise, math.sqrt(2.0 * self._brake_mps2[0] * left_m))
         speed = min(speed, left_m / self._dt_s)
         if math.hypot(north - float(state[0]), east - float(state[1])) > _LEASH_M:
             speed = 0.0

@@ -106,6 +106,13 @@ _EMPTY_STATES: Final = (7, 9, 11, 16, 31)
 _BY_WIRE: Final = {(mode.main, mode.sub): mode for mode in MODES if mode is not DESCEND} | {(4, 1): HOLD}
 
 # The mode table's bits as PX4 words.
+POSITION_WORD: Final = sum(
+    mode.bit
+    for mode in (
+        POSCTL, POSITION_SLOW, MISSION, HOLD, RTL, TAKEOFF, LAND, FOLLOW, PRECLAND, ORBIT, VTOL_TAKEOFF,
+    )
+)  # fmt: skip
+"""Modes that need a horizontal position; OFFBOARD needs what its setpoints ask for, Descend needs none."""
 STICKS_WORD: Final = sum(mode.bit for mode in MODES if mode.need is Need.STICKS)
 MISSION_WORD: Final = MISSION.bit
 PREVENTS_ARMING_WORD: Final = sum(mode.bit for mode in MODES if mode.prevents_arming)

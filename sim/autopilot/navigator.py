@@ -3,23 +3,25 @@
 Hold keeps the place, take-off climbs MIS_TAKEOFF_ALT, Land goes down where it is, Return flies home and lands: within
 RTL_MIN_DIST of home at the height it has, from further away at RTL_RETURN_ALT above home at least.
 Follow, orbit and VTOL take-off hold (there is nothing to follow or to transition), Precision Landing lands.
+Descend goes down level and lets the vehicle drift.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from flightstack.types import Tuple3
 from sim.autopilot import modes, notices
+from sim.autopilot.goal import Circle, Goal, hold_at
 from sim.autopilot.modes import Mode
 from sim.autopilot.notices import Notice
 from sim.autopilot.params import Params
 from sim.autopilot.setpoint import HOLD, LAND, NAN, OFF, ControlKind, ControlSetpoint
 
 _ARRIVED_M: Final = 1.0
-_LANDING_MODES: Final = (modes.LAND, modes.DESCEND, modes.PRECLAND)
+_LANDING_MODES: Final = (modes.LAND, modes.PRECLAND)
 
 
 @dataclass(slots=True)
@@ -33,6 +35,12 @@ class NavigatorState:
     setpoint: ControlSetpoint = OFF
     takeoff_down_m: float = 0.0
     takeoff_done: bool = False
+    home_is_manual: bool = False
+    """A client has said where it is: it stays there."""
+    cruise_mps: float = NAN
+    """Horizontal speed of automatic modes by DO_CHANGE_SPEED; NaN: MPC_XY_CRUISE."""
+    goal: Goal | None = None
+    circle: Circle | None = None
 
 
 class Navigator:
@@ -46,8 +54,20 @@ class Navigator:
         self.state = NavigatorState()
 
     def set_home(self, pos_ned_m: Tuple3, now_us: int) -> None:
-        """Home is here from now on."""
-        self.state.home_ned_m, self.state.home_t_us = pos_ned_m, now_us
+        """Home is here from now on, unless a client has said where it is."""
+        if not self.state.home_is_manual:
+            self.state.home_ned_m, self.state.home_t_us = pos_ned_m, now_us
+
+    def outside_fence(self, pos_ned_m: Tuple3) -> bool:
+        """Whether a place lies outside the cylinder round home (GF_MAX_HOR_DIST, GF_MAX_VER_DIST; 0: no such wall)."""
+        home, get = self.state.home_ned_m, self._params.get
+        radius_m, height_m = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
+        if home is None:
+            return False
+        return bool(
+            (radius_m > 0.0 and math.dist(home[:2], pos_ned_m[:2]) > radius_m)
+            or (height_m > 0.0 and home[2] - pos_ned_m[2] > height_m)
+        )
 
     def step(
         self,
@@ -57,13 +77,15 @@ class Navigator:
         *,
         armed: bool,
         takeoff_altitude_m: float = NAN,
+        goal: Goal | None = None,
+        now_us: int = 0,
     ) -> tuple[ControlSetpoint, tuple[Notice, ...]]:
         """The setpoint for this tick and what is to be said about it."""
         state = self.state
         said: tuple[Notice, ...] = ()
         if mode is not state.mode or armed is not state.armed:
             state.setpoint, said = self._enter(mode, pos_ned_m, takeoff_altitude_m) if armed else (OFF, ())
-            state.mode, state.armed = mode, armed
+            state.mode, state.armed, state.goal, state.circle = mode, armed, None, None
             state.takeoff_done = False
         if not armed:
             return OFF, said
@@ -73,7 +95,27 @@ class Navigator:
             state.takeoff_done = abs(pos_ned_m[2] - state.takeoff_down_m) < self._params.get("NAV_MC_ALT_RAD") / 2.0
         elif mode is modes.RTL:
             said += self._fly_home(pos_ned_m)
-        return state.setpoint, said
+        elif mode is modes.HOLD or mode is modes.ORBIT:
+            self._pursue(goal, pos_ned_m, now_us)
+        return self._paced(state.setpoint), said
+
+    def _pursue(self, goal: Goal | None, pos_ned_m: Tuple3, now_us: int) -> None:
+        """Go where a command said."""
+        state = self.state
+        if goal is not state.goal and goal is not None:
+            state.circle = Circle(goal, pos_ned_m, now_us) if goal.radius_m else None
+            state.setpoint = hold_at(goal)
+        state.goal = goal
+        if state.circle is not None:
+            state.setpoint = state.circle.step(pos_ned_m, now_us)
+
+    def _paced(self, setpoint: ControlSetpoint) -> ControlSetpoint:
+        """With the speed that was asked for; the same object as long as nothing changes."""
+        cruise = self.state.cruise_mps
+        if setpoint.speed_mps == cruise or (math.isnan(cruise) and math.isnan(setpoint.speed_mps)):
+            return setpoint
+        self.state.setpoint = replace(setpoint, speed_mps=cruise)
+        return self.state.setpoint
 
     def _enter(
         self, mode: Mode, pos_ned_m: Tuple3, takeoff_altitude_m: float
@@ -83,11 +125,18 @@ class Navigator:
             return self._start_takeoff(pos_ned_m, takeoff_altitude_m)
         if mode is modes.RTL:
             return self._start_return(pos_ned_m)
+        if mode is modes.DESCEND:
+            return self._descend(), ()
         if mode in _LANDING_MODES:
             return LAND, ()
         if mode is modes.HOLD and self.state.takeoff_done:
             return ControlSetpoint(ControlKind.GOTO, pos_ned_m=(NAN, NAN, self.state.takeoff_down_m)), ()
         return (OFF if mode is modes.TERMINATION else HOLD), ()
+
+    def _descend(self) -> ControlSetpoint:
+        """Down at the landing speed, level: for want of a position nothing holds the place."""
+        vel = (NAN, NAN, self._params.get("MPC_LAND_SPEED"))
+        return ControlSetpoint(ControlKind.POSITION, vel_ned_mps=vel, acc_ned_mps2=(0.0, 0.0, NAN))
 
     def _start_takeoff(self, pos_ned_m: Tuple3, altitude_m: float) -> tuple[ControlSetpoint, tuple[Notice, ...]]:
         """Climb to an altitude above the sea, where one was named above the vehicle, else by MIS_TAKEOFF_ALT."""

@@ -63,6 +63,11 @@ UNSUPPORTED_AUTO_MODE: Final = _said("commander_unsupported_auto_mode", 0x33, CR
 LANDING_HERE: Final = _said("commander_landing_current_pos", 0x66, INFO, "Landing at current position")
 RETURNING: Final = _said("commander_rtl", 0x66, INFO, "Returning to launch")
 RTL_LANDS: Final = _said("rtl_land_at_destination", 0x66, INFO, "RTL: land at destination")
+GCS_LOST: Final = _said("commander_gcs_lost", 0x64, INFO, "Connection to ground station lost")
+GCS_REGAINED: Final = _said("commander_dl_regained", 0x66, INFO, "GCS connection regained")
+NO_GCS: Final = Notice(0, 0, b"", 4, "Preflight Fail: No connection to the ground control station\t")
+REPOSITION_REJECTED: Final = _said("commander_reposition_rejected", 0x63, CRITICAL, "Reposition command rejected")
+ORBIT_REJECTED: Final = Notice(0, 0, b"", CRITICAL, "Orbit command rejected")
 READY: Final = Notice(0, 0, b"", INFO, "Ready for takeoff!\t")
 HEADING_NOT_STABLE: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: heading estimate not stable\t")
 
@@ -77,10 +82,35 @@ def disarmed(reason: int) -> Notice:
     return _said("commander_disarmed_by", 0x66, INFO, f"Disarmed by {_REASONS[reason]}", struct.pack("<B", reason))
 
 
-def failsafe(intended_custom_mode: int, action: int) -> Notice:
-    """A failsafe took over; `action`: 5 hold, 6 return, 7 land, 9 disarm, 10 terminate."""
-    arguments = struct.pack("<IB", intended_custom_mode, action)
-    return _said("commander_failsafe_enter_generic", 0x42, CRITICAL, "Failsafe activated", arguments)
+def failsafe(intended_custom_mode: int, action: int, cause: int = 0, then: int = 0, delay_s: int = 0) -> Notice:
+    """A failsafe took over; `action`, `then` (after a Hold of `delay_s`) and `cause`: the numbers of `failsafe.py`.
+
+    The text is the same for all but the Hold, the event names the cause where PX4's has a name.
+    """
+    head = struct.pack("<I", intended_custom_mode)
+    if then:
+        text, arguments = f"Failsafe activated, entering Hold for {delay_s} seconds", struct.pack("<BH", then, delay_s)
+        if cause:
+            return _said("commander_failsafe_enter_hold", 0x42, CRITICAL, text, head + arguments + bytes([cause]))
+        return _said("commander_failsafe_enter_generic_hold", 0x42, CRITICAL, text, head + arguments)
+    text = "Failsafe activated"
+    if action == _WARN:
+        if cause in _BATTERY_WARNINGS:
+            return _said(*_BATTERY_WARNINGS[cause], CRITICAL, text)
+        if cause:
+            return _said("commander_failsafe_enter_warn", 0x44, CRITICAL, text, head + bytes([cause]))
+        return _said("commander_failsafe_enter_generic_warn", 0x44, CRITICAL, text, head)
+    if cause:
+        return _said("commander_failsafe_enter", 0x42, CRITICAL, text, head + bytes([action, cause]))
+    return _said("commander_failsafe_enter_generic", 0x42, CRITICAL, text, head + bytes([action]))
+
+
+_WARN: Final = 1
+_BATTERY_WARNINGS: Final = {
+    3: ("commander_failsafe_enter_low_bat", 0x64),
+    4: ("commander_failsafe_enter_crit_bat_warn", 0x62),
+    5: ("commander_failsafe_enter_crit_low_bat_warn", 0x60),
+}
 
 
 def unsupported_arm_param(value: float) -> Notice:
@@ -115,6 +145,7 @@ def return_start(altitude_m: int, above_m: int) -> Notice:
 
 SYSTEM: Final = 20
 REMOTE_CONTROL: Final = 7
+COMMUNICATION: Final = 12
 """Health components (bit numbers) that the checks report under."""
 _HEALTH_PRESENT: Final = 0x38021C0A
 _ANY_MODE: Final = 0xFFFFFFFF

@@ -48,6 +48,8 @@ class ControlSetpoint:
     acc_ned_mps2: Tuple3 = UNSET
     yaw_rad: float = NAN
     yaw_rate_radps: float = NAN
+    speed_mps: float = NAN
+    """Of automatic modes: the most horizontal speed; NaN: MPC_XY_CRUISE."""
 
 
 OFF = ControlSetpoint(ControlKind.OFF)

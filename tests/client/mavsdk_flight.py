@@ -14,7 +14,7 @@ from collections.abc import AsyncGenerator, Callable
 from typing import Any, TypeVar
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
-from mavsdk.asyncio.plugins.action import ActionAsync, ActionError
+from mavsdk.asyncio.plugins.action import ActionAsync, ActionError, OrbitYawBehavior
 from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.offboard import (
     AttitudeRate,
@@ -26,6 +26,8 @@ from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from mavsdk.asyncio.plugins.telemetry import FlightMode, LandedState, TelemetryAsync
 
 PATIENCE_S = 20.0
+METRE_DEG = 1.0 / 111_194.9
+"""A metre north, on a sphere of 6371 km."""
 RATE_WINDOW_US = 8_000_000
 RATES_HZ = {
     "attitude_quaternion": 50.0,
@@ -173,6 +175,32 @@ class Flight:
         await self.mode(FlightMode.HOLD)
         done("hold", await offboard.is_active())
 
+    async def goes_places(self) -> None:
+        """Flies to a place on the globe, circles it, and takes another home."""
+        action, telemetry = self.action, self.telemetry
+        start = await see(telemetry.subscribe_home())
+        here = await see(telemetry.subscribe_position())
+        lat, lon, alt = here.latitude_deg + 8.0 * METRE_DEG, here.longitude_deg, here.absolute_altitude_m + 2.0
+        await action.set_current_speed(4.0)
+        await action.goto_location(lat, lon, alt, 45.0)
+
+        def there(p: Any) -> bool:
+            north_m, up_m = (p.latitude_deg - lat) / METRE_DEG, p.absolute_altitude_m - alt
+            return abs(north_m) < 0.5 and abs(up_m) < 0.5 and abs(p.longitude_deg - lon) < METRE_DEG
+
+        p = await see(telemetry.subscribe_position(), there)
+        heading = await see(telemetry.subscribe_heading(), lambda h: abs(h.heading_deg - 45.0) < 5.0)
+        done("goto", [(p.latitude_deg - lat) / METRE_DEG, p.absolute_altitude_m - alt, heading.heading_deg])
+        await action.do_orbit(4.0, 2.0, OrbitYawBehavior.HOLD_FRONT_TO_CIRCLE_CENTER, lat, lon, alt)
+        v = await see(telemetry.subscribe_velocity_ned(), lambda v: math.hypot(v.north_m_s, v.east_m_s) > 1.6)
+        done("orbit", math.hypot(v.north_m_s, v.east_m_s))
+        await action.hold()
+        await self.mode(FlightMode.HOLD)
+        await action.set_home(False, here.latitude_deg, here.longitude_deg, here.absolute_altitude_m - 5.0)
+        home = await see(telemetry.subscribe_home(), lambda h: abs(h.latitude_deg - here.latitude_deg) < 1e-6)
+        done("set home", [home.absolute_altitude_m - here.absolute_altitude_m])
+        await action.set_home(False, start.latitude_deg, start.longitude_deg, start.absolute_altitude_m)
+
     async def comes_home(self) -> None:
         """Holds, returns until it is above home, lands and disarms."""
         await self.action.hold()
@@ -219,6 +247,7 @@ async def main(url: str) -> None:
         await flight.streams()
         await flight.takes_off()
         await flight.flies_offboard()
+        await flight.goes_places()
         await flight.comes_home()
 
 

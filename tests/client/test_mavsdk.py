@@ -7,27 +7,18 @@ client saw is held against what it asked for and against PX4's documented defaul
 from __future__ import annotations
 
 import json
-import os
-import signal
-import socket
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from simulator import ENVIRONMENT, HOST, free_ports, simulator
 
 pytestmark = pytest.mark.client
 
 HERE = Path(__file__).resolve().parent
-HOST = "127.0.0.1"
-SPEED = 4
-FLIGHT_LIMIT_S = 60.0
-SIM_ENDS_AFTER_S = 600.0
-"""Of simulated time: the simulator ends by itself should nobody stop it."""
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE.parents[1]), "PYTHONUNBUFFERED": "1"}
+FLIGHT_LIMIT_S = 90.0
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +27,8 @@ def flight() -> dict[str, Any]:
     tried = subprocess.run([sys.executable, "-c", "import mavsdk.asyncio"], capture_output=True, text=True)
     if tried.returncode != 0:
         pytest.skip(f"MAVSDK-Python 4 can't be used here: {(tried.stderr.splitlines() or ['no reason given'])[-1]}")
-    port, gcs_port = _free_ports()
-    with _simulator(port, gcs_port):
+    port, gcs_port = free_ports()
+    with simulator(port, gcs_port):
         client = subprocess.run(
             [sys.executable, HERE / "mavsdk_flight.py", f"udpin://{HOST}:{port}"],
             capture_output=True, text=True, env=ENVIRONMENT, timeout=FLIGHT_LIMIT_S,
@@ -45,47 +36,6 @@ def flight() -> dict[str, Any]:
     steps = [json.loads(line) for line in client.stdout.splitlines() if line.startswith("{")]
     assert client.returncode == 0, f"after {[step['step'] for step in steps][-1:]}:\n{client.stdout}\n{client.stderr}"
     return {step["step"]: step["saw"] for step in steps}
-
-
-def _free_ports() -> tuple[int, int]:
-    """A port to hear the simulator on, whose neighbour 40 above (the simulator's own) is free too, and another."""
-    while True:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, socket.socket(
-            socket.AF_INET, socket.SOCK_DGRAM
-        ) as other, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:  # fmt: skip
-            one.bind((HOST, 0))
-            ground.bind((HOST, 0))
-            port = int(one.getsockname()[1])
-            try:
-                other.bind((HOST, port + 40))
-            except (OSError, OverflowError):
-                continue
-            return port, int(ground.getsockname()[1])
-
-
-@contextmanager
-def _simulator(port: int, gcs_port: int) -> Iterator[None]:
-    command = [sys.executable, "-m", "app.cli", "sim", "--port", port, "--gcs-port", gcs_port]
-    command += ["--speed", SPEED, "--duration", SIM_ENDS_AFTER_S]
-    with subprocess.Popen(
-        [str(word) for word in command],
-        env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    ) as sim:  # fmt: skip
-        try:
-            assert sim.stdout is not None
-            said = ""
-            for line in sim.stdout:
-                said += line
-                if "is up" in line:
-                    break
-            assert "is up" in said, said
-            yield
-        finally:
-            sim.send_signal(signal.SIGINT)
-            try:
-                sim.wait(10.0)
-            finally:
-                sim.kill()
 
 
 def test_the_vehicle_is_found_healthy_and_says_what_it_is(flight: dict[str, Any]) -> None:
@@ -121,6 +71,13 @@ def test_offboard_flies_positions_velocities_and_body_rates(flight: dict[str, An
     assert flight["offboard velocity"] == pytest.approx([-2.0, 1.0, 0.0], abs=0.5)
     assert flight["offboard rate"] == pytest.approx(40.0, abs=6.0)
     assert flight["hold"] is False  # no longer offboard
+
+
+def test_it_goes_to_places_on_the_globe_circles_and_takes_a_home(flight: dict[str, Any]) -> None:
+    assert flight["goto"] == pytest.approx([0.0, 0.0, 45.0], abs=5.0)
+    assert flight["goto"][:2] == pytest.approx([0.0, 0.0], abs=0.5)
+    assert flight["orbit"] == pytest.approx(2.0, abs=0.5)
+    assert flight["set home"] == pytest.approx([-5.0], abs=0.01)
 
 
 def test_it_returns_lands_and_disarms(flight: dict[str, Any]) -> None:

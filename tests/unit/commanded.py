@@ -36,6 +36,12 @@ class Flight:
     streaming: bool = False
     last_setpoint_us: int = NEVER
     takeoff_done: bool = False
+    gcs: bool = False
+    """A ground station's heartbeat comes with every tick."""
+    gcs_at_us: int = NEVER
+    battery: float = 1.0
+    position_valid: bool = True
+    breached: bool = False
     notices: list[notices.Notice] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
 
@@ -47,7 +53,12 @@ class Flight:
         self.now_us += TICK_US
         if self.streaming:
             self.last_setpoint_us = self.now_us
-        inputs = Inputs(self.landed, self.last_setpoint_us, self.takeoff_done, requests)
+        if self.gcs:
+            self.gcs_at_us = self.now_us
+        inputs = Inputs(
+            self.landed, self.last_setpoint_us, self.takeoff_done, requests,
+            self.gcs_at_us, self.battery, self.position_valid, self.breached,
+        )  # fmt: skip
         outputs = self.commander.step(inputs, self.now_us)
         self.notices.extend(outputs.notices)
         self.answers.extend(outputs.answers)
@@ -55,6 +66,16 @@ class Flight:
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 1e6) // TICK_US):
             self.tick()
+
+    def timeline(self, seconds: float) -> list[tuple[float, modes.Mode]]:
+        """Run, and give every change of mode with the time it came after."""
+        start_us, mode, changes = self.now_us, self.state.mode, []
+        for _ in range(round(seconds * 1e6) // TICK_US):
+            self.tick()
+            if self.state.mode is not mode:
+                mode = self.state.mode
+                changes.append((round((self.now_us - start_us) * 1e-6, 1), mode))
+        return changes
 
     def ask(self, request: Request) -> int | None:
         """The result of the request's answer, None without one."""

@@ -1,0 +1,60 @@
+"""`flightstack sim` in a process of its own, for clients that nobody here wrote."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+HOST = "127.0.0.1"
+SPEED = 4
+SIM_ENDS_AFTER_S = 600.0
+"""Of simulated time: the simulator ends by itself should nobody stop it."""
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYTHONUNBUFFERED": "1"}
+
+
+def free_ports() -> tuple[int, int]:
+    """A port to hear the simulator on, whose neighbour 40 above (the simulator's own) is free too, and another."""
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, socket.socket(
+            socket.AF_INET, socket.SOCK_DGRAM
+        ) as other, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:  # fmt: skip
+            one.bind((HOST, 0))
+            ground.bind((HOST, 0))
+            port = int(one.getsockname()[1])
+            try:
+                other.bind((HOST, port + 40))
+            except (OSError, OverflowError):
+                continue
+            return port, int(ground.getsockname()[1])
+
+
+@contextmanager
+def simulator(port: int, gcs_port: int, *, speed: float = SPEED) -> Iterator[None]:
+    """Up and running inside."""
+    command = [sys.executable, "-m", "app.cli", "sim", "--port", port, "--gcs-port", gcs_port]
+    command += ["--speed", speed, "--duration", SIM_ENDS_AFTER_S]
+    with subprocess.Popen(
+        [str(word) for word in command],
+        env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    ) as sim:  # fmt: skip
+        try:
+            assert sim.stdout is not None
+            said = ""
+            for line in sim.stdout:
+                said += line
+                if "is up" in line:
+                    break
+            assert "is up" in said, said
+            yield
+        finally:
+            sim.send_signal(signal.SIGINT)
+            try:
+                sim.wait(10.0)
+            finally:
+                sim.kill()
