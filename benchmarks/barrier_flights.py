@@ -203,7 +203,7 @@ def fly_scored(pilot: str, task: str, seed: int) -> dict[str, Any]:
         "engaged_s": region["engaged_s"], "infeasible": tape.infeasible, "certificates": len(areas),
         "interventions": tape.interventions,
         "area_first_m2ps": areas[0] if areas else None, "area_last_m2ps": areas[-1] if areas else None,
-        "refuted": refuted(watched.adopted, setup), "wall_s": time.perf_counter() - began,
+        "refuted": int(refuted(watched.adopted, setup)), "wall_s": time.perf_counter() - began,
     }  # fmt: skip
     return row
 
