@@ -366,7 +366,9 @@ def gap(
 @app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for results.json, report.html and the figures.")],
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter flights, native plant only: minutes.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer and shorter flights, native plant only: minutes.")
+    ] = False,
     plant: Annotated[
         PlantName | None, typer.Option(help="Fly on this plant alone (default: native, and in a full run JSBSim too).")
     ] = None,

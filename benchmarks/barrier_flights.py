@@ -75,12 +75,6 @@ class _Counting(Tape):
         self.infeasible += record.filtered.status in FALLBACKS
         self.interventions += record.filtered.intervened == 1.0
 
-    def certified(self, t_us: int, region: object) -> None:
-        """Not kept."""
-
-    def certificate(self, t_us: int, certificate: object) -> None:
-        """Not kept."""
-
 
 class _Wire:
     """One way of the link: datagrams wait for their time, in their order; some never arrive."""

@@ -27,7 +27,7 @@ _LENGTHSCALES = (1.0, 1.0, 0.5, 1.0, 1.0, 0.5, 0.3, 0.3, 0.3)
 
 
 def stream(model: Model, track: Track) -> tuple[F64, F64]:
-    """(n, 9) measured states, (n, 6) true unexplained accelerations and what rates differ from those asked for; a row a tick."""
+    """(n, 9) measured states; (n, 6) true unexplained accelerations, and rates less those asked for; a row a tick."""
     measured = [record.measurement for record in track.records]
     euler = np.array([euler_from_quat(each.q_ned_frd) for each in measured])
     states = np.column_stack([[m.pos_ned_m for m in measured], [m.vel_ned_mps for m in measured], euler])

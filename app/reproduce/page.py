@@ -15,7 +15,7 @@ from app.reproduce.rows import Row
 PAPER = "L. Wang, E. A. Theodorou, M. Egerstedt: Safe Learning of Quadrotor Dynamics Using Barrier Certificates, 2018"
 _STYLE = """
 .paper { font-size: 13px; } .paper td, .paper th { padding: 6px 10px 6px 0; border-top: 1px solid var(--line); }
-.paper thead th { border-top: 0; color: var(--muted); font-weight: 400; position: sticky; top: 0; background: var(--card); }
+.paper thead th { border-top: 0; color: var(--muted); font-weight: 400; }
 .paper .value { text-align: right; white-space: nowrap; } .paper .note { font-size: 12px; }
 .paper code { font-size: 12px; color: var(--muted); overflow-wrap: anywhere; }
 .paper .yes { color: var(--good); font-weight: 650; white-space: nowrap; }
@@ -67,10 +67,10 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def shown(value: float | None, unit: str) -> str:
-    """Four digits and the unit; in words where the paper has no figure."""
+    """Five digits and the unit; in words where the paper has no figure."""
     if value is None:
         return "–"
-    digits = f"{value:.4g}" if value == 0.0 or 1e-3 <= abs(value) < 1e5 else f"{value:.2e}"
+    digits = f"{value:.5g}" if value == 0.0 or 1e-3 <= abs(value) < 1e5 else f"{value:.2e}"
     return digits if unit == "1" else f"{digits} {unit}"
 
 

@@ -29,7 +29,7 @@ _MUCH = 1.5
 
 
 def rows(run: Table) -> list[Row]:
-    """Areas as printed, what is wrong with the digits, what is left when they are mended, and how much larger one may."""
+    """Areas as printed, what is wrong with the digits, what is left when they are mended, and larger regions."""
     both = [kind(run, name) for kind in (_area, _invariant, _lowered, _strict) for name in _NAMES]
     return [*both[:2], _ratio(run, "ratio_published", "ex1-ratio", "with the printed digits"), *both[2:],
             _ratio(run, "ratio", "ex1-ratio-strict", "of our own, strictly invariant regions")]  # fmt: skip
@@ -69,7 +69,7 @@ def _invariant(run: Table, name: str) -> Row:
         )  # fmt: skip
 
     claim = f"no motion leaves {words}: its boundary leads inward everywhere"
-    return run.row(f"ex1-{name}-least-rate", claim, 0.0, "1/s", _PART, make)
+    return run.row(f"ex1-{name}-least-rate", claim, None, "1/s", _PART, make)
 
 
 def _lowered(run: Table, name: str) -> Row:
@@ -78,8 +78,8 @@ def _lowered(run: Table, name: str) -> Row:
     def make(found: dict[str, Any]) -> Cell:
         region = found["regions"][f"lowered_{name}"]
         return region["area"], region["proven_rate"] is not None, (
-            f"the level lowered by {'5.7e-4' if name == 'lyapunov' else '4.7e-4'}: hdot >= {region['proven_rate']} /s on "
-            "the boundary, by a sum of squares in exact arithmetic"
+            f"the level lowered by {'5.7e-4' if name == 'lyapunov' else '4.7e-4'}: hdot >= {region['proven_rate']} /s "
+            "on the boundary, by a sum of squares in exact arithmetic"
         )  # fmt: skip
 
     claim = f"{words} is invariant, once its level is a little lower than printed"
@@ -92,8 +92,8 @@ def _strict(run: Table, name: str) -> Row:
     def make(found: dict[str, Any]) -> Cell:
         region = found["regions"][name]
         return region["area"], region["area"] <= paper, (
-            f"ours is larger by {100 * (region['area'] / paper - 1):.1f} % and strict: hdot >= {region['proven_rate']} /s "
-            "on the boundary, by a sum of squares in exact arithmetic"
+            f"ours is larger by {100 * (region['area'] / paper - 1):.1f} % and strict: hdot >= {region['proven_rate']} "
+            "/s on the boundary, by a sum of squares in exact arithmetic"
         )  # fmt: skip
 
     claim = f"{words} is the largest that a polynomial of second order certifies"

@@ -58,7 +58,7 @@ def lemma() -> dict[str, Any]:
 
 
 def cover() -> dict[str, Any]:
-    """Cells that adaptive sampling leaves open at ever finer depths; the strict form's least left side and its samples."""
+    """Cells that adaptive sampling leaves open at ever finer depths; the strict form's least left side, its samples."""
     bounds = constant(_BRAKING_MPS2, GRAVITY_MPS2)
     published = Claim(on_the_vertical(LIMIT_M, _ROOMY_MU), GAMMA_PS, bounds)
     strict = Claim(crossed(LIMIT_M, MU, CROSS), GAMMA_PS, bounds)
@@ -93,9 +93,9 @@ def mu_table() -> dict[str, float]:
 
 
 def sampled() -> dict[str, Any]:
-    """Pushed down for ever through the published filter, exact model: how far out, at each period, and with a cross term.
+    """Pushed down for ever through the published filter, exact model: how far out, without and with a cross term.
 
-    `trace` has time and |e| for the figure.
+    At each period; `traces` have time and e for the figure.
     """
     found: dict[str, Any] = {"periods_s": list(PERIODS_S)}
     for name, cross in (("published", 0.0), ("cross", CROSS)):
@@ -151,7 +151,7 @@ def five_terms() -> dict[str, float]:
 
 
 def block_inverse(points: int = 60, added: int = 5) -> dict[str, float]:
-    """max |M F - I| of the paper's bordered inverse F of a kernel matrix M, as printed and with signs and corner right."""
+    """max |M F - I| of the paper's bordered inverse F of a kernel matrix M, as printed and put right."""
     rng = np.random.default_rng(0)
     x = rng.normal(size=(points + added, 3))
     kernel = np.exp(-0.5 * ((x[:, None] - x) ** 2).sum(axis=2))

@@ -47,17 +47,19 @@ class Flight:
 
 
 def fly(flight: Flight, bench: Bench) -> dict[str, Any]:
-    """Distance from the reference, and of the flight that learns what the figures need; PartFailed if it did not end."""
+    """Distance from the reference, and what the figures need; PartFailed where the flight did not complete."""
     setup = prepare(flight.options)
     flown, track = fly_track(setup, flight.options, stop_requested=bench.stop_requested, on_progress=bench.on_progress)
     if not flown.companion.completed:
         raise PartFailed(f"the flight did not complete: {flown.companion.reason}")
     found: dict[str, Any] = {**flown.score.tracking.summary(), **trace(track)}
+    if flight.pilot in ("learning", "none"):
+        found["picture"] = picture(setup, track)
     if flight.pilot == "learning":
         last = track.records[-1].learned
         found |= {
             "points": round(last.points), "fed": round(last.fed), "thrust_gain": last.thrust_gain,
-            "residual": _residual(setup, track), "picture": picture(setup, track),
+            "residual": _residual(setup, track),
         }  # fmt: skip
         if flight.timed:
             found["inference"] = per_iteration(setup.flight.stack.model, track)
@@ -81,7 +83,7 @@ def picture(setup: Setup, track: Track) -> dict[str, Any]:
     truths = track.truths
     pos = np.array([truth.pos_ned_m for truth in truths])
     reference = np.array([record.reference.pos_ned_m for record in track.records])
-    poses = [truths[round(k)] for k in np.linspace(0.06, 0.94, 7) * (len(truths) - 1)]
+    poses = [truths[round(k)] for k in np.linspace(0.06, 0.94, 5) * (len(truths) - 1)]
     force = setup.truth.effects.get("constant_force", {})
     return {
         "pos_ned_m": _rounded(pos[::_TICKS]),

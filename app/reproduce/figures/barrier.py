@@ -102,7 +102,7 @@ def _samples(axes: Axes, sampled: dict[str, Any], present: list[list[float]]) ->
             edgecolors=RED,
             linewidths=0.35,
             alpha=0.5,
-        )  # fmt: skip
+        )
     )
     axes.plot(*points[inside].T, "+", color=GREEN, markersize=5, label="sampled before")
     axes.plot(*points[~inside].T, "*", color=RED, markersize=3.5, label="to be sampled")
@@ -111,7 +111,7 @@ def _samples(axes: Axes, sampled: dict[str, Any], present: list[list[float]]) ->
     closed(axes, present, GREEN, "-", "present region")
     closed(axes, sampled["outline"], RED, "--", "next region")
     axes.set_aspect("equal")
-    axes.legend(fontsize=7, loc="upper right")
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.02, 1.0))
 
 
 def _inside(points: Any, boundary: Any) -> Any:

@@ -62,16 +62,16 @@ def frames(source: Source) -> Figure:
     quadrotor(
         axes, np.array([0.6, 0.6, -0.4]), body, 0.55 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]), 0.3
     )
-    axes.set(xlabel="north", ylabel="east", zlabel="up")
+    axes.set(xlabel="east", ylabel="north", zlabel="up")
     axes.set_box_aspect((1.0, 1.0, 0.8))
-    axes.view_init(elev=22, azim=-60)
+    axes.view_init(elev=28, azim=-62)
     axes.tick_params(labelbottom=False, labelleft=False, labelright=False, labeltop=False)
     return figure
 
 
 def shown(point: Any) -> tuple[float, float, float]:
-    """North, east, up of a point north-east-down."""
-    return float(point[0]), float(point[1]), -float(point[2])
+    """East, north, up (right-handed, as the plot's axes are) of a point north-east-down."""
+    return float(point[1]), float(point[0]), -float(point[2])
 
 
 def quadrotor(axes: Any, place: Any, body: Any, rotors: Any, radius: float) -> None:

@@ -15,7 +15,7 @@ from app.reproduce.figures.style import AMBER, BLUE, GREEN, GREY, GRID, RED
 from app.reproduce.plan import PILOTS, inputs_name, tracking_name
 from flightstack.frames import quat_to_matrix
 
-_ENLARGED = 3.0
+_ENLARGED = 2.0
 _ROTOR_RADIUS_M = 0.1
 
 
@@ -32,15 +32,19 @@ def wind_field(source: Source) -> Figure | None:
     arrow = 5.0 * force
     axes.quiver(*np.array([shown(point) for point in grid]).T, *shown(arrow), color=BLUE, alpha=0.4, linewidth=1.0)
     path, reference = (np.array([shown(p) for p in picture[name]]) for name in ("pos_ned_m", "reference_ned_m"))
-    axes.plot(*reference.T, "--", color=GREY, linewidth=1.0, label="desired trajectory")
-    axes.plot(*path.T, color=RED, linewidth=1.2, label="flown, learning")
+    without = source.part(tracking_name(source.plant, "none", source.seed))
+    if without is not None:
+        line = np.array([shown(p) for p in without["picture"]["pos_ned_m"]])
+        axes.plot(*line.T, color=GREY, linewidth=1.0, label="flown without learning")
+    axes.plot(*path.T, color=RED, linewidth=1.4, label="flown, learning")
+    axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="desired trajectory")
     for pose in picture["poses"]:
         body = quat_to_matrix(np.array(pose["q_ned_frd"]))
         rotors = _ENLARGED * np.array(picture["rotors_frd_m"])
         quadrotor(axes, np.array(pose["pos_ned_m"]), body, rotors, _ENLARGED * _ROTOR_RADIUS_M)
     axes.plot([], [], color=BLUE, label=f"unknown wind: {np.linalg.norm(force):.1f} g")
-    axes.set(xlabel="north, m", ylabel="east, m", zlabel="up, m")
-    axes.set_box_aspect((1.5, 1.2, 0.7))
+    axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
+    axes.set_box_aspect((1.2, 1.5, 0.7))
     axes.view_init(elev=24, azim=-58)
     axes.legend(loc="upper left", fontsize=9)
     return figure
