@@ -70,12 +70,13 @@ FIGURES = (
         "Distance of the true position from the desired trajectory, rms over each tenth of a second. Left without, "
         "right with; another scale.", "tracking", "error"),
     Row("fig6-inference-time", "Fig. 6. Recursive GP inference time per iteration",
-        "300 points, 9 inputs, 6 outputs, over the states of the flown track; the paper stays below 20 ms (red line).",
+        "300 points, 9 inputs, 6 outputs, over the states of the flown track; the paper stays below 20 ms (red line). "
+        "Single spikes: every 2,500 iterations the whole inverse is computed anew.",
         "tracking", "inference", False),
     Row("fig7-adaptive-sampling", "Fig. 7. Adaptive sampling of the state space",
         "Solid green: the present region, dashed red: the next. Green crosses: samples inside the present region, "
-        "red stars: in the next alone; circles: where each one's condition holds. Left the paper's h: the black cells "
-        "at the tips stay open at any depth. Right the strict form with a cross term, which closes.",
+        "red stars: in the next alone; circles: where each one's condition holds. Left the paper's h: black cells "
+        "stay open, those at the tips at any depth. Right the strict form with a cross term, which closes.",
         "barrier", "sampling"),
     Row("fig8-regions", "Fig. 8. Initial and final barrier certificates",
         "Left as published, right sound: solid green the first region, dashed red the last, dotted the viability "

@@ -45,7 +45,7 @@ def wind_field(source: Source) -> Figure | None:
     axes.plot([], [], color=BLUE, label=f"unknown wind: {np.linalg.norm(force):.1f} g")
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
     axes.set_box_aspect((1.2, 1.5, 0.7))
-    axes.view_init(elev=24, azim=-58)
+    axes.view_init(elev=26, azim=-22)
     axes.legend(loc="upper left", fontsize=9)
     return figure
 
