@@ -15,7 +15,7 @@ from app.reproduce.rows import Row
 PAPER = "L. Wang, E. A. Theodorou, M. Egerstedt: Safe Learning of Quadrotor Dynamics Using Barrier Certificates, 2018"
 _STYLE = """
 .paper { font-size: 13px; } .paper td, .paper th { padding: 6px 10px 6px 0; border-top: 1px solid var(--line); }
-.paper thead th { border-top: 0; color: var(--muted); font-weight: 400; }
+.paper thead th { white-space: nowrap; border-top: 0; color: var(--muted); font-weight: 400; }
 .paper .value { text-align: right; white-space: nowrap; } .paper .note { font-size: 12px; }
 .paper code { font-size: 12px; color: var(--muted); overflow-wrap: anywhere; }
 .paper .yes { color: var(--good); font-weight: 650; white-space: nowrap; }
@@ -77,7 +77,8 @@ def shown(value: float | None, unit: str) -> str:
 def _made(head: Mapping[str, Any]) -> str:
     return (
         f"{head['date']}, version {head['version']} ({head['git_commit'] or 'no commit'}), {head['command']}, plants: "
-        f"{', '.join(head['plants'])}; {head['wall_time_s']:.0f} s"
+        f"{', '.join(head['plants'])}; {head['wall_time_s']:.0f} s, parts taken up from an earlier run: "
+        f"{head['taken_up']} of {head['parts']}"
     )
 
 

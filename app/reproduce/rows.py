@@ -60,6 +60,10 @@ class Table:
         known = math.isfinite(ours)
         return Row(row_id, claim, paper, ours if known else None, unit, holds and known, note)
 
+    def on(self, plant: str) -> str:
+        """The end of a flown row's note."""
+        return f"; {plant} plant{', short flights (--quick)' if self.quick else ''}"
+
     def tracking(self, plant: str, pilot: str) -> tuple[str, ...]:
         """Names of a pilot's flights."""
         return tuple(tracking_name(plant, pilot, seed) for seed in seeds_of(pilot, self.seed, quick=self.quick))
@@ -99,7 +103,7 @@ def _ratio(run: Table, plant: str, behind: str) -> Row:
         ratio = middle(with_it) / middle(without)
         return ratio, ratio < 0.5, (
             f"settled rms error {100 * middle(with_it):.2f} cm with, {100 * middle(without):.1f} cm without the process"
-            f"{_over(len(with_it))}; 'significantly' is read as less than half; {plant} plant"
+            f"{_over(len(with_it))}; 'significantly' is read as less than half{run.on(plant)}"
         )  # fmt: skip
 
     claim = "with the Gaussian process the tracking error is significantly smaller than without (Fig. 5)"
@@ -113,7 +117,7 @@ def _against(run: Table, plant: str, pilot: str, behind: str) -> Row:
         ours, theirs = middle(flights[: len(learning)]), middle(flights[len(learning) :])
         return ours / theirs, ours < theirs, (
             f"settled rms error {100 * ours:.2f} cm against {100 * theirs:.2f} cm of {PILOTS[pilot]}; the paper flies "
-            f"no such baseline; {plant} plant"
+            f"no such baseline{run.on(plant)}"
         )  # fmt: skip
 
     claim = f"learning tracks better than {PILOTS[pilot]}"
@@ -156,7 +160,7 @@ def _inputs(run: Table, plant: str, world: str, row_id: str, where: str) -> Row:
         return ratio, ratio < 0.5, (
             f"{where}rms error of prediction {far:g} m away {without:.3f} ({WITHOUT}) against "
             f"{error[WITH]:.3f} m/s^2 ({WITH}){more}; on the learned path {near[WITHOUT]:.3f} and {near[WITH]:.3f}; "
-            f"'much better' is read as half the error; {plant} plant"
+            f"'much better' is read as half the error{run.on(plant)}"
         )  # fmt: skip
 
     claim = "in regions not explored before, learning without position (q') scales much better than with it (q)"

@@ -18,7 +18,7 @@ _AREA = math.pi * LIMIT_M / math.sqrt(MU_FINAL)
 def flown(run: Table, plant: str, behind: str) -> list[Row]:
     """Section V.B on one plant."""
     sound, published = (certify_name(plant, mode) for mode in (SOUND, PUBLISHED))
-    on = f"; {plant} plant"
+    on = run.on(plant)
 
     def row(row_id: str, claim: str, paper: float | None, unit: str, part: str, make: Any) -> Row:
         return run.row(f"{row_id}{behind}", claim, paper, unit, (part,), lambda found: _on(make(found), on))
@@ -81,8 +81,8 @@ def _initial(found: dict[str, Any]) -> Cell:
 def _final(found: dict[str, Any]) -> Cell:
     mu = found["mu_final"]
     return mu, round(mu, 1) <= MU_FINAL, (
-        f"as published, {found['rounds']} rounds; compared to the one digit that the paper prints; the truth allows "
-        f"{found['mu_physics_bare']:.4f} without any margin; not robustly certifiable: see sampling-lemma"
+        f"as published, rounds flown: {found['rounds']}; compared to the one digit that the paper prints; the truth "
+        f"allows {found['mu_physics_bare']:.4f} without any margin; not robustly certifiable: see sampling-lemma"
     )  # fmt: skip
 
 
@@ -91,8 +91,8 @@ def _final_sound(found: dict[str, Any]) -> Cell:
     largest = ", ".join(f"{name.replace('_', ' ')} {size:.2f}" for name, size in
                         sorted(margins.items(), key=lambda item: -item[1])[:3])  # fmt: skip
     return mu, mu <= MU_FINAL, (
-        f"{found['rounds']} rounds; what the certified braking is worth as mu; with the margins that knowledge can't "
-        f"remove physics allows {found['mu_physics']:.3f}, without any {found['mu_physics_bare']:.4f}: 0.6 leaves "
+        f"rounds flown: {found['rounds']}; what the certified braking is worth as mu; with margins that knowledge "
+        f"can't remove physics allows {found['mu_physics']:.3f}, without any {found['mu_physics_bare']:.4f}: 0.6 leaves "
         f"nothing for margins; the largest are {largest} m/s^2"
     )  # fmt: skip
 

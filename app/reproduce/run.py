@@ -83,11 +83,12 @@ def reproduce(
         if parts_wanted is None
         else parts_wanted(plants, options.seed, options.quick)
     )
+    taken_up = sum(parts.load(part.name) is not None for part in wanted)
     results, stopped = _compute(wanted, parts, stop_requested, on_progress)
     head = {
         "date": str(date.today()), "command": command(options), "version": key["version"],
         "git_commit": key["git_commit"], "seed": options.seed, "quick": options.quick, "plants": key["plants"],
-        "wall_time_s": time.monotonic() - began,
+        "wall_time_s": time.monotonic() - began, "parts": len(wanted), "taken_up": taken_up,
     }  # fmt: skip
     failed = {name: found["failed"] for name, found in results.items() if "failed" in found}
     if stopped:

@@ -76,7 +76,8 @@ FIGURES = (
     Row("fig7-adaptive-sampling", "Fig. 7. Adaptive sampling of the state space",
         "Solid green: the present region, dashed red: the next. Green crosses: samples inside the present region, "
         "red stars: in the next alone; circles: where each one's condition holds. Left the paper's h: black cells "
-        "stay open, those at the tips at any depth. Right the strict form with a cross term, which closes.",
+        "stay open, those at the tips at any depth. Right the strict form with a cross term, which closes. "
+        "Dense where little margin is left: only the thrust beyond weight brakes a descent, gravity brakes a climb.",
         "barrier", "sampling"),
     Row("fig8-regions", "Fig. 8. Initial and final barrier certificates",
         "Left as published, right sound: solid green the first region, dashed red the last, dotted the viability "
