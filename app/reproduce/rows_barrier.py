@@ -92,8 +92,8 @@ def _final_sound(found: dict[str, Any]) -> Cell:
                         sorted(margins.items(), key=lambda item: -item[1])[:3])  # fmt: skip
     return mu, mu <= MU_FINAL, (
         f"rounds flown: {found['rounds']}; what the certified braking is worth as mu; with margins that knowledge "
-        f"can't remove physics allows {found['mu_physics']:.3f}, without any {found['mu_physics_bare']:.4f}: 0.6 leaves "
-        f"nothing for margins; the largest are {largest} m/s^2"
+        f"can't remove physics allows {found['mu_physics']:.3f}, without any {found['mu_physics_bare']:.4f}: 0.6 "
+        f"leaves nothing for margins; the largest are {largest} m/s^2"
     )  # fmt: skip
 
 
