@@ -48,9 +48,9 @@ def inputs_name(plant: str, world: str) -> str:
     return f"inputs-{plant}-{world}"
 
 
-def seeds_of(pilot: str, seed: int, *, quick: bool) -> tuple[int, ...]:
-    """Three flights each with and without learning; all others are flown once, and everything once in a quick run."""
-    return (seed, seed + 1, seed + 2) if pilot in ("learning", "none") and not quick else (seed,)
+def seeds_of(first_plant: bool, seed: int, *, quick: bool) -> tuple[int, ...]:
+    """Every pilot flies three seeds on the first plant, one on another and in a quick run."""
+    return (seed, seed + 1, seed + 2) if first_plant and not quick else (seed,)
 
 
 def parts_of(plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Part]:
@@ -61,7 +61,7 @@ def parts_of(plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Part]:
         parts += [_certify(plant, mode, seed, quick, slow) for mode in MODES]
         parts += [_study(plant, world, seed, quick, slow) for world in _worlds(plant == plants[0], quick)]
         for pilot in PILOTS:
-            for one in seeds_of(pilot, seed, quick=quick):
+            for one in seeds_of(plant == plants[0], seed, quick=quick):
                 given = {"plant": plant, "pilot": pilot, "seed": one, "duration_s": 16.0 if quick else 60.0}
                 given["timed"] = (plant, pilot, one) == (plants[0], "learning", seed)
                 cost_s = slow * (4.0 if quick else 10.0)

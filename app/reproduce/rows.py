@@ -66,7 +66,9 @@ class Table:
 
     def tracking(self, plant: str, pilot: str) -> tuple[str, ...]:
         """Names of a pilot's flights."""
-        return tuple(tracking_name(plant, pilot, seed) for seed in seeds_of(pilot, self.seed, quick=self.quick))
+        return tuple(
+            tracking_name(plant, pilot, seed) for seed in seeds_of(plant == self.plants[0], self.seed, quick=self.quick)
+        )
 
 
 def table(results: Results, plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Row]:
@@ -111,18 +113,21 @@ def _ratio(run: Table, plant: str, behind: str) -> Row:
 
 
 def _against(run: Table, plant: str, pilot: str, behind: str) -> Row:
-    learning = run.tracking(plant, "learning")
+    learning, others = run.tracking(plant, "learning"), run.tracking(plant, pilot)
 
     def make(*flights: dict[str, Any]) -> Cell:
         ours, theirs = middle(flights[: len(learning)]), middle(flights[len(learning) :])
-        return ours / theirs, ours < theirs, (
-            f"settled rms error {100 * ours:.2f} cm against {100 * theirs:.2f} cm of {PILOTS[pilot]}; the paper flies "
-            f"no such baseline{run.on(plant)}"
-        )  # fmt: skip
+        return (
+            ours / theirs,
+            ours < theirs,
+            (
+                f"settled rms error {100 * ours:.2f} cm against {100 * theirs:.2f} cm of {PILOTS[pilot]}"
+                f"{_over(len(others))}; the paper flies no such baseline{run.on(plant)}"
+            ),
+        )
 
     claim = f"learning tracks better than {PILOTS[pilot]}"
-    names = (*learning, tracking_name(plant, pilot, run.seed))
-    return run.row(f"tracking-rmse-over-{pilot}{behind}", claim, None, "1", names, make)
+    return run.row(f"tracking-rmse-over-{pilot}{behind}", claim, None, "1", (*learning, *others), make)
 
 
 def middle(flights: tuple[dict[str, Any], ...]) -> float:
