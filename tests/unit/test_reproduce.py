@@ -11,12 +11,13 @@ from typing import Any
 import pytest
 
 from app.cli import main
+from app.console import show_reproduced
 from app.reproduce.figures import FIGURES
 from app.reproduce.page import markdown, page
 from app.reproduce.parts import Parts, sources_hash
 from app.reproduce.plan import Part, parts_of
 from app.reproduce.rows import Row, table
-from app.reproduce.run import ReproduceOptions, reproduce
+from app.reproduce.run import ReproduceOptions, ReproduceResult, reproduce
 
 CONTRACT = {
     "ex1-lyapunov-area", "ex1-barrier-area", "ex1-ratio", "tracking-rmse-ratio", "gp-step-ms-max",
@@ -187,7 +188,21 @@ def test_figures_are_the_papers_eight_by_number_and_ours_by_letter() -> None:
         assert row.title[:6] == f"Fig. {row.file[3]}" or row.title[:2] == f"{row.file[3].upper()}."
 
 
-# ------------------------------------------------------------------ page
+# ------------------------------------------------------------------ terminal and page
+
+
+def test_the_terminal_says_claims_and_why_those_that_do_not_hold_do_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [
+        Row("kept", "this [is] kept", 2.0, 1.0, "m", True, "quietly"),
+        Row("broken", "this is not", None, 3.25, "1", False, "for [a] reason"),
+    ]
+    show_reproduced(ReproduceResult(rows, {}, []), tmp_path)
+    said = capsys.readouterr().out
+    for words in ("this [is] kept", "2 m", "1 m", "3.25", "broken: for [a] reason", "results.json"):
+        assert words in said
+    assert "quietly" not in said
 
 
 def test_the_page_is_self_contained_and_what_it_is_given_stays_text(tmp_path: Path) -> None:
