@@ -33,6 +33,8 @@ def flown(run: Table, plant: str, behind: str) -> list[Row]:
             published, _area_published),
         row("area-sound", "the same, certified with every margin and verified by the independent checker", _AREA,
             "m^2/s", sound, _area_sound),
+        row("area-left-by-margins", "what the paper neglects (lag, delay, sampling, the rest of the bound) costs no area",
+            1.0, "1", sound, _left_by_margins),
         row("barrier-violations", "the quadrotor never leaves the certified region", 0.0, "ticks", sound, _violations),
         row("barrier-violations-as-published", "the same, with the paper's own filter and acceptance", 0.0, "ticks",
             published, _violations),
@@ -106,12 +108,20 @@ def _area_published(found: dict[str, Any]) -> Cell:
 
 
 def _area_sound(found: dict[str, Any]) -> Cell:
-    area, kernel, limit = found["area_m2ps"], found["area_kernel_m2ps"], found["limit_m"]
-    braking = 1.0 / (limit * found["mu_physics_bare"])
-    bare = viability.area(-limit, limit, -braking, STANDARD_GRAVITY_MPS2)
+    area, kernel = found["area_m2ps"], found["area_kernel_m2ps"]
     return area, found["passed"] and area >= _AREA, (
-        f"{100 * area / kernel:.0f} % of the viability kernel that all margins leave ({kernel:.2f} m^2/s), by a better "
-        f"form; without margins the kernel has {bare:.2f}: that is what honesty costs"
+        f"{100 * area / kernel:.0f} % of the viability kernel that all margins leave ({kernel:.2f} m^2/s): a free "
+        "centre and a cross term, or stopping distances, win more than the margins cost"
+    )  # fmt: skip
+
+
+def _left_by_margins(found: dict[str, Any]) -> Cell:
+    """The price of honesty: viability kernels of the same strip, with all margins and with none."""
+    kernel, limit = found["area_kernel_m2ps"], found["limit_m"]
+    bare = viability.area(-limit, limit, -1.0 / (limit * found["mu_physics_bare"]), STANDARD_GRAVITY_MPS2)
+    return kernel / bare, kernel >= bare, (
+        f"the exact viability kernel has {kernel:.2f} m^2/s with every margin ({sum(found['margins'].values()):.2f} "
+        f"m/s^2 in all) and {bare:.2f} with none: that is the price of honesty, whatever the form"
     )  # fmt: skip
 
 

@@ -77,6 +77,7 @@ def test_the_region_grows_to_what_physics_allows_and_is_never_left(rows: dict[st
     assert ours(rows, "barrier-violations", True) == 0.0
     assert 2.2 < ours(rows, "area-as-published", True) < np.pi * 0.6 / np.sqrt(0.6029)
     assert 2.0 < rows["area-sound"]["ours"] < 5.957  # the kernel of the exact model
+    assert 0.3 < ours(rows, "area-left-by-margins", False) < 0.9
     assert ours(rows, "adaptive-vs-uniform-samples", True) < 0.5
     assert ours(rows, "adaptive-vs-uniform-samples-sound", True) < 0.5
 
