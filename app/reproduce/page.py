@@ -57,13 +57,35 @@ def page(
     ])  # fmt: skip
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """The table for a document."""
-    lines = ["| row | the paper's claim | paper | ours | holds | why |", "| --- | --- | --- | --- | --- | --- |"]
+def markdown(rows: Sequence[Row], head: Mapping[str, Any]) -> str:
+    """What docs/paper.md holds of a run: when and how, the table, and the second plant beside the first."""
+    first, *others = head["plants"]
+    ends = tuple(f"-{plant}" for plant in others)
+    lines = [
+        f"Written by `{head['command']}` on {head['date']} (version {head['version']}, commit {head['git_commit']}): "
+        f"{sum(row.holds for row in rows)} of {len(rows)} claims hold as worded.",
+        "",
+        "| row | the paper's claim | paper | ours | holds | why |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for row in rows:
-        cells = (f"`{row.id}`", row.claim, shown(row.paper, row.unit), shown(row.ours, row.unit), _word(row), row.note)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        if not row.id.endswith(ends) or not ends:
+            figures = shown(row.paper, row.unit), shown(row.ours, row.unit)
+            lines.append(_line(f"`{row.id}`", row.claim, *figures, _word(row), row.note))
+    by_id = {row.id: row for row in rows}
+    for plant in others:
+        lines += ["", f"The same on the {plant} plant:", "", f"| row | {first} | {plant} | holds ({first}, {plant}) |"]
+        lines.append("| --- | --- | --- | --- |")
+        for row in rows:
+            if row.id.endswith(f"-{plant}"):
+                one = by_id[row.id.removesuffix(f"-{plant}")]
+                both = shown(one.ours, one.unit), shown(row.ours, row.unit)
+                lines.append(_line(f"`{one.id}`", *both, f"{_word(one)}, {_word(row)}"))
     return "\n".join(lines) + "\n"
+
+
+def _line(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def shown(value: float | None, unit: str) -> str:

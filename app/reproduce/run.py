@@ -131,7 +131,7 @@ def _write(
     rows = table(results, plants, options.seed, quick=options.quick)
     figures = draw(results, plants, options.seed, options.out)
     result = ReproduceResult(rows, head, [figure.file for figure in figures], failed)
-    files.write_text(options.out / "table.md", markdown(rows))
+    files.write_text(options.out / "table.md", markdown(rows, head))
     files.write_text(options.out / "report.html", page(rows, figures, head, results, options.out))
     files.write_json(options.out / "results.json.part", result.as_json())
     (options.out / "results.json.part").replace(options.out / "results.json")  # last: it says that all is there

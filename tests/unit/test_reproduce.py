@@ -222,7 +222,19 @@ def test_the_page_is_self_contained_and_what_it_is_given_stays_text(tmp_path: Pa
     assert "claim &lt;b&gt;" in text
     assert not re.search(r"(src|href)=\"(?!data:)", text)
     assert "not measured: b" in text
-    lines = markdown(rows).splitlines()
-    assert len(lines) == 4
-    assert "3.1416 m\\|s | yes" in lines[2]
-    assert "not measured" in lines[3]
+
+
+def test_the_table_for_the_docs_has_the_second_plant_beside_the_first() -> None:
+    rows = [
+        Row("a", "claim", None, math.pi, "m|s", True, "why"),
+        Row("a-jsbsim", "claim", None, 3.0, "m|s", False, "why"),
+        Row("b", "c", 1.0, None, "1", False, "n"),
+    ]
+    head = {"plants": ["native", "jsbsim"], "command": "run", "date": "2026-01-01", "version": "1", "git_commit": "abc"}
+    lines = markdown(rows, head).splitlines()
+    assert "`run` on 2026-01-01 (version 1, commit abc): 1 of 3" in lines[0]
+    assert "| `a` | claim | – | 3.1416 m\\|s | yes | why |" in lines
+    assert "| `b` | c | 1 | – | not measured | n |" in lines
+    assert "| `a` | 3.1416 m\\|s | 3 m\\|s | yes, no |" in lines
+    alone = markdown(rows[:1], {**head, "plants": ["native"]}).splitlines()
+    assert "| `a` | claim | – | 3.1416 m\\|s | yes | why |" in alone
