@@ -58,7 +58,7 @@ class Table:
             return Row(row_id, claim, paper, None, unit, False, f"not measured: {'; '.join(failed)}")
         ours, holds, note = make(*found)
         known = math.isfinite(ours)
-        return Row(row_id, claim, paper, ours if known else None, unit, holds and known, note)
+        return Row(row_id, claim, paper, float(ours) if known else None, unit, bool(holds) and known, note)
 
     def on(self, plant: str) -> str:
         """The end of a flown row's note."""

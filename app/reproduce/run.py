@@ -5,6 +5,7 @@ What is finished is kept at once (`parts`): an interrupted run goes on where it 
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import queue
@@ -243,7 +244,7 @@ def _run(part: Part, folder: str) -> dict[str, Any]:
 
     bench = Bench(Path(folder), lambda: "stopped by the user" if _STOP.is_set() else "", show)
     try:
-        found = KINDS[part.kind](bench, **part.given)
+        found = json.loads(json.dumps(KINDS[part.kind](bench, **part.given)))  # as a resumed run will read it
         return {"failed": "stopped"} if _STOP.is_set() else found
     except (PartFailed, InputError) as error:
         return {"failed": " ".join(str(error).split())}

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from app.cli import main
@@ -16,7 +17,7 @@ from app.reproduce.figures import FIGURES
 from app.reproduce.page import markdown, page
 from app.reproduce.parts import Parts, sources_hash
 from app.reproduce.plan import Part, parts_of
-from app.reproduce.rows import Row, table
+from app.reproduce.rows import Row, Table, table
 from app.reproduce.run import ReproduceOptions, ReproduceResult, reproduce
 
 CONTRACT = {
@@ -169,6 +170,14 @@ def test_what_could_not_be_measured_holds_nothing_and_says_why() -> None:
         assert row.ours is None
         assert row.holds is False
         assert "no luck with" in row.note
+
+
+def test_a_row_is_plain_numbers_whatever_it_was_made_of() -> None:
+    run = Table({"part": {"x": np.float64(2.0)}}, ("native",), 0, True)
+    made = run.row("a", "claim", None, "1", ("part",), lambda found: (found["x"], found["x"] > 1.0, "note"))
+    assert json.loads(json.dumps(made.as_json()))["holds"] is True
+    endless = run.row("a", "claim", None, "1", ("part",), lambda found: (np.inf, True, "note"))
+    assert (endless.ours, endless.holds) == (None, False)
 
 
 def test_parts_are_named_once_and_the_longest_begin_first() -> None:

@@ -71,7 +71,7 @@ FIGURES = (
         "right with; another scale.", "tracking", "error"),
     Row("fig6-inference-time", "Fig. 6. Recursive GP inference time per iteration",
         "300 points, 9 inputs, 6 outputs, over the states of the flown track; the paper stays below 20 ms (red line). "
-        "Single spikes: every 2,500 iterations the whole inverse is computed anew.",
+        "Single spikes: every 5,000 iterations the whole inverse is computed anew.",
         "tracking", "inference", False),
     Row("fig7-adaptive-sampling", "Fig. 7. Adaptive sampling of the state space",
         "Solid green: the present region, dashed red: the next. Green crosses: samples inside the present region, "
