@@ -23,7 +23,8 @@ def reproduce(
 ) -> None:
     """Compute every figure and number of the paper anew, beside what it says; an interrupted run goes on."""
     from app import console, files
-    from app.cli import FAILED, INTERRUPTED, Interrupts
+    from app.cli import FAILED, INTERRUPTED
+    from app.interrupts import Interrupts
     from app.reproduce.run import ReproduceOptions
     from app.reproduce.run import reproduce as run
 

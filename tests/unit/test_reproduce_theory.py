@@ -144,8 +144,8 @@ def test_density_counts_samples_on_their_own_area() -> None:
     points = points[b.p11 * e * e + 2.0 * b.p12 * e * v + b.p22 * v * v <= 1.0]
     even = len(points) / claim.barrier.area_m2ps
     none = np.zeros(0)
-    for each in density(claim, Samples(points, none, none, 0, np.zeros((0, 2)))).values():
+    for each in density(claim, Samples(points, none, none, 0, np.zeros((0, 2)), points)).values():
         assert each == pytest.approx(even, rel=0.05)
-    half = density(claim, Samples(points[points[:, 1] > 0.0], none, none, 0, np.zeros((0, 2))))
+    half = density(claim, Samples(points[points[:, 1] > 0.0], none, none, 0, np.zeros((0, 2)), points))
     assert half["down"] == pytest.approx(even, rel=0.05)
     assert half["up"] == 0.0
