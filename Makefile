@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -18,6 +18,7 @@ help:
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
+	@echo "make paper        every figure and number of the paper beside ours, into runs/paper (a quarter of an hour)"
 	@echo "make client-20    MAVSDK-Python flies the simulator twenty times"
 	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
@@ -48,10 +49,6 @@ $(BIN)/.installed-bench: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	@touch $@
 
-$(BIN)/.installed-campaign: $(BIN)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign]'
-	@touch $@
-
 fly: $(BIN)/.installed
 	$(BIN)/flightstack fly
 
@@ -78,6 +75,9 @@ bench-gp: $(BIN)/.installed-bench
 bench-barrier: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier
 
+paper: $(BIN)/.installed
+	$(BIN)/flightstack reproduce --out runs/paper
+
 crosscheck: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.plants_crosscheck
 
@@ -101,10 +101,10 @@ faults: $(BIN)/.installed
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py
 
-campaign-learning: $(BIN)/.installed-campaign
+campaign-learning: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.learning
 
-campaign-learning-quick: $(BIN)/.installed-campaign
+campaign-learning-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.learning --quick
 
 campaign-barrier: $(BIN)/.installed

@@ -19,7 +19,7 @@ from flightstack.barrier.design import slice_area, worst_slice_area
 from flightstack.barrier.physics import Plant, mu_physics
 from flightstack.barrier.published import of_authority
 from flightstack.barrier.records import AxisCertificate, Certificate
-from flightstack.barrier.sampling import Claim, adaptive, crossed, thinned, uniform
+from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.model import Model
 from flightstack.types import STANDARD_GRAVITY_MPS2
@@ -127,8 +127,8 @@ def plant_of(setup: Setup) -> Plant:
     )  # fmt: skip
 
 
-def _samples(axis: AxisCertificate, limit_m: float, mu: float) -> tuple[int | None, int | None]:
-    """Samples of the published kind that prove a barrier of its strict form under the certificate's bounds.
+def strict_claim(axis: AxisCertificate, limit_m: float, mu: float) -> Claim | None:
+    """What samples of the published kind can prove under the certificate's bounds; None where too little is known.
 
     The barrier has a cross term and a fifth more mu than the least, or as much as its speeds are known for; the
     published one takes infinitely many.
@@ -136,11 +136,21 @@ def _samples(axis: AxisCertificate, limit_m: float, mu: float) -> tuple[int | No
     bounds = of_authority(axis.authority)
     shapes = [crossed(limit_m, share * mu, share * mu) for share in _MORE_MU] if math.isfinite(mu) else []
     known = [shape for shape in shapes if bounds.v_mps[0] <= shape.box[2] and shape.box[3] <= bounds.v_mps[-1]]
-    if not known:
+    return Claim(known[0], axis.setting.gamma_ps, bounds) if known else None
+
+
+def placed(claim: Claim) -> Samples:
+    """Samples for a claim, placed where they are needed, and no more of them."""
+    return thinned(claim, adaptive(claim, local=True, depth=12))
+
+
+def _samples(axis: AxisCertificate, limit_m: float, mu: float) -> tuple[int | None, int | None]:
+    """How many samples prove the strict claim: placed adaptively, and on a uniform grid."""
+    claim = strict_claim(axis, limit_m, mu)
+    if claim is None:
         return None, None
-    claim = Claim(known[0], axis.setting.gamma_ps, bounds)
-    sparse = adaptive(claim, local=True, depth=12)
+    sparse = placed(claim)
     if not sparse.closed:
         return None, None
     grid = uniform(claim)
-    return len(thinned(claim, sparse).points), len(grid.points) if grid.closed else None
+    return len(sparse.points), len(grid.points) if grid.closed else None

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.certified import counted_mps2, vertical
-from flightstack.barrier.records import Certificate
 from flightstack.types import F64
 from logs.reader import read
 from logs.report.certified import Exploration, render
@@ -16,9 +15,9 @@ if TYPE_CHECKING:
     from app.certify import CertifyResult
 
 
-def page_of(result: CertifyResult, adopted: list[Certificate], span_us: tuple[int, int], limit_m: float) -> str:
-    """The page's HTML; `span_us` is the exploration's time, `limit_m` the region's, up and down."""
-    axis = vertical(adopted[-1])
+def page_of(result: CertifyResult, limit_m: float) -> str:
+    """The page's HTML; `limit_m` is the region's, up and down."""
+    axis = vertical(result.adopted[-1])
     kernel = None
     if axis is not None and (counted := counted_mps2(axis))[0] < 0.0 < counted[1]:
         kernel = (limit_m, *counted)
@@ -27,9 +26,9 @@ def page_of(result: CertifyResult, adopted: list[Certificate], span_us: tuple[in
         good=result.passed,
         words=result.failure() or result.words,
         figures=figures(result),
-        certificates=tuple(adopted),
+        certificates=tuple(result.adopted),
         rounds=() if result.state is None else result.state.rounds,
-        path=_path(result, span_us),
+        path=path_of(result),
         kernel=kernel,
         checker=tuple(result.verdict),
     )
@@ -68,12 +67,12 @@ def _whole(value: int | None) -> str:
     return "–" if value is None else str(value)
 
 
-def _path(result: CertifyResult, span_us: tuple[int, int]) -> F64:
+def path_of(result: CertifyResult) -> F64:
     """(n, 6) the true position relative to the region's centre, and the velocity, while it was explored."""
     if result.state is None or result.flight.log is None:
         return np.zeros((0, 6))
     truth = read(result.flight.log).tables["/truth"]
-    during = (truth.t_us >= span_us[0]) & (truth.t_us <= span_us[1])
+    during = (truth.t_us >= result.span_us[0]) & (truth.t_us <= result.span_us[1])
     return np.concatenate(
         [truth["pos_ned_m"][during] - result.state.centre_ned_m, truth["vel_ned_mps"][during]], axis=1
     )

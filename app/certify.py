@@ -80,6 +80,10 @@ class CertifyResult:
     verdict: list[str] = field(default_factory=list)
     """What the independent checker said."""
     report: str | None = None
+    adopted: list[Certificate] = field(default_factory=list)
+    """Every certificate in its order, the settled one last."""
+    span_us: tuple[int, int] = (-1, -1)
+    """The exploration's first and last tick."""
 
     @property
     def passed(self) -> bool:
@@ -203,12 +207,12 @@ def certify(
     path, verdict = write_certificate(adopted, out / CERTIFICATE)
     figures = figures_of(adopted, setup) if adopted else None
     result = CertifyResult(flight, planner.state, figures, path, 0.0, options.as_published, verdict)
+    result.adopted, result.span_us = adopted, (planner.from_us, planner.to_us)
     result.wall_time_s = time.perf_counter() - began
     if adopted:
         region = setup.flight.scenario.region
         limit_m = 0.0 if region is None else region.semi_axes_m[DOWN]
-        span_us = (planner.from_us, planner.to_us)
-        _write_report(result, lambda: page_of(result, adopted, span_us, limit_m), out / "report.html")
+        _write_report(result, lambda: page_of(result, limit_m), out / "report.html")
     return result
 
 

@@ -41,6 +41,7 @@ from app.options import (
     VehicleOption,
     WaypointsArgument,
 )
+from app.reproduce.verb import reproduce
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -361,6 +362,9 @@ def gap(
     console.show_gap(result, out)
     if json is not None:
         files.write_json(json, as_json(result))
+
+
+app.command()(reproduce)
 
 
 @log_app.command("info")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from app.certify import CertifyResult
+    from app.reproduce.run import ReproduceResult
     from gap.result import GapResult
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -131,6 +132,26 @@ def show_gap(result: GapResult, out: Path) -> None:
         table.add_row(label, f"{before} before, {after} after, {floor} of noise")
     output.print(table)
     for name in ("gap.json", "vehicle.toml", "report.html"):
+        output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
+
+
+def show_reproduced(result: ReproduceResult, out: Path) -> None:
+    """The paper's claims beside what was measured, and why some don't hold."""
+    from app.reproduce.page import shown
+
+    table = Table(title="the paper, side by side", title_justify="left", box=None)
+    for column in ("row", "claim", "paper", "ours", "holds"):
+        table.add_column(column, overflow="fold")
+    for row in result.rows:
+        word = "[green]yes[/]" if row.holds else "[red]no[/]" if row.ours is not None else "[red]not measured[/]"
+        figures = (escape(shown(value, row.unit)) for value in (row.paper, row.ours))
+        table.add_row(row.id, escape(row.claim), *figures, word)
+    output.print(table)
+    output.print("\nwhat does not hold, and why")
+    for row in result.rows:
+        if not row.holds:
+            output.print(f" {row.id}: {row.note}", markup=False)
+    for name in ("results.json", "report.html"):
         output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
 
 

@@ -21,8 +21,8 @@ from app.certified import counted_mps2, plant_of, vertical
 from app.certify import VERTICAL, ExplorationPlanner, prepare_certify
 from app.flight import TICK_MS, FlyOptions, Setup, SimulatedFlight, warm_up_all
 from app.preparation import Prepared
+from app.track import Tape
 from benchmarks.barrier_cases import FLIGHT_S, Adversary, Draw, draw
-from benchmarks.learning_flights import Tape
 from flightstack.explore import Explorer
 from flightstack.mission import Mission
 from flightstack.seams import NoFilter
@@ -74,12 +74,6 @@ class _Counting(Tape):
         super().tick(record)
         self.infeasible += record.filtered.status in FALLBACKS
         self.interventions += record.filtered.intervened == 1.0
-
-    def certified(self, t_us: int, region: object) -> None:
-        """Not kept."""
-
-    def certificate(self, t_us: int, certificate: object) -> None:
-        """Not kept."""
 
 
 class _Wire:

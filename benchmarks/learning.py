@@ -27,6 +27,7 @@ from benchmarks.learning_cases import FIRST_SEED, PILOTS, Flight, flights
 SCHEMA = "flightstack.campaign-learning/1"
 _TRACED = "paper-tracking"
 _STUDY_SEEDS = 3
+_WORLDS = ("air", "ground")
 Job = tuple[str, str, str, int]
 """Kind (flight or study), case or world, pilot (empty for a study), seed."""
 
@@ -36,9 +37,9 @@ def run(job: Job) -> Any:
     kind, name, pilot, seed = job
     try:
         if kind == "study":
-            from benchmarks.learning_inputs import study
+            from app.reproduce.inputs import Study, study
 
-            return study(name, seed)
+            return study(Study(world=name, seed=seed))
         from benchmarks.learning_flights import fly_scored
 
         return fly_scored(Flight(name, pilot, seed))
@@ -60,10 +61,8 @@ def run(job: Job) -> Any:
 
 def jobs_of(quick: bool) -> list[Job]:
     """The campaign, seed by seed; the studies come first: they take longest."""
-    from benchmarks.learning_inputs import WORLDS
-
     seeds = range(FIRST_SEED, FIRST_SEED + (1 if quick else _STUDY_SEEDS))
-    studies: list[Job] = [("study", world, "", seed) for world in WORLDS for seed in seeds]
+    studies: list[Job] = [("study", world, "", seed) for world in _WORLDS for seed in seeds]
     return studies + [("flight", flight.case, flight.pilot, flight.seed) for flight in flights(quick=quick)]
 
 

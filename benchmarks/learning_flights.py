@@ -6,7 +6,6 @@ Nothing is written to disk: the flight's log goes to a tape that keeps what the 
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from pathlib import Path
 from typing import Any
@@ -14,100 +13,21 @@ from typing import Any
 import numpy as np
 
 from app.calibration import TimedLearner
-from app.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, SimulatedFlight, prepare, warm_up_all
+from app.flight import FlyOptions, Setup, SimulatedFlight, prepare
 from app.result import percentiles
+from app.track import Track, fly_track
 from benchmarks.learning_cases import CASES, PILOTS, Flight, Pilot
 from benchmarks.learning_change import change_summary
 from benchmarks.oracle import Oracle
-from flightstack.calibration import BOUND_SIGMAS, true_residual_frd_mps2
+from flightstack.calibration import BOUND_SIGMAS
 from flightstack.control.feedback import FlatnessController
-from flightstack.model import Model
 from flightstack.seams import Learner
 from flightstack.stack import Stack
-from flightstack.types import F64, Learned, TickRecord
-from logs import scene as viewer
-from mavlink_bridge.pace import undisturbed
-from sim.plant import NativePlant, Truth
+from flightstack.types import F64, Learned
+from sim.plant import NativePlant
 
 TRACE_HZ = 10
 _TICKS_PER_TRACE = 250 // TRACE_HZ
-
-
-class Tape:
-    """A flight's log that keeps the last tick and the last truth."""
-
-    failed: str | None = None
-
-    def __init__(self) -> None:
-        self.record: TickRecord | None = None
-        self.last_truth: Truth | None = None
-
-    def tick(self, record: TickRecord) -> None:
-        """One tick of the stack."""
-        self.record = record
-
-    def truth(self, t_us: int, truth: object) -> None:
-        """The simulator's truth."""
-        assert isinstance(truth, Truth)
-        self.last_truth = truth
-
-    def write(self, topic: str, t_us: int, record: object) -> None:
-        """Not kept."""
-
-    def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
-        """Not kept."""
-
-    def event(self, t_us: int, name: str, text: str, severity: str = "info") -> None:
-        """Not kept."""
-
-    def statustext(self, t_us: int, severity: int, text: str) -> None:
-        """Not kept."""
-
-    def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
-        """Not kept."""
-
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
-        """Not kept."""
-
-    def close(self) -> None:
-        """Nothing to finish."""
-
-
-@dataclasses.dataclass(slots=True)
-class Track:
-    """Every tick of the track."""
-
-    before: list[TickRecord]
-    """Ticks of the take-off and the run-up, for what must see a flight from its beginning."""
-    times_s: list[float]
-    records: list[TickRecord]
-    truths: list[Truth]
-    distances_m: list[float]
-    """From the reference, all ticks, `before` and `records`; with sensors of mocap grade the start is known to 1 mm."""
-
-    def take(self, flight: SimulatedFlight, tape: Tape) -> None:
-        """The tick that was just flown, where it belongs to the flight up to the track's end."""
-        time_s = flight.score.track_s(flight.t_us)
-        record, truth = tape.record, tape.last_truth
-        if time_s is None or time_s > flight.scenario.duration_s or record is None or truth is None:
-            return
-        self.distances_m.append(math.dist(truth.pos_ned_m, record.reference.pos_ned_m))
-        if time_s < 0.0:
-            self.before.append(record)
-        else:
-            self.times_s.append(time_s)
-            self.records.append(record)
-            self.truths.append(truth)
-
-    @property
-    def learned(self) -> F64:
-        """(n, 32) rows of Learned."""
-        return np.array([record.learned.row for record in self.records]).reshape(-1, len(Learned.nothing().row))
-
-    def true_residual(self, model: Model) -> F64:
-        """(n, 3) what the model does not explain of the true specific force, body FRD, m/s^2."""
-        parts = ("specific_force_frd_mps2", "motor_u", "vel_ned_mps", "q_ned_frd")
-        return true_residual_frd_mps2(model, *(np.array([getattr(t, part) for t in self.truths]) for part in parts))
 
 
 def options_of(flight: Flight) -> FlyOptions:
@@ -125,29 +45,22 @@ def options_of(flight: Flight) -> FlyOptions:
     )
 
 
-def fly_track(options: FlyOptions, pilot: Pilot | None = None) -> tuple[SimulatedFlight, Setup, Track]:
+def _flown(options: FlyOptions, pilot: Pilot) -> tuple[SimulatedFlight, Setup, Track]:
     """Fly to the end over UDP on loopback; every tick of the track."""
     setup = prepare(options)
     oracle = None
-    if pilot is not None and pilot.exact:
+    if pilot.exact:
         oracle = Oracle(setup.flight.stack.model, setup.truth)
         setup = _with_parts(setup, learner=oracle)
-    elif pilot is not None and pilot.confident_share != 1.0:
+    elif pilot.confident_share != 1.0:
         setup = _with_parts(setup, confident_share=pilot.confident_share)
-    warm_up_all(setup)
-    tape, track = Tape(), Track([], [], [], [], [])
-    flight = SimulatedFlight(setup, options, tape)
-    if oracle is not None:
-        assert isinstance(flight.vehicle.plant, NativePlant)
-        oracle.watch(flight.vehicle.plant)
-    limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
-    try:
-        with undisturbed():
-            while not flight.companion.done and flight.t_us <= limit_us:
-                flight.step()
-                track.take(flight, tape)
-    finally:
-        flight.close()
+
+    def watch(flown: SimulatedFlight) -> None:
+        if oracle is not None:
+            assert isinstance(flown.vehicle.plant, NativePlant)
+            oracle.watch(flown.vehicle.plant)
+
+    flight, track = fly_track(setup, options, on_ready=watch)
     return flight, setup, track
 
 
@@ -166,7 +79,7 @@ def fly_scored(flight: Flight) -> dict[str, Any]:
     """One row of the results."""
     pilot = PILOTS[flight.pilot]
     began = time.perf_counter()
-    flown, setup, track = fly_track(options_of(flight), pilot)
+    flown, setup, track = _flown(options_of(flight), pilot)
     row: dict[str, Any] = dataclasses.asdict(flight)
     row |= {"completed": flown.companion.completed, "reason": flown.companion.reason}
     row |= {name: value for name, value in flown.score.tracking.summary().items() if name != "of"}

@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from app.reproduce.inputs import WORLDS
 from benchmarks.learning_bars import COVERAGE_BAR
 from benchmarks.learning_cases import CASES, PILOTS, SCHEDULED
-from benchmarks.learning_inputs import WORLDS
 from benchmarks.learning_stats import covered, of, values
 from benchmarks.learning_timing import PAPER_S
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from app.reproduce.inputs import WORLDS
 from benchmarks import learning_words as text
 from benchmarks.learning_bars import Bar, bars, inputs_ratio, spread
 from benchmarks.learning_cases import CASES, FIRST_SEED, FIXED, PILOTS, SCHEDULED
-from benchmarks.learning_inputs import WORLDS
 from benchmarks.learning_stats import covered, of, paired, shares, values
 
 _COMPARED = ("paper-tracking", "rotor-drag", "low-pass", "steady-wind", "px4-sih", "payload-drop")

@@ -18,7 +18,6 @@ import json
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib import resources
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -131,38 +130,6 @@ def evaluate(*, starts: int = 1000, duration_s: float = 60.0) -> Example1:
     return Example1(
         v_star, h_star, lower_v, lower_h, lyapunov, barrier, flows[0], flows[1], flows[2], shown
     )  # fmt: skip
-
-
-def rows(result: Example1) -> list[dict[str, Any]]:
-    """The table's rows: what the paper's digits give, what ours are, whether the paper's claim holds."""
-    ratio = {
-        "id": "ex1-ratio",
-        "claim": "the barrier's safe region is much larger than the Lyapunov function's",
-        "paper": result.ratio_published,
-        "ours": result.ratio,
-        "unit": "1",
-        "holds": result.ratio > 1.5,
-        "note": "ratio of the two areas above; much larger is read as half as large again",
-    }
-    lyapunov = (result.published_lyapunov, result.lowered_lyapunov, result.lyapunov)
-    barrier = (result.published_barrier, result.lowered_barrier, result.barrier)
-    return [
-        _row("ex1-lyapunov-area", "a quadratic Lyapunov function has a safe region of this area", *lyapunov),
-        _row("ex1-barrier-area", "a quadratic barrier certifies a safe region of this area", *barrier),
-        ratio,
-    ]
-
-
-def _row(row_id: str, claim: str, paper: Region, lowered: Region, ours: Region) -> dict[str, Any]:
-    note = (
-        f"with the printed digits motions leave on {100.0 * paper.outward_share:.2f} % of the boundary (hdot down to "
-        f"{paper.least_rate:.2e}, proven at one point), lowered to area {lowered.area:.4f} none does (proven); "
-        f"ours: hdot >= {ours.proven_rate} on the whole boundary, proven in exact arithmetic"
-    )
-    return {
-        "id": row_id, "claim": claim, "paper": paper.area, "ours": ours.area, "unit": "1",
-        "holds": ours.proven_rate is not None and ours.area >= paper.area, "note": note,
-    }  # fmt: skip
 
 
 def measured(name: str, h: Polynomial, proof: Proof | None) -> Region:

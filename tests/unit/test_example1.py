@@ -262,19 +262,6 @@ def test_the_figures_points_lie_where_they_should(result: Example1) -> None:
     assert (np.hypot(*result.motions[:, -1].T) < 1e-2).all()
 
 
-def test_rows_of_the_table(result: Example1) -> None:
-    table = {row["id"]: row for row in example1.rows(result)}
-    assert list(table) == ["ex1-lyapunov-area", "ex1-barrier-area", "ex1-ratio"]
-    for row in table.values():
-        assert set(row) == {"id", "claim", "paper", "ours", "unit", "holds", "note"}
-        assert json.loads(json.dumps(row)) == row
-        assert row["holds"] is True
-    assert "0.46 %" in table["ex1-lyapunov-area"]["note"]
-    assert "0.22 %" in table["ex1-barrier-area"]["note"]
-    unproven = replace(result, barrier=replace(result.barrier, proven_rate=None))
-    assert example1.rows(unproven)[1]["holds"] is False
-
-
 def test_a_wrong_file_is_named(found: dict[str, Proof]) -> None:
     text = example1.proofs_to_json(found)
     assert example1.proofs_from_json(text, "f.json") == found

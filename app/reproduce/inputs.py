@@ -4,22 +4,23 @@ A flight with no learner gives samples; a process is trained on its windows and 
 flight: the same path, displaced.  Hyper-parameters are those of greatest marginal likelihood on the training flight,
 for either set of inputs, axis by axis; errors are against the simulator's truth, of a window's mean.
 
-Two worlds: forces of the air, which do not depend on position (the paper's case), and ground effect, which does depend
-on height.  There q' lacks something, and the learner's own seventh input, nearness of the ground, is the third set.
+Three worlds: the paper's (a wrong mass and a constant force, on the paper's own path), forces of the air, which do not
+depend on position either, and ground effect, which does depend on height.  There q' lacks something, and the learner's
+own seventh input, nearness of the ground, is the third set.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.flight import FlyOptions
-from benchmarks.learning_cases import FIRST_SEED
-from benchmarks.learning_flights import Track, fly_track
+from app.flight import FlyOptions, prepare
+from app.track import Track, fly_track
 from flightstack.gp import RecursiveGP, SquaredExponential
 from flightstack.gp.likelihood import fit
 from flightstack.learning import sampler as s
@@ -47,8 +48,8 @@ centre_m = {centre}
 amplitude_m = {amplitude}
 rate_radps = {rate}
 phase_rad = {phase}
-[truth.effects]
-{effects}
+{limits}
+{truth}
 """
 
 
@@ -61,26 +62,40 @@ class World:
     amplitude_m: tuple[float, float, float]
     rate_radps: tuple[float, float, float]
     phase_rad: tuple[float, float, float]
-    effects: str
+    truth: str
+    """The scenario's tables of the truth."""
     towards: tuple[float, float, float]
     displacements_m: tuple[float, ...]
+    limits: str = ""
 
     def scenario(self, displacement_m: float, duration_s: float) -> str:
         """The text of the scenario file."""
         centre = np.asarray(self.centre_m) + displacement_m * np.asarray(self.towards)
         parts = {"centre": centre, "amplitude": self.amplitude_m, "rate": self.rate_radps, "phase": self.phase_rad}
         lists = {name: np.asarray(part, dtype=np.float64).tolist() for name, part in parts.items()}
-        return _SCENARIO.format(duration_s=duration_s, effects=self.effects, **lists)
+        return _SCENARIO.format(duration_s=duration_s, truth=self.truth, limits=self.limits, **lists)
 
 
 _W = 2.0 * np.pi / 8.0
 WORLDS: dict[str, World] = {
+    "paper": World(
+        "the paper's path, mass and force, displaced to the north-east",
+        (0.0, 0.0, -1.5),
+        (1.5, 1.0, 0.5),
+        (0.6, 0.9, 0.6),
+        (0.0, 0.0, 0.0),
+        "[truth]\nmass_ratio = 1.4\nconstant_force_weights = [0.1, 0.0, 0.0]",
+        (np.sqrt(0.5), np.sqrt(0.5), 0.0),
+        (0.0, 0.5, 1.0, 2.0, 4.0),
+        limits="[limits]\nthrust_max_weights = 1.8",
+    ),
     "air": World(
         "drag, lift and 6 m/s of wind on a figure of eight of 3 m x 1.5 m, displaced to the north-east",
         (0.0, 0.0, -2.0),
         (3.0, 1.5, 0.0),
         (_W, 2.0 * _W, 0.0),
         (0.0, 0.0, 0.0),
+        "[truth.effects]\n"
         "rotor_drag = { k_d_kg_per_rad = 1.6e-4 }\n"
         "translational_lift = { k_h_kg_per_m = 4.0e-3 }\n"
         "steady_wind = { north_mps = 4.24, east_mps = 4.24 }",
@@ -93,29 +108,56 @@ WORLDS: dict[str, World] = {
         (2.0, 0.0, -0.2),
         (np.pi / 2.0, 0.0, np.pi),
         (0.75 * np.pi, 0.0, np.pi),
-        "ground_effect = { strength = 3.0 }",
+        "[truth.effects]\nground_effect = { strength = 3.0 }",
         (0.0, 0.0, -1.0),
         (0.0, 0.05, 0.1, 0.2, 0.4),
     ),
 }
-_TRAIN_S, _TEST_S = 20.0, 16.0
+TRAIN_S, TEST_S = 20.0, 16.0
 
 
-def study(world: str, seed: int = FIRST_SEED) -> list[dict[str, Any]]:
-    """Errors of prediction of each set of inputs at each displacement, one seed: rows for the results."""
-    place = WORLDS[world]
-    train_x, train_y, _ = samples(place, 0.0, _TRAIN_S, seed)
-    tests = [samples(place, d, _TEST_S, seed + 500) for d in place.displacements_m]
-    sets = [name for name in SETS if world == "ground" or s.GROUND + 3 not in SETS[name]]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """One study: where, from which seed, how far displaced, how long the flights are, on which plant."""
+
+    world: str
+    seed: int
+    displacements_m: tuple[float, ...] = ()
+    """None named: the world's own."""
+    train_s: float = TRAIN_S
+    test_s: float = TEST_S
+    plant: str = "native"
+
+
+def study(
+    asked: Study,
+    *,
+    stop_requested: Callable[[], str] = lambda: "",
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> list[dict[str, Any]]:
+    """Errors of prediction of each set of inputs at each displacement: rows for the results.
+
+    Raises RuntimeError where a flight did not complete.
+    """
+    place = WORLDS[asked.world]
+    displacements = asked.displacements_m or place.displacements_m
+    flights = [(0.0, asked.train_s, asked.seed), *((far, asked.test_s, asked.seed + 500) for far in displacements)]
+    flown = []
+    for number, (far, duration_s, seed) in enumerate(flights):
+        on_progress(number / (len(flights) + 1), f"displaced by {far:g} m")
+        flown.append(samples(place, far, duration_s, seed, asked.plant, stop_requested))
+    (train_x, train_y, _), *tests = flown
+    sets = [name for name in SETS if asked.world == "ground" or s.GROUND + 3 not in SETS[name]]
     rows: list[dict[str, Any]] = []
     for name in sets:
         columns = list(SETS[name])
         processes = [trained(train_x[:, columns], train_y[:, axis]) for axis in range(3)]
-        for displacement, (x, _, truth) in zip(place.displacements_m, tests, strict=True):
-            points = x[:, columns]
-            mean = np.array([[float(process.predict(point)[0][0]) for process in processes] for point in points])
-            errors = {"error_mps2": _rms(truth - mean), "residual_mps2": _rms(truth)}
-            rows.append({"world": world, "inputs": name, "seed": seed, "displacement_m": displacement, **errors})
+        for displacement, (x, _, truth) in zip(displacements, tests, strict=True):
+            mean = np.stack([process.predict(x[:, columns])[0][:, 0] for process in processes], axis=1)
+            rows.append({
+                "world": asked.world, "inputs": name, "seed": asked.seed, "displacement_m": displacement,
+                "error_mps2": _rms(truth - mean), "residual_mps2": _rms(truth),
+            })  # fmt: skip
     return rows
 
 
@@ -131,13 +173,21 @@ def trained(x: F64, y: F64) -> RecursiveGP:
     return process
 
 
-def samples(world: World, displacement_m: float, duration_s: float, seed: int) -> tuple[F64, F64, F64]:
+def samples(
+    world: World,
+    displacement_m: float,
+    duration_s: float,
+    seed: int,
+    plant: str = "native",
+    stop_requested: Callable[[], str] = lambda: "",
+) -> tuple[F64, F64, F64]:
     """Windows of a flight over UDP: (n, 3 + D) position and inputs, (n, 3) measured residual, (n, 3) the true one."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "displaced.toml"
         path.write_text(world.scenario(displacement_m, duration_s))
-        options = FlyOptions(scenario=str(path), seed=seed, learning=False, out=Path(folder))
-        flown, setup, track = fly_track(options)
+        options = FlyOptions(scenario=str(path), seed=seed, learning=False, plant=plant, out=Path(folder))
+        setup = prepare(options)
+        flown, track = fly_track(setup, options, stop_requested=stop_requested)
     if not flown.companion.completed:
         raise RuntimeError(f"a flight of the study did not complete: {flown.companion.reason}")
     return windows(setup.flight.stack.model, track)
