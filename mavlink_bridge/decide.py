@@ -252,9 +252,9 @@ def _holding(now: Situation, now_us: int) -> Verdict | None:
 
 def _link_lost(now: Situation, now_us: int) -> str:
     """Why there is nothing left to fly with; empty where there is."""
-    silent_us = now_us - now.view.heartbeat_at_us
+    silent_us = now_us - now.view.heard_at_us
     if silent_us > now.config.link_loss_s * SECOND_US:
-        return f"link lost: no heartbeat for {silent_us / SECOND_US:.1f} s"
+        return f"link lost: nothing heard for {silent_us / SECOND_US:.1f} s"
     return ""
 
 

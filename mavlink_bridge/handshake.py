@@ -64,7 +64,7 @@ class Event(Enum):
     STOP = "the user asked to stop"
     TOOK_OVER = "the mode was changed or the vehicle disarmed by someone else"
     DISARMED = "disarmed after our landing"
-    LINK_LOST = "no heartbeat for too long"
+    LINK_LOST = "nothing heard for too long"
     UNFIT = "its state or its parameters are not fit to fly with"
     FAULT_LAND = "a watchdog barked: PX4 is to land"
     FAULT_HOLD = "a watchdog barked: PX4 is to hold"

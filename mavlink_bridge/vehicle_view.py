@@ -24,6 +24,8 @@ class VehicleView:
         self.clock = VehicleClock()
         self.heartbeat: m.Heartbeat | None = None
         self.heartbeat_at_us = -1
+        self.heard_at_us = -1
+        """The latest message of any kind: on a lossy link three heartbeats in a row may be lost."""
         self.custom_mode = 0
         self.intended_mode = 0
         self.intended_at_us = -1
@@ -74,6 +76,7 @@ class VehicleView:
 
     def update(self, message: object, now_us: int) -> None:
         """Take one message of the identified vehicle, received at local time `now_us`."""
+        self.heard_at_us = now_us
         handler = _HANDLERS.get(type(message))
         if handler is not None:
             handler(self, message, now_us)
