@@ -110,11 +110,10 @@ def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) ->
     left = [f for f in found if f.name not in gone]
     before = _powers(believed, [], of)
     while len(left) > 1:
-        base = _powers(corrected(believed, left), [], of)
+        base = _fitted_again(believed, left, of)
         gains = {}
         for each in left:
-            others = [f for f in left if f is not each]
-            more = _powers(corrected(believed, others), [Knob(f.name, p) for f in others for p in _free(f)], of)
+            more = _fitted_again(believed, [f for f in left if f is not each], of)
             gains[each.name] = float(np.max((more - base) / np.maximum(base + _TRIFLE * before, 1e-300)))
         weakest = min(gains, key=lambda effect: gains[effect])
         if gains[weakest] >= _CLEARLY:
@@ -122,6 +121,11 @@ def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) ->
         gone.append(weakest)
         left = [f for f in left if f.name != weakest]
     return tuple(gone)
+
+
+def _fitted_again(believed: Vehicle, found: Sequence[Found], of: Split) -> F64:
+    """(groups,) what these effects leave, fitted alike whether one more is among them or not."""
+    return _powers(corrected(believed, found), [Knob(f.name, p) for f in found for p in _free(f)], of)
 
 
 def _on_edge(effect: str, parameter: str, estimate: float) -> bool:
