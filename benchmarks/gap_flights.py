@@ -1,7 +1,8 @@
 """The blind flights themselves: a plant, the pilot of `gap_pilot` and what no effect of the table explains, at 1 ms.
 
 What is outside the table acts here only, on the plant's rows from outside: a tether, a local jet of air, a magnet that
-turns the vehicle, a sloshing liquid, thrust that fades, a force that comes and goes, the wake of another vehicle.  The simulator and the workflow know none of them.
+turns the vehicle, a sloshing liquid, thrust that fades, a force that comes and goes, the wake of another
+vehicle.  The simulator and the workflow know none of them.
 """
 
 from __future__ import annotations

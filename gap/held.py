@@ -11,10 +11,11 @@ held-out data, all others fitted again, would be clearly more without it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flightstack.effect_specs import EFFECT_SPECS
@@ -22,7 +23,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
 from gap.pooled import Split
-from gap.records import Found, Gap
+from gap.records import Estimate, Found, Gap
 from gap.remainder import GROUPS
 from gap.simulate import Knob, sensitivities, value, with_value
 
@@ -38,6 +39,10 @@ _CLEARLY = 0.2
 """Share by which the mean square that is left must rise."""
 _TRIFLE = 0.02
 """Of the mean square before anything was named, what is small anyway."""
+_STEPS = 6
+_WORTH = 1e-3
+"""Share that another step must gain."""
+_REACH = 1.959964
 _LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
 """What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
 
@@ -106,7 +111,7 @@ def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) ->
     pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
     if not any(now is not None and least is not None and now > _FAR * least for now, least in pairs):
         return ()
-    gone = [f.name for f in found if any(_on_edge(f.name, p, e.estimate) for p, e in f.parameters.items())]
+    gone = list(on_edge(found))
     left = [f for f in found if f.name not in gone]
     before = _powers(believed, [], of)
     while len(left) > 1:
@@ -123,9 +128,100 @@ def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) ->
     return tuple(gone)
 
 
+def fitted_plainly(believed: Vehicle, found: Sequence[Found], of: Split) -> tuple[Found, ...]:
+    """These effects with their parameters by plain least squares, far from the noise.
+
+    A noise model learned from what a poor model leaves takes slow disagreement for colour and hardly looks at it: such
+    estimates may leave a weight uncarried.  Here each channel counts by its sensors' noise, steps are taken while
+    they leave less, and intervals are of the sandwich kind over blocks of a second.  Sensor effects stay as they are.
+    """
+    moved = [f for f in found if EFFECT_SPECS[f.name].kind != "sensor"]
+    knobs = [Knob(f.name, p) for f in moved for p in _free(f)]
+    if not knobs:
+        return tuple(found)
+    now, rows = corrected(believed, found), None
+    for _ in range(_STEPS):
+        rows = _rows(now, knobs, of)
+        step = _within(now, knobs, rows.x.reshape(-1, len(knobs)), rows.y.ravel())
+        after = now
+        for knob, change in zip(knobs, step, strict=True):
+            spec = next(p for p in EFFECT_SPECS[knob.effect].params if p.name == knob.parameter)
+            to = float(np.clip(value(now, knob.effect, knob.parameter) + change, spec.minimum, spec.maximum))
+            after = with_value(after, knob.effect, {knob.parameter: to})
+        if _rows(after, [], of).power > (1.0 - _WORTH) * _rows(now, [], of).power:
+            break
+        now = after
+    assert rows is not None
+    reach = _REACH * np.sqrt(np.diag(rows.covariance()))
+    half = {(k.effect, k.parameter): float(each) for k, each in zip(knobs, reach, strict=True)}
+    return tuple(replace(f, parameters=_at(f, now, half)) if f in moved else f for f in found)
+
+
+def _at(found: Found, vehicle: Vehicle, half: Mapping[tuple[str, str], float]) -> dict[str, Estimate]:
+    """Its parameters as this vehicle has them."""
+    out = dict(found.parameters)
+    for name in _free(found):
+        spec = next(p for p in EFFECT_SPECS[found.name].params if p.name == name)
+        now, reach = value(vehicle, found.name, name), half[found.name, name]
+        low, high = max(now - reach, spec.minimum), min(now + reach, spec.maximum)
+        out[name] = Estimate(found.parameters[name].before, now, low, high)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Weighed rows to learn from: y (N, 6), x (N, 6, K), and their block numbers (N,)."""
+
+    y: F64
+    x: F64
+    block: NDArray[np.int64]
+
+    @property
+    def power(self) -> float:
+        """Mean square that is left."""
+        return float(np.mean(self.y**2))
+
+    def covariance(self) -> F64:
+        """(K, K) sandwich over blocks."""
+        flat = self.x.reshape(-1, self.x.shape[2])
+        inverse = np.linalg.pinv(flat.T @ flat)
+        left = self.y - self.x @ (inverse @ (flat.T @ self.y.ravel()))
+        scores = np.einsum("nc,nck->nk", left, self.x)
+        sums = np.zeros((int(self.block.max(initial=0)) + 1, flat.shape[1]))
+        np.add.at(sums, self.block, scores)
+        return np.asarray(inverse @ (sums.T @ sums) @ inverse)
+
+
+def _rows(vehicle: Vehicle, knobs: Sequence[Knob], of: Split) -> _Rows:
+    ys, xs, blocks, count = [], [], [], 0
+    for samples, fit in zip(of.flights, of.fit, strict=True):
+        if not fit.any():
+            continue
+        ys.append(np.nan_to_num(residual(vehicle, samples).y[fit, :6]))
+        columns = sensitivities(vehicle, samples, knobs)[fit, :6] if knobs else np.zeros((len(ys[-1]), 6, 0))
+        xs.append(np.nan_to_num(columns))
+        blocks.append(count + np.arange(len(ys[-1])) * samples.dt_s // _BLOCK_S)
+        count = int(blocks[-1][-1]) + 1
+    y, x = np.concatenate(ys), np.concatenate(xs)
+    weight = _weights(vehicle, of)
+    return _Rows(y * weight, x * weight[:, None], np.concatenate(blocks).astype(np.int64))
+
+
+def _weights(vehicle: Vehicle, of: Split) -> F64:
+    """(6,) one over each channel's noise; 0 where it is not measured."""
+    noise = np.array([residual(vehicle, samples).noise[:6] for samples in of.flights])
+    worst = np.max(np.nan_to_num(noise), axis=0)
+    return np.where(worst > 0.0, 1.0 / np.maximum(worst, 1e-12), 0.0)
+
+
 def _fitted_again(believed: Vehicle, found: Sequence[Found], of: Split) -> F64:
     """(groups,) what these effects leave, fitted alike whether one more is among them or not."""
     return _powers(corrected(believed, found), [Knob(f.name, p) for f in found for p in _free(f)], of)
+
+
+def on_edge(found: Sequence[Found]) -> tuple[str, ...]:
+    """Effects with a parameter at the end of its range."""
+    return tuple(f.name for f in found if any(_on_edge(f.name, p, e.estimate) for p, e in f.parameters.items()))
 
 
 def _on_edge(effect: str, parameter: str, estimate: float) -> bool:
@@ -161,7 +257,7 @@ def _powers(vehicle: Vehicle, knobs: Sequence[Knob], of: Split) -> F64:
         rows.append((y[fit], x[fit], y[held], x[held]))
     y_fit, x_fit, y_held, x_held = (np.concatenate([row[k] for row in rows]) for k in range(4))
     if knobs and len(y_fit):
-        weight = 1.0 / np.maximum(np.std(y_fit, axis=0), 1e-9)
+        weight = _weights(vehicle, of)
         flat = (x_fit * weight[:, None]).reshape(-1, len(knobs))
         y_held = y_held - x_held @ _within(vehicle, knobs, flat, (y_fit * weight).ravel())
     return np.array([np.mean(np.sum(y_held[:, list(channels)] ** 2, axis=1)) for channels in GROUPS.values()])

@@ -14,7 +14,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import doubtful, trimmings
+from gap.held import corrected, doubtful, fitted_plainly, on_edge, trimmings
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
@@ -63,7 +63,7 @@ def analyse(
     gap = _verdict(vehicle, naming, of)
     trimmed = trimmings(vehicle, naming.found, of, gap)
     if trimmed:
-        naming = naming.without(trimmed, "changes hardly what is left on data not used before")
+        naming = _trimmed(vehicle, naming, trimmed, of)
         naming, of = _refined(vehicle, naming, of)
         gap = _verdict(vehicle, naming, of)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
@@ -134,6 +134,16 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
     late = dict(zip(used, refined.late_s, strict=True))
     moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
+
+
+def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str], of: Split) -> Naming:
+    """Less these names, the others fitted plainly; one that then runs to the end of its range goes too."""
+    while gone:
+        naming = naming.without(gone, "changes hardly what is left on data not used before")
+        found = fitted_plainly(vehicle, naming.found, of)
+        naming = replace(naming, found=found, vehicle=corrected(vehicle, found))
+        gone = on_edge(found)
+    return naming
 
 
 def _is_worse(gap: Gap) -> bool:

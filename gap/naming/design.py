@@ -199,7 +199,8 @@ def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: 
     layout = _layout(bench, errors, ok)
     if not (layout.keep & ~layout.held).any():
         raise InputError(
-            "the logs hold too little in one piece to learn from; record half a minute in the air, at 50 Hz or more"
+            "the logs hold too little in one piece that a simulation can be compared with; record half a minute in "
+            "the air: motors, gyro and accelerometer at 100 Hz or more, attitude and velocity"
         )
     for _ in range(_WHITENINGS):
         theta = _saturated(layout, raw_y, raw_x, negligible)
