@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ _CLEARLY = 0.2
 """Share by which the mean square that is left must rise."""
 _TRIFLE = 0.02
 """Of the mean square before anything was named, what is small anyway."""
+_NOT_CONSTANT_P = 1e-6
 _STEPS = 6
 _WORTH = 1e-3
 """Share that another step must gain."""
@@ -106,12 +108,18 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def trimmings(believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap) -> tuple[str, ...]:
-    """Named effects without which hardly more would be left on the held-out data, weakest first; () near the noise."""
+def trimmings(
+    believed: Vehicle, found: Sequence[Found], of: Split, gap: Gap, constant: Mapping[str, float] = MappingProxyType({})
+) -> tuple[str, ...]:
+    """Named effects that are no effects of this vehicle, but trim what its model lacks; () near the noise.
+
+    Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
+    of its being the same), then, weakest first, those without which hardly more would be left on the held-out data.
+    """
     pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
     if not any(now is not None and least is not None and now > _FAR * least for now, least in pairs):
         return ()
-    gone = list(on_edge(found))
+    gone = [f.name for f in found if f.name in on_edge(found) or constant.get(f.name, 1.0) < _NOT_CONSTANT_P]
     left = [f for f in found if f.name not in gone]
     before = _powers(believed, [], of)
     while len(left) > 1:

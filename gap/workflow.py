@@ -61,7 +61,7 @@ def analyse(
         naming = named.without(gone, "does something else on data not used before")
         naming, of = _refined(vehicle, naming, of)
     gap = _verdict(vehicle, naming, of)
-    trimmed = trimmings(vehicle, naming.found, of, gap)
+    trimmed = trimmings(vehicle, naming.found, of, gap, naming.constant)
     if trimmed:
         naming = _trimmed(vehicle, naming, trimmed, of)
         naming, of = _refined(vehicle, naming, of)

@@ -233,3 +233,16 @@ def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:
     hidden = {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}
     state = search(MadeUp(3, hidden, quad), quad)
     assert estimate(state, state.best.effects).spread.min() > 1e-3
+
+
+def test_a_short_channel_has_a_noise_model_of_fewer_taps() -> None:
+    """White noise stays white whatever the length; few rows carry few taps, and hardly any say nothing."""
+    rng = np.random.default_rng(5)
+    for rows, order in ((4000, whitening.ORDER), (96, 8), (20, None)):
+        e = 0.3 * rng.standard_normal(rows)
+        made = whitening.fit([e], [np.ones(rows, dtype=bool)])
+        if order is None:
+            assert not made.usable
+        else:
+            assert made.order == order
+            assert made.sigma == pytest.approx(0.3, rel=0.25)
