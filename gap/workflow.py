@@ -18,7 +18,7 @@ from gap.held import corrected, doubtful, fitted_plainly, on_edge, trimmings
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
-from gap.records import Checked, Gap, Samples
+from gap.records import Checked, Gap, Samples, Unexplained
 from gap.refine import refine
 from gap.report.words import sentence
 from gap.result import GAP_FROM, GapResult, closed
@@ -69,6 +69,7 @@ def analyse(
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    naming = _nothing_left(naming, gap)
     rest = naming.unexplained
     if naming.found and rest.significant and not rest.depends_on:
         naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, 1.0 - _closed_power(gap))))
@@ -144,6 +145,16 @@ def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str], of: Split) -
         naming = replace(naming, found=found, vehicle=corrected(vehicle, found))
         gone = on_edge(found)
     return naming
+
+
+def _nothing_left(naming: Naming, gap: Gap) -> Naming:
+    """Where held-out data show no gap and nothing is named, nothing is unexplained either.
+
+    What sampling hides of the commands is in the noise floor only: a remainder that it can make is none.
+    """
+    if naming.found or gap.closed is not None:
+        return naming
+    return replace(naming, unexplained=Unexplained(False))
 
 
 def _is_worse(gap: Gap) -> bool:
