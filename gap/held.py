@@ -26,6 +26,7 @@ from gap.compare import residual
 from gap.pooled import Split
 from gap.records import Estimate, Found, Gap
 from gap.remainder import GROUPS
+from gap.scales import natural_scale
 from gap.simulate import Knob, sensitivities, value, with_value
 
 _BLOCK_S = 1.0
@@ -42,6 +43,7 @@ _TRIFLE = 0.02
 """Of the mean square before anything was named, what is small anyway."""
 _NOT_CONSTANT_P = 1e-6
 _STEPS = 6
+_NEXT_TO = 1e-6
 _WORTH = 1e-3
 """Share that another step must gain."""
 _REACH = 1.959964
@@ -155,6 +157,8 @@ def fitted_plainly(believed: Vehicle, found: Sequence[Found], of: Split) -> tupl
         for knob, change in zip(knobs, step, strict=True):
             spec = next(p for p in EFFECT_SPECS[knob.effect].params if p.name == knob.parameter)
             to = float(np.clip(value(now, knob.effect, knob.parameter) + change, spec.minimum, spec.maximum))
+            if abs(to - spec.minimum) < _NEXT_TO * natural_scale(believed, knob.effect, knob.parameter):
+                to = spec.minimum
             after = with_value(after, knob.effect, {knob.parameter: to})
         if _rows(after, [], of).power > (1.0 - _WORTH) * _rows(now, [], of).power:
             break
