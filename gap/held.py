@@ -43,6 +43,8 @@ _TRIFLE = 0.02
 """Of the mean square before anything was named, what is small anyway."""
 _NOT_CONSTANT_P = 1e-6
 _STEPS = 6
+_AS_GOOD = 1.5
+"""Times the mean square of plain least squares, up to which an estimate by the noise model is the better one."""
 _NEXT_TO = 1e-6
 _WORTH = 1e-3
 """Share that another step must gain."""
@@ -143,7 +145,8 @@ def fitted_plainly(believed: Vehicle, found: Sequence[Found], of: Split) -> tupl
 
     A noise model learned from what a poor model leaves takes slow disagreement for colour and hardly looks at it: such
     estimates may leave a weight uncarried.  Here each channel counts by its sensors' noise, steps are taken while
-    they leave less, and intervals are of the sandwich kind over blocks of a second.  Sensor effects stay as they are.
+    they leave less, and intervals are of the sandwich kind over blocks of a second.  Sensor effects stay as they are,
+    and so do all where the noise model's estimates leave little more.
     """
     moved = [f for f in found if EFFECT_SPECS[f.name].kind != "sensor"]
     knobs = [Knob(f.name, p) for f in moved for p in _free(f)]
@@ -164,6 +167,8 @@ def fitted_plainly(believed: Vehicle, found: Sequence[Found], of: Split) -> tupl
             break
         now = after
     assert rows is not None
+    if _rows(corrected(believed, found), [], of).power < _AS_GOOD * _rows(now, [], of).power:
+        return tuple(found)
     reach = _REACH * np.sqrt(np.diag(rows.covariance()))
     half = {(k.effect, k.parameter): float(each) for k, each in zip(knobs, reach, strict=True)}
     return tuple(replace(f, parameters=_at(f, now, half)) if f in moved else f for f in found)
