@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -27,6 +27,7 @@ help:
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
+	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
 	@echo "make gap-blind          some 700 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
 	@echo "make clean        remove the environment and all caches"
 
@@ -115,6 +116,9 @@ campaign-barrier-quick: $(BIN)/.installed
 
 gap-blind: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_blind
+
+gap-recorded: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_recorded
 
 gap-blind-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_blind --quick

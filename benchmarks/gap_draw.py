@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.gap_flights import X_FADE, X_JET, X_MAGNET, X_SIZE, X_SLOSH, X_TETHER
+from benchmarks.gap_flights import X_FADE, X_JET, X_MAGNET, X_PERIODIC, X_SIZE, X_SLOSH, X_TETHER, X_WAKE
 from benchmarks.gap_pilot import Plan, steps
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Battery, Rotors, Vehicle, with_effects
@@ -215,6 +215,28 @@ def _draw_slosh(rng: Rng, v: Vehicle, x: F64) -> tuple[str, ...]:
     return ("acceleration", "attitude", "rate", "time")
 
 
+def _draw_spring(rng: Rng, v: Vehicle, x: F64) -> tuple[str, ...]:
+    """A rubber band to a point: a tether without slack."""
+    x[X_TETHER : X_TETHER + 3] = (*_level(rng, 0.0, 2.0), -rng.uniform(0.5, 2.0))
+    x[X_TETHER + 4] = v.weight_n * rng.uniform(0.02, 0.06)
+    return ("position", "height")
+
+
+def _draw_periodic(rng: Rng, v: Vehicle, x: F64) -> tuple[str, ...]:
+    x[X_PERIODIC : X_PERIODIC + 2] = _level(rng, 0.05 * v.weight_n, 0.15 * v.weight_n)
+    x[X_PERIODIC + 2] = v.weight_n * rng.uniform(-0.1, 0.1)
+    x[X_PERIODIC + 3] = 2.0 * math.pi * rng.uniform(0.1, 1.0)
+    return ("time",)
+
+
+def _draw_wake(rng: Rng, v: Vehicle, x: F64) -> tuple[str, ...]:
+    x[X_WAKE : X_WAKE + 2] = _level(rng, 0.0, 3.0)
+    x[X_WAKE + 2] = rng.uniform(0.7, 2.0)
+    x[X_WAKE + 3] = v.weight_n * rng.uniform(0.1, 0.3)
+    x[X_WAKE + 4] = float(v.inertia_kgm2[2]) * rng.uniform(-4.0, 4.0)
+    return ("position",)
+
+
 def _draw_fade(rng: Rng, v: Vehicle, x: F64) -> tuple[str, ...]:
     x[X_FADE] = rng.uniform(0.08, 0.2) / 60.0
     return ("time", "battery")
@@ -226,6 +248,9 @@ OUTSIDE: dict[str, Callable[[Rng, Vehicle, F64], tuple[str, ...]]] = {
     "magnet": _draw_magnet,
     "slosh": _draw_slosh,
     "fading_thrust": _draw_fade,
+    "spring": _draw_spring,
+    "periodic_force": _draw_periodic,
+    "wake": _draw_wake,
 }
 """What no effect of the table explains: fills the flight's row and says on what it truly depends."""
 

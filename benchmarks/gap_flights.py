@@ -1,7 +1,8 @@
 """The blind flights themselves: a plant, the pilot of `gap_pilot` and what no effect of the table explains, at 1 ms.
 
 What is outside the table acts here only, on the plant's rows from outside: a tether, a local jet of air, a magnet that
-turns the vehicle, a sloshing liquid, thrust that fades.  The simulator and the workflow know none of them.
+turns the vehicle, a sloshing liquid, thrust that fades, a force that comes and goes, the wake of another
+vehicle.  The simulator and the workflow know none of them.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ X_JET = 5  # centre north, east, radius m, force (3) N
 X_MAGNET = 11  # torque N m at right angles to the field, direction of the field (rad from north)
 X_SLOSH = 13  # mass kg, angular frequency rad/s, damping ratio
 X_FADE = 16  # share of thrust lost per second
-X_SIZE = 17
+X_PERIODIC = 17  # force (3) N, angular frequency rad/s
+X_WAKE = 21  # centre north, east, radius m, force down N, swirl N m
+X_SIZE = 26
 
 # --- the log of a flight, one row a millisecond
 L_POS, L_VEL, L_Q, L_RATE, L_FORCE, L_MOTOR, L_VOLTAGE, L_NORMAL, L_ANGULAR = 0, 3, 6, 10, 13, 16, 20, 21, 22
@@ -94,6 +97,25 @@ def _jet(x: F64, row: F64, force: F64) -> None:
     share = math.exp(-0.5 * (dn * dn + de * de) / (x[X_JET + 2] * x[X_JET + 2]))
     for j in range(3):
         force[j] += share * x[X_JET + 3 + j]
+
+
+@njit
+def _periodic(x: F64, t_s: float, force: F64) -> None:
+    for j in range(3):
+        force[j] += x[X_PERIODIC + j] * math.sin(x[X_PERIODIC + 3] * t_s)
+
+
+@njit
+def _wake(p: F64, x: F64, row: F64, dt: float, force: F64) -> None:
+    """Down and round below another vehicle's rotors: pushes down, and turns about body z."""
+    if x[X_WAKE + 2] == 0.0:
+        return
+    dn, de = row[S_POS] - x[X_WAKE], row[S_POS + 1] - x[X_WAKE + 1]
+    share = math.exp(-0.5 * (dn * dn + de * de) / (x[X_WAKE + 2] * x[X_WAKE + 2]))
+    force[2] += share * x[X_WAKE + 3]
+    turn = share * x[X_WAKE + 4] / p[D_INERTIA + 2]
+    row[S_RATE + 2] += dt * turn
+    row[S_ANGULAR + 2] += turn
 
 
 @njit
@@ -179,6 +201,8 @@ def _fly(
         _tether(x, row, force)
         _jet(x, row, force)
         _slosh(x, row, slosh, dt, force)
+        _periodic(x, k * dt, force)
+        _wake(p, x, row, dt, force)
         for j in range(3):
             p[_NORTH + j] = force[j]
         if normals.shape[0] > 0:

@@ -8,8 +8,8 @@ remainder (gap.remainder)   ->  what is left and on what it depends; too much of
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -71,6 +71,27 @@ class Naming:
     """Effect -> p-value of its being the same in all stretches of the flights."""
     identifiable: tuple[Identifiable, ...] = ()
     """What these flights could have shown at all (`gap.identify`)."""
+    _behind: tuple[SimulatorBench, Search] | None = None
+    """What it comes from, for `without`."""
+
+    def without(self, gone: Collection[str], reason: str) -> Naming:
+        """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.
+
+        That something is missing stays true, whatever the remainder depends on.
+        """
+        kept = tuple(f for f in self.found if f.name not in gone)
+        back = tuple(Rejected(f.name, f.delta_bic, reason) for f in self.found if f.name in gone)
+        assert self._behind is not None  # a verdict that names something has it
+        bench, state = self._behind
+        made = estimate(state, {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in kept})
+        refitted = tuple(replace(f, parameters=_parameters(state, made, f.name)) for f in kept)
+        loud = _loud(bench, state.start, _told(bench, state.start, made))
+        rest_of = replace(_unexplained(loud), significant=True)
+        if not kept:
+            rest_of = replace(rest_of, fraction=1.0)
+        return replace(
+            self, found=refitted, rejected=(*back, *self.rejected), vehicle=made.vehicle, unexplained=rest_of
+        )
 
 
 def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
@@ -93,18 +114,10 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     state = search(bench, vehicle)
     best = _pruned(state)
     judged = _judge(state, best)
-    rests = _rests(bench, vehicle, judged.estimates)
-    slow = _slow_noise(bench, judged.estimates.vehicle)
-    told = {
-        group: r
-        for group, r in rests.items()
-        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
-    }
+    told = _told(bench, vehicle, judged.estimates)
     seen = identify(state.point)
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
-    noise = np.nan_to_num(np.array([r.noise for r in residuals])).max(axis=0)
-    loud = {g: r for g, r in told.items() if r.driven_rms > _LOUD_SHARE * np.linalg.norm(noise[list(GROUPS[g])])}
-    unexplained = _unexplained(loud)
+    unexplained = _unexplained(_loud(bench, vehicle, told))
     if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
@@ -114,7 +127,23 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     for f in kept:
         corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
     rejected = _rejected(state, best, tuple(f.name for f in kept), doubtful)
-    return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen)
+    return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen, (bench, state))
+
+
+def _told(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
+    """Groups of channels whose rest depends on something, strongly enough to matter."""
+    slow = _slow_noise(bench, made.vehicle)
+    return {
+        group: r
+        for group, r in _rests(bench, start, made).items()
+        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
+    }
+
+
+def _loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> dict[str, Rest]:
+    """Of these, what stands out of one step's noise."""
+    noise = np.nan_to_num(np.array([residual(start, s).noise for s in bench.flights])).max(axis=0)
+    return {g: r for g, r in told.items() if r.driven_rms > _LOUD_SHARE * np.linalg.norm(noise[list(GROUPS[g])])}
 
 
 def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:

@@ -18,6 +18,9 @@ from logs.columns import PLACES, ColumnMap, apply, parse_columns
 from logs.reader import Log, read
 from logs.readers.csv_file import TABLE
 
+_UNIT = 0.1
+"""By which a quaternion's length may be off."""
+
 
 def flight(path: Path | str, vehicle: Vehicle, columns: Path | str | None = None) -> Flight:
     """The flight in a log; InputError, one line, where there is none.
@@ -93,8 +96,10 @@ def _signals(
             rows = rows[:, order]
             notes.append(f"motors put into the vehicle file's order by where they sit: columns {sources[name]}")
         good = np.isfinite(rows) if rows.ndim == 1 else np.isfinite(rows).all(axis=1)
+        if name == "q_ned_frd":
+            good &= np.abs(np.linalg.norm(np.nan_to_num(rows), axis=1) - 1.0) < _UNIT
         if not good.any():
-            notes.append(f"{name}: holds no numbers")
+            notes.append(f"{name}: holds no {'attitude' if name == 'q_ned_frd' else 'numbers'}")
             continue
         lost = int(np.sum(~good))
         if lost:

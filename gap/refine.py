@@ -31,6 +31,7 @@ from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.compare import residual
 from gap.records import Estimate, Samples
+from gap.remainder import GROUPS
 from gap.rollouts import rollouts
 from gap.scales import natural_scale
 from gap.simulate import unseen, value, with_value
@@ -126,11 +127,12 @@ def refine(
 
 
 def _one_step(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]]) -> F64:
-    """(2,) one-step rms over all flights: force, torque; 0 where no flight measures it."""
+    """(groups,) one-step rms over all flights: side force, lift, torque; 0 where no flight measures it."""
     y = np.concatenate([residual(vehicle, s).y[mask, :6] for s, mask in zip(flights, masks, strict=True)])
     known = np.isfinite(y)
     power = np.where(known, y, 0.0) ** 2
-    return np.array([np.sqrt(power[:, c].sum() / max(int(known[:, c].sum()), 1)) for c in (slice(0, 3), slice(3, 6))])
+    parts = [list(channels) for channels in GROUPS.values()]
+    return np.array([np.sqrt(power[:, c].sum() / max(int(known[:, c].sum()), 1)) for c in parts])
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:
@@ -278,11 +280,18 @@ class _Problem:
         """(S, n, 6, 4) derivatives by gains of thrust and torques of one flight."""
         windows, base = self.windows[f], self.vehicle_at(theta)
         late = float(theta[len(self._unknowns) + _NUISANCES * f])
-        turned = [with_value(base, e, {p: value(base, e, p) * (1.0 + _GAIN_STEP)}) for e, p in _GAINS]
+        # at the upper end of a range the step goes down
+        signs = [-1.0 if value(base, e, p) * (1.0 + _GAIN_STEP) > _limits(e, p)[1] else 1.0 for e, p in _GAINS]
+        turned = [
+            with_value(base, e, {p: value(base, e, p) * (1.0 + sign * _GAIN_STEP)})
+            for sign, (e, p) in zip(signs, _GAINS, strict=True)
+        ]
         reach_s = windows.edges[-1] * windows.flight.samples.dt_s
         runs = rollouts([(v, late) for v in (base, *turned)], windows.flight.samples, windows.starts, reach_s)
         still, *moved = (gathered_by(run, windows) for run in runs)
-        return np.stack([(each - still) / _GAIN_STEP for each in moved], axis=-1)[:, 1:]
+        return np.stack(
+            [(each - still) / (sign * _GAIN_STEP) for sign, each in zip(signs, moved, strict=True)], axis=-1
+        )[:, 1:]
 
     def _step_from(self, theta: F64, parts: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
         """Gauss-Newton step and the sandwich covariance, all windows of all flights together."""

@@ -14,11 +14,11 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import corrected, doubtful, trimmings
+from gap.held import corrected, doubtful, fitted_plainly, on_edge, trimmings
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
-from gap.records import Checked, Gap, Rejected, Samples
+from gap.records import Checked, Gap, Samples, Unexplained
 from gap.refine import refine
 from gap.report.words import sentence
 from gap.result import GAP_FROM, GapResult, closed
@@ -58,17 +58,18 @@ def analyse(
     on_progress(0.75, "verifying")
     gone = doubtful(vehicle, naming.found, of, beside=naming.unexplained.significant) if naming.found else ()
     if gone:
-        naming = _taken_back(vehicle, named, gone, "does something else on data not used before")
+        naming = named.without(gone, "does something else on data not used before")
         naming, of = _refined(vehicle, naming, of)
     gap = _verdict(vehicle, naming, of)
-    trimmed = trimmings(vehicle, naming.found, of, gap)
+    trimmed = trimmings(vehicle, naming.found, of, gap, naming.constant)
     if trimmed:
-        naming = _taken_back(vehicle, named, [*gone, *trimmed], "changes hardly what is left on data not used before")
+        naming = _trimmed(vehicle, naming, trimmed, of)
         naming, of = _refined(vehicle, naming, of)
         gap = _verdict(vehicle, naming, of)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
-        naming = _taken_back(vehicle, naming, [f.name for f in naming.found], "leaves most of the gap as it was")
+        naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    naming = _nothing_left(naming, gap)
     rest = naming.unexplained
     if naming.found and rest.significant and not rest.depends_on:
         naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, 1.0 - _closed_power(gap))))
@@ -136,6 +137,26 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
+def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str], of: Split) -> Naming:
+    """Less these names, the others fitted plainly; one that then runs to the end of its range goes too."""
+    while gone:
+        naming = naming.without(gone, "changes hardly what is left on data not used before")
+        found = fitted_plainly(vehicle, naming.found, of)
+        naming = replace(naming, found=found, vehicle=corrected(vehicle, found))
+        gone = on_edge(found)
+    return naming
+
+
+def _nothing_left(naming: Naming, gap: Gap) -> Naming:
+    """Where held-out data show no gap and nothing is named, nothing is unexplained either.
+
+    What sampling hides of the commands is in the noise floor only: a remainder that it can make is none.
+    """
+    if naming.found or gap.closed is not None:
+        return naming
+    return replace(naming, unexplained=Unexplained(False))
+
+
 def _is_worse(gap: Gap) -> bool:
     """Whether the corrected model predicts data not used before worse than the model as it was."""
     pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
@@ -150,16 +171,6 @@ def _closed_power(gap: Gap) -> float:
         if was is not None and now is not None and least is not None and was >= GAP_FROM * least:
             shares.append((was**2 - now**2) / (was**2 - least**2))
     return max(shares, default=1.0)
-
-
-def _taken_back(vehicle: Vehicle, naming: Naming, gone: Sequence[str], reason: str) -> Naming:
-    """Nothing is named that doesn't hold on data not used before; that something is missing stays true."""
-    back = tuple(Rejected(found.name, found.delta_bic, reason) for found in naming.found if found.name in gone)
-    kept = tuple(found for found in naming.found if found.name not in gone)
-    rest = naming.unexplained
-    unexplained = replace(rest, significant=True, fraction=rest.fraction if kept else 1.0)
-    left = corrected(vehicle, kept)
-    return replace(naming, found=kept, rejected=(*back, *naming.rejected), vehicle=left, unexplained=unexplained)
 
 
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:

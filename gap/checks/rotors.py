@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
@@ -28,6 +29,7 @@ _MARGIN = 0.3
 _THRUST_LOW, _THRUST_HIGH = 0.35, 3.0
 """Thrust that the file expects of the commands, over what the accelerometer felt: outside it is another vehicle."""
 _LONGEST = 60_000
+_RINGS_S = 0.5
 
 
 def judge_vehicle(samples: Samples, vehicle: Vehicle) -> list[Finding]:
@@ -56,9 +58,12 @@ def _order(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     if valid.sum() * dt_s < 3.0 or not np.isfinite(samples.rate_frd_radps[:_LONGEST][valid]).all():
         return []
     high_hz = min(_HIGH_HZ, 0.25 / dt_s)
-    turning = band(np.gradient(rate, dt_s, axis=0), dt_s, _LOW_HZ, high_hz) * valid[:, None]
+    inner = _inner(valid, round(_RINGS_S / dt_s))
+    if not inner.any():
+        return []
+    turning = band(np.gradient(rate, dt_s, axis=0), dt_s, _LOW_HZ, high_hz) * inner[:, None]
     thrust = (
-        band(rotor_thrust(vehicle, np.nan_to_num(samples.motor[:_LONGEST])), dt_s, _LOW_HZ, high_hz) * valid[:, None]
+        band(rotor_thrust(vehicle, np.nan_to_num(samples.motor[:_LONGEST])), dt_s, _LOW_HZ, high_hz) * inner[:, None]
     )
     if not (np.ptp(thrust) > 0.0 and np.all(turning.std(axis=0) > 0.0)):
         return []
@@ -78,6 +83,12 @@ def _order(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     if kept.min() > _CERTAIN:
         return [ok("rotors", f"motors turn the vehicle as the file's rotors should {text}")]
     return [warning("rotors", f"the order of the rotors does not show {text}")]
+
+
+def _inner(valid: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Rows that far from any that don't count: the band-pass rings after a touchdown."""
+    bad = np.convolve(np.concatenate([np.ones(reach), ~valid, np.ones(reach)]), np.ones(2 * reach + 1), mode="valid")
+    return np.asarray(bad < 0.5)
 
 
 def _correlations(turning: F64, thrust: F64, vehicle: Vehicle, most: int) -> dict[tuple[int, ...], F64]:

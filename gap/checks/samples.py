@@ -14,7 +14,7 @@ from gap.checks.grid import attitude_on_grid, grid_period_s, held, motors_on_gri
 from gap.checks.motion import rates_of
 from gap.checks.noise import white_noise
 from gap.records import Samples, Signal
-from gap.sources import DERIVED
+from gap.sources import DERIVED, DERIVED_HZ
 from logs.turn import rotate_inverse
 
 _G_NED = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -171,4 +171,5 @@ def _bandwidth(used: dict[str, Signal], dt_s: float) -> float:
     names = [name for name in wanted if name in used]
     if "accel_frd_mps2" not in used:
         names += ["vel_ned_mps"] if "vel_ned_mps" in used else []
-    return _BANDWIDTH / max(dt_s, *(period_s(used[name]) for name in names))
+    own = _BANDWIDTH / max(dt_s, *(period_s(used[name]) for name in names))
+    return min(own, DERIVED_HZ) if any(used[name].source.startswith(DERIVED) for name in names) else own

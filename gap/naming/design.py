@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.types import F64
+from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.naming.candidates import Candidate, candidates
 from gap.naming.evidence import Gram, robust
@@ -197,6 +197,11 @@ def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: 
     ]
     errors = [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)]
     layout = _layout(bench, errors, ok)
+    if not (layout.keep & ~layout.held).any():
+        raise InputError(
+            "the logs hold too little in one piece that a simulation can be compared with; record half a minute in "
+            "the air: motors, gyro and accelerometer at 100 Hz or more, attitude and velocity"
+        )
     for _ in range(_WHITENINGS):
         theta = _saturated(layout, raw_y, raw_x, negligible)
         errors = [y - x @ theta for y, x in zip(raw_y, raw_x, strict=True)]
@@ -227,8 +232,8 @@ def _layout(bench: Bench, errors: list[F64], ok: list[Mask]) -> Layout:
         for c in range(channels):
             good = ok[f][:, c]
             whitener = fit([e[:, c]], [good & bench.fit[f]])
-            fit_window = whole_windows(good & bench.fit[f])
-            window = fit_window | whole_windows(good & bench.holdout[f])
+            fit_window = whole_windows(good & bench.fit[f], whitener.order)
+            window = fit_window | whole_windows(good & bench.holdout[f], whitener.order)
             row_whiteners.append(whitener)
             row_windows.append(window)
             if not whitener.usable:

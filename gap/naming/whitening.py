@@ -18,14 +18,16 @@ from flightstack.types import F64
 
 Mask = NDArray[np.bool_]
 ORDER = 16
-_FEWEST_ROWS = 200
+_FEWEST_ROWS = 40
 """Rows below which a channel has nothing to say."""
+_ROWS_PER_TAP = 12
+"""A short or slow flight's noise model has fewer taps."""
 _OUTLIER = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """The noise of one channel: `taps` (ORDER + 1,) of the filter that whitens it, `sigma` of what comes out."""
+    """The noise of one channel: `taps` (order + 1,) of the filter that whitens it, `sigma` of what comes out."""
 
     taps: F64
     sigma: float
@@ -35,10 +37,16 @@ class Whitener:
         """Whether the channel had data to learn from."""
         return bool(np.isfinite(self.sigma) and self.sigma > 0.0)
 
+    @property
+    def order(self) -> int:
+        """How many rows before its own one a whitened row needs."""
+        return len(self.taps) - 1
 
-def fit(errors: list[F64], ok: list[Mask], *, order: int = ORDER) -> Whitener:
+
+def fit(errors: list[F64], ok: list[Mask], *, most: int = ORDER) -> Whitener:
     """The noise model of one channel from its errors (N,) in each flight, by least squares over whole windows."""
     rows, targets = [], []
+    order = max(2, min(most, sum(int(good.sum()) for good in ok) // _ROWS_PER_TAP))
     for e, good in zip(errors, ok, strict=True):
         window = whole_windows(good, order)
         e = np.where(good, e, 0.0)
@@ -64,7 +72,7 @@ def apply(whitener: Whitener, values: F64, ok: Mask) -> F64:
     return np.asarray(lfilter(whitener.taps, [1.0], clean, axis=0) / whitener.sigma)
 
 
-def whole_windows(ok: Mask, order: int = ORDER) -> Mask:
+def whole_windows(ok: Mask, order: int) -> Mask:
     """Rows that are good and follow `order` good rows."""
     count = np.cumsum(np.concatenate([[0], ok.astype(np.int64)]))
     window = np.zeros(len(ok), dtype=bool)

@@ -2,3 +2,5 @@
 
 DERIVED = "derived from"
 """How the source of a signal begins that no sensor or estimator gave."""
+DERIVED_HZ = 4.0
+"""Up to here a derived signal says what a measured one would."""

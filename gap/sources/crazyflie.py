@@ -6,9 +6,9 @@ import numpy as np
 
 from flightstack.types import F64
 from gap.checks.motion import G_NED, band
+from gap.sources import DERIVED_HZ
 from logs.turn import euler_to_quaternion
 
-_TILT_HZ = 4.0
 _LEAST_ROWS = 100
 
 
@@ -27,6 +27,6 @@ def attitude_from_tilt(t_us: np.ndarray, columns: dict[str, np.ndarray], acc_ned
     if not (np.isfinite(force).all() and np.isfinite(roll).all() and np.isfinite(yaw).all() and dt_s > 0.0):
         return None
     ahead = force[:, 0] * np.cos(yaw) + force[:, 1] * np.sin(yaw)
-    smooth = band(np.stack([ahead, force[:, 2]], axis=1), dt_s, 0.0, _TILT_HZ)
+    smooth = band(np.stack([ahead, force[:, 2]], axis=1), dt_s, 0.0, DERIVED_HZ)
     pitch = np.arctan2(-smooth[:, 0], np.maximum(-smooth[:, 1], 1.0))
     return euler_to_quaternion(np.stack([roll, pitch, yaw], axis=1))

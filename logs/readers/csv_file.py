@@ -38,6 +38,10 @@ height = {{ columns = ["height_m"] }}
 UNITS = {"pos_ned_m": "m", "vel_ned_mps": "m/s", "acc_ned_mps2": "m/s^2", "q_ned_frd": "1", "rate_frd_radps": "rad/s",
          "accel_frd_mps2": "m/s^2", "motor": "1", "battery_v": "V", "height_m": "m", "landed": ""}  # fmt: skip
 _LATEST_S = 4e9
+_MOST_BACK = 50.0
+"""Usual steps that time may go back by, in a few rows that came late."""
+_UNSORTED = 0.01
+"""Share of rows from which a table is merely unsorted."""
 
 
 def is_text_table(data: bytes) -> bool:
@@ -161,6 +165,11 @@ def _in_time(t_s: F64, signals: dict[str, F64], where: str) -> tuple[np.ndarray,
     kept = np.flatnonzero(good)
     backwards = int(np.sum(np.diff(t_s[kept]) < 0.0))
     if backwards:
+        usual = float(np.median(np.abs(np.diff(t_s[kept]))))
+        back = float(-np.min(np.diff(t_s[kept])))
+        if backwards < _UNSORTED * len(kept) and back > _MOST_BACK * usual:
+            raise InputError(f"{where}: its time jumps back by {back:.4g}, {back / max(usual, 1e-12):.0f} rows' worth; "
+                             "it mixes clocks or flights. Name a log of one flight by one clock")  # fmt: skip
         notes.append(f"time goes backwards {backwards} times; rows were sorted")
         kept = kept[np.argsort(t_s[kept], kind="stable")]
     t_us = np.round(np.clip(t_s[kept] * 1e6, -9e18, 9e18)).astype(np.int64)

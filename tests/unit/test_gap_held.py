@@ -9,7 +9,7 @@ import pytest
 
 from flightstack.vehicle import Vehicle
 from gap import pooled
-from gap.held import doubtful, slope, trimmings
+from gap.held import doubtful, fitted_plainly, slope, trimmings
 from gap.pooled import Split
 from gap.records import Estimate, Figures, Found, Gap
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
@@ -61,3 +61,21 @@ def test_beside_a_poor_model_only_what_matters_is_kept(flown: Split) -> None:
 def test_an_estimate_at_the_end_of_its_range_stands_for_something_else(flown: Split) -> None:
     edge = Found("vortex_ring", {"strength": Estimate(0.0, 1.0, 0.4, 1.0)}, -50.0, 0.1, 1e-9)
     assert trimmings(quad(), [found("payload"), edge], flown, POOR) == ("vortex_ring",)
+
+
+def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model(flown: Split) -> None:
+    named = [found("payload"), found("rotor_drag")]
+    fickle = {"payload": 1e-12, "rotor_drag": 0.5}
+    assert trimmings(quad(), named, flown, POOR, fickle) == ("payload",)
+    near_the_noise = replace(POOR, noise_floor=Figures(0.8, 0.8, None))
+    assert trimmings(quad(), named, flown, near_the_noise, fickle) == ()
+
+
+def test_plain_least_squares_find_the_hidden_values_from_afar(flown: Split) -> None:
+    got = fitted_plainly(quad(), [found("payload", 0.3), found("rotor_drag", 2.5)], flown)
+    for each in got:
+        for name, estimate in each.parameters.items():
+            true = HIDDEN[each.name][name]
+            assert estimate.estimate == pytest.approx(true, rel=0.05)
+            assert estimate.low < estimate.estimate < estimate.high
+            assert estimate.high - estimate.low < 0.2 * true

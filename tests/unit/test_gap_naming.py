@@ -54,7 +54,7 @@ def test_whitened_least_squares_is_generalised_least_squares() -> None:
     y = x @ [2.0, -1.0] + e
     ok = np.ones(n, dtype=bool)
     exact = whitening.Whitener(np.concatenate([[1.0, -phi], np.zeros(whitening.ORDER - 1)]), 1.0)
-    use = whitening.whole_windows(ok)
+    use = whitening.whole_windows(ok, whitening.ORDER)
     xw, yw = whitening.apply(exact, x, ok)[use], whitening.apply(exact, y, ok)[use]
     mine = np.linalg.lstsq(xw, yw, rcond=None)[0]
     k = whitening.ORDER - 1  # rows before enter through the filter only
@@ -66,7 +66,7 @@ def test_whitened_least_squares_is_generalised_least_squares() -> None:
 def test_a_gap_costs_as_many_rows_as_the_filter_is_long() -> None:
     ok = np.ones(100, dtype=bool)
     ok[40] = False
-    assert whitening.whole_windows(ok).sum() == 100 - 2 * whitening.ORDER - 1
+    assert whitening.whole_windows(ok, whitening.ORDER).sum() == 100 - 2 * whitening.ORDER - 1
 
 
 # --- evidence
@@ -233,3 +233,16 @@ def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:
     hidden = {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}
     state = search(MadeUp(3, hidden, quad), quad)
     assert estimate(state, state.best.effects).spread.min() > 1e-3
+
+
+def test_a_short_channel_has_a_noise_model_of_fewer_taps() -> None:
+    """White noise stays white whatever the length; few rows carry few taps, and hardly any say nothing."""
+    rng = np.random.default_rng(5)
+    for rows, order in ((4000, whitening.ORDER), (96, 8), (20, None)):
+        e = 0.3 * rng.standard_normal(rows)
+        made = whitening.fit([e], [np.ones(rows, dtype=bool)])
+        if order is None:
+            assert not made.usable
+        else:
+            assert made.order == order
+            assert made.sigma == pytest.approx(0.3, rel=0.25)

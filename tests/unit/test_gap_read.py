@@ -270,3 +270,25 @@ def test_a_map_for_a_log_that_needs_none_or_that_is_not_there_is_an_error(tmp_pa
     log.close()
     with pytest.raises(InputError, match="--columns is for CSV"):
         flight(tmp_path / "a.mcap", vehicle, "nanobench")
+
+
+def test_attitudes_of_no_length_are_left_out(tmp_path: Path, vehicle: Vehicle) -> None:
+    rows = [f"{0.01 * k:.2f},0,0,0,{0 if k < 50 else 1},0,0,0" for k in range(100)]
+    (tmp_path / "a.csv").write_text("time_s,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z\n" + "\n".join(rows) + "\n")
+    read = flight(tmp_path / "a.csv", vehicle)
+    assert len(read.signals["q_ned_frd"].t_s) == 50
+    assert any("q_ned_frd: 50 of 100 rows" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(("back_rows", "refused"), [(3, False), (200, True)])
+def test_a_csv_that_jumps_back_in_time_mixes_clocks(
+    tmp_path: Path, vehicle: Vehicle, back_rows: int, refused: bool
+) -> None:
+    times = [0.01 * (k - (back_rows if k >= 300 else 0)) for k in range(600)]
+    rows = "\n".join(f"{t:.2f},0,0,0" for t in times)
+    (tmp_path / "a.csv").write_text(f"time_s,vel_n_mps,vel_e_mps,vel_d_mps\n{rows}\n")
+    if refused:
+        with pytest.raises(InputError, match="mixes clocks"):
+            flight(tmp_path / "a.csv", vehicle)
+    else:
+        assert np.all(np.diff(flight(tmp_path / "a.csv", vehicle).signals["vel_ned_mps"].t_s) > 0.0)

@@ -1,4 +1,7 @@
-"""Others' simulators: a PX4 flight whose physics the vehicle file holds, and Gazebo's Iris with its rotor drag."""
+"""Others' simulators and real vehicles: what is refused, what is read, and effects whose size is known.
+
+The whole workflow on all of them takes minutes: `make gap-recorded`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.gap import GapOptions, find_gap
+from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from gap.check import check
 from gap.compare import figures, noise_floor, residual
@@ -15,24 +20,14 @@ from gap.records import Samples
 from gap.refine import refine
 from gap.track import track
 
-IRIS = """
-schema = "flightstack.vehicle/1"
-name = "gazebo-iris"
-[body]
-mass_kg = 1.5
-inertia_kgm2 = [0.029125, 0.029125, 0.055225]
-[rotors]
-position_m = [[0.13, 0.22, 0.0], [-0.13, -0.20, 0.0], [0.13, -0.22, 0.0], [-0.13, 0.20, 0.0]]
-torque_ratio_m = [0.06, 0.06, -0.06, -0.06]
-max_thrust_n = 7.0664          # 5.84e-6 N s^2 (1100 rad/s)^2
-max_speed_radps = 1100.0
-thrust_model_factor = 1.0
-time_constant_s = 0.02
-radius_m = 0.12
-"""
+VEHICLES = Path(__file__).resolve().parents[2] / "benchmarks" / "vehicles"
 DRAG = 1.75e-4
 """Of its model file: rotorDragCoefficient."""
 pytestmark = pytest.mark.recorded
+
+
+def own(name: str) -> Vehicle:
+    return parse_vehicle((VEHICLES / f"{name}.toml").read_text("utf-8"), name)
 
 
 def usable(path: Path, vehicle: Vehicle, columns: str | None = None) -> Samples:
@@ -59,7 +54,7 @@ def test_px4_s_own_simulator_and_its_vehicle_file_agree(recorded: Path) -> None:
 
 
 def test_gazebo_s_rotor_drag_is_the_simulator_s(recorded: Path) -> None:
-    believed = parse_vehicle(IRIS, "iris")
+    believed = own("gazebo-iris")
     samples = usable(recorded / "gazebo_iris_sitl_56s.csv.gz", believed, "gazebo_iris")
     mask = track(samples).usable
     dragged = with_effects(believed, {"rotor_drag": {"k_d_kg_per_rad": DRAG}})
@@ -69,3 +64,45 @@ def test_gazebo_s_rotor_drag_is_the_simulator_s(recorded: Path) -> None:
     got = refine(believed, start, [samples], [mask], ["rotor_drag"])
     assert got is not None
     assert got.parameters["rotor_drag"]["k_d_kg_per_rad"].estimate == pytest.approx(DRAG, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("log", "reason"),
+    [
+        ("px4_real_bench_NOTFLYING_68s.ulg", "no part of the log is a flight"),
+        ("px4_sitl_modern_topics_31s.ulg", "10 Hz is too slow"),
+        ("px4_sih_offboard.tlog", "is of no known kind"),
+    ],
+)
+def test_what_is_no_usable_flight_gives_one_line_and_no_coefficients(
+    recorded: Path, tmp_path: Path, log: str, reason: str
+) -> None:
+    with pytest.raises(InputError, match=reason) as caught:
+        find_gap(GapOptions(logs=(recorded / log,), vehicle=str(recorded / "px4_sih.toml"), out=tmp_path))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "gap.json").exists()
+    assert not (tmp_path / "vehicle.toml").exists()
+
+
+@pytest.mark.parametrize("name", ["B2_circle_fast_rep1", "B6_linear_ramp_rep2"])
+def test_a_crazyflie_s_own_order_of_motors_is_not_refused(recorded: Path, name: str) -> None:
+    usable(recorded / f"nanobench_{name}.csv.gz", own("crazyflie-2.1"), "nanobench")
+
+
+def test_a_derived_attitude_is_trusted_slowly(recorded: Path) -> None:
+    """Pitch comes from an acceleration below 4 Hz: nothing faster can be compared."""
+    samples = usable(recorded / "crazypad" / "normal_E8_log00", own("crazyflie-2.1"))
+    assert "q_ned_frd" in samples.derived
+    assert samples.bandwidth_hz == pytest.approx(4.0)
+
+
+def test_the_clipped_propeller_s_rotor_works_hardest(recorded: Path) -> None:
+    """M3 sits rear left, the vehicle file's rotor 2: clipped, it alone takes more than before for the same weight."""
+    flown = {
+        kind: usable(recorded / "crazypad" / f"{kind}_E8_log00", own("crazyflie-2.1"))
+        for kind in ("normal", "cut4mm_M3")
+    }
+    mean = {kind: s.motor[s.valid].mean(axis=0) for kind, s in flown.items()}
+    change = mean["cut4mm_M3"] / mean["normal"]
+    assert change[1] > 1.2
+    assert np.all(np.delete(change, 1) < 1.0)

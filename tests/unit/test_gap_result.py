@@ -11,10 +11,12 @@ import pytest
 from shipped import load_vehicle
 
 from app.cli import main
+from gap.name import Naming
 from gap.pooled import GUARD_S, split
 from gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
 from gap.report import words
 from gap.result import closed
+from gap.workflow import _nothing_left
 
 QUAD = load_vehicle("quad-x")
 NOTHING = Unexplained(False)
@@ -153,3 +155,11 @@ def test_an_earlier_result_is_gone_when_a_run_fails(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
     assert not (out / "gap.json").exists()
+
+
+@pytest.mark.parametrize(("share", "told"), [(None, False), (0.0, True)])
+def test_without_a_gap_nothing_is_unexplained(share: float | None, told: bool) -> None:
+    left = Naming((), (), QUAD, Unexplained(True, ("rate",), 1.0), (), {})
+    assert _nothing_left(left, Gap(figures(1.0, 1.0), figures(1.0, 1.0), figures(1.0, 1.0), share)).unexplained == (
+        Unexplained(True, ("rate",), 1.0) if told else NOTHING
+    )

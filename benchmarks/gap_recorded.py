@@ -1,0 +1,173 @@
+"""The gap workflow on recorded flights whose answer is known: what it says beside what it must, as a table.
+
+    python -m benchmarks.gap_recorded            all rows (make gap-recorded): the table in docs/gap.md
+    python -m benchmarks.gap_recorded --row iris  one row, printed only
+
+The flights lie where FLIGHTSTACK_TEST_DATA says.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import campaign
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle, parse_vehicle
+from gap.result import GapResult
+from gap.workflow import analyse
+
+VEHICLES = Path(__file__).parent / "vehicles"
+_BEGIN, _END = "<!-- recorded: begin -->", "<!-- recorded: end -->"
+_CRAZYFLIE = VEHICLES / "crazyflie-2.1.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Logs, what they are compared with, and what must come out."""
+
+    key: str
+    logs: tuple[str, ...]
+    vehicle: Path | str
+    expected: str
+    columns: str | None = None
+    holdout: tuple[str, ...] = ()
+
+
+ROWS = (
+    Row(
+        "iris",
+        ("gazebo_iris_sitl_56s.csv.gz",),
+        VEHICLES / "gazebo-iris.toml",
+        "rotor drag, 0.370 1/s in hover (k_d 1.75e-4)",
+        "gazebo_iris",
+    ),
+    *(
+        Row(
+            key,
+            (f"nanobench_{name}.csv.gz",),
+            _CRAZYFLIE,
+            expected,
+            "nanobench",
+            tuple(f"nanobench_{other}.csv.gz" for other in kept),
+        )
+        for key, name, expected, kept in (
+            ("circle fast", "B2_circle_fast_rep1", "drag 0.37 to 0.42 1/s; no sag", ("B2_circle_medium_rep1",)),
+            ("circle medium", "B2_circle_medium_rep1", "drag; no sag", ()),
+            ("figure 8", "B3_figure8_fast_rep2", "drag 0.37 to 0.42 1/s; no sag", ()),
+            ("linear ramp", "B6_linear_ramp_rep2", "too slow for drag; no sag", ()),
+        )
+    ),
+    Row(
+        "thrust chirp",
+        ("crazyflie_thrust_chirp_50s.cfusdlog",),
+        _CRAZYFLIE,
+        "lag and delay, 60 to 75 ms in all",
+    ),
+    Row("normal", ("crazypad/normal_E8_log00",), _CRAZYFLIE, "no rotor fault"),
+    Row(
+        "clipped M3",
+        ("crazypad/cut4mm_M3_E8_log00",),
+        _CRAZYFLIE,
+        "rotor fault, rotor 2 (M3, rear left)",
+        None,
+        ("crazypad/cut4mm_M3_E8_log01",),
+    ),
+    Row("bench", ("px4_real_bench_NOTFLYING_68s.ulg",), "px4_sih.toml", "refused: not a flight"),
+    Row("modern topics", ("px4_sitl_modern_topics_31s.ulg",), VEHICLES / "gazebo-iris.toml", "refused: 10 Hz motors"),
+    Row("SIH", ("px4_sih_flight.ulg.gz",), "px4_sih.toml", "nothing: model and flight agree"),
+)
+
+
+def vehicle(row: Row, data: Path) -> Vehicle:
+    """The believed vehicle of a row."""
+    path = Path(row.vehicle) if isinstance(row.vehicle, Path) else data / row.vehicle
+    return parse_vehicle(path.read_text("utf-8"), path.name)
+
+
+def run(row: Row, data: Path) -> GapResult:
+    """The workflow on a row's files; InputError where it refuses them."""
+    logs, kept = [data / name for name in row.logs], [data / name for name in row.holdout]
+    return analyse(logs, vehicle(row, data), columns=row.columns, holdout=kept)
+
+
+def said(result: GapResult, mass_kg: float) -> str:
+    """What was found, in a few words."""
+    parts = []
+    for found in result.found:
+        values = " ".join(f"{name} {each.estimate:.4g}" for name, each in found.parameters.items())
+        if found.name == "linear_drag":
+            values += f" ({found.parameters['d_x_kgps'].estimate / mass_kg:.2f}, " + (
+                f"{found.parameters['d_y_kgps'].estimate / mass_kg:.2f} 1/s)"
+            )
+        twins = f" or {', '.join(found.indistinguishable_from)}" if found.indistinguishable_from else ""
+        parts.append(f"{found.name} {values}{twins}")
+    rest = result.unexplained
+    if rest.significant:
+        parts.append(f"unexplained ({', '.join(rest.depends_on) or 'no driver'})")
+    return "; ".join(parts) or "nothing"
+
+
+def lateral(result: GapResult) -> str:
+    """By how much the side force's residual falls on held-out data."""
+    trace = result.report.traces[0]
+    held = np.zeros(len(trace.t_s), bool)
+    for first, last in trace.held_out_s:
+        held |= (trace.t_s >= first) & (trace.t_s <= last)
+    was, now = (float(np.sqrt(np.nanmean((trace.measured - x)[held][:, :2] ** 2))) for x in (trace.before, trace.after))
+    return f"{100.0 * (1.0 - now / was):.0f} %" if was > 0.0 else "–"
+
+
+def line(row: Row, data: Path) -> str:
+    """One line of the table."""
+    began = time.perf_counter()
+    try:
+        result = run(row, data)
+    except InputError as error:
+        return f"| {row.key} | {row.expected} | refused: {str(error).split(': ', 1)[-1][:110]} | | | |"
+    closed = "–" if result.gap.closed is None else f"{100.0 * result.gap.closed:.0f} %"
+    words = said(result, vehicle(row, data).mass_kg)
+    return (
+        f"| {row.key} | {row.expected} | {words} | {lateral(result)} | {closed} | {time.perf_counter() - began:.0f} s |"
+    )
+
+
+def main() -> int:
+    """Print the table and put it into docs/gap.md."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--row", action="append", help="only this row, printed (may be repeated)")
+    options = parser.parse_args()
+    data = Path(os.environ.get("FLIGHTSTACK_TEST_DATA", "../shared/data"))
+    if not data.is_dir():
+        print("no recorded flights: set FLIGHTSTACK_TEST_DATA to their folder")
+        return 0
+    lines = []
+    for row in ROWS:
+        if not options.row or row.key in options.row:
+            lines.append(line(row, data))
+            print(lines[-1], flush=True)
+    if not options.row:
+        from app.files import versions
+
+        page = campaign.ROOT / "docs" / "gap.md"
+        text = page.read_text("utf-8")
+        head = (
+            "| flight | must say | says | side force falls by | closed | took |\n| --- | --- | --- | --: | --: | --: |"
+        )
+        before, after = text.split(_BEGIN)[0], text.split(_END)[1]
+        stamp = f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}; `make gap-recorded`."
+        page.write_text(before + "\n".join([_BEGIN, stamp, "", head, *lines, _END]) + after, "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
