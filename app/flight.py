@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from app import files
 from app.compiled import ensure_compiled
@@ -81,6 +81,7 @@ class Setup:
     grade: Grade
     plant: str = "native"
     faults: tuple[Fault, ...] = ()
+    companion: CompanionConfig = field(default_factory=lambda: CompanionConfig(arm=True))
 
 
 def prepare(options: FlyOptions) -> Setup:
@@ -139,8 +140,8 @@ class SimulatedFlight:
             on_record=self.score.on_record,
             certifier=prepared.protection.watched,
         )
-        config = CompanionConfig(arm=True)
-        self.companion = Companion(Link(240, 191), prepared.stack, self.scenario, observer, config, planner)
+        stack, config = prepared.stack, setup.companion
+        self.companion = Companion(Link(240, 191), stack, self.scenario, observer, config, planner)
         observer.companion = self.score.companion = self.companion
         self._events = sorted(self.scenario.events, key=lambda event: event.time_s)
         self._true_start_ned_m = (0.0, 0.0, 0.0)

@@ -29,11 +29,14 @@ from flightstack.seams import NoFilter
 from flightstack.stack import Stack
 from flightstack.types import TickRecord
 from flightstack.vehicle import vehicle_to_toml
+from mavlink_bridge.decide import CompanionConfig
 from mavlink_bridge.link import MAX_DATAGRAM
 from mavlink_bridge.pace import undisturbed
 from sim.shell import ONBOARD
 
 _LIMIT_S = 120.0
+_ROUND_TRIP_MAX_S = 0.1
+"""These links are later than what a companion takes off with."""
 
 
 class Task:
@@ -152,7 +155,9 @@ def setup_of(pilot: str, task: str, world: Draw) -> tuple[Setup, Task]:
     assert watched is not None
     planner = Task(ExplorationPlanner(Explorer(), watched), watched, task)
     stack = _stack(setup.flight, pilot, planner, world)
-    return dataclasses.replace(setup, flight=dataclasses.replace(setup.flight, stack=stack)), planner
+    flight = dataclasses.replace(setup.flight, stack=stack)
+    companion = CompanionConfig(arm=True, tick_s=held_s, round_trip_max_s=_ROUND_TRIP_MAX_S)
+    return dataclasses.replace(setup, flight=flight, companion=companion), planner
 
 
 def _stack(prepared: Prepared, pilot: str, task: Task, world: Draw) -> Stack:

@@ -75,7 +75,7 @@ class Companion:
         self._commands = CommandQueue(link)
         self._now = Situation(config, self.view, self._commands)
         self._voice = Voice(link)
-        self._watch = Watchdogs(self.view.clock)
+        self._watch = Watchdogs(self.view.clock, config.tick_s)
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1

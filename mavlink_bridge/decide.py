@@ -19,7 +19,6 @@ from mavlink_bridge.vehicle_view import VehicleView
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
-_ROUND_TRIP_MAX_US = 40_000
 """Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
@@ -42,6 +41,10 @@ class CompanionConfig:
     blind_s: float = 0.5
     """The guard has flown for so long without a break (no usable state, outside the envelope): hand back."""
     stream_before_offboard_s: float = 0.5
+    tick_s: float = 0.004
+    """Between two steps of the companion, where nothing is missed."""
+    round_trip_max_s: float = 0.04
+    """Of the link; a later one is refused before the flight."""
 
 
 @dataclass(slots=True)
@@ -160,7 +163,7 @@ def _missing(now: Situation) -> list[str]:
     missing = []
     if not now.fresh:
         missing.append("no fresh attitude, position and IMU streams")
-    if slow := _too_slow(now.view):
+    if slow := _too_slow(now):
         missing.append(slow)
     flags = now.view.estimator_flags
     if flags & _ESTIMATOR_READY != _ESTIMATOR_READY or not flags & _ESTIMATOR_POSITION:
@@ -174,12 +177,12 @@ def _missing(now: Situation) -> list[str]:
     return missing
 
 
-def _too_slow(view: VehicleView) -> str:
+def _too_slow(now: Situation) -> str:
     """What is wrong with the link's latency; empty where nothing is."""
-    trip_us = view.round_trip_us
-    if trip_us <= _ROUND_TRIP_MAX_US:
-        return ""
-    return f"link too slow: {trip_us / 1000:.0f} ms there and back, {_ROUND_TRIP_MAX_US // 1000} at most"
+    trip_s, most_s = 1e-6 * now.view.round_trip_us, now.config.round_trip_max_s
+    return (
+        "" if trip_s <= most_s else f"link too slow: {1e3 * trip_s:.0f} ms there and back, {1e3 * most_s:.0f} at most"
+    )
 
 
 def _streaming(now: Situation, now_us: int) -> Verdict | None:
@@ -188,7 +191,7 @@ def _streaming(now: Situation, now_us: int) -> Verdict | None:
         return Verdict(Event.ENGAGED)
     if now.unfit:
         return Verdict(Event.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
-    if slow := _too_slow(view):
+    if slow := _too_slow(now):
         return Verdict(Event.UNFIT, slow)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:

@@ -96,6 +96,7 @@ class ResetWatch:
 class PaceWatch:
     """Our own ticks, counted in the vehicle's time: how many were missed, and the longest gap of late."""
 
+    period_us: int = PERIOD_US
     _last_us: int = -1
     _missed: deque[tuple[int, int]] = field(default_factory=deque)
     _sum: int = 0
@@ -108,7 +109,7 @@ class PaceWatch:
             self._last_us = now_us
             return ""
         self.gap_us, self._last_us = round((now_us - self._last_us) * rate), now_us
-        missed = max(0, round(self.gap_us / PERIOD_US) - 1)
+        missed = max(0, round(self.gap_us / self.period_us) - 1)
         if missed:
             self._missed.append((now_us, missed))
             self._sum += missed
@@ -127,10 +128,10 @@ class PaceWatch:
 class Watchdogs:
     """All of them for one flight."""
 
-    def __init__(self, clock: VehicleClock) -> None:
+    def __init__(self, clock: VehicleClock, tick_s: float = 1e-6 * PERIOD_US) -> None:
         self.estimate = EstimateWatch()
         self.resets = ResetWatch()
-        self.pace = PaceWatch()
+        self.pace = PaceWatch(round(1e6 * tick_s))
         self._clock = clock
         self._clock_jumps = 0
         self._newest_us = -1
