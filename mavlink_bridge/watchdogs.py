@@ -17,7 +17,8 @@ from mavlink_bridge.vehicle_clock import VehicleClock
 PERIOD_US = 4_000
 GAP_US = 250_000
 """No tick for so long: the vehicle flew on its last rates all the while."""
-_MISSED_OF_A_SECOND = 150
+_MISSED_SHARE = 0.6
+"""Of the ticks of a second."""
 _SECOND_US = 1_000_000
 _COUNTED_STEP_M = 0.05
 _COUNT_WITHIN_US = 200_000
@@ -117,7 +118,7 @@ class PaceWatch:
             self._sum -= self._missed.popleft()[1]
         if self.gap_us >= GAP_US:
             return "overrun-gap"
-        return "overrun-rate" if self._sum >= _MISSED_OF_A_SECOND else ""
+        return "overrun-rate" if self._sum * self.period_us >= _MISSED_SHARE * _SECOND_US else ""
 
     def begin(self) -> None:
         """Forget what was missed so far."""

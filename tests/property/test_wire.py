@@ -13,6 +13,7 @@ from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row
 from mavlink_bridge.framing import StreamFraming, build_frame
 from mavlink_bridge.link import Link, Received
+from tests.hostile import malformed
 from tests.mavlink_samples import random_event
 
 SEED = 11
@@ -73,24 +74,6 @@ def test_no_flipped_bit_raises_or_gives_a_message_whose_crc_is_wrong(row: Row) -
             assert not _drain(link) or _holds_checked_frame(bytes(data))
 
 
-def _malformed(rng: random.Random, frames: list[bytes]) -> bytes:
-    """A datagram that isn't a good frame: noise, or a frame mutated, cut, or spliced with another."""
-    kind = rng.randrange(6)
-    if kind == 0:
-        return rng.randbytes(rng.randint(0, 300))
-    frame = bytearray(rng.choice(frames))
-    if kind == 1:
-        return bytes(frame[: rng.randrange(len(frame))])
-    if kind == 2:
-        other = rng.choice(frames)
-        return bytes(frame[: rng.randrange(len(frame))]) + other[rng.randrange(1, len(other)) :]
-    if kind == 3:
-        return bytes([rng.choice([0xFD, 0xFE])]) * rng.randint(1, 40)
-    for _ in range(rng.randint(1, 6)):
-        frame[rng.randrange(len(frame))] ^= rng.randint(1, 255)
-    return bytes(frame) if kind == 4 else bytes(frame) + rng.randbytes(rng.randint(0, 20))
-
-
 def test_a_hundred_thousand_malformed_datagrams_raise_nothing_and_cost_no_good_message() -> None:
     """A good heartbeat after every tenth; each arrives, and what else arrives has a CRC that holds."""
     rng = random.Random(SEED + 2)
@@ -98,7 +81,7 @@ def test_a_hundred_thousand_malformed_datagrams_raise_nothing_and_cost_no_good_m
     sender, link = Link(1, 1), Link(9, 9)
     heard = 0
     for count in range(MALFORMED):
-        data = _malformed(rng, frames)
+        data = malformed(rng, frames)
         link.receive_datagram(data, count)
         if link.next_event() is not None:
             assert _holds_checked_frame(data)

@@ -79,8 +79,9 @@ def test_no_error_within_the_stated_doubts_costs_more_than_the_condition_takes(b
             assert held <= true + 1e-9
             tightest = max(tightest, (plain - true) / (plain - held))
             worst_h = max(worst_h, piece_at(row, known_e, known_v)[0] - piece_at(row, e, v)[0])
-    assert 0.2 < tightest <= 1.0
-    assert 0.1 * setting.eta < worst_h <= setting.eta
+    ellipse = isinstance(barrier, Quadratic)  # a stopping way has its greatest slopes at speeds that few samples reach
+    assert (0.3 if ellipse else 0.2) < tightest <= 1.0
+    assert (0.2 if ellipse else 0.1) * setting.eta < worst_h <= setting.eta
 
 
 @pytest.mark.parametrize("share", [-0.2, 0.2])
