@@ -31,16 +31,15 @@ Job = tuple[str, str, int]
 
 
 def jobs_of(quick: bool) -> list[Job]:
-    """The campaign, seed by seed: every pilot flies the same worlds."""
+    """The campaign: every pilot flies the same worlds; wherever it is cut, each has flown its share."""
     counts = QUICK if quick else COUNTS
-    most = max(counts.values())
-    return [
-        (pilot, task, FIRST_SEED + k)
-        for k in range(most)
+    ordered = [
+        ((k + 0.5) / counts[pilot], (pilot, task, FIRST_SEED + k))
         for pilot in PILOTS
+        for k in range(counts[pilot])
         for task in TASKS
-        if k < counts[pilot]
     ]  # fmt: skip
+    return [job for _, job in sorted(ordered)]
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -89,18 +88,19 @@ def page(results: dict[str, Any], command: str) -> str:
         "",
         "A flight has *left* when the true position and velocity were outside the certified region in force at any ",
         "tick after the filter had engaged.  *Infeasible*: ticks without a safe command.  *Refuted*: certificates ",
-        "that count on more braking than the truth has.",
+        "that count on more braking than the truth has.  *Ended early*: falsified, or taken over by the guard.",
         "",
         "| pilot | task | drawn | refused | flown | engaged | left | infeasible | least h | median area m²/s | "
-        "certificates | refuted | lost |",
-        "| --- | --- | --: | --: | --: | --: | --: | --: | --: | --: | --: | --: | --: |",
+        "certificates | refuted | ended early | lost |",
+        "| --- | --- |" + 12 * " --: |",
     ]
     for pilot in PILOTS:
         for task in TASKS:
             s = summary(rows, pilot, task)
             shown = [
                 s["drawn"], s["refused"], s["flown"], s["engaged"], s["left"], s["infeasible"], _short(s["min_h"]),
-                _short(s["area_median"]), s["certificates"], s["refuted"], s["lost"],
+                _short(s["area_median"]), s["certificates"], s["refuted"], s["not_completed"],
+                s["lost"],
             ]  # fmt: skip
             lines.append(f"| {pilot} | {task} | " + " | ".join(str(value) for value in shown) + " |")
     return "\n".join(lines) + "\n"

@@ -25,7 +25,10 @@ FLIGHT_S = 20.0
 COUNTS = {"sound": 500, "unfiltered": 150, "as-published": 150}
 """Flights of each task."""
 QUICK = {"sound": 4, "unfiltered": 2, "as-published": 2}
-_STEERED_M = 1.5
+_STEERED_M = np.array([0.5, 0.5, 1.5])
+_FAR_M, _FAST_MPS = 1.0, 0.5
+"""Sideways, where nothing is certified, the adversary turns back from here on: else the flight would end at its
+envelope, for the certificate leaves little to tilt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,8 @@ class Adversary:
     """A controller that tries to leave the region: outwards at full thrust and tilt, or anywhere at random.
 
     It flies like the one inside it until `begins` says so.  Three manners, drawn from the seed, each for 0.2 to 1.5 s:
-    away from the centre on every axis; the way it moves already, thrust at its ends; a random place and random thrust.
+    away from the centre; the way it moves already, both with thrust at its ends; a random place and random thrust.
+    Only height is certified in these flights: sideways it stays within some metres.
     """
 
     def __init__(
@@ -130,7 +134,7 @@ class Adversary:
         adverse, aim = self._begins(), reference
         if adverse:
             state.plan(measurement, reference, now_us)
-            aim = changed(reference, pos_ned_m=reference.pos_ned_m + _STEERED_M * state.way)
+            aim = changed(reference, pos_ned_m=reference.pos_ned_m + _STEERED_M * state.turned(measurement, reference))
         state.inner, proposal = self._inner.step(state.inner, measurement, aim, learned, sent, now_us)
         if adverse and state.thrust >= 0.0:
             low, high = self._range_n
@@ -149,6 +153,13 @@ class _Plan:
         self.thrust = -1.0
         """Share of the thrust's range; below 0: the inner controller's."""
 
+    def turned(self, measurement: Measurement, reference: FlatOutput) -> F64:
+        """The way, sideways turned back from too far."""
+        way, away = self.way.copy(), measurement.pos_ned_m - reference.pos_ned_m
+        if np.hypot(*away[:2]) > _FAR_M or np.hypot(*measurement.vel_ned_mps[:2]) > _FAST_MPS:
+            way[:2] = 0.0
+        return way
+
     def plan(self, measurement: Measurement, reference: FlatOutput, now_us: int) -> None:
         """Another manner when the present one's time is over."""
         if now_us < self._until_us:
@@ -157,13 +168,12 @@ class _Plan:
         manner = int(rng.integers(3))
         self._until_us = now_us + int(1e6 * rng.uniform(0.2, 1.5))
         away = measurement.pos_ned_m - reference.pos_ned_m
-        if manner == 0:
-            self.way, self.thrust = _signs(away), -1.0
-        elif manner == 1:
-            self.way = _signs(measurement.vel_ned_mps)
-            self.thrust = 0.0 if self.way[2] > 0.0 else 1.0  # down is positive: less thrust is further down
-        else:
+        if manner == 2:
             self.way, self.thrust = rng.uniform(-1.0, 1.0, 3), float(rng.choice([-1.0, 0.0, 1.0, rng.uniform()]))
+            return
+        self.way = _signs(away if manner == 0 else measurement.vel_ned_mps)
+        self.thrust = 0.0 if self.way[2] > 0.0 else 1.0  # down is positive: less thrust is further down
+        self.way[2] = 0.0  # a climb that is asked for as well would take all tilt
 
 
 def _signs(values: F64) -> F64:

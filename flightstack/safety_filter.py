@@ -6,8 +6,8 @@ nearest to the wanted one in these intervals and in what tilt, body rates and th
 never softened.  Where there is no such acceleration, the certified fallback brakes: each axis' best command, in closed
 form, without a solver.
 
-A wanted command that is safe passes bit for bit.  So does its yaw rate, if it asks for little torque: rotors turn yaw by
-running unevenly, and uneven rotors lift more than even ones of the same mean command (their thrust is the square of it).
+A wanted command that is safe passes bit for bit.  So does its yaw rate, if it asks for little torque: yaw is turned by
+rotors that run unevenly, and these lift more than even ones of the same mean command (thrust is the square of it).
 The filter engages once h, of the predicted and of the measured state, has been at least 0.05 for half a second.
 """
 
@@ -54,7 +54,7 @@ _PLACES = 101
 _YAW_FASTER_RADPS, _YAW_SLOWER_RADPS = 0.2, 0.4
 """How far an engaged filter lets the commanded yaw rate be from the present one, to turn faster and to turn slower.
 PX4's default yaw gain makes 0.2 times that the unevenness of the commands: 0.04 beside 0.5 in hover lifts 0.6 % more.
-Without a bound late links make yaw swing at 2 rad/s, with rotors at speeds of 3 to 1: 1 to 2 m/s^2 more than asked for."""
+Without a bound late links make yaw swing at 2 rad/s, rotors at speeds of 3 to 1: 1 to 2 m/s^2 more than asked for."""
 _ROOM_H = 0.05
 """h that a place of rest has beyond all doubts."""
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
