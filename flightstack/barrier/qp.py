@@ -29,9 +29,10 @@ from flightstack.types import F64
 I64 = NDArray[np.int64]
 
 AXES = 3
-ROUNDS = 3
+ROUNDS = 12
 """Most of OSQP's runs: the next one begins where the rows found so far do not give the solution."""
-ROUND_ITERATIONS = 25
+ROUND_ITERATIONS = 5
+"""Few: the rows are mostly found long before the point is, and a point that is exact costs less than another round."""
 TOLERANCE = 1e-11
 """By which a normalised row may be violated: m/s^2 for accelerations."""
 _SETTINGS = {
@@ -63,10 +64,13 @@ class Solution(NamedTuple):
 class NearestPoint:
     """The QP for a fixed number of rows; keeps the last problem's solution to start from."""
 
-    __slots__ = ("_rows", "_solver")
+    __slots__ = ("_columns", "_lower", "_normal", "_push", "_rows", "_solver", "_upper")
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
+        self._normal = np.empty((AXES, rows))  # column by column, as OSQP has it
+        self._columns = self._normal.reshape(-1)
+        self._lower, self._upper, self._push = np.empty(rows), np.empty(rows), np.empty(AXES)
         binding = osqp.OSQP(algebra="builtin").ext  # without the wrapper, which takes as long as the solver
         settings = binding.OSQPSettings()
         binding.osqp_set_default_settings(settings)
@@ -88,12 +92,12 @@ class NearestPoint:
 
         Rows are normalised first; one of length 0 counts as a bound on 0.
         """
-        a, lower, upper = np.empty_like(rows), np.empty_like(low), np.empty_like(high)
-        if not _normalise(rows, low, high, wanted, a, lower, upper):
+        a, lower, upper = self._normal, self._lower, self._upper
+        if not _normalise(rows, low, high, wanted, a, lower, upper, self._push):
             return _unsolved(0)
         solver, x, spent = self._solver, np.empty(AXES), 0
-        solver.update_data_vec(q=-wanted, l=lower, u=upper)
-        solver.update_data_mat(P_x=None, P_i=None, A_x=a.T.ravel(), A_i=None)
+        solver.update_data_vec(q=self._push, l=lower, u=upper)
+        solver.update_data_mat(P_x=None, P_i=None, A_x=self._columns, A_i=None)
         for _ in range(ROUNDS):
             solver.solve()
             guess, spent = solver.solution, spent + int(solver.info.iter)
@@ -112,17 +116,22 @@ def _unsolved(iterations: int) -> Solution:
 
 
 @njit
-def _normalise(rows: F64, low: F64, high: F64, wanted: F64, a: F64, lower: F64, upper: F64) -> bool:
-    """Rows of length 1 into `a`, their bounds (-+1e30: none) into `lower`, `upper`; whether all of it makes sense."""
+def _normalise(
+    rows: F64, low: F64, high: F64, wanted: F64, a: F64, lower: F64, upper: F64, push: F64
+) -> bool:  # fmt: skip
+    """Rows of length 1 into the columns of `a` (3, m), their bounds (-+1e30: none) into `lower`, `upper`, the cost's
+    slope into `push` (3,); whether all of it makes sense."""
     fine = math.isfinite(wanted[0] + wanted[1] + wanted[2])
     for i in range(rows.shape[0]):
         size = math.sqrt(rows[i, 0] * rows[i, 0] + rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2])
         fine = fine and math.isfinite(size) and low[i] <= high[i]  # NaN is not
         scale = 1.0 / size if size > 1e-12 else 1.0
         for k in range(3):
-            a[i, k] = rows[i, k] * scale
+            a[k, i] = rows[i, k] * scale
         lower[i] = max(low[i] * scale, -1e30)
         upper[i] = min(high[i] * scale, 1e30)
+    for k in range(3):
+        push[k] = -wanted[k]
     return fine
 
 
@@ -136,8 +145,8 @@ def _finish(a: F64, low: F64, high: F64, wanted: F64, guess: F64, multipliers: F
     row = np.zeros(most, np.int64)
     side = np.zeros(most)
     score = np.full(most, np.inf)
-    for i in range(a.shape[0]):
-        z = a[i, 0] * guess[0] + a[i, 1] * guess[1] + a[i, 2] * guess[2]
+    for i in range(a.shape[1]):
+        z = a[0, i] * guess[0] + a[1, i] * guess[1] + a[2, i] * guess[2]
         below, above = (z - low[i]) + multipliers[i], (high[i] - z) - multipliers[i]
         if low[i] > -_FREE:
             _keep(row, side, score, i, -1.0, below)
@@ -197,7 +206,7 @@ def _attempt(
         i = row[chosen[n]]
         bound = high[i] if side[chosen[n]] > 0.0 else low[i]
         for k in range(3):
-            basis[n, k] = a[i, k]
+            basis[n, k] = a[k, i]
         at = bound
         for _ in range(2):  # twice: once more takes out what rounding left
             for m in range(n):
@@ -221,8 +230,8 @@ def _attempt(
     if not _signs(basis, part, wanted, side, chosen, size, x):
         return np.inf
     worst = 0.0
-    for i in range(a.shape[0]):
-        z = a[i, 0] * x[0] + a[i, 1] * x[1] + a[i, 2] * x[2]
+    for i in range(a.shape[1]):
+        z = a[0, i] * x[0] + a[1, i] * x[1] + a[2, i] * x[2]
         worst = max(worst, low[i] - z, z - high[i])
     return worst if worst <= TOLERANCE else np.inf
 
