@@ -25,7 +25,7 @@ FLIGHT_S = 20.0
 COUNTS = {"sound": 500, "unfiltered": 150, "as-published": 150}
 """Flights of each task."""
 QUICK = {"sound": 4, "unfiltered": 2, "as-published": 2}
-_STEERED_M = np.array([0.5, 0.5, 1.5])
+_STEERED_M = np.array([0.5, 0.5, 0.2])
 _FAR_M, _FAST_MPS = 1.0, 0.5
 """Sideways, where nothing is certified, the adversary turns back from here on: else the flight would end at its
 envelope, for the certificate leaves little to tilt."""
@@ -134,7 +134,7 @@ class Adversary:
         adverse, aim = self._begins(), reference
         if adverse:
             state.plan(measurement, reference, now_us)
-            aim = changed(reference, pos_ned_m=reference.pos_ned_m + _STEERED_M * state.turned(measurement, reference))
+            aim = changed(reference, pos_ned_m=state.place(measurement, reference))
         state.inner, proposal = self._inner.step(state.inner, measurement, aim, learned, sent, now_us)
         if adverse and state.thrust >= 0.0:
             low, high = self._range_n
@@ -153,12 +153,15 @@ class _Plan:
         self.thrust = -1.0
         """Share of the thrust's range; below 0: the inner controller's."""
 
-    def turned(self, measurement: Measurement, reference: FlatOutput) -> F64:
-        """The way, sideways turned back from too far."""
-        way, away = self.way.copy(), measurement.pos_ned_m - reference.pos_ned_m
-        if np.hypot(*away[:2]) > _FAR_M or np.hypot(*measurement.vel_ned_mps[:2]) > _FAST_MPS:
+    def place(self, measurement: Measurement, reference: FlatOutput) -> F64:
+        """Where the inner controller is to fly: sideways turned back from too far, in height near where it is, for a
+        climb beyond what thrust gives would leave it nothing to hold its place with."""
+        way, here = self.way.copy(), measurement.pos_ned_m
+        far = np.hypot(*(here - reference.pos_ned_m)[:2]) > _FAR_M
+        if far or np.hypot(*measurement.vel_ned_mps[:2]) > _FAST_MPS:
             way[:2] = 0.0
-        return way
+        base: F64 = np.append(reference.pos_ned_m[:2], here[2])
+        return base + _STEERED_M * way
 
     def plan(self, measurement: Measurement, reference: FlatOutput, now_us: int) -> None:
         """Another manner when the present one's time is over."""
@@ -173,7 +176,7 @@ class _Plan:
             return
         self.way = _signs(away if manner == 0 else measurement.vel_ned_mps)
         self.thrust = 0.0 if self.way[2] > 0.0 else 1.0  # down is positive: less thrust is further down
-        self.way[2] = 0.0  # a climb that is asked for as well would take all tilt
+        self.way[2] = 0.0
 
 
 def _signs(values: F64) -> F64:
