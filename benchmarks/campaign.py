@@ -7,6 +7,7 @@ campaign that was cut off goes on where it stopped.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import platform
@@ -79,8 +80,10 @@ def run_all(jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, proce
     print(f"{len(left)} jobs of {len(jobs)} to do, {processes} processes", flush=True)
     began = time.monotonic()
     journal.parent.mkdir(parents=True, exist_ok=True)
+    commit = versions()["git_commit"]
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool, journal.open("a", encoding="utf-8") as out:
-        futures = {pool.submit(run, job): job for job in left}
+        out.write(json.dumps({"run": {"wall_s": 0.0, "git_commit": commit}}) + "\n")  # known even if it is cut off
+        futures = {pool.submit(_tidied, run, job): job for job in left}
         for count, future in enumerate(as_completed(futures), 1):
             out.write(json.dumps({"job": futures[future], "result": future.result()}) + "\n")
             out.flush()
@@ -88,8 +91,15 @@ def run_all(jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, proce
                 spent = time.monotonic() - began
                 ahead = spent / count * (len(left) - count)
                 print(f"{count} of {len(left)}, {spent / 60:.1f} min, {ahead / 60:.1f} min to go", flush=True)
-        flown = {"wall_s": time.monotonic() - began, "git_commit": versions()["git_commit"]}
-        out.write(json.dumps({"run": flown}) + "\n")
+        out.write(json.dumps({"run": {"wall_s": time.monotonic() - began, "git_commit": commit}}) + "\n")
+
+
+def _tidied(run: Callable[[Any], Any], job: Any) -> Any:
+    """The job's result; what a flight leaves behind in cycles is much for the few objects that the collector counts."""
+    try:
+        return run(job)
+    finally:
+        gc.collect()
 
 
 def provenance(schema: str, journal: Path) -> dict[str, Any]:
