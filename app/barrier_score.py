@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from app.result import NO_BARRIER, NO_QP, percentiles
 from flightstack.barrier.falsify import Witness, marked, prepare
+from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.model import Model
@@ -116,12 +118,13 @@ class WatchedCertifier:
         self.adopted: list[Certificate] = []
         """Since the last `init`, in their order."""
         self.seen: tuple[object, object, Learned] | None = None
-        """The certifier's state, the learner's and what it said, as of the last tick."""
+        """The certifier's state, the learner's and what it said, as of the last tick; None where none was."""
+        self._seeing = True
         self._certifier = certifier
 
     def init(self) -> object:
         """The certifier's own; certificates before it (warming up) are forgotten."""
-        self.adopted = []
+        self.adopted, self.seen, self._seeing = [], None, True
         return self._certifier.init()
 
     def step(
@@ -129,11 +132,20 @@ class WatchedCertifier:
     ) -> tuple[object, Certificate | None]:
         """The certifier's own."""
         after, certificate = self._certifier.step(state, learner, measurement, learned, filtered)
-        self.seen = after, learner, learned
+        if self._seeing:
+            self.seen = after, learner, learned
         if certificate is not None:
             certificate = self.stamped(certificate)
             self.adopted.append(certificate)
         return after, certificate
+
+    def look_away(self) -> None:
+        """From now on `seen` stays as it is: a landing, in which others give the commands, contradicts every bound."""
+        if self.seen is not None and self._seeing:
+            state, learner, learned = self.seen
+            if isinstance(state, GrowthState):
+                state = replace(state, inner=copy(state.inner))
+            self.seen, self._seeing = (state, learner, learned), False
 
     def stamped(self, certificate: Certificate) -> Certificate:
         """The same, made for the vehicle of `stamp`."""

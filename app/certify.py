@@ -62,7 +62,10 @@ class ExplorationPlanner:
         self.state, leg = self._explorer.step(self.state, t_s, adopted[-1] if adopted else None, reference)
         if leg is not None:
             return mission.then(t_s, leg)
-        return mission.stop(t_s) if self.state.ended else mission
+        if not self.state.ended:
+            return mission
+        self._certifier.look_away()
+        return mission.stop(t_s)
 
 
 @dataclass(slots=True)

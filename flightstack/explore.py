@@ -58,7 +58,7 @@ class ExploreConfig:
     calm_rounds: int = 3
     growth: float = 0.01
     """Share of the area that counts as growth."""
-    rounds_max: int = 14
+    rounds_max: int = 24
     """Of each axis."""
     better: float = 0.9
     """A bound that is smaller by this factor is better."""

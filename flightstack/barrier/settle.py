@@ -21,7 +21,7 @@ from flightstack.barrier.shapes import Quadratic
 from flightstack.learning.learner import LearnerState
 from flightstack.types import F64, Learned
 
-_SPEEDS_MPS = (1.2, 1.5, 1.9, 2.4, 3.0)
+_SPEEDS_MPS = (1.2, 1.5, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0)
 _FAMILIES = ("quadratic", "stopping")
 _ROUNDS = 10
 _EASE, _SPARE = 0.75, 1.01

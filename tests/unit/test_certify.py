@@ -10,20 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_certificates import axis_of, certificate_of
-from shipped import load_scenario
+from shipped import load_scenario, load_vehicle
 
 from app.barrier_score import WatchedCertifier
 from app.certified import counted_mps2
 from app.certify import CERTIFICATE, ExplorationPlanner, write_certificate
 from flightstack.barrier import viability
 from flightstack.barrier.file import certificate_to_json
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState
 from flightstack.barrier.records import Certificate, Margin
 from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
 from flightstack.mission import Mission, plan
+from flightstack.model import Model
 from flightstack.seams import NoCertifier
-from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
 from logs.report.certified import Exploration, kernel_outline, outline, render
 from logs.report.plot import Plot, ticks
 
@@ -104,6 +106,43 @@ def test_a_falsified_certificate_ends_the_exploration_and_lands() -> None:
     assert after.phase(t_s) == "done"
     assert planner.state is not None
     assert planner.state.failed
+
+
+class _Widening:
+    """A certifier that every tick widens what it doubts, as one does that watches a landing which others fly."""
+
+    enabled = True
+
+    def __init__(self, state: GrowthState) -> None:
+        self.state = state
+
+    def init(self) -> GrowthState:
+        return self.state
+
+    def step(
+        self, state: GrowthState, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[GrowthState, None]:
+        state.inner.widen_mps2 = state.inner.widen_mps2 + 1.0
+        return state, None
+
+
+def test_what_a_landing_contradicts_does_not_count_for_what_was_explored() -> None:
+    scenario = load_scenario("paper-barrier")
+    model = Model.from_vehicle(load_vehicle("quad-x"))
+    assert scenario.region is not None
+    state = GrowingCertifier(model, scenario.limits, scenario.region, certifier=VERTICAL).init()
+    watched, still = WatchedCertifier(_Widening(state)), _record(plan(load_scenario("hover"), np.zeros(3)), 0.0)
+    watched.init()
+    arguments = ("learner", still.measurement, still.learned, still.filtered)
+    watched.step(state, *arguments)
+    watched.look_away()
+    watched.step(state, *arguments)
+    assert watched.seen is not None
+    kept, learner, _ = watched.seen
+    assert isinstance(kept, GrowthState)
+    assert learner == "learner"
+    assert kept.inner.widen_mps2.tolist() == [1.0, 1.0, 1.0]
+    assert state.inner.widen_mps2.tolist() == [2.0, 2.0, 2.0]
 
 
 # ------------------------------------------------------------------ files
