@@ -24,7 +24,7 @@ from flightstack.types import F64, Learned
 _SPEEDS_MPS = (1.2, 1.5, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0)
 _FAMILIES = ("quadratic", "stopping")
 _ROUNDS = 10
-_EASE, _SPARE = 0.75, 1.01
+_EASE, _SPARE, _BETTER = 0.75, 1.01, 1.003
 
 
 def settled(
@@ -61,21 +61,30 @@ def worst_area(axis: AxisCertificate) -> float:
 
 
 def designed(axis: Axis, needs: Ledger, family: str) -> AxisCertificate | None:
-    """The largest barrier of a family whose own ledger is no larger than the one that it was made with, or None."""
+    """The largest barrier of a family whose own ledger is no larger than the one that it was made with, or None.
+
+    Larger barriers mostly need less of it, so that a ledger that was too large is tried again at what it gave.
+    """
     fast = float(axis.authority.v_mps.max())
     setting, _ = needs(Quadratic(0.0, 0.0, axis.safe.limit_m**-2, 0.2 / (axis.safe.limit_m * fast), fast**-2))
+    best: AxisCertificate | None = None
     for _ in range(_ROUNDS):
         design = largest(axis.safe, setting, axis.authority, axis.response, family=family)
         if design.barrier is None or design.cover is None:
+            if best is not None:
+                break
             setting = _scaled(setting, setting, _EASE)  # perhaps a larger one needs less
             continue
         own, margins = needs(design.barrier)
         if all(getattr(own, part) <= getattr(setting, part) for part in GROWING):
-            return AxisCertificate(
+            found = AxisCertificate(
                 axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
             )
+            if best is not None and worst_area(found) <= _BETTER * worst_area(best):
+                break
+            best = found
         setting = _scaled(setting, own, _SPARE)
-    return None
+    return best
 
 
 def _scaled(setting: Setting, of: Setting, by: float) -> Setting:
