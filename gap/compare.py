@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.checks.noise import white_noise
+from gap.filters import spectra
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
 from gap.simulate import Run, params_row, predict, true_attitude
@@ -31,9 +31,10 @@ def residual(vehicle: Vehicle, samples: Samples) -> Residual:
     The kinematic columns hold no physics, so their own scatter is their noise.
     """
     flight = track(samples)
-    y = flight.lowpass(flight.measured - predict(vehicle, samples))
+    raw = flight.measured - predict(vehicle, samples)
+    y = flight.lowpass(raw)
     y[~flight.usable] = np.nan
-    noise = expected_noise(vehicle, samples, flight.usable)
+    noise = _noise_of(raw, samples, flight.usable)
     if flight.usable.any():
         noise[6:] = np.std(y[flight.usable, 6:], axis=0)
     return Residual(y, noise, np.full(COLUMNS, 0.5 / flight.cutoff_hz))
@@ -66,13 +67,19 @@ def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) 
     of the residual from 0.6 of the cutoff on is taken for noise: of the same power at all lower frequencies for a
     force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).
     """
+    return _noise_of(track(samples).measured - predict(vehicle, samples), samples, mask)
+
+
+def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
+    """`expected_noise` of a residual (N, 12) before the low-pass."""
     flight = track(samples)
     noise = sensor_noise(samples)
-    y = (flight.measured - predict(vehicle, samples))[mask & flight.usable, :6]
+    y = raw[mask & flight.usable, :6]
     per_segment = round(_SEGMENT_S / samples.dt_s)
     if len(y) < 2 * per_segment:
         return noise
-    hz, power = welch(np.nan_to_num(y), fs=1.0 / samples.dt_s, nperseg=per_segment, axis=0)
+    hz, density = spectra([np.nan_to_num(y)], samples.dt_s, per_segment)
+    power = density[0, 0]
     gain = 1.0 / (1.0 + (hz / flight.cutoff_hz) ** 4) ** 2
     band = (hz >= _NOISE_FROM * flight.cutoff_hz) & (hz <= flight.cutoff_hz)
     for column in range(6):
@@ -140,10 +147,11 @@ def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:
     total = np.zeros(COLUMNS)
     if not flight.vel_std_mps.any():
         return total
-    base = Run(vehicle, flight).shown(vehicle)
+    p = params_row(vehicle, flight.step_s)
+    base = Run(p, flight).shown(p)
     for axis in range(3):
         moved = flight.vel_ned_mps + flight.vel_std_mps[axis] * np.eye(3)[axis]
-        change = Run(vehicle, replace(flight, vel_ned_mps=moved)).shown(vehicle) - base
+        change = Run(p, replace(flight, vel_ned_mps=moved)).shown(p) - base
         total += np.mean(change**2, axis=0)
     return np.sqrt(total)
 

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
@@ -294,7 +294,7 @@ def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) 
 def _p_value(state: Search, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
     fall = _without(state, best.effects, effect) - best.chi2
-    return float(chi2_distribution.sf(max(fall, 0.0), max(len(best.effects[effect]), 1)))
+    return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
 def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:

@@ -15,10 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
+from gap.evaluated import evaluate_at
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
@@ -31,8 +33,6 @@ from sim.layout import (
     P_DT,
     P_FULL_V,
     P_HAS_BATTERY,
-    S_ANGULAR,
-    S_FORCE,
     S_LOAD_DIR,
     S_POS,
     S_Q,
@@ -42,16 +42,20 @@ from sim.layout import (
     S_U,
     S_VEL,
     S_VOLTAGE,
+    p_effect,
 )
 from sim.parameters import derive, parameter_row
 from sim.plant import evaluate_rows, state_rows
 
-_CHUNK = 1024
+_TOGETHER = 12
+"""Columns taken in one call: a long log's must not fill the memory."""
+_MOST_ROWS_MADE = 256
+_ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
 _COARSE_S = 0.0085
-_NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
-_MOVES_ROTORS = ("motor_lag", "transport_delay")
+_OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
+"""Effects that change the states that are remembered."""
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "battery_sag": ("battery_v",),
@@ -102,8 +106,9 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     says (rad/s), 9-11 specific force as the velocity's derivative says (m/s^2); all body FRD, each as its sensor
     shows it.  Compare with `gap.track.track(samples).measured`, both through its `lowpass`.
     """
-    run = Run(vehicle, track(samples))
-    return run.shown(vehicle)
+    flight = track(samples)
+    p = params_row(vehicle, flight.step_s)
+    return Run(p, flight).shown(p)
 
 
 def sensitivity(
@@ -126,10 +131,19 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     fewer = max(k for k in range(1, every + 1) if every % k == 0 and (k == 1 or k * samples.dt_s <= _COARSE_S))
     if fewer > 1:
         flight, every = thinned(flight, fewer), every // fewer
-    base = Run(vehicle, flight)
-    for k, knob in enumerate(columns):
-        if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
-            out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
+    row = params_row(vehicle, flight.step_s)
+    base = Run(row, flight)
+    turned = [_turned(vehicle, row, knob) for knob in columns]
+    seen = [k for k, knob in enumerate(columns) if not flight.missing & set(NEEDS.get(knob.effect, ()))]
+    shared = [k for k in seen if columns[k].effect not in _OWN_RUN and not _is_sensor(columns[k])]
+    for begin in range(0, len(shared), _TOGETHER):
+        part = shared[begin : begin + _TOGETHER]
+        out[:, :6, part] = flight.lowpass(base.changes([turned[k] for k in part]))[::every]
+    for k in seen:
+        if k not in shared:
+            out[:, :, k] = flight.lowpass(_difference(base, turned[k], columns[k]))[::every]
+    for column in flight.blind:
+        out[:, column, seen] = np.nan
     return out
 
 
@@ -139,7 +153,8 @@ def timing(vehicle: Vehicle, samples: Samples) -> F64:
     A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
     """
     flight = track(samples)
-    shown = [Run(vehicle, later(flight, change_s)).shown(vehicle) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
+    p = params_row(vehicle, flight.step_s)
+    shown = [Run(p, later(flight, change_s)).shown(p) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
     return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
 
 
@@ -163,49 +178,82 @@ def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Ve
     """The vehicle with some of an effect's parameters changed, the others kept; what flies keeps some mass."""
     changed = {**vehicle.effects.get(effect, {}), **values}
     if effect == "payload":
-        changed["mass_kg"] = max(changed["mass_kg"], (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
+        changed["mass_kg"] = _carried(vehicle, changed["mass_kg"])
     return with_effects(vehicle, {effect: changed})
+
+
+def _carried(vehicle: Vehicle, mass_kg: float) -> float:
+    """A payload that leaves some mass."""
+    return max(mass_kg, (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
 
 
 def _spec(effect: str, parameter: str) -> ParamSpec:
     return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
 
 
-def _difference(vehicle: Vehicle, base: Run, knob: Knob) -> F64:
-    """Difference quotient of what is shown, (N, 12), before the low-pass."""
-    centre = with_value(vehicle, knob.effect, knob.at) if knob.at else vehicle
-    now = value(centre, knob.effect, knob.parameter)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turned:
+    """Parameter rows with one parameter a little higher and a little lower, and by how much they differ."""
+
+    centre: F64
+    up: F64
+    down: F64
+    width: float
+
+
+def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> _Turned:
+    """`row`: the vehicle's own."""
+    now = knob.at.get(knob.parameter, value(vehicle, knob.effect, knob.parameter))
     spec = _spec(knob.effect, knob.parameter)
     step = _STEP_SHARE * natural_scale(vehicle, knob.effect, knob.parameter)
     high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
-    up = with_value(centre, knob.effect, {knob.parameter: high})
-    down = with_value(centre, knob.effect, {knob.parameter: low})
-    if EFFECT_SPECS[knob.effect].kind == "sensor":
-        return (base.shown(up) - base.shown(down)) / (high - low)
-    own = knob.effect in _MOVES_ROTORS or knob.effect == "slung_load"
-    moved = [(Run(v, base.track) if own else base).moved(params_row(v, base.track.step_s)) for v in (up, down)]
-    return base.felt(params_row(centre, base.track.step_s), (moved[0] - moved[1]) / (high - low))
+    centre, up, down = row.copy(), row.copy(), row.copy()
+    for p, more in ((centre, {}), (up, {knob.parameter: high}), (down, {knob.parameter: low})):
+        for name, x in {**knob.at, **more}.items():
+            p[p_effect(knob.effect, name)] = _carried(vehicle, x) if knob.effect == "payload" else x
+        derive(p)
+    return _Turned(centre, up, down, high - low)
+
+
+def _is_sensor(knob: Knob) -> bool:
+    return EFFECT_SPECS[knob.effect].kind == "sensor"
+
+
+def _difference(base: Run, turned: _Turned, knob: Knob) -> F64:
+    """Difference quotient of what is shown, (N, 12), before the low-pass, of what no other parameter goes along with.
+
+    Sensor effects change the states that the physics is evaluated at, lags and a load's swing are states of their own.
+    """
+    up, down = turned.up, turned.down
+    if _is_sensor(knob):
+        physics = base.moved(turned.centre) if knob.effect == "accelerometer_bias" else None
+        return (base.shown(up, physics) - base.shown(down, physics)) / turned.width
+    moved = [Run(p, base.track).moved(p) for p in (up, down)]
+    return base.felt(turned.centre, (moved[0] - moved[1]) / turned.width)
 
 
 def params_row(vehicle: Vehicle, step_s: float) -> F64:
     """The plant's parameter row (PARAMS,) for a run-through: no ground contact, no gusts, this step."""
-    p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
-    p[P_DT] = step_s
-    p[turbulence.SIGMA] = 0.0
-    derive(p)
-    return p
+    key = (id(vehicle), step_s)
+    if key not in _ROWS_MADE:
+        p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
+        p[P_DT] = step_s
+        p[turbulence.SIGMA] = 0.0
+        derive(p)
+        if len(_ROWS_MADE) >= _MOST_ROWS_MADE:
+            del _ROWS_MADE[next(iter(_ROWS_MADE))]
+        _ROWS_MADE[key] = (vehicle, p)  # the vehicle is kept, else another could come to have its number
+    return _ROWS_MADE[key][1].copy()
 
 
 class Run:
-    """One vehicle run through one flight: what is remembered at every sample, and the state rows to evaluate at."""
+    """One vehicle's rotors, battery and load run through one flight: what is remembered at every sample."""
 
-    __slots__ = ("load", "state", "track", "u", "voltage")
+    __slots__ = ("load", "track", "u", "voltage")
 
-    def __init__(self, vehicle: Vehicle, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
-        """`known`: rotors' states that were run through before, by what they depend on; they are taken and kept."""
+    def __init__(self, p: F64, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
+        """`p`: `params_row`; `known`: rotors' states run through before, by what they depend on; taken and kept."""
         self.track = flight
-        p = params_row(vehicle, flight.step_s)
-        count = len(flight.samples.t_s)
         known = {} if known is None else known
         key = (float(id(flight.commands)), p[D_TAU], p[D_DELAY_STEPS])
         if key not in known:
@@ -213,61 +261,79 @@ class Run:
         self.u = known[key]
         self.load = _load(p, flight)
         self.voltage = flight.samples.battery_v
-        self.state = np.zeros((count, S_RING))
-        self.state[:, S_POS : S_POS + 3] = flight.pos_ned_m
-        self.state[:, S_VEL : S_VEL + 3] = flight.vel_ned_mps
-        self.state[:, S_LOAD_DIR : S_LOAD_DIR + 6] = self.load
-        self.state[:, S_U : S_U + 4] = self.u
         if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
             self._drain(p)
-        self.state[:, S_VOLTAGE] = self.voltage
 
     def _drain(self, p: F64) -> None:
         """No voltage in the log: the battery runs along, full at the start."""
-        self.state[:, S_VOLTAGE] = p[P_FULL_V]
-        self._evaluate(p, self.track.q_ned_frd, self.track.rate_frd_radps)
+        self.voltage = np.full(len(self.u), p[P_FULL_V])
+        state = self.states(slice(None))
+        state[:, S_Q : S_Q + 4], state[:, S_RATE : S_RATE + 3] = self.track.q_ned_frd, self.track.rate_frd_radps
+        evaluate_rows(state, np.broadcast_to(p, (len(state), len(p))).copy())
         slow = p.copy()
         slow[P_DT] = self.track.samples.dt_s
-        self.voltage = np.zeros(len(self.state))
-        run_battery(
-            slow, self.state[:, S_THRUST : S_THRUST + 4].copy(), state_rows(p[None], dt_us=1000)[0], self.voltage
-        )
+        self.voltage = np.zeros(len(state))
+        run_battery(slow, state[:, S_THRUST : S_THRUST + 4].copy(), state_rows(p[None], dt_us=1000)[0], self.voltage)
 
-    def _evaluate(self, p: F64, q: F64, rate: F64) -> None:
-        self.state[:, S_Q : S_Q + 4] = q
-        self.state[:, S_RATE : S_RATE + 3] = rate
-        rows = np.tile(p, (min(_CHUNK, len(self.state)), 1))
-        for at in range(0, len(self.state), _CHUNK):
-            part = self.state[at : at + _CHUNK]
-            evaluate_rows(part, rows[: len(part)])
+    def states(self, at: slice | NDArray[np.int64]) -> F64:
+        """(n, S_RING) state rows at these samples, attitude and rates left to the caller."""
+        flight = self.track
+        u = self.u[at]
+        state = np.zeros((len(u), S_RING))
+        state[:, S_POS : S_POS + 3] = flight.pos_ned_m[at]
+        state[:, S_VEL : S_VEL + 3] = flight.vel_ned_mps[at]
+        state[:, S_LOAD_DIR : S_LOAD_DIR + 6] = self.load[at]
+        state[:, S_U : S_U + 4] = u
+        state[:, S_VOLTAGE] = self.voltage[at]
+        return state
 
     def moved(self, p: F64) -> F64:
         """Specific force and angular acceleration (N, 6) of this parameter row at this run's states."""
+        return self._evaluated(p, p[None])[:, :, 0]
+
+    def changes(self, turned: Sequence[_Turned]) -> F64:
+        """(N, 6, K) difference quotients as the sensors show them, before the low-pass; all at this run's states."""
+        count = len(turned)
+        rows = np.stack([*(t.up for t in turned), *(t.down for t in turned)])
+        both = self._evaluated(rows[0], rows)
+        out = (both[:, :, :count] - both[:, :, count:]) / np.array([t.width for t in turned])
+        return self._sensed(turned[0].centre, out)
+
+    def _evaluated(self, sensors: F64, rows: F64) -> F64:
+        """(N, 6, M) of M parameter rows, all with the sensors of one."""
         flight = self.track
-        self._evaluate(p, true_attitude(p, flight), flight.rate_frd_radps - gyro_bias.bias(p))
-        return self.state[:, S_FORCE : S_ANGULAR + 3].copy()
+        out = np.empty((len(self.u), 6, len(rows)))
+        rate = flight.rate_frd_radps - gyro_bias.bias(sensors)
+        attitude = np.ascontiguousarray(true_attitude(sensors, flight))
+        evaluate_at(rows, flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, self.u, self.load, self.voltage, out)
+        return out
+
+    def _sensed(self, p: F64, moved: F64) -> F64:
+        """A motion (N, 6, ...), or a change of it, as the sensors show it but for their biases; in place."""
+        flight = self.track
+        misalignment = attitude_misalignment.rotation(p)[None, :]
+        force, angular = moved[:, 0:3], moved[:, 3:6]
+        if "accel_frd_mps2" in flight.missing:
+            force = _turned_back(misalignment, force)
+        moved[:, 0:3] = simpson(force, flight.side) if flight.averaged[0] else force
+        angular = simpson(angular, flight.side)
+        moved[:, 3:6] = _turned_back(misalignment, angular) if "rate_frd_radps" in flight.missing else angular
+        return moved
 
     def felt(self, p: F64, moved: F64) -> F64:
         """A motion (N, 6), or a change of it, as the sensors show it but for their biases; (N, 12)."""
-        flight = self.track
         out = np.zeros((len(moved), COLUMNS))
-        out[:, :6] = moved
-        misalignment = attitude_misalignment.rotation(p)[None, :]
-        if "accel_frd_mps2" in flight.missing:
-            out[:, 0:3] = rotate_inverse(misalignment, out[:, 0:3])
-        if flight.averaged[0]:
-            out[:, 0:3] = simpson(out[:, 0:3], flight.side)
-        out[:, 3:6] = simpson(out[:, 3:6], flight.side)
-        if "rate_frd_radps" in flight.missing:
-            out[:, 3:6] = rotate_inverse(misalignment, out[:, 3:6])
-        out[:, flight.blind] = np.nan
+        out[:, :6] = self._sensed(p, moved.copy())
+        out[:, self.track.blind] = np.nan
         return out
 
-    def shown(self, vehicle: Vehicle) -> F64:
-        """What the sensors would show (N, 12) with this vehicle's physics and sensor effects at this run's states."""
+    def shown(self, p: F64, physics: F64 | None = None) -> F64:
+        """What the sensors would show (N, 12) with these physics and sensor effects at this run's states.
+
+        `physics`: the motion (N, 6) where it is known.
+        """
         flight = self.track
-        p = params_row(vehicle, flight.step_s)
-        out = self.felt(p, self.moved(p))
+        out = self.felt(p, self.moved(p) if physics is None else physics)
         bias = accelerometer_bias.bias(p)
         if "accel_frd_mps2" not in flight.missing:
             out[:, 0:3] += bias
@@ -276,6 +342,11 @@ class Run:
         out[:, 9:12] = rotate_inverse(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2) + bias
         out[:, flight.blind] = np.nan
         return out
+
+
+def _turned_back(q: F64, vectors: F64) -> F64:
+    """R(q)^T of vectors (N, 3, ...) along their second axis."""
+    return np.moveaxis(rotate_inverse(q, np.moveaxis(vectors, 1, -1)), -1, 1)
 
 
 def true_attitude(p: F64, flight: Track) -> F64:
