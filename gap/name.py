@@ -29,7 +29,7 @@ from gap.naming.evidence import fit_subsets
 from gap.naming.search import Fit, Search, judged_fit, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
-from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
+from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
 from gap.simulate import Knob, sensitivities, value, with_value
 from gap.track import track
 
@@ -341,7 +341,7 @@ def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, 
     columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
     blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
-    return {group: rest(first.y, blocks, group) for group in GROUPS}
+    return rests(first.y, blocks)
 
 
 def _matters(bench: SimulatorBench, group: str) -> float:
