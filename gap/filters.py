@@ -37,7 +37,7 @@ def bandpass_sections(low_hz: float, high_hz: float, dt_s: float) -> F64:
     return np.array(rows)
 
 
-def both_ways(sections: F64, x: F64, pad: int, *, even: bool = False) -> F64:
+def both_ways(sections: F64, pad: int, x: F64, *, even: bool = False) -> F64:
     """Forwards and backwards along the first axis of (N, C), without a shift in time.
 
     Both ends are continued by `pad` rows turned round the end (odd), or mirrored in it (`even`); the filter begins

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from gap.evaluated import evaluate_at
-from gap.records import Samples
+from gap.records import SIGNALS, Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
 from gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands, thinned, track
@@ -33,6 +34,7 @@ from sim.layout import (
     P_DT,
     P_FULL_V,
     P_HAS_BATTERY,
+    PARAMS,
     S_LOAD_DIR,
     S_POS,
     S_Q,
@@ -54,6 +56,9 @@ _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
 _COARSE_S = 0.0085
+_SENSORS = [
+    p_effect(effect, p.name) for effect, spec in EFFECT_SPECS.items() if spec.kind == "sensor" for p in spec.params
+]
 _OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
 """Effects that change the states that are remembered."""
 
@@ -111,6 +116,22 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     return Run(p, flight).shown(p)
 
 
+def disagreement(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
+    """Measured minus what `predict` says: (N, 12) through the common low-pass, and (N, 6) its physics before it.
+
+    Columns that the log can't measure are NaN.
+    """
+    flight = track(samples)
+    p = params_row(vehicle, flight.step_s)
+    raw = flight.measured[:, :6] - Run(p, flight).physics(p)
+    out = np.full((len(raw), COLUMNS), np.nan)
+    sighted = [c for c in range(6) if c not in flight.blind]
+    if sighted:
+        out[:, sighted] = flight.smooth(raw[:, sighted])
+    out[:, 6:] = _kinematic_rest(flight, tuple(p[_SENSORS].tolist()))
+    return out, raw
+
+
 def sensitivity(
     vehicle: Vehicle, samples: Samples, effect: str, parameter: str, at: Mapping[str, float] | None = None
 ) -> F64:
@@ -138,7 +159,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     shared = [k for k in seen if columns[k].effect not in _OWN_RUN and not _is_sensor(columns[k])]
     for begin in range(0, len(shared), _TOGETHER):
         part = shared[begin : begin + _TOGETHER]
-        out[:, :6, part] = flight.lowpass(base.changes([turned[k] for k in part]))[::every]
+        out[:, :6, part] = flight.smooth(base.changes([turned[k] for k in part]))[::every]
     for k in seen:
         if k not in shared:
             out[:, :, k] = flight.lowpass(_difference(base, turned[k], columns[k]))[::every]
@@ -226,8 +247,8 @@ def _difference(base: Run, turned: _Turned, knob: Knob) -> F64:
     """
     up, down = turned.up, turned.down
     if _is_sensor(knob):
-        physics = base.moved(turned.centre) if knob.effect == "accelerometer_bias" else None
-        return (base.shown(up, physics) - base.shown(down, physics)) / turned.width
+        same = base.moved(turned.centre) if knob.effect == "accelerometer_bias" else None
+        return (base.shown(up, same) - base.shown(down, same)) / turned.width
     moved = [Run(p, base.track).moved(p) for p in (up, down)]
     return base.felt(turned.centre, (moved[0] - moved[1]) / turned.width)
 
@@ -321,27 +342,41 @@ class Run:
         return moved
 
     def felt(self, p: F64, moved: F64) -> F64:
-        """A motion (N, 6), or a change of it, as the sensors show it but for their biases; (N, 12)."""
+        """A change of motion (N, 6) as the sensors show it, (N, 12)."""
         out = np.zeros((len(moved), COLUMNS))
-        out[:, :6] = self._sensed(p, moved.copy())
-        out[:, self.track.blind] = np.nan
+        out[:, : len(SIGNALS)] = self._sensed(p, moved.copy())
         return out
 
-    def shown(self, p: F64, physics: F64 | None = None) -> F64:
-        """What the sensors would show (N, 12) with these physics and sensor effects at this run's states.
-
-        `physics`: the motion (N, 6) where it is known.
-        """
-        flight = self.track
-        out = self.felt(p, self.moved(p) if physics is None else physics)
-        bias = accelerometer_bias.bias(p)
-        if "accel_frd_mps2" not in flight.missing:
-            out[:, 0:3] += bias
-        q, misalignment = true_attitude(p, flight), attitude_misalignment.rotation(p)[None, :]
-        out[:, 6:9] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
-        out[:, 9:12] = rotate_inverse(q, flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2) + bias
-        out[:, flight.blind] = np.nan
+    def physics(self, p: F64, moved: F64 | None = None) -> F64:
+        """The first six columns of `shown`; `moved`: the motion (N, 6) where it is known."""
+        out = self._sensed(p, self.moved(p) if moved is None else moved.copy())
+        if "accel_frd_mps2" not in self.track.missing:
+            out[:, 0:3] += accelerometer_bias.bias(p)
+        out[:, [c for c in self.track.blind if c < len(SIGNALS)]] = np.nan
         return out
+
+    def shown(self, p: F64, moved: F64 | None = None) -> F64:
+        """What the sensors would show (N, 12) with these physics and sensor effects at this run's states."""
+        return np.hstack([self.physics(p, moved), _kinematics(self.track, p)])
+
+
+def _kinematics(flight: Track, p: F64) -> F64:
+    """(N, 6) the columns without physics, as the sensors of this parameter row show them."""
+    out = np.empty((len(flight.q_ned_frd), COLUMNS - len(SIGNALS)))
+    misalignment = attitude_misalignment.rotation(p)[None, :]
+    out[:, 0:3] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
+    force = rotate_inverse(true_attitude(p, flight), flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2)
+    out[:, 3:6] = force + accelerometer_bias.bias(p)
+    out[:, [c - len(SIGNALS) for c in flight.blind if c >= len(SIGNALS)]] = np.nan
+    return out
+
+
+@lru_cache(maxsize=8)
+def _kinematic_rest(flight: Track, sensors: tuple[float, ...]) -> F64:
+    """(N, 6) measured minus `_kinematics` through the low-pass: no physics changes it, so it is kept."""
+    p = np.zeros(PARAMS)
+    p[_SENSORS] = sensors
+    return flight.lowpass(flight.measured[:, len(SIGNALS) :] - _kinematics(flight, p))
 
 
 def _turned_back(q: F64, vectors: F64) -> F64:

@@ -107,6 +107,11 @@ class Track:
         """Length of a step of the run-through."""
         return self.samples.dt_s / self.every
 
+    def smooth(self, columns: F64) -> F64:
+        """The common low-pass along the first axis, of finite numbers."""
+        flat = columns.reshape(len(columns), -1)
+        return both_ways(*_lowpass_of(len(flat), self.cutoff_hz, self.samples.dt_s), flat).reshape(columns.shape)
+
     def lowpass(self, columns: F64) -> F64:
         """The common low-pass along the first axis; NaN columns stay NaN."""
         return lowpass(columns, self.cutoff_hz, self.samples.dt_s)
@@ -264,9 +269,13 @@ def lowpass(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
     seen &= ~still
     if not seen.any():
         return out.reshape(columns.shape)
-    pad = min(len(flat) - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
-    out[:, seen] = both_ways(lowpass_sections(cutoff_hz, dt_s), _filled(flat[:, seen]), pad)
+    out[:, seen] = both_ways(*_lowpass_of(len(flat), cutoff_hz, dt_s), _filled(flat[:, seen]))
     return out.reshape(columns.shape)
+
+
+def _lowpass_of(count: int, cutoff_hz: float, dt_s: float) -> tuple[F64, int]:
+    """Sections and padding."""
+    return lowpass_sections(cutoff_hz, dt_s), min(count - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
 
 
 def _filled(x: F64) -> F64:
@@ -329,7 +338,7 @@ def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
     at = np.linspace(-1.0, 1.0, len(x))[:, None]
     trend = x.mean(axis=0) + at * (np.sum(at * x, axis=0) / np.sum(at * at))
     pad = min(len(x) - 1, int(2.0 / (cutoff_hz * dt_s)) + 3)
-    return np.asarray(trend + both_ways(lowpass_sections(cutoff_hz, dt_s), x - trend, pad, even=True))
+    return np.asarray(trend + both_ways(lowpass_sections(cutoff_hz, dt_s), pad, x - trend, even=True))
 
 
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:

@@ -72,7 +72,7 @@ def band(values: F64, dt_s: float, low_hz: float, high_hz: float) -> F64:
     else:
         sections = lowpass_sections(high_hz, dt_s)
     pad = min(len(values) - 1, int(1.5 / max(low_hz, 0.3) / dt_s))
-    return both_ways(sections, values.reshape(len(values), -1), pad).reshape(values.shape)
+    return both_ways(sections, pad, values.reshape(len(values), -1)).reshape(values.shape)
 
 
 def integrated(values: F64, dt_s: float) -> F64:

@@ -12,7 +12,7 @@ from flightstack.vehicle import Vehicle
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, predict, sensitivities, timing
+from gap.simulate import Knob, disagreement, predict, sensitivities, timing
 from gap.track import track
 
 _TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
@@ -43,7 +43,7 @@ class SimulatorBench:
         out = []
         for s, k in zip(self.flights, self.every, strict=True):
             flight = track(s)
-            y = flight.lowpass(flight.measured - predict(vehicle, s))[::k]
+            y = disagreement(vehicle, s)[0][::k].copy()
             y[~flight.usable[::k]] = np.nan
             out.append(y)
         return out

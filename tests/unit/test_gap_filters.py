@@ -22,7 +22,7 @@ def test_lowpass_both_ways(cutoff_hz: float, kind: str) -> None:
     x = _walk()
     sos = signal.butter(2, cutoff_hz, fs=1.0 / _DT_S, output="sos")
     wanted = signal.sosfiltfilt(sos, x, axis=0, padtype=kind, padlen=200)
-    found = both_ways(lowpass_sections(cutoff_hz, _DT_S), x, 200, even=kind == "even")
+    found = both_ways(lowpass_sections(cutoff_hz, _DT_S), 200, x, even=kind == "even")
     np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8 * np.abs(wanted).max())
 
 
@@ -31,7 +31,7 @@ def test_bandpass_both_ways(band: tuple[float, float]) -> None:
     x = _walk()
     sos = signal.butter(2, band, "bandpass", fs=1.0 / _DT_S, output="sos")
     wanted = signal.sosfiltfilt(sos, x, axis=0, padlen=300)
-    found = both_ways(bandpass_sections(*band, _DT_S), x, 300)
+    found = both_ways(bandpass_sections(*band, _DT_S), 300, x)
     np.testing.assert_allclose(found, wanted, atol=1e-7 * np.abs(wanted).max())
 
 
