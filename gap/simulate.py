@@ -326,7 +326,8 @@ class Run:
         out = np.empty((len(self.u), 6, len(rows)))
         rate = flight.rate_frd_radps - gyro_bias.bias(sensors)
         attitude = np.ascontiguousarray(true_attitude(sensors, flight))
-        evaluate_at(rows, flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, self.u, self.load, self.voltage, out)
+        voltage = np.ascontiguousarray(self.voltage)
+        evaluate_at(rows, flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, self.u, self.load, voltage, out)
         return out
 
     def _sensed(self, p: F64, moved: F64) -> F64:
