@@ -55,7 +55,7 @@ _MOST_ROWS_MADE = 256
 _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
-_COARSE_S = 0.0085
+_COARSE_S = 0.0105
 _SENSORS = [
     p_effect(effect, p.name) for effect, spec in EFFECT_SPECS.items() if spec.kind == "sensor" for p in spec.params
 ]
@@ -149,7 +149,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     flight = track(samples)
     count = len(range(0, len(samples.t_s), every))
     out = np.zeros((count, COLUMNS, len(columns)))
-    fewer = max(k for k in range(1, every + 1) if every % k == 0 and (k == 1 or k * samples.dt_s <= _COARSE_S))
+    fewer = evaluated_every(samples) if every % evaluated_every(samples) == 0 else 1
     if fewer > 1:
         flight, every = thinned(flight, fewer), every // fewer
     row = params_row(vehicle, flight.step_s)
@@ -166,6 +166,11 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     for column in flight.blind:
         out[:, column, seen] = np.nan
     return out
+
+
+def evaluated_every(samples: Samples) -> int:
+    """Samples of a fast log for which columns need be evaluated once only."""
+    return max(1, int(_COARSE_S / samples.dt_s))
 
 
 def timing(vehicle: Vehicle, samples: Samples) -> F64:
