@@ -195,7 +195,7 @@ def strapdown_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_],
 
 
 def _can_roll(samples: Samples, starts: NDArray[np.int64]) -> bool:
-    return len(starts) > 0 and not {"vel_ned_mps", "q_ned_frd"} & track(samples).missing
+    return len(starts) > 0 and not {"vel_ned_mps", "q_ned_frd", "motor"} & track(samples).missing
 
 
 def _moved(samples: Samples, starts: NDArray[np.int64], steps: int) -> F64:

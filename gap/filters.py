@@ -87,6 +87,8 @@ def _one_way(sections: F64, rows: F64, start: int, step: int) -> None:
 
 def finite(taps: F64, x: F64) -> F64:
     """The filter y[t] = sum_k taps[k] x[t - k] along the first axis of (N,) or (N, C); nothing before the first row."""
+    if x.ndim == 1:
+        return np.convolve(x, taps)[: len(x)]
     columns = np.ascontiguousarray(x.reshape(len(x), -1), dtype=np.float64)
     return np.asarray(_finite(np.asarray(taps, dtype=np.float64), columns)).reshape(x.shape)
 

@@ -215,7 +215,7 @@ def thinned(flight: Track, k: int) -> Track:
 
 
 def _missing(samples: Samples) -> frozenset[str]:
-    names = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m")
+    names = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m", "motor")
     gone = {name for name in names if not np.isfinite(getattr(samples, name)).any()}
     gone |= {name for name in ("rate_frd_radps", "accel_frd_mps2") if name in samples.derived}
     if "vel_ned_mps" in gone and "pos_ned_m" not in gone:
@@ -250,6 +250,8 @@ def _measured(force: F64, rate: F64, dt_s: float, missing: frozenset[str], diffe
         out[:, 6:9] = simpson(rate)
     if not {"accel_frd_mps2", "vel_ned_mps", "q_ned_frd"} & missing:
         out[:, 9:12] = simpson(force)
+    if "motor" in missing:
+        out[:, :6] = np.nan  # no simulation without commands
     return out
 
 
@@ -376,7 +378,8 @@ def step_commands(samples: Samples, every: int, late_s: float = 0.0) -> F64:
 
 def _usable(samples: Samples, cutoff_hz: float) -> NDArray[np.bool_]:
     reach = int(np.ceil(0.5 / (cutoff_hz * samples.dt_s)))
-    good = samples.valid & np.isfinite(samples.motor).all(axis=1)
+    commanded = np.isfinite(samples.motor)
+    good = samples.valid & (commanded.all(axis=1) | ~commanded.any())
     bad = np.convolve(~good, np.ones(2 * reach + 1), mode="same") > 0.5
     out = ~bad & (samples.t_s >= samples.t_s[0] + SETTLE_S)
     out[len(out) - reach :] = False
