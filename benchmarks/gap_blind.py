@@ -118,7 +118,10 @@ def main() -> int:
         campaign.run_all(jobs, run, journal, options.processes)
     rows = pooled(journal, {rules(), *(options.also or ())})
     flown_by = dict.fromkeys(row["commit"] for row in rows if "commit" in row)
-    about = campaign.provenance(gap_tables.SCHEMA, journal) | {"git_commit": ", then ".join(flown_by)}
+    about = campaign.provenance(gap_tables.SCHEMA, journal) | {
+        "git_commit": ", then ".join(flown_by),
+        "wall_s": sum(row.get("wall_s", 0.0) for row in rows),
+    }
     page = campaign.ROOT / "runs" / f"{name}.md" if options.quick else campaign.ROOT / "docs" / "gap.md"
     gap_tables.write(rows, about, page, f"make {name}")
     print(f"wrote {page}", flush=True)

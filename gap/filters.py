@@ -18,7 +18,8 @@ def lowpass_sections(cutoff_hz: float, dt_s: float) -> F64:
     """(1, 5) b0, b1, b2, a1, a2 of a Butterworth low-pass of second order, by the bilinear transform."""
     k = np.tan(np.pi * cutoff_hz * dt_s)
     a0 = 1.0 + np.sqrt(2.0) * k + k * k
-    return np.array([[k * k, 2.0 * k * k, k * k, 2.0 * (k * k - 1.0), 1.0 - np.sqrt(2.0) * k + k * k]]) / a0
+    row = [k * k, 2.0 * k * k, k * k, 2.0 * (k * k - 1.0), 1.0 - np.sqrt(2.0) * k + k * k]
+    return np.asarray(np.array([row]) / a0)
 
 
 def bandpass_sections(low_hz: float, high_hz: float, dt_s: float) -> F64:
@@ -131,4 +132,4 @@ def spectra(columns: Sequence[F64], dt_s: float, per_segment: int, *, linear: bo
     assert total is not None
     density = total * (dt_s / float(np.sum(window * window)) / len(begins))
     density[:, :, 1 : -1 if length % 2 == 0 else None] *= 2.0
-    return np.fft.rfftfreq(length, dt_s), density
+    return np.asarray(np.fft.rfftfreq(length, dt_s), dtype=np.float64), density

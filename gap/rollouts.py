@@ -102,7 +102,9 @@ class _Batch:
         runs: dict[tuple[float, ...], F64] = {}
         shifted = {0.0: flight}
         driven: dict[tuple[int, int], int] = {}
-        self._driven, self._voltage, self._commands = [], [], []
+        self._driven: list[int] = []
+        self._voltage: list[F64] = []
+        self._commands: list[F64] = []
         for i, ((_, late_s), p) in enumerate(zip(variants, rows, strict=True)):
             if late_s not in shifted:
                 shifted[late_s] = later(flight, late_s)

@@ -149,7 +149,8 @@ def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[flo
     count = len(point.candidates)
     found = fit_subsets(gram, subsets, point.columns, point.low, point.high)
     gain, used = np.array([s.gain for s in found]), np.array([s.used for s in found])
-    values = gram.c + score(gain, used, np.array([len(s.members) for s in found]), gram.rows, count)
+    sizes = np.array([len(s.members) for s in found])
+    values = np.asarray(gram.c + score(gain, used, sizes, gram.rows, count))
     return [(float(values[i]), found[i]) for i in np.argsort(values, kind="stable") if np.isfinite(values[i])]
 
 
