@@ -14,7 +14,8 @@ from gap.checks.noise import white_noise
 from gap.filters import spectra
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
-from gap.simulate import Run, disagreement, params_row, true_attitude
+from gap.run import Run, params_row, true_attitude
+from gap.simulate import disagreement
 from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from logs.turn import multiply, rotate, turned
 from sim.effects import accelerometer_bias, gyro_bias

@@ -12,7 +12,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.evaluated import run_windows
 from gap.records import Samples
-from gap.simulate import Run, first_command, later, params_row, true_attitude
+from gap.run import Run, first_command, later, params_row, true_attitude
 from gap.track import Track, track
 from logs.turn import multiply, rotate_inverse
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias

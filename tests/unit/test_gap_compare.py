@@ -12,7 +12,7 @@ from gap.compare import expected_noise, figures, noise_floor, residual, rollout_
 from gap.fusion import crossovers
 from gap.records import Samples
 from gap.rollouts import rollout, rollouts
-from gap.simulate import Run, params_row
+from gap.run import Run, params_row
 from gap.track import track
 from logs.turn import rotate, rotate_inverse, turned
 from sim.plant import NativePlant

@@ -13,12 +13,11 @@ from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 from gap.records import Samples
+from gap.run import Run, params_row
 from gap.scales import natural_scale
 from gap.simulate import (
     Knob,
-    Run,
     knobs,
-    params_row,
     predict,
     sensitivities,
     sensitivity,
