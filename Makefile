@@ -28,7 +28,7 @@ help:
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
-	@echo "make gap-blind          some 700 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
+	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
 	@echo "make clean        remove the environment and all caches"
 
 $(BIN)/.installed: pyproject.toml

@@ -21,6 +21,7 @@ from benchmarks.gap_flights import (
     DT_US,
     L_FORCE,
     L_MOTOR,
+    L_NORMAL,
     L_POS,
     L_Q,
     L_RATE,
@@ -31,6 +32,7 @@ from benchmarks.gap_flights import (
     fly,
     fly_plant,
 )
+from benchmarks.gap_mcap import write_mcap
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml, with_effects
 from sim.plant import Plant
@@ -62,13 +64,19 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """What the workflow is given (believed vehicle, text of the CSV), what is sealed, and the true vehicle."""
+    """What the workflow is given (believed vehicle, measured columns), what is sealed, and the true vehicle."""
 
     believed: Vehicle
-    csv: str
+    table: dict[str, F64]
+    """Column of `HEADER` -> (N,), and `on_ground`."""
     answer: Answer
     truth: Vehicle
     flown: Flown
+
+    @property
+    def csv(self) -> str:
+        """Text of the log as a CSV."""
+        return as_csv(self.table)
 
 
 def make(kind: str, seed: int, *, plant: str = "native") -> Case:
@@ -125,15 +133,15 @@ def _make(kind: str, rng: np.random.Generator, plant: str) -> Case | None:
         return None
     if flown.crashed or float(np.max(np.linalg.norm(flown.rows[:, :3], axis=1))) > 60.0:
         return None
-    csv, notes = measure(flown, truth, rng, scale, rate_hz)
+    table, notes = measure(flown, truth, rng, scale, rate_hz)
     notes["hold_ms"] = hold_ms
-    return Case(believed, csv, Answer(hidden, outside_name, depends_on, rich, notes), truth, flown)
+    return Case(believed, table, Answer(hidden, outside_name, depends_on, rich, notes), truth, flown)
 
 
 def measure(
     flown: Flown, truth: Vehicle, rng: np.random.Generator, scale: float, rate_hz: int
-) -> tuple[str, dict[str, float]]:
-    """The flight as a CSV of the contract: sampled, late by topic, noisy; and what was drawn."""
+) -> tuple[dict[str, F64], dict[str, float]]:
+    """The flight as a log has it, column by column: sampled, late by topic, noisy; and what was drawn."""
     rows = flown.rows
     late = {
         "position": float(rng.choice([0.0, rng.uniform(0.004, 0.04)])),
@@ -173,9 +181,17 @@ def measure(
         table.append(noisy(at(slice(L_VOLTAGE, L_VOLTAGE + 1)), "battery"))
     first = int(rng.choice([0, int(rng.uniform(5.0, 8.0) * rate_hz)]))  # some logs begin in the air
     data = np.hstack([(t_s + float(rng.uniform(0.0, 500.0)))[:, None], *table])[first:]
+    named = dict(zip(columns, data.T, strict=True)) | {"on_ground": rows[stamps[first:], L_NORMAL] > 0.0}
+    return named, {**late, "rate_hz": rate_hz, "noise_scale": scale}
+
+
+def as_csv(table: dict[str, F64]) -> str:
+    """The contract's CSV."""
+    columns = [name for name in HEADER.split(",") if name in table]
     lines = [",".join(columns)]
-    lines += [f"{row[0]:.6f}," + ",".join(f"{value:.7g}" for value in row[1:]) for row in data.tolist()]
-    return "\n".join(lines) + "\n", {**late, "rate_hz": rate_hz, "noise_scale": scale}
+    rows = np.stack([table[name] for name in columns], axis=1).tolist()
+    lines += [f"{row[0]:.6f}," + ",".join(f"{value:.7g}" for value in row[1:]) for row in rows]
+    return "\n".join(lines) + "\n"
 
 
 def _attitude(q: F64, truth: Vehicle, std_rad: float, rng: np.random.Generator) -> F64:
@@ -204,12 +220,15 @@ def _times(a: F64, b: F64) -> F64:
     )
 
 
-def write(case: Case, folder: Path, stem: str) -> tuple[Path, Path, Path]:
-    """CSV and vehicle into `folder`, the answer into `folder/sealed`."""
+def write(case: Case, folder: Path, stem: str, form: str = "csv") -> tuple[Path, Path, Path]:
+    """Log (`form`: csv or mcap) and vehicle into `folder`, the answer into `folder/sealed`."""
     sealed = folder / "sealed"
     sealed.mkdir(parents=True, exist_ok=True)
-    log, vehicle, answer = folder / f"{stem}.csv", folder / f"{stem}.toml", sealed / f"{stem}.json"
-    log.write_text(case.csv, encoding="utf-8")
+    log, vehicle, answer = folder / f"{stem}.{form}", folder / f"{stem}.toml", sealed / f"{stem}.json"
+    if form == "mcap":
+        write_mcap(log, case.table, case.table["on_ground"])
+    else:
+        log.write_text(case.csv, encoding="utf-8")
     vehicle.write_text(vehicle_to_toml(case.believed), encoding="utf-8")
     answer.write_text(json.dumps(as_json(case.answer)) + "\n", encoding="utf-8")
     return log, vehicle, answer
@@ -238,12 +257,13 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=20, help="of each kind named, or in all")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--form", choices=("csv", "mcap"), default="csv")
     parser.add_argument("--kind", action="append", help="clean, one:NAME, two, three, outside:NAME (may be repeated)")
     options = parser.parse_args()
     every = kinds()
     wanted = options.kind * options.count if options.kind else [every[k % len(every)] for k in range(options.count)]
     for k, kind in enumerate(wanted):
-        write(make(kind, options.seed + k), options.out, f"case-{options.seed + k:05d}")
+        write(make(kind, options.seed + k), options.out, f"case-{options.seed + k:05d}", options.form)
     print(f"wrote {len(wanted)} cases into {options.out}")
     return 0
 

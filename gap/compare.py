@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.checks.noise import white_noise
+from gap.filters import spectra
 from gap.records import Figures, Residual, Samples
 from gap.rollouts import rollout
-from gap.simulate import Run, params_row, predict, true_attitude
+from gap.run import Run, params_row, true_attitude
+from gap.simulate import disagreement
 from gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from logs.turn import multiply, rotate, turned
 from sim.effects import accelerometer_bias, gyro_bias
@@ -30,12 +31,27 @@ def residual(vehicle: Vehicle, samples: Samples) -> Residual:
 
     The kinematic columns hold no physics, so their own scatter is their noise.
     """
+    key = (id(vehicle), id(samples))
+    if key not in _KNOWN:
+        if len(_KNOWN) >= _MOST_KNOWN:
+            del _KNOWN[next(iter(_KNOWN))]
+        _KNOWN[key] = (vehicle, samples, _residual(vehicle, samples))  # both are kept, so their numbers are theirs
+    return _KNOWN[key][2]
+
+
+_MOST_KNOWN = 6
+_KNOWN: dict[tuple[int, int], tuple[Vehicle, Samples, Residual]] = {}
+
+
+def _residual(vehicle: Vehicle, samples: Samples) -> Residual:
     flight = track(samples)
-    y = flight.lowpass(flight.measured - predict(vehicle, samples))
+    y, raw = disagreement(vehicle, samples)
     y[~flight.usable] = np.nan
-    noise = expected_noise(vehicle, samples, flight.usable)
+    noise = _noise_of(raw, samples, flight.usable)
     if flight.usable.any():
         noise[6:] = np.std(y[flight.usable, 6:], axis=0)
+    for array in (y, noise):
+        array.setflags(write=False)
     return Residual(y, noise, np.full(COLUMNS, 0.5 / flight.cutoff_hz))
 
 
@@ -66,13 +82,19 @@ def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) 
     of the residual from 0.6 of the cutoff on is taken for noise: of the same power at all lower frequencies for a
     force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).
     """
+    return _noise_of(disagreement(vehicle, samples)[1], samples, mask)
+
+
+def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
+    """`expected_noise` of a residual (N, 6) before the low-pass."""
     flight = track(samples)
     noise = sensor_noise(samples)
-    y = (flight.measured - predict(vehicle, samples))[mask & flight.usable, :6]
+    y = raw[mask & flight.usable]
     per_segment = round(_SEGMENT_S / samples.dt_s)
     if len(y) < 2 * per_segment:
         return noise
-    hz, power = welch(np.nan_to_num(y), fs=1.0 / samples.dt_s, nperseg=per_segment, axis=0)
+    hz, density = spectra([np.nan_to_num(y)], samples.dt_s, per_segment)
+    power = density[0, 0]
     gain = 1.0 / (1.0 + (hz / flight.cutoff_hz) ** 4) ** 2
     band = (hz >= _NOISE_FROM * flight.cutoff_hz) & (hz <= flight.cutoff_hz)
     for column in range(6):
@@ -140,10 +162,11 @@ def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:
     total = np.zeros(COLUMNS)
     if not flight.vel_std_mps.any():
         return total
-    base = Run(vehicle, flight).shown(vehicle)
+    p = params_row(vehicle, flight.step_s)
+    base = Run(p, flight).shown(p)
     for axis in range(3):
         moved = flight.vel_ned_mps + flight.vel_std_mps[axis] * np.eye(3)[axis]
-        change = Run(vehicle, replace(flight, vel_ned_mps=moved)).shown(vehicle) - base
+        change = Run(p, replace(flight, vel_ned_mps=moved)).shown(p) - base
         total += np.mean(change**2, axis=0)
     return np.sqrt(total)
 
@@ -173,7 +196,7 @@ def strapdown_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_],
 
 
 def _can_roll(samples: Samples, starts: NDArray[np.int64]) -> bool:
-    return len(starts) > 0 and not {"vel_ned_mps", "q_ned_frd"} & track(samples).missing
+    return len(starts) > 0 and not {"vel_ned_mps", "q_ned_frd", "motor"} & track(samples).missing
 
 
 def _moved(samples: Samples, starts: NDArray[np.int64], steps: int) -> F64:

@@ -17,7 +17,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
@@ -254,6 +253,8 @@ def _free(found: Found) -> list[str]:
 
 def _within(vehicle: Vehicle, knobs: Sequence[Knob], x: F64, y: F64) -> F64:
     """(K,) changes of these parameters by least squares that stay in their ranges."""
+    from scipy.optimize import lsq_linear  # here: a fifth of a second that most flights need not wait for
+
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     specs = [next(p for p in EFFECT_SPECS[k.effect].params if p.name == k.parameter) for k in knobs]
     now = np.array([value(vehicle, k.effect, k.parameter) for k in knobs])

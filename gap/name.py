@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
@@ -29,7 +29,7 @@ from gap.naming.evidence import fit_subsets
 from gap.naming.search import Fit, Search, judged_fit, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
-from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
+from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
 from gap.simulate import Knob, sensitivities, value, with_value
 from gap.track import track
 
@@ -294,7 +294,7 @@ def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) 
 def _p_value(state: Search, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
     fall = _without(state, best.effects, effect) - best.chi2
-    return float(chi2_distribution.sf(max(fall, 0.0), max(len(best.effects[effect]), 1)))
+    return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
 def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:
@@ -341,7 +341,7 @@ def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, 
     columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
     blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
-    return {group: rest(first.y, blocks, group) for group in GROUPS}
+    return rests(first.y, blocks)
 
 
 def _matters(bench: SimulatorBench, group: str) -> float:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular, toeplitz
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
@@ -107,7 +107,7 @@ def refine(
     theta, covariance = problem.solve()
     # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
     freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
-    half = _STATES * student.ppf(0.975, max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
+    half = _STATES * stdtrit(max(freedom, 2.0), 0.975) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
         low, high = _limits(effect, parameter)

@@ -59,36 +59,73 @@ class Rest:
         return self.driven / total if total > 0.0 else 0.0
 
 
-def rest(before: F64, blocks: Blocks, group: str) -> Rest:
-    """The rest of one group; `before` (B, 6) block means of the residual when nothing was named."""
-    channels = [c for c in GROUPS[group] if np.any(blocks.y[:, c]) and np.std(blocks.y[:, c]) > 0.0]
-    if len(blocks.y) < 40 or not channels:
-        return Rest(0.0, 0.0, 0.0, ())
+@dataclass(slots=True, eq=False)
+class _Kernel:
+    """How alike blocks are by one driver, and the eigenvalues and -vectors of that."""
+
+    matrix: F64
+    values: F64
+    vectors: F64
+
+
+@dataclass(slots=True, eq=False)
+class _Fitted:
+    """The best function of one driver."""
+
+    evidence: float
+    kernel: _Kernel | None = None
+    ratios: F64 | None = None
+    y: F64 | None = None
+
+    def driven(self, fold: NDArray[np.int64]) -> float:
+        """Mean square that is predicted out of sample, over all channels."""
+        if self.kernel is None or self.ratios is None or self.y is None:
+            return 0.0
+        return _predicted(self.kernel.matrix, self.y, fold, self.ratios)
+
+
+def rests(before: F64, blocks: Blocks) -> dict[str, Rest]:
+    """The rest of every group; `before` (B, 6) block means of the residual when nothing was named."""
+    if len(blocks.y) < 40:
+        return {group: Rest(0.0, 0.0, 0.0, ()) for group in GROUPS}
     thin = max(1, int(np.ceil(len(blocks.y) / _MOST_BLOCKS)))
+    kernels = {name: _kernels(name, x[::thin]) for name, x in blocks.drivers.items()}
+    past = {name: _past_kernels(blocks.past[name][::thin]) for name in _REMEMBERED if name in blocks.past}
+    return {group: _rest(before, blocks, group, thin, kernels, past) for group in GROUPS}
+
+
+def _rest(
+    before: F64,
+    blocks: Blocks,
+    group: str,
+    thin: int,
+    kernels: dict[str, list[_Kernel]],
+    past: dict[str, list[_Kernel]],
+) -> Rest:
+    channels = [c for c in GROUPS[group] if np.any(blocks.y[:, c]) and np.std(blocks.y[:, c]) > 0.0]
+    if not channels:
+        return Rest(0.0, 0.0, 0.0, ())
     noise = np.array([_noise(blocks.y[:, c]) for c in channels])
     bare = _without(blocks, channels, blocks.y[:, channels] / noise, noise)
     world = bare if group == "torque" else _world_rest(blocks, channels, noise)
-    scores: dict[str, tuple[float, float]] = {}
-    for name, x in blocks.drivers.items():
-        y = world if name == "position" else bare
-        scores[name] = _driver(x[::thin], y[::thin], blocks.fold[::thin], _TIME_LENGTHS if name == "time" else _LENGTHS)
-    for name in _REMEMBERED:
-        if name in blocks.past:
-            late = _filtered_driver(blocks.past[name][::thin], bare[::thin], blocks.fold[::thin])
-            if late[0] > scores[name][0]:
-                scores[name] = late
-    best = max(scores, key=lambda name: scores[name][0])
-    evidence, driven = scores[best]
-    if evidence < _EVIDENCE or driven <= 0.0:
-        best_names: tuple[str, ...] = ()
-        driven = 0.0
-    else:
-        best_names = tuple(sorted((n for n in scores if scores[n][0] >= _ALSO * evidence), key=lambda n: -scores[n][0]))
+    fits = {name: _fitted(own, (world if name == "position" else bare)[::thin]) for name, own in kernels.items()}
+    for name, own in past.items():
+        late = _fitted(own, bare[::thin])
+        if late.evidence > fits[name].evidence:
+            fits[name] = late
+    best = max(fits, key=lambda name: fits[name].evidence)
+    evidence = fits[best].evidence
+    driven = fits[best].driven(blocks.fold[::thin]) if evidence >= _EVIDENCE else 0.0
+    names: tuple[str, ...] = ()
+    if driven > 0.0:
+        names = tuple(
+            sorted((n for n in fits if fits[n].evidence >= _ALSO * evidence), key=lambda n: -fits[n].evidence)
+        )
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     unit = float(np.sqrt(np.mean(noise**2)))
     shape = np.mean(np.sum((blocks.columns[:, channels, :] / noise[:, None]) ** 2, axis=1), axis=0)
-    return Rest(power_before, power_after, driven, best_names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
+    return Rest(power_before, power_after, driven, names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
 
 
 def _noise(y: F64) -> float:
@@ -113,53 +150,56 @@ def _world_rest(blocks: Blocks, channels: list[int], noise: F64) -> F64:
     return blocks.world[:, axes] / float(np.sqrt(np.mean(noise**2)))
 
 
-def _driver(x: F64, y: F64, fold: NDArray[np.int64], lengths: tuple[float, ...]) -> tuple[float, float]:
-    """Log likelihood ratio against noise, and mean square that is predicted out of sample, over all channels."""
+def _scaled(x: F64) -> F64 | None:
+    """Columns of unit spread round 0, those that change at all; None where none does."""
     spread = x.std(axis=0)
-    if not np.any(spread > 1e-9):
-        return -np.inf, 0.0
-    z = (x - x.mean(axis=0))[:, spread > 1e-9] / spread[spread > 1e-9]
-    centred = y - y.mean(axis=0)
+    moves = spread > 1e-9
+    return (x - x.mean(axis=0))[:, moves] / spread[moves] if np.any(moves) else None
+
+
+def _kernels(name: str, x: F64) -> list[_Kernel]:
+    """Of smooth functions of a driver (B, d), one for each length."""
+    z = _scaled(x)
+    if z is None:
+        return []
     square = ((z[:, None, :] - z[None, :, :]) ** 2).sum(axis=2)
-    best = (-np.inf, 0.0)
-    for length in lengths:
-        kernel = np.exp(-0.5 * square / length**2)
+    lengths = _TIME_LENGTHS if name == "time" else _LENGTHS
+    return [_decomposed(np.exp(-0.5 * square / length**2)) for length in lengths]
+
+
+def _past_kernels(x: F64) -> list[_Kernel]:
+    """Of linear filters of a driver's last seconds (B, lags * d): what swings remembers."""
+    z = _scaled(x)
+    return [] if z is None else [_decomposed(z @ z.T / z.shape[1])]
+
+
+def _decomposed(kernel: F64) -> _Kernel:
+    values, vectors = np.linalg.eigh(kernel)
+    return _Kernel(kernel, np.maximum(values, 0.0), vectors)
+
+
+def _fitted(kernels: list[_Kernel], y: F64) -> _Fitted:
+    """Log likelihood ratio against noise of the best of these kernels, over all channels (B, c)."""
+    centred = y - y.mean(axis=0)
+    best = _Fitted(-np.inf)
+    for kernel in kernels:
         evidence, ratios = _evidence(kernel, centred)
-        if evidence > best[0]:
-            best = (evidence, _predicted(kernel, centred, fold, ratios))
+        if evidence > best.evidence:
+            best = _Fitted(evidence, kernel, ratios, centred)
     return best
 
 
-def _filtered_driver(x: F64, y: F64, fold: NDArray[np.int64]) -> tuple[float, float]:
-    """The same for a linear filter of the driver's last seconds, (B, lags * d): what swings remembers."""
-    spread = x.std(axis=0)
-    if not np.any(spread > 1e-9):
-        return -np.inf, 0.0
-    z = (x - x.mean(axis=0))[:, spread > 1e-9] / spread[spread > 1e-9]
-    kernel = z @ z.T / z.shape[1]
-    centred = y - y.mean(axis=0)
-    evidence, ratios = _evidence(kernel, centred)
-    return evidence, _predicted(kernel, centred, fold, ratios)
-
-
-def _evidence(kernel: F64, y: F64) -> tuple[float, F64]:
+def _evidence(kernel: _Kernel, y: F64) -> tuple[float, F64]:
     """Sum over channels of the greatest log likelihood ratio (scale and ratio free), and the ratio of each."""
-    values, vectors = np.linalg.eigh(kernel)
-    values = np.maximum(values, 0.0)
-    power = (vectors.T @ y) ** 2
+    power = (kernel.vectors.T @ y) ** 2
     n = len(y)
     null = -0.5 * n * np.log(np.maximum(power.sum(axis=0), 1e-300) / n)
-    total = 0.0
-    ratios = np.zeros(y.shape[1])
-    for c in range(y.shape[1]):
-        spectrum = 1.0 + _RATIOS[:, None] * values[None, :]
-        scale = (power[:, c][None, :] / spectrum).sum(axis=1) / n
-        logs = -0.5 * n * np.log(np.maximum(scale, 1e-300)) - 0.5 * np.log(spectrum).sum(axis=1) - null[c]
-        at = int(np.argmax(logs))
-        if logs[at] > 0.0:
-            total += float(logs[at])
-            ratios[c] = _RATIOS[at]
-    return total, ratios
+    spectrum = 1.0 + _RATIOS[:, None] * kernel.values[None, :]
+    scale = (1.0 / spectrum) @ power / n
+    logs = -0.5 * n * np.log(np.maximum(scale, 1e-300)) - 0.5 * np.log(spectrum).sum(axis=1)[:, None] - null
+    at = np.argmax(logs, axis=0)
+    gains = logs[at, np.arange(y.shape[1])]
+    return float(gains[gains > 0.0].sum()), np.where(gains > 0.0, _RATIOS[at], 0.0)
 
 
 def _predicted(kernel: F64, y: F64, fold: NDArray[np.int64], ratios: F64) -> float:

@@ -10,31 +10,24 @@ from numpy.typing import NDArray
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap.evaluated import run_windows
 from gap.records import Samples
-from gap.simulate import Run, first_command, later, params_row, true_attitude
+from gap.run import Run, first_command, later, params_row, true_attitude
 from gap.track import Track, track
 from logs.turn import multiply, rotate_inverse
-from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, turbulence
+from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
 from sim.layout import (
     D_DELAY_STEPS,
-    P_EMPTY_V,
-    P_FULL_V,
     P_RESISTANCE,
     S_CHARGE,
-    S_COMMAND,
     S_CURSOR,
-    S_FORCE,
     S_LOAD_DIR,
     S_POS,
     S_Q,
     S_RATE,
     S_RING,
     S_VEL,
-    S_VOLTAGE,
 )
-from sim.plant import run_rows
-
-_NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,14 +64,9 @@ def rollouts(
     steps = max(1, round(horizon_s / samples.dt_s))
     at = at[at + steps < len(samples.t_s)]
     batch = _Batch(variants, flight, at)
-    shown = np.empty((steps + 1, len(batch.state), S_LOAD_DIR))
-    force = np.zeros((steps + 1, len(batch.state), 3))
-    shown[0] = batch.state[:, :S_LOAD_DIR]
-    for k in range(steps):
-        batch.advance(k, force[k + 1])
-        shown[k + 1] = batch.state[:, :S_LOAD_DIR]
+    shown, force = batch.run(steps)
     return [
-        _as_shown(batch.params[i * len(at)], at, shown[:, own].swapaxes(0, 1), force[:, own].swapaxes(0, 1))
+        _as_shown(batch.params[i * len(at)], at, shown[own], force[own])
         for i in range(len(variants))
         if len(at) > 0
         for own in (slice(i * len(at), (i + 1) * len(at)),)
@@ -102,7 +90,7 @@ def _as_shown(p: F64, at: NDArray[np.int64], state: F64, force: F64) -> Rollout:
 class _Batch:
     """State and parameter rows of V variants times S starts, variant by variant."""
 
-    __slots__ = ("_at", "_commands", "_every", "_voltage", "params", "state")
+    __slots__ = ("_at", "_commands", "_driven", "_every", "_voltage", "params", "state")
 
     def __init__(self, variants: Sequence[tuple[Vehicle, float]], flight: Track, at: NDArray[np.int64]) -> None:
         self._at, self._every = at, flight.every
@@ -111,31 +99,40 @@ class _Batch:
         self.params = np.repeat(np.stack(rows), len(at), axis=0)
         self.params[:, P_RESISTANCE] = 0.0  # the voltage is the log's
         self.state = np.zeros((len(self.params), S_RING + 4 * entries))
-        self._voltage, self._commands = [], []
         runs: dict[tuple[float, ...], F64] = {}
-        for i, ((vehicle, late_s), p) in enumerate(zip(variants, rows, strict=True)):
-            moved = later(flight, late_s) if late_s != 0.0 else flight
+        shifted = {0.0: flight}
+        driven: dict[tuple[int, int], int] = {}
+        self._driven: list[int] = []
+        self._voltage: list[F64] = []
+        self._commands: list[F64] = []
+        for i, ((_, late_s), p) in enumerate(zip(variants, rows, strict=True)):
+            if late_s not in shifted:
+                shifted[late_s] = later(flight, late_s)
+            moved = shifted[late_s]
             own = self.state[i * len(at) : (i + 1) * len(at)]
-            run = Run(vehicle, moved, runs)
-            own[:, :S_RING] = run.state[at]
+            run = Run(p, moved, runs)
+            own[:, :S_RING] = run.states(at)
             own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
             own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
             own[:, S_RING:] = _ring(moved, at, entries)
-            self._voltage.append(run.voltage)
-            self._commands.append(moved.commands)
+            key = (id(moved.commands), id(run.voltage))
+            if key not in driven:
+                driven[key] = len(self._commands)
+                self._voltage.append(run.voltage)
+                self._commands.append(moved.commands)
+            self._driven.append(driven[key])
         self.state[:, S_CURSOR] = entries - 1
         self.state[:, S_CHARGE] = 1.0
 
-    def advance(self, k: int, force: F64) -> None:
-        """From the k-th sample after each start to the next; the mean specific force goes to `force` (V S, 3)."""
-        volts = np.concatenate([voltage[self._at + k] for voltage in self._voltage])
-        self.state[:, S_VOLTAGE] = volts
-        self.params[:, P_FULL_V] = self.params[:, P_EMPTY_V] = volts
-        for j in range(self._every):
-            row = (self._at + k) * self._every + j
-            self.state[:, S_COMMAND : S_COMMAND + 4] = np.concatenate([commands[row] for commands in self._commands])
-            run_rows(self.state, self.params, _NO_NORMALS, 1)
-            force += self.state[:, S_FORCE : S_FORCE + 3] / self._every
+    def run(self, steps: int) -> tuple[F64, F64]:
+        """What the rows show (V S, steps + 1, S_LOAD_DIR), and their mean specific forces (V S, steps + 1, 3)."""
+        shown = np.empty((len(self.state), steps + 1, S_LOAD_DIR))
+        force = np.zeros((len(self.state), steps + 1, 3))
+        start = np.tile(self._at, len(self._driven))
+        driven = np.repeat(np.array(self._driven, dtype=np.int64), len(self._at))
+        commands, voltage = np.stack(self._commands), np.stack(self._voltage)
+        run_windows(self.state, self.params, start, driven, commands, voltage, self._every, shown, force)
+        return shown, force
 
 
 def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:

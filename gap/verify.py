@@ -110,7 +110,7 @@ def reflight(believed: Vehicle, truths: Sequence[Vehicle], samples: Samples, mas
     flight = track(samples)
     first, last = _longest(mask & flight.usable)
     last = min(last, first + round((LONGEST_S + SETTLE_S) / samples.dt_s))
-    needed = {"pos_ned_m", "vel_ned_mps", "q_ned_frd"}
+    needed = {"pos_ned_m", "vel_ned_mps", "q_ned_frd", "motor"}
     if needed & flight.missing or (last - first) * samples.dt_s < _LEAST_RUN_S + SETTLE_S:
         return []
     return [_flown(believed, truth, flight, first, last) for truth in truths]

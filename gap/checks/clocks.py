@@ -66,6 +66,9 @@ def _longest_run(flags: np.ndarray) -> int:
 def _mixed(signals: Mapping[str, Signal], findings: list[Finding]) -> None:
     """Topics that share no time, or one topic whose stamps jump by more than all the rest of it lasts."""
     fast = {name: each for name, each in signals.items() if name not in SLOW and len(each.t_s) > 3}
+    if signals and not fast:
+        findings.append(refused("clock", "holds three rows or fewer that have a time of their own: too short, or its "
+                                "clock stands still. Record 30 s in the air"))  # fmt: skip
     for name, each in fast.items():
         steps = np.diff(each.t_s)
         usual = float(np.median(steps)) * len(steps)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from flightstack.vehicle import Vehicle
 from gap.records import Finding, Samples
@@ -27,7 +26,7 @@ def leave_out(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding
     if not touching.any():
         return samples, []
     reach = max(1, round(AROUND_S / samples.dt_s))
-    near = binary_dilation(touching, np.ones(2 * reach + 1, np.bool_))
+    near = np.convolve(touching, np.ones(2 * reach + 1), mode="same") > 0.5
     seconds = float(np.sum(samples.valid & near)) * samples.dt_s
     kept = replace(samples, valid=samples.valid & ~near)
     if seconds < _FEWEST_S:

@@ -157,7 +157,8 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
     scores = {kept: _score(kept, known)}
     if scores[kept][0] < _parts(seen) - _GOOD:
         scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
-    best = max(scores, key=lambda each: scores[each][0] - 0.01 * each.changes)
+    # worlds that all signals share are alike but for rounding: then the usual one
+    best = max(scores, key=lambda each: round(scores[each][0] - 0.01 * each.changes, 6))
     chosen = best if _is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
     _, gyro_frame, velocity_frame = scores[chosen]
     columns = dict(seen.columns)

@@ -15,6 +15,8 @@ from logs.turn import continuous
 
 GRID_HZ = (125.0, 250.0)
 """The grid's rate is the fastest of IMU, attitude and motors, kept within these."""
+_MOTORS_HZ = 80.0
+"""Motors slower than the rest, but not slower than this, set the grid's rate: what they did between is not known."""
 _GAP_PERIODS = 3.5
 _ENOUGH = 20_001
 """Stamps from which a period is taken."""
@@ -32,6 +34,9 @@ def grid_period_s(signals: dict[str, Signal]) -> float:
     names = ("accel_frd_mps2", "rate_frd_radps", "q_ned_frd", "vel_ned_mps", "motor")
     periods = [period_s(signals[name]) for name in names if name in signals]
     fastest = min((period for period in periods if np.isfinite(period)), default=1.0 / GRID_HZ[0])
+    motors = period_s(signals["motor"]) if "motor" in signals else np.inf
+    if fastest < motors < 1.0 / _MOTORS_HZ:
+        fastest = motors
     least, most = 1.0 / GRID_HZ[1], 1.0 / GRID_HZ[0]
     if fastest < 0.8 * least:
         return least

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from flightstack.types import F64
 from gap.checks.conventions import correlation
@@ -44,7 +44,7 @@ class _Fit:
     blocks: int
 
     def half_width(self, which: int) -> float:
-        return float(self.error[which] * stats.t.ppf(0.975, max(1, self.blocks - 1)))
+        return float(self.error[which] * stdtrit(max(1, self.blocks - 1), 0.975))
 
 
 def _unknown(name: str) -> Offset:

@@ -12,7 +12,7 @@ from flightstack.vehicle import Vehicle
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, predict, sensitivities, timing
+from gap.simulate import Knob, disagreement, evaluated_every, predict, sensitivities, timing
 from gap.track import track
 
 _TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
@@ -24,6 +24,11 @@ _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 """Channels of each part of the commands' noise."""
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
+_MOST_ROWS = 12_000
+"""Of all flights together, four minutes at 50 a second: of longer logs fewer are taken.
+
+What is true of every row is true of every second one; only intervals get wider, and these rows are enough to name.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +48,7 @@ class SimulatorBench:
         out = []
         for s, k in zip(self.flights, self.every, strict=True):
             flight = track(s)
-            y = flight.lowpass(flight.measured - predict(vehicle, s))[::k]
+            y = disagreement(vehicle, s)[0][::k].copy()
             y[~flight.usable[::k]] = np.nan
             out.append(y)
         return out
@@ -89,7 +94,7 @@ def simulator_bench(
     vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
 ) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
-    every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
+    every = _every(flights)
     return SimulatorBench(
         tuple(flights),
         tuple(with_smooth_commands(s, vehicle) for s in flights),
@@ -97,3 +102,14 @@ def simulator_bench(
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
     )
+
+
+def _every(flights: Sequence[Samples]) -> tuple[int, ...]:
+    """Samples for each row, by flight: whole multiples of the samples for which columns are evaluated once."""
+    every = []
+    for s in flights:
+        most = max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s)))
+        every.append(most - most % min(evaluated_every(s), most))
+    rows = sum(len(s.t_s) // k for s, k in zip(flights, every, strict=True))
+    fewer = max(1, -(-rows // _MOST_ROWS))
+    return tuple(k * fewer for k in every)

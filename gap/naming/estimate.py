@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -197,7 +197,7 @@ def _constancy(
     weight = 1.0 / var
     mean = (weight * theta).sum(axis=0) / weight.sum(axis=0)
     q = (weight * (theta - mean) ** 2).sum(axis=0)
-    return np.asarray(chi2_distribution.sf(q, len(estimates) - 1))
+    return np.asarray(chdtrc(len(estimates) - 1, q))
 
 
 def _origin(start: Vehicle, effect: str, parameter: str, now: float) -> float:

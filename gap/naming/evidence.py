@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from flightstack.types import F64
 
 _PASSES = 3
+_BATCH = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +54,24 @@ class Subset:
     """How far chi-square falls."""
     used: int
     """Coefficients that are left in it."""
-    theta: F64
-    """(n,) all coefficients, 0 where not used."""
+    at: NDArray[np.int64]
+    """(k,) columns of its members (n: none)."""
+    values: F64
+    """(k,) their coefficients, 0 where not used."""
+    width: int
+    """n, columns in all."""
+
+    @property
+    def theta(self) -> F64:
+        """(n,) all coefficients, 0 where not used."""
+        full = np.zeros(self.width + 1)
+        full[self.at] = self.values
+        return full[: self.width]
+
+
+def nothing(width: int) -> Subset:
+    """The subset of no candidate, of `width` columns."""
+    return Subset((), 0.0, 0, np.empty(0, dtype=np.int64), np.empty(0), width)
 
 
 def score(gain: F64 | float, used: F64 | int, size: F64 | int, rows: float, candidates: int) -> F64 | float:
@@ -67,40 +84,40 @@ def fit_subsets(
     gram: Gram, subsets: Sequence[tuple[int, ...]], columns: Sequence[NDArray[np.int64]], low: F64, high: F64
 ) -> list[Subset]:
     """Each subset fitted within the bounds (n,); a subset with a member that has no coefficient left gains nothing."""
-    width = max((sum(len(columns[m]) for m in s) for s in subsets), default=0)
+    n, most = len(gram.b), max((len(s) for s in subsets), default=0)
+    table = np.full((len(columns) + 1, max((len(c) for c in columns), default=0)), n)
+    for m, own in enumerate(columns):
+        table[m, : len(own)] = own
     fitted: list[Subset] = []
-    for begin in range(0, len(subsets), 4096):
-        fitted += _fit_batch(gram, subsets[begin : begin + 4096], columns, low, high, width)
+    for begin in range(0, len(subsets), _BATCH):
+        part = subsets[begin : begin + _BATCH]
+        members = np.array([(*s, *([-1] * (most - len(s)))) for s in part], dtype=np.int64).reshape(len(part), most)
+        theta, gain, used = _fit_batch(gram, members, table, low, high)
+        at = table[members].reshape(len(part), -1)
+        fitted += map(Subset, part, gain.tolist(), used.tolist(), at, theta, [n] * len(part))
     return fitted
 
 
 def _fit_batch(
-    gram: Gram,
-    subsets: Sequence[tuple[int, ...]],
-    columns: Sequence[NDArray[np.int64]],
-    low: F64,
-    high: F64,
-    width: int,
-) -> list[Subset]:
+    gram: Gram, members: NDArray[np.int64], table: NDArray[np.int64], low: F64, high: F64
+) -> tuple[F64, F64, NDArray[np.int64]]:
+    """Coefficients (S, k), gain (S,) and count of coefficients used (S,) of subsets (S, most), -1: no member.
+
+    `table`: (candidates + 1, width) columns of each candidate, n where there is none.
+    """
     n = len(gram.b)
-    index = np.full((len(subsets), width), n)
-    owner = np.full((len(subsets), width), -1)
-    for i, members in enumerate(subsets):
-        at = 0
-        for place, m in enumerate(members):
-            index[i, at : at + len(columns[m])] = columns[m]
-            owner[i, at : at + len(columns[m])] = place
-            at += len(columns[m])
+    index = table[members].reshape(len(members), -1)
+    width = index.shape[1]
     size = np.sqrt(np.maximum(np.diag(gram.k), 1e-300))
     k = np.zeros((n + 1, n + 1))
     k[:n, :n] = gram.k / np.outer(size, size)
     b = np.append(gram.b / size, 0.0)
     lower, upper = np.append(low * size, -np.inf), np.append(high * size, np.inf)
     active = (index < n) & (np.append(np.diag(gram.k), 0.0)[index] > 0.0)
+    own = k[index[:, :, None], index[:, None, :]]
     theta = np.zeros(index.shape)
     for _ in range(_PASSES):
-        both = active[:, :, None] & active[:, None, :]
-        matrix = np.where(both, k[index[:, :, None], index[:, None, :]], 0.0)
+        matrix = np.where(active[:, :, None] & active[:, None, :], own, 0.0)
         matrix[:, np.arange(width), np.arange(width)] += np.where(active, 1e-9, 1.0)
         theta = np.linalg.solve(matrix, np.where(active, b[index], 0.0)[:, :, None])[:, :, 0]
         outside = active & ((theta < lower[index]) | (theta > upper[index]))
@@ -108,16 +125,10 @@ def _fit_batch(
             break
         active &= ~outside
     theta = np.where(active & (theta >= lower[index]) & (theta <= upper[index]), theta, 0.0)
-    gain = np.einsum("ij,ij->i", theta, 2.0 * b[index]) - np.einsum(
-        "ij,ijk,ik->i", theta, k[index[:, :, None], index[:, None, :]], theta
-    )
-    result = []
-    for i, members in enumerate(subsets):
-        whole = all(np.any(active[i] & (owner[i] == place)) for place in range(len(members)))
-        full = np.zeros(n + 1)
-        full[index[i]] = theta[i] / np.append(size, 1.0)[index[i]]
-        result.append(Subset(members, float(gain[i]) if whole else -np.inf, int(active[i].sum()), full[:n]))
-    return result
+    gain = np.einsum("ij,ij->i", theta, 2.0 * b[index]) - np.einsum("ij,ijk,ik->i", theta, own, theta)
+    left = active.reshape(*members.shape, table.shape[1]).any(axis=2)
+    gain = np.where((left | (members < 0)).all(axis=1), gain, -np.inf)
+    return theta / np.append(size, 1.0)[index], gain, active.sum(axis=1)
 
 
 def all_subsets(count: int, most: int, exclusive: Sequence[str]) -> list[tuple[int, ...]]:

@@ -19,7 +19,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.naming.candidates import Candidate, fitted
 from gap.naming.design import Bench, Linearised, linearise
-from gap.naming.evidence import Subset, all_subsets, fit_subsets, score
+from gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from gap.naming.whitening import Mask
 from gap.simulate import Knob, value, with_value
 
@@ -39,7 +39,6 @@ _CONVERGED = 0.1
 """Chi-square that another step would gain."""
 _HALVINGS = 3
 _ROPES_M = np.geomspace(0.2, 4.0, 28)
-_NOTHING = Subset((), 0.0, 0, np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +109,7 @@ def search(bench: Bench, start: Vehicle) -> Search:
     """The subsets worth a look, fitted; `start` is the vehicle as its file has it."""
     point = linearise(bench, start, start)
     state = Search(bench, start, point, metric_of(point))
-    _fit_all(state, [_NOTHING])
+    _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     _fit_all(state, _shortlist(_scored(state, subsets)))
     for _ in range(_ROUNDS):
@@ -149,12 +148,10 @@ def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[flo
     gram = point.gram()
     count = len(point.candidates)
     found = fit_subsets(gram, subsets, point.columns, point.low, point.high)
-    scored = [
-        (gram.c + float(score(s.gain, s.used, len(s.members), gram.rows, count)), s)
-        for s in found
-        if np.isfinite(s.gain)
-    ]
-    return sorted(scored, key=lambda item: item[0])
+    gain, used = np.array([s.gain for s in found]), np.array([s.used for s in found])
+    sizes = np.array([len(s.members) for s in found])
+    values = np.asarray(gram.c + score(gain, used, sizes, gram.rows, count))
+    return [(float(values[i]), found[i]) for i in np.argsort(values, kind="stable") if np.isfinite(values[i])]
 
 
 def _neighbours(state: Search) -> list[Subset]:

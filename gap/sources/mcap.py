@@ -13,6 +13,8 @@ _STOPPED_US, _FULL_US = 1000.0, 2000.0
 _MOST = 1e6
 """What is greater is no measurement in SI units."""
 _BATTERY_LEAST_V = 0.5
+_ALIKE = 0.8
+"""Correlation from which an output drives a motor."""
 
 
 def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
@@ -34,6 +36,7 @@ def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
         found["rate_frd_radps"] = _signal(imu, "t_us", "rate_frd_radps")
     if motors is not None and motors["pwm_us"].ndim == 2 and motors["pwm_us"].shape[1] >= 4:
         raw = _signal(motors, "t_us", "pwm_us")
+        _refuse_more_motors(log, raw.value)
         command = (raw.value[:, :4] - _STOPPED_US) / (_FULL_US - _STOPPED_US)
         found["motor"] = Signal(raw.t_s, np.clip(command, 0.0, 1.0), raw.source)
     battery = _table(log, "/vehicle/battery", ("voltage_v",))
@@ -49,6 +52,20 @@ def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
     if not found and log.tables:
         raise InputError(f"log {log.path}: is an MCAP of other origin (no /vehicle topics); convert it to CSV")
     return found, notes
+
+
+def _refuse_more_motors(log: Log, pulse_us: F64) -> None:
+    """Further outputs that rise and fall with the first four are motors; a gimbal's or a gripper's don't."""
+    mean = pulse_us[:, :4].mean(axis=1)
+    others = pulse_us[:, 4:]
+    moving = others[:, np.ptp(others, axis=0) > 0.0] if len(others) else others
+    if np.ptp(mean) == 0.0 or not moving.shape[1]:
+        return
+    alike = sum(np.corrcoef(mean, each)[0, 1] > _ALIKE for each in moving.T)
+    if alike:
+        raise InputError(
+            f"log {log.path}: drives {4 + alike} motors, a vehicle file has 4 rotors; name a quadrotor's flight"
+        )
 
 
 def _table(log: Log, topic: str, columns: tuple[str, ...]) -> Table | None:

@@ -12,7 +12,7 @@ import pytest
 from shipped import load_vehicle
 
 from benchmarks import gap_draw
-from benchmarks.gap_blind import jobs_of
+from benchmarks.gap_blind import jobs_of, pooled
 from benchmarks.gap_cases import HEADER, kinds, make, write
 from benchmarks.gap_flights import (
     L_FORCE,
@@ -30,6 +30,7 @@ from benchmarks.gap_flights import (
 )
 from benchmarks.gap_judge import confusion, judge, summary
 from benchmarks.gap_pilot import Plan
+from benchmarks.gap_rules import meaning
 from benchmarks.gap_tables import BEGIN, END, tables
 from benchmarks.gap_tables import write as write_tables
 from flightstack.effect_specs import EFFECT_SPECS
@@ -134,8 +135,28 @@ def test_the_same_seed_makes_the_same_case_and_another_another() -> None:
 def test_the_campaign_has_300_clean_cases_and_all_kinds() -> None:
     jobs = jobs_of(False, 0)
     assert len(jobs) == len(set(jobs)) >= 500
-    assert sum(kind == "clean" for _, kind, _ in jobs) >= 300
-    assert {kind for _, kind, _ in jobs} == set(kinds())
+    assert sum(kind == "clean" for _, kind, *_ in jobs) >= 300
+    assert {kind for _, kind, *_ in jobs} == set(kinds())
+    inside = [plant for plant, kind, *_ in jobs if not kind.startswith("outside:")]
+    assert inside.count("jsbsim") in (0, pytest.approx(0.5 * len(inside), rel=0.05))
+    assert 0.1 < sum(form == "mcap" for _, _, form, *_ in jobs) / len(jobs) < 0.5
+
+
+def test_only_cases_of_the_same_rules_are_counted_together(tmp_path: Path) -> None:
+    """The journal outlives changes of the workflow; what older rules judged stays in it and is left out."""
+    journal = tmp_path / "journal.jsonl"
+    lines = [
+        {"job": ["native", "clean", "csv", seed, made], "result": {"seed": seed}} for seed, made in ((1, "a"), (2, "b"))
+    ]
+    journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert [row["seed"] for row in pooled(journal, {"b"})] == [2]
+    assert [row["seed"] for row in pooled(journal, {"a", "b"})] == [1, 2]
+
+
+def test_rules_change_with_the_code_and_not_with_its_comments() -> None:
+    said = '"""Text."""\n\ndef f(x):\n    """What."""\n    return x + 1  # why\n'
+    assert meaning(said) == meaning("def f(x):\n    return (x + 1)\n")
+    assert meaning(said) != meaning("def f(x):\n    return x + 2\n")
 
 
 def said(*effects: dict, closed: float | None = None, unexplained: bool = False, depends: tuple[str, ...] = ()) -> dict:

@@ -12,7 +12,7 @@ from gap.compare import expected_noise, figures, noise_floor, residual, rollout_
 from gap.fusion import crossovers
 from gap.records import Samples
 from gap.rollouts import rollout, rollouts
-from gap.simulate import Run
+from gap.run import Run, params_row
 from gap.track import track
 from logs.turn import rotate, rotate_inverse, turned
 from sim.plant import NativePlant
@@ -76,7 +76,7 @@ def test_a_rollout_is_the_plant_s_own_flight(exact: Samples) -> None:
     plant.vel_ned_mps[:] = flight.vel_ned_mps[start]
     plant.q_ned_frd[:] = flight.q_ned_frd[start]
     plant.rate_frd_radps[:] = flight.rate_frd_radps[start]
-    plant.motor_u[:] = Run(vehicle, flight).u[start]
+    plant.motor_u[:] = Run(params_row(vehicle, flight.step_s), flight).u[start]
     for ms in range(1000):
         at = exact.t_s[start] + 0.001 * ms + 0.0005
         plant.step(np.array([np.interp(at, exact.t_s, column) for column in exact.motor.T]))

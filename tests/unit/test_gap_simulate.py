@@ -11,9 +11,21 @@ from scipy.integrate import solve_ivp
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.vehicle import Vehicle
 from gap.records import Samples
+from gap.run import Run, params_row
 from gap.scales import natural_scale
-from gap.simulate import Knob, Run, knobs, predict, sensitivities, sensitivity, timing, unseen, value, with_value
+from gap.simulate import (
+    Knob,
+    knobs,
+    predict,
+    sensitivities,
+    sensitivity,
+    timing,
+    unseen,
+    value,
+    with_value,
+)
 from gap.track import track
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
@@ -67,11 +79,16 @@ def test_drag_at_constant_speed_acts_along_the_body_axes_against_the_turned_velo
     assert shown[500, 1] == pytest.approx(0.6 * 4.0 * np.sin(np.radians(30.0)) / 1.2, rel=1e-9)
 
 
+def _run(vehicle: Vehicle, samples: Samples) -> Run:
+    flight = track(samples)
+    return Run(params_row(vehicle, flight.step_s), flight)
+
+
 def test_rotors_follow_held_commands_with_their_lag_and_delay() -> None:
     vehicle = hidden(quad(), {"motor_lag": {"time_constant_s": 0.05}, "transport_delay": {"delay_s": 0.02}})
     samples = still(u=0.5)
     samples.motor[750:] = 0.7  # repeated values: the log holds its commands
-    u = Run(vehicle, track(samples)).u[:, 0]
+    u = _run(vehicle, samples).u[:, 0]
     t = samples.t_s - samples.t_s[750] - 0.02
     assert u == pytest.approx(np.where(t > 0, 0.7 - 0.2 * np.exp(-np.maximum(t, 0.0) / 0.05), 0.5), abs=1e-9)
 
@@ -79,7 +96,7 @@ def test_rotors_follow_held_commands_with_their_lag_and_delay() -> None:
 def test_rotors_follow_sampled_commands_as_an_integral_of_the_interpolation_does() -> None:
     samples = still()
     samples.motor[:] = 0.6 + 0.1 * np.sin(2.0 * np.pi * 2.0 * samples.t_s)[:, None]
-    u = Run(quad(), track(samples)).u[:, 0]
+    u = _run(quad(), samples).u[:, 0]
     tau, omega = 0.02, 2.0 * np.pi * 2.0
     phase = omega * samples.t_s - np.arctan(omega * tau)
     assert u[500:] == pytest.approx(0.6 + 0.1 / np.hypot(1.0, omega * tau) * np.sin(phase[500:]), abs=1e-4)
@@ -96,7 +113,7 @@ def test_the_load_swings_under_the_measured_motion_as_a_driven_pendulum() -> Non
     samples = still(n=2000)
     push = 1.5 * np.sin(1.7 * samples.t_s)
     samples.accel_frd_mps2[:, 0] = push
-    load = Run(vehicle, track(samples)).load
+    load = _run(vehicle, samples).load
     omega = np.sqrt(G / 0.8)
 
     def pendulum(t: float, y: F64) -> list[float]:
