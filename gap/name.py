@@ -26,7 +26,7 @@ from gap.naming.candidates import negligible
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
-from gap.naming.search import Fit, Search, judged_fit, search
+from gap.naming.search import Fit, Search, judged_fit, move_to, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
@@ -194,8 +194,14 @@ def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: st
 
 
 def _pruned(state: Search) -> Fit:
-    """The best fit, less the members whose own evidence is too thin or whose size is trifling."""
-    best = state.best
+    """The best fit, less the members whose own evidence is too thin or whose size is trifling.
+
+    Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.
+    """
+    key = min(state.fits, key=lambda key: state.fits[key].score)
+    if state.fits[key].vehicle is not state.point.vehicle:
+        move_to(state, state.fits[key].vehicle)
+    best = state.fits[key]
     while best.effects:
         weakest, drop = "", np.inf
         for effect in best.effects:
