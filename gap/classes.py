@@ -22,7 +22,8 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     """Effects that would explain the flights as well in this one's place, closest first."""
     point = state.point
     base = [m for m, c in enumerate(point.candidates) if c.effect in best.effects and c.effect != effect]
-    others = [m for m, c in enumerate(point.candidates) if c.effect not in best.effects]
+    barred = state.barred | set(best.effects)
+    others = [m for m, c in enumerate(point.candidates) if c.effect not in barred]
     gram = point.gram()
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)

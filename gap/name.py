@@ -30,7 +30,7 @@ from gap.naming.search import Fit, Search, judged_fit, move_to, search
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
-from gap.simulate import Knob, sensitivities, value, with_value
+from gap.simulate import Knob, sensitivities, unseen, value, with_value
 from gap.track import track
 
 _LEAST_EVIDENCE = 15.0
@@ -39,7 +39,8 @@ _LEAST_P = 1e-4
 """After Holm's correction for all candidates."""
 _LEAST_SIZES = 3.0
 """Smallest effect that is named, in negligible sizes."""
-_NOT_CONSTANT_P = 1e-6
+_NOT_CONSTANT_P = _LEAST_P / len(EFFECT_SPECS)
+"""Of an effect's being the same everywhere: as sure as a name must be."""
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
 _TOLD_SHARE = 0.05
@@ -126,7 +127,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     corrected = vehicle
     for f in kept:
         corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
-    rejected = _rejected(state, best, tuple(f.name for f in kept), doubtful)
+    rejected = _rejected(bench.flights, state, best, tuple(f.name for f in kept), doubtful)
     return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen, (bench, state))
 
 
@@ -184,13 +185,14 @@ class _Judged:
     constant: Mapping[str, float]
 
 
-def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
-    """Chi-square of the named effects but one, the others fitted again, on the columns at the best."""
+def _fall(state: Search, effects: Collection[str], gone: str) -> float:
+    """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
-    members = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects and c.effect != gone)
-    gram = point.gram()
-    subset = fit_subsets(gram, [members], point.columns, point.low, point.high)[0]
-    return gram.c - (subset.gain if np.isfinite(subset.gain) else 0.0)
+    whole = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects)
+    less = tuple(m for m in whole if point.candidates[m].effect != gone)
+    gains = [s.gain for s in fit_subsets(point.gram(), [whole, less], point.columns, point.low, point.high)]
+    most, least = (gain if np.isfinite(gain) else 0.0 for gain in gains)
+    return float(most - least)
 
 
 def _pruned(state: Search) -> Fit:
@@ -198,7 +200,7 @@ def _pruned(state: Search) -> Fit:
 
     Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.
     """
-    key = min(state.fits, key=lambda key: state.fits[key].score)
+    key = state.best_key
     if state.fits[key].vehicle is not state.point.vehicle:
         move_to(state, state.fits[key].vehicle)
     best = state.fits[key]
@@ -222,7 +224,7 @@ def _evidence(state: Search, best: Fit, effect: str) -> float:
     """By how much the score would rise without the effect."""
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
-    return _without(state, best.effects, effect) - best.chi2 - float(price)
+    return _fall(state, best.effects, effect) - float(price)
 
 
 def _refit(state: Search, best: Fit, gone: str) -> Fit:
@@ -299,7 +301,7 @@ def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) 
 
 def _p_value(state: Search, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
-    fall = _without(state, best.effects, effect) - best.chi2
+    fall = _fall(state, best.effects, effect)
     return float(chi2_distribution.sf(max(fall, 0.0), max(len(best.effects[effect]), 1)))
 
 
@@ -369,7 +371,9 @@ def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
     return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
 
 
-def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]) -> tuple[Rejected, ...]:
+def _rejected(
+    flights: Sequence[Samples], state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]
+) -> tuple[Rejected, ...]:
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point
     gram = point.gram()
@@ -382,6 +386,9 @@ def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[st
         if effect in best.effects:
             reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
             out.append(Rejected(effect, -_evidence(state, best, effect), reason))
+            continue
+        if all(unseen(s, effect) for s in flights):
+            out.append(Rejected(effect, 0.0, "this log can't show it"))
             continue
         tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]
         if not tried:

@@ -19,6 +19,7 @@ import numpy as np
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
+from gap import voltage
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
@@ -90,9 +91,10 @@ def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...
 
 
 def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
-    """Signals that the log lacks and without which it can't show this effect."""
+    """Signals without which a log can't show this effect, and which it lacks or which say nothing of their own."""
     missing = track(samples).missing
-    return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
+    gone = tuple(name for name in NEEDS.get(effect, ()) if name in missing)
+    return ("battery_v",) if effect == "battery_sag" and not gone and not voltage.tells(samples) else gone
 
 
 def predict(vehicle: Vehicle, samples: Samples) -> F64:
@@ -128,7 +130,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
         flight, every = thinned(flight, fewer), every // fewer
     base = Run(vehicle, flight)
     for k, knob in enumerate(columns):
-        if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
+        if not unseen(samples, knob.effect):
             out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
     return out
 

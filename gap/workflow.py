@@ -14,7 +14,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import corrected, doubtful, fitted_plainly, on_edge, trimmings
+from gap.held import doubtful, on_edge, trimmings
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
@@ -61,9 +61,9 @@ def analyse(
         naming = named.without(gone, "does something else on data not used before")
         naming, of = _refined(vehicle, naming, of)
     gap = _verdict(vehicle, naming, of)
-    trimmed = trimmings(vehicle, naming.found, of, gap, naming.constant)
+    trimmed = trimmings(vehicle, naming.found, gap, naming.constant)
     if trimmed:
-        naming = _trimmed(vehicle, naming, trimmed, of)
+        naming = _trimmed(vehicle, naming, trimmed)
         naming, of = _refined(vehicle, naming, of)
         gap = _verdict(vehicle, naming, of)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
@@ -137,13 +137,11 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
-def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str], of: Split) -> Naming:
-    """Less these names, the others fitted plainly; one that then runs to the end of its range goes too."""
+def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str]) -> Naming:
+    """Less these names, the others fitted again; one that then runs to the end of its range goes too."""
     while gone:
-        naming = naming.without(gone, "changes hardly what is left on data not used before")
-        found = fitted_plainly(vehicle, naming.found, of)
-        naming = replace(naming, found=found, vehicle=corrected(vehicle, found))
-        gone = on_edge(found)
+        naming = naming.without(gone, "stands for something else")
+        gone = on_edge(vehicle, naming.found)
     return naming
 
 

@@ -27,7 +27,7 @@ _FEWEST_S = 0.1
 
 
 def leave_out(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding]]:
-    """The samples without those in which a rotor is stopped or was a moment ago, and a word on it where there are any."""
+    """The samples without those in which a rotor is stopped or just was, and a word on it where there are any."""
     stopped = samples.valid & (np.nan_to_num(samples.motor, nan=1.0).min(axis=1) < STOPPED)
     if not stopped.any():
         return samples, []
