@@ -6,10 +6,13 @@ evidence can bear; nothing is taken from a list.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
 from gap.naming.search import Fit, Search, fit_subset
+from gap.records import Found
 
 _ALIKE = 10.0
 """Difference of scores below which one of two effects is not preferred."""
@@ -44,6 +47,14 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
         if fit.score - best.score < bearable:
             found[name] = min(found.get(name, np.inf), fit.score)
     return tuple(sorted(found, key=lambda name: found[name]))
+
+
+def as_one_class(found: Found, effects: tuple[str, ...]) -> Found:
+    """A named effect as indistinguishable from the others of these, if it is one of them."""
+    if found.name not in effects:
+        return found
+    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
+    return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
 def splitting_manoeuvre(effects: tuple[str, ...]) -> str:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -99,18 +98,19 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def trimmings(
-    believed: Vehicle, found: Sequence[Found], gap: Gap, constant: Mapping[str, float] = MappingProxyType({})
-) -> tuple[str, ...]:
-    """Named effects that are no effects of this vehicle, but trim what its model lacks; () near the noise.
+def far_from_noise(gap: Gap) -> bool:
+    """Whether what the model leaves of force or torque is hardly the sensors' noise any more."""
+    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
+    known = [(now, least) for now, least in pairs if now is not None and least is not None]
+    return any(least**2 < (1.0 - _NOT_NOISE) * now**2 for now, least in known)
+
+
+def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:
+    """Named effects that, far from the noise, stand for something else.
 
     Those that stand at the end of their range, and those whose size changes from stretch to stretch (`constant`:
     p-values of its being the same).
     """
-    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
-    known = [(now, least) for now, least in pairs if now is not None and least is not None]
-    if not any(least**2 < (1.0 - _NOT_NOISE) * now**2 for now, least in known):
-        return ()
     ends = on_edge(believed, found)
     return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < _FICKLE_P)
 

@@ -17,7 +17,7 @@ from scipy.stats import chi2 as chi2_distribution
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, splitting_manoeuvre
+from gap.classes import alternatives, as_one_class, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
 from gap.identify import Identifiable, identify
 from gap.locate import locate
@@ -27,6 +27,7 @@ from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
 from gap.naming.search import Fit, Search, judged_fit, move_to, search
+from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rest
@@ -54,6 +55,7 @@ _LOUD_SHARE = 0.5
 _DRIFT_MARGIN = 10.0
 """Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
+_LATE = ("motor_lag", "transport_delay")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +77,21 @@ class Naming:
     _behind: tuple[SimulatorBench, Search] | None = None
     """What it comes from, for `without`."""
 
+    def trifles(self) -> tuple[str, ...]:
+        """Of its names, those that hardly change what is left on held-out data (`gap.naming.trifles`)."""
+        if self._behind is None or not self.found:
+            return ()
+        _, state = self._behind
+        return trifles(state, estimate(state, _values(self.found)), [f.name for f in self.found])
+
+    def lag_and_delay_as_one(self) -> Naming:
+        """The verdict with motor lag and transport delay as one class.
+
+        How late the rotors are in all is known; what of it is lag is a matter of the response's shape, which a model
+        that is far from the noise does not have.
+        """
+        return replace(self, found=tuple(as_one_class(f, _LATE) for f in self.found))
+
     def without(self, gone: Collection[str], reason: str) -> Naming:
         """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.
 
@@ -84,7 +101,7 @@ class Naming:
         back = tuple(Rejected(f.name, f.delta_bic, reason) for f in self.found if f.name in gone)
         assert self._behind is not None  # a verdict that names something has it
         bench, state = self._behind
-        made = estimate(state, {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in kept})
+        made = estimate(state, _values(kept))
         refitted = tuple(replace(f, parameters=_parameters(state, made, f.name)) for f in kept)
         loud = _loud(bench, state.start, _told(bench, state.start, made))
         rest_of = replace(_unexplained(loud), significant=True)
@@ -93,6 +110,10 @@ class Naming:
         return replace(
             self, found=refitted, rejected=(*back, *self.rejected), vehicle=made.vehicle, unexplained=rest_of
         )
+
+
+def _values(found: Sequence[Found]) -> dict[str, dict[str, float]]:
+    return {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in found}
 
 
 def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:

@@ -221,6 +221,15 @@ def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: 
     return layout
 
 
+def plain_layout(bench: Bench, raw_y: list[F64]) -> Layout:
+    """Rows without colour, each channel in units of what is left of it in this residual."""
+    ok = [
+        np.isfinite(y) & (fit_rows | held)[:, None]
+        for y, fit_rows, held in zip(raw_y, bench.fit, bench.holdout, strict=True)
+    ]
+    return _layout(bench, [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)], ok, range(0))
+
+
 def _saturated(layout: Layout, raw_y: list[F64], raw_x: list[F64], negligible: F64) -> F64:
     """Coefficients of all candidates at once; a very wide prior keeps alike columns apart."""
     x, y = layout.stack(raw_x), layout.stack(raw_y)
@@ -240,11 +249,15 @@ def _layout(bench: Bench, errors: list[F64], ok: list[Mask], coloured: range) ->
     whiteners: list[list[Whitener]] = []
     windows: list[list[Mask]] = []
     flight, channel, at, held, keep = [], [], [], [], []
+    learned = [f for f, rows in enumerate(bench.fit) if rows.any()]
     for f, e in enumerate(errors):
         row_whiteners, row_windows = [], []
+        source = [f] if f in learned else learned  # a flight that was kept is whitened as the others are
         for c in range(channels):
             good = ok[f][:, c]
-            whitener = (fit if c in coloured else plain)([e[:, c]], [good & bench.fit[f]])
+            whitener = (fit if c in coloured else plain)(
+                [errors[g][:, c] for g in source], [ok[g][:, c] & bench.fit[g] for g in source]
+            )
             fit_window = whole_windows(good & bench.fit[f], whitener.order)
             window = fit_window | whole_windows(good & bench.holdout[f], whitener.order)
             row_whiteners.append(whitener)
