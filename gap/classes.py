@@ -49,12 +49,18 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     return tuple(sorted(found, key=lambda name: found[name]))
 
 
-def as_one_class(found: Found, effects: tuple[str, ...]) -> Found:
-    """A named effect as indistinguishable from the others of these, if it is one of them."""
-    if found.name not in effects:
-        return found
-    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
-    return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
+_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"))
+"""How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust."""
+
+
+def beside_a_poor_model(found: Found) -> Found:
+    """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
+    for effects in _POORLY_TOLD:
+        if found.name in effects:
+            twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
+            return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
+    return found
 
 
 def splitting_manoeuvre(effects: tuple[str, ...]) -> str:

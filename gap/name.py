@@ -17,7 +17,7 @@ from scipy.stats import chi2 as chi2_distribution
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, as_one_class, splitting_manoeuvre
+from gap.classes import alternatives, beside_a_poor_model, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
 from gap.identify import Identifiable, identify
 from gap.locate import locate
@@ -55,7 +55,6 @@ _LOUD_SHARE = 0.5
 _DRIFT_MARGIN = 10.0
 """Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
-_LATE = ("motor_lag", "transport_delay")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +83,9 @@ class Naming:
         _, state = self._behind
         return trifles(state, estimate(state, _values(self.found)), [f.name for f in self.found])
 
-    def lag_and_delay_as_one(self) -> Naming:
-        """The verdict with motor lag and transport delay as one class.
-
-        How late the rotors are in all is known; what of it is lag is a matter of the response's shape, which a model
-        that is far from the noise does not have.
-        """
-        return replace(self, found=tuple(as_one_class(f, _LATE) for f in self.found))
+    def with_classes_of_a_poor_model(self) -> Naming:
+        """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
+        return replace(self, found=tuple(beside_a_poor_model(f) for f in self.found))
 
     def without(self, gone: Collection[str], reason: str) -> Naming:
         """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.

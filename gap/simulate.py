@@ -130,7 +130,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
         flight, every = thinned(flight, fewer), every // fewer
     base = Run(vehicle, flight)
     for k, knob in enumerate(columns):
-        if not unseen(samples, knob.effect):
+        if not any(name in flight.missing for name in NEEDS.get(knob.effect, ())):
             out[:, :, k] = flight.lowpass(_difference(vehicle, base, knob))[::every]
     return out
 

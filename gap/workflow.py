@@ -146,7 +146,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
         return naming, moved, gap
     while gone := proxies(vehicle, named.found, named.constant) or named.trifles():
         named = named.without(gone, "stands for something else, or changes hardly what is left")
-    named = named.lag_and_delay_as_one()
+    named = named.with_classes_of_a_poor_model()
     forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
     named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
     return named, of, _verdict(vehicle, named, of)

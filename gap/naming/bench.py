@@ -12,7 +12,7 @@ from flightstack.vehicle import Vehicle
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, predict, sensitivities, timing
+from gap.simulate import Knob, predict, sensitivities, timing, unseen
 from gap.track import track
 
 _TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
@@ -49,8 +49,13 @@ class SimulatorBench:
         return out
 
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
-        """Derivatives of the simulated (N, 12, K) of each flight."""
-        return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
+        """Derivatives of the simulated (N, 12, K) of each flight; 0 of what it can't show."""
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            shown = sensitivities(vehicle, s, knobs, k)
+            shown[:, :, [i for i, knob in enumerate(knobs) if unseen(s, knob.effect)]] = 0.0
+            out.append(shown)
+        return out
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
         """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
