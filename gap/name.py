@@ -143,7 +143,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     corrected = vehicle
     for f in kept:
         corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
-    rejected = _rejected(bench.flights, state, best, tuple(f.name for f in kept), doubtful)
+    rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen, (bench, state))
 
 
@@ -388,7 +388,7 @@ def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
 
 
 def _rejected(
-    flights: Sequence[Samples], state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]
+    bench: SimulatorBench, state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]
 ) -> tuple[Rejected, ...]:
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point
@@ -403,7 +403,7 @@ def _rejected(
             reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
             out.append(Rejected(effect, -_evidence(state, best, effect), reason))
             continue
-        if all(unseen(s, effect) for s in flights):
+        if effect in bench.mute or all(unseen(s, effect) for s in bench.flights):
             out.append(Rejected(effect, 0.0, "this log can't show it"))
             continue
         tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]

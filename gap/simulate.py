@@ -19,7 +19,6 @@ import numpy as np
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.types import F64
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
-from gap import voltage
 from gap.records import Samples
 from gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from gap.scales import natural_scale
@@ -91,10 +90,9 @@ def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...
 
 
 def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
-    """Signals without which a log can't show this effect, and which it lacks or which say nothing of their own."""
+    """Signals that the log lacks and without which it can't show this effect."""
     missing = track(samples).missing
-    gone = tuple(name for name in NEEDS.get(effect, ()) if name in missing)
-    return ("battery_v",) if effect == "battery_sag" and not gone and not voltage.tells(samples) else gone
+    return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
 
 
 def predict(vehicle: Vehicle, samples: Samples) -> F64:

@@ -9,10 +9,12 @@ import numpy as np
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap import voltage
+from gap.compare import residual
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
-from gap.simulate import Knob, predict, sensitivities, timing, unseen
+from gap.simulate import Knob, predict, sensitivities, timing
 from gap.track import track
 
 _TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
@@ -37,6 +39,8 @@ class SimulatorBench:
     """Samples for each row, by flight."""
     fit: list[Mask]
     holdout: list[Mask]
+    mute: frozenset[str] = frozenset()
+    """Effects that none of the flights can show beside what the vehicle's model lacks."""
 
     def residual(self, vehicle: Vehicle) -> list[F64]:
         """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
@@ -53,7 +57,7 @@ class SimulatorBench:
         out = []
         for s, k in zip(self.flights, self.every, strict=True):
             shown = sensitivities(vehicle, s, knobs, k)
-            shown[:, :, [i for i, knob in enumerate(knobs) if unseen(s, knob.effect)]] = 0.0
+            shown[:, :, [i for i, knob in enumerate(knobs) if knob.effect in self.mute]] = 0.0
             out.append(shown)
         return out
 
@@ -95,10 +99,14 @@ def simulator_bench(
 ) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
     every = tuple(max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s))) for s in flights)
+    off = [residual(vehicle, s).y[:, 2] for s in flights]
+    lift = [float(np.sqrt(np.mean(y[np.isfinite(y)] ** 2))) if np.isfinite(y).any() else 0.0 for y in off]
+    speaks = any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True))
     return SimulatorBench(
         tuple(flights),
         tuple(with_smooth_commands(s, vehicle) for s in flights),
         every,
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
+        frozenset() if speaks else frozenset({"battery_sag"}),
     )
