@@ -159,7 +159,8 @@ def line(row: Row, data: Path) -> str:
         return f"| {row.key} | {row.expected} | refused: {str(error).split(': ', 1)[-1][:110]} | | | | |"
     closed = "–" if result.gap.closed is None else f"{100.0 * result.gap.closed:.0f} %"
     words = said(result, vehicle(row, data).mass_kg)
-    return f"| {row.key} | {row.expected} | {words} | {lateral(result)} | {lift(result)} | {closed} | {time.perf_counter() - began:.0f} s |"
+    figures = (lateral(result), lift(result), closed, f"{time.perf_counter() - began:.0f} s")
+    return f"| {row.key} | {row.expected} | {words} | {' | '.join(figures)} |"
 
 
 def main() -> int:
@@ -181,7 +182,8 @@ def main() -> int:
 
         page = campaign.ROOT / "docs" / "gap.md"
         text = page.read_text("utf-8")
-        head = "| flight | must say | says | side force falls by | lift falls by | closed | took |\n| --- | --- | --- | --: | --: | --: | --: |"
+        names = ("flight", "must say", "says", "side force falls by", "lift falls by", "closed", "took")
+        head = f"| {' | '.join(names)} |\n| {' | '.join(['---'] * 3 + ['--:'] * 4)} |"
         before, after = text.split(_BEGIN)[0], text.split(_END)[1]
         stamp = f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}; `make gap-recorded`."
         page.write_text(before + "\n".join([_BEGIN, stamp, "", head, *lines, _END]) + after, "utf-8")

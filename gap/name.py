@@ -23,6 +23,7 @@ from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
+from gap.naming.drift import drifts_as_well
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
@@ -52,8 +53,6 @@ _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
 _LOUD_SHARE = 0.5
 """Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
-_DRIFT_MARGIN = 10.0
-"""Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
 
 
@@ -74,7 +73,7 @@ class Naming:
     identifiable: tuple[Identifiable, ...] = ()
     """What these flights could have shown at all (`gap.identify`)."""
     _behind: tuple[SimulatorBench, Search] | None = None
-    """What it comes from, for `without`."""
+    """For `without`."""
 
     def trifles(self) -> tuple[str, ...]:
         """Of its names, those that hardly change what is left on held-out data (`gap.naming.trifles`)."""
@@ -135,7 +134,8 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     seen = identify(state.point)
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
     unexplained = _unexplained(_loud(bench, vehicle, told))
-    if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
+    sagging = any(f.name == "battery_sag" for f in judged.found)
+    if sagging and drifts_as_well(state, judged.estimates, _moved(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         unexplained = Unexplained(True, ("time", "battery"), 1.0)
@@ -336,24 +336,6 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
         else:
             found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
     return found
-
-
-def _drifts_as_well(state: Search, made: Estimates) -> bool:
-    """Whether a thrust that only drifts with time explains the flights as well as the battery's voltage does."""
-    layout = state.point.layout
-    thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
-    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
-    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
-    others = [i for i in range(len(made.slots)) if i not in sag]
-    without = made.rows + made.x[:, sag] @ _moved(state, made)[sag]
-    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
-    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
-    return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
-
-
-def _along(count: int) -> F64:
-    """(N, 1, 1) from -1 to 1 along a flight."""
-    return np.linspace(-1.0, 1.0, count)[:, None, None]
 
 
 def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:

@@ -63,9 +63,7 @@ def test_a_voltage_that_mirrors_the_commands_tells_nothing(flown: Samples) -> No
 
 
 @pytest.mark.parametrize(("fall", "tells"), [(0.04, False), (0.06, True)])
-def test_a_voltage_tells_beside_a_poor_model_from_a_fall_of_a_twentieth_on(
-    flown: Samples, fall: float, tells: bool
-) -> None:
+def test_beside_a_poor_model_a_voltage_tells_from_a_twentieth_on(flown: Samples, fall: float, tells: bool) -> None:
     falling = with_voltage(flown, 16.0 * (1.0 + 0.5 * fall - fall * np.linspace(0.0, 1.0, len(flown.t_s))))
     assert voltage.tells(falling, 5.0) == tells
     assert voltage.tells(falling, 0.1)
