@@ -111,19 +111,42 @@ def said(result: GapResult, mass_kg: float) -> str:
             )
         twins = f" or {', '.join(found.indistinguishable_from)}" if found.indistinguishable_from else ""
         parts.append(f"{found.name} {values}{twins}")
+    late = late_s(result)
+    if late is not None:
+        parts.append(f"lag and delay {1e3 * late:.0f} ms in all")
     rest = result.unexplained
     if rest.significant:
         parts.append(f"unexplained ({', '.join(rest.depends_on) or 'no driver'})")
     return "; ".join(parts) or "nothing"
 
 
+def late_s(result: GapResult) -> float | None:
+    """Lag and delay of the corrected vehicle's rotors in all, where either was named."""
+    if not {"motor_lag", "transport_delay"} & {found.name for found in result.found}:
+        return None
+    effects = result.corrected.effects
+    lag_s = effects.get("motor_lag", {}).get("time_constant_s", result.corrected.rotors.time_constant_s)
+    return float(lag_s) + float(effects.get("transport_delay", {}).get("delay_s", 0.0))
+
+
+def lift(result: GapResult) -> str:
+    """By how much the lift's residual falls on held-out data."""
+    return _fall(result, slice(2, 3))
+
+
 def lateral(result: GapResult) -> str:
     """By how much the side force's residual falls on held-out data."""
+    return _fall(result, slice(0, 2))
+
+
+def _fall(result: GapResult, channels: slice) -> str:
     trace = result.report.traces[0]
     held = np.zeros(len(trace.t_s), bool)
     for first, last in trace.held_out_s:
         held |= (trace.t_s >= first) & (trace.t_s <= last)
-    was, now = (float(np.sqrt(np.nanmean((trace.measured - x)[held][:, :2] ** 2))) for x in (trace.before, trace.after))
+    was, now = (
+        float(np.sqrt(np.nanmean((trace.measured - x)[held][:, channels] ** 2))) for x in (trace.before, trace.after)
+    )
     return f"{100.0 * (1.0 - now / was):.0f} %" if was > 0.0 else "–"
 
 
@@ -133,12 +156,11 @@ def line(row: Row, data: Path) -> str:
     try:
         result = run(row, data)
     except InputError as error:
-        return f"| {row.key} | {row.expected} | refused: {str(error).split(': ', 1)[-1][:110]} | | | |"
+        return f"| {row.key} | {row.expected} | refused: {str(error).split(': ', 1)[-1][:110]} | | | | |"
     closed = "–" if result.gap.closed is None else f"{100.0 * result.gap.closed:.0f} %"
     words = said(result, vehicle(row, data).mass_kg)
-    return (
-        f"| {row.key} | {row.expected} | {words} | {lateral(result)} | {closed} | {time.perf_counter() - began:.0f} s |"
-    )
+    figures = (lateral(result), lift(result), closed, f"{time.perf_counter() - began:.0f} s")
+    return f"| {row.key} | {row.expected} | {words} | {' | '.join(figures)} |"
 
 
 def main() -> int:
@@ -160,9 +182,8 @@ def main() -> int:
 
         page = campaign.ROOT / "docs" / "gap.md"
         text = page.read_text("utf-8")
-        head = (
-            "| flight | must say | says | side force falls by | closed | took |\n| --- | --- | --- | --: | --: | --: |"
-        )
+        names = ("flight", "must say", "says", "side force falls by", "lift falls by", "closed", "took")
+        head = f"| {' | '.join(names)} |\n| {' | '.join(['---'] * 3 + ['--:'] * 4)} |"
         before, after = text.split(_BEGIN)[0], text.split(_END)[1]
         stamp = f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}; `make gap-recorded`."
         page.write_text(before + "\n".join([_BEGIN, stamp, "", head, *lines, _END]) + after, "utf-8")

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.vehicle import Vehicle
-from gap.checks import contact, conventions, quality
+from gap.checks import contact, conventions, quality, stopped
 from gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
 from gap.checks.offsets import find_offsets, is_certain, shifted
 from gap.checks.rotors import judge_vehicle, moves
@@ -64,6 +64,8 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         findings.append(_not_flying())
         return Checked(read, None, tuple(findings), offsets)
     samples, more = contact.leave_out(samples, vehicle)
+    findings += more
+    samples, more = stopped.leave_out(samples, vehicle)
     findings += more
     if "motor" in signals:
         if not moves(samples):

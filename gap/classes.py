@@ -6,10 +6,13 @@ evidence can bear; nothing is taken from a list.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
 from gap.naming.search import Fit, Search, fit_subset
+from gap.records import Found
 
 _ALIKE = 10.0
 """Difference of scores below which one of two effects is not preferred."""
@@ -22,7 +25,8 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     """Effects that would explain the flights as well in this one's place, closest first."""
     point = state.point
     base = [m for m, c in enumerate(point.candidates) if c.effect in best.effects and c.effect != effect]
-    others = [m for m, c in enumerate(point.candidates) if c.effect not in best.effects]
+    barred = state.barred | set(best.effects)
+    others = [m for m, c in enumerate(point.candidates) if c.effect not in barred]
     gram = point.gram()
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
@@ -43,6 +47,20 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
         if fit.score - best.score < bearable:
             found[name] = min(found.get(name, np.inf), fit.score)
     return tuple(sorted(found, key=lambda name: found[name]))
+
+
+_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"))
+"""How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust."""
+
+
+def beside_a_poor_model(found: Found) -> Found:
+    """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
+    for effects in _POORLY_TOLD:
+        if found.name in effects:
+            twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
+            return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
+    return found
 
 
 def splitting_manoeuvre(effects: tuple[str, ...]) -> str:

@@ -17,20 +17,22 @@ from scipy.special import chdtrc
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, splitting_manoeuvre
+from gap.classes import alternatives, beside_a_poor_model, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
 from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
+from gap.naming.drift import drifts_as_well
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
-from gap.naming.search import Fit, Search, judged_fit, search
+from gap.naming.search import Fit, Search, judged_fit, move_to, search
+from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
-from gap.simulate import Knob, sensitivities, value, with_value
+from gap.simulate import Knob, sensitivities, unseen, value, with_value
 from gap.track import track
 
 _LEAST_EVIDENCE = 15.0
@@ -39,7 +41,8 @@ _LEAST_P = 1e-4
 """After Holm's correction for all candidates."""
 _LEAST_SIZES = 3.0
 """Smallest effect that is named, in negligible sizes."""
-_NOT_CONSTANT_P = 1e-6
+_NOT_CONSTANT_P = _LEAST_P / len(EFFECT_SPECS)
+"""Of an effect's being the same everywhere: as sure as a name must be."""
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
 _TOLD_SHARE = 0.05
@@ -50,8 +53,6 @@ _MATTERS_SHARE = 0.03
 """What is left matters from this specific force on, or this share of the angular acceleration flown."""
 _LOUD_SHARE = 0.5
 """Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
-_DRIFT_MARGIN = 10.0
-"""Chi-square by which the voltage must do better than time."""
 _CI = 1.959964
 
 
@@ -72,7 +73,18 @@ class Naming:
     identifiable: tuple[Identifiable, ...] = ()
     """What these flights could have shown at all (`gap.identify`)."""
     _behind: tuple[SimulatorBench, Search] | None = None
-    """What it comes from, for `without`."""
+    """For `without`."""
+
+    def trifles(self) -> tuple[str, ...]:
+        """Of its names, those that hardly change what is left on held-out data (`gap.naming.trifles`)."""
+        if self._behind is None or not self.found:
+            return ()
+        _, state = self._behind
+        return trifles(state, estimate(state, _values(self.found)), [f.name for f in self.found])
+
+    def with_classes_of_a_poor_model(self) -> Naming:
+        """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
+        return replace(self, found=tuple(beside_a_poor_model(f) for f in self.found))
 
     def without(self, gone: Collection[str], reason: str) -> Naming:
         """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.
@@ -83,7 +95,7 @@ class Naming:
         back = tuple(Rejected(f.name, f.delta_bic, reason) for f in self.found if f.name in gone)
         assert self._behind is not None  # a verdict that names something has it
         bench, state = self._behind
-        made = estimate(state, {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in kept})
+        made = estimate(state, _values(kept))
         refitted = tuple(replace(f, parameters=_parameters(state, made, f.name)) for f in kept)
         loud = _loud(bench, state.start, _told(bench, state.start, made))
         rest_of = replace(_unexplained(loud), significant=True)
@@ -92,6 +104,10 @@ class Naming:
         return replace(
             self, found=refitted, rejected=(*back, *self.rejected), vehicle=made.vehicle, unexplained=rest_of
         )
+
+
+def _values(found: Sequence[Found]) -> dict[str, dict[str, float]]:
+    return {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in found}
 
 
 def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
@@ -118,7 +134,8 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     seen = identify(state.point)
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
     unexplained = _unexplained(_loud(bench, vehicle, told))
-    if any(f.name == "battery_sag" for f in judged.found) and _drifts_as_well(state, judged.estimates):
+    sagging = any(f.name == "battery_sag" for f in judged.found)
+    if sagging and drifts_as_well(state, judged.estimates, _moved(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         unexplained = Unexplained(True, ("time", "battery"), 1.0)
@@ -126,7 +143,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     corrected = vehicle
     for f in kept:
         corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
-    rejected = _rejected(state, best, tuple(f.name for f in kept), doubtful)
+    rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen, (bench, state))
 
 
@@ -184,18 +201,25 @@ class _Judged:
     constant: Mapping[str, float]
 
 
-def _without(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
-    """Chi-square of the named effects but one, the others fitted again, on the columns at the best."""
+def _fall(state: Search, effects: Collection[str], gone: str) -> float:
+    """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
-    members = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects and c.effect != gone)
-    gram = point.gram()
-    subset = fit_subsets(gram, [members], point.columns, point.low, point.high)[0]
-    return gram.c - (subset.gain if np.isfinite(subset.gain) else 0.0)
+    whole = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects)
+    less = tuple(m for m in whole if point.candidates[m].effect != gone)
+    gains = [s.gain for s in fit_subsets(point.gram(), [whole, less], point.columns, point.low, point.high)]
+    most, least = (gain if np.isfinite(gain) else 0.0 for gain in gains)
+    return float(most - least)
 
 
 def _pruned(state: Search) -> Fit:
-    """The best fit, less the members whose own evidence is too thin or whose size is trifling."""
-    best = state.best
+    """The best fit, less the members whose own evidence is too thin or whose size is trifling.
+
+    Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.
+    """
+    key = state.best_key
+    if state.fits[key].vehicle is not state.point.vehicle:
+        move_to(state, state.fits[key].vehicle)
+    best = state.fits[key]
     while best.effects:
         weakest, drop = "", np.inf
         for effect in best.effects:
@@ -216,7 +240,7 @@ def _evidence(state: Search, best: Fit, effect: str) -> float:
     """By how much the score would rise without the effect."""
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
-    return _without(state, best.effects, effect) - best.chi2 - float(price)
+    return _fall(state, best.effects, effect) - float(price)
 
 
 def _refit(state: Search, best: Fit, gone: str) -> Fit:
@@ -293,7 +317,7 @@ def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) 
 
 def _p_value(state: Search, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
-    fall = _without(state, best.effects, effect) - best.chi2
+    fall = _fall(state, best.effects, effect)
     return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
@@ -312,24 +336,6 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
         else:
             found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
     return found
-
-
-def _drifts_as_well(state: Search, made: Estimates) -> bool:
-    """Whether a thrust that only drifts with time explains the flights as well as the battery's voltage does."""
-    layout = state.point.layout
-    thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
-    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
-    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
-    others = [i for i in range(len(made.slots)) if i not in sag]
-    without = made.rows + made.x[:, sag] @ _moved(state, made)[sag]
-    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
-    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
-    return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
-
-
-def _along(count: int) -> F64:
-    """(N, 1, 1) from -1 to 1 along a flight."""
-    return np.linspace(-1.0, 1.0, count)[:, None, None]
 
 
 def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
@@ -363,7 +369,9 @@ def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
     return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
 
 
-def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]) -> tuple[Rejected, ...]:
+def _rejected(
+    bench: SimulatorBench, state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]
+) -> tuple[Rejected, ...]:
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point
     gram = point.gram()
@@ -376,6 +384,9 @@ def _rejected(state: Search, best: Fit, found: tuple[str, ...], doubtful: set[st
         if effect in best.effects:
             reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
             out.append(Rejected(effect, -_evidence(state, best, effect), reason))
+            continue
+        if effect in bench.mute or all(unseen(s, effect) for s in bench.flights):
+            out.append(Rejected(effect, 0.0, "this log can't show it"))
             continue
         tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]
         if not tried:

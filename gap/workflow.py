@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import corrected, doubtful, fitted_plainly, on_edge, trimmings
+from gap.held import doubtful, far_from_noise, proxies
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
@@ -51,21 +52,8 @@ def analyse(
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
     on_progress(0.2, "naming")
-    named = naming = name(vehicle, of.flights, of.fit, of.holdout)
-    if naming.found:
-        on_progress(0.6, "refining")
-        naming, of = _refined(vehicle, naming, of)
-    on_progress(0.75, "verifying")
-    gone = doubtful(vehicle, naming.found, of, beside=naming.unexplained.significant) if naming.found else ()
-    if gone:
-        naming = named.without(gone, "does something else on data not used before")
-        naming, of = _refined(vehicle, naming, of)
-    gap = _verdict(vehicle, naming, of)
-    trimmed = trimmings(vehicle, naming.found, of, gap, naming.constant)
-    if trimmed:
-        naming = _trimmed(vehicle, naming, trimmed, of)
-        naming, of = _refined(vehicle, naming, of)
-        gap = _verdict(vehicle, naming, of)
+    naming = name(vehicle, of.flights, of.fit, of.holdout)
+    naming, of, gap = _judged(vehicle, naming, of, on_progress)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
@@ -122,11 +110,12 @@ def _usable(checked: Checked) -> Samples:
     return checked.samples
 
 
-def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split]:
-    """The named effects' parameters by output error through the simulator, and when the commands really acted."""
+def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str] | None = None) -> tuple[Naming, Split]:
+    """The named effects' parameters (or some) by output error through the simulator, and when commands really acted."""
     used = [k for k, mask in enumerate(of.fit) if mask.any()]
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
-    refined = refine(vehicle, naming.vehicle, flights, masks, [found.name for found in naming.found])
+    names = [found.name for found in naming.found] if effects is None else effects
+    refined = refine(vehicle, naming.vehicle, flights, masks, names)
     if refined is None:
         return naming, of
     found = tuple(
@@ -137,14 +126,30 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split) -> tuple[Naming, Split
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
-def _trimmed(vehicle: Vehicle, naming: Naming, gone: Sequence[str], of: Split) -> Naming:
-    """Less these names, the others fitted plainly; one that then runs to the end of its range goes too."""
-    while gone:
-        naming = naming.without(gone, "changes hardly what is left on data not used before")
-        found = fitted_plainly(vehicle, naming.found, of)
-        naming = replace(naming, found=found, vehicle=corrected(vehicle, found))
-        gone = on_edge(found)
-    return naming
+def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
+    """The names that hold on data not used before, refined, and the gap with them.
+
+    Refinement trusts the structure.  Where the model stays far from the noise, only what clearly matters is named,
+    and the naming's own estimates stand but for forces: torques answer what a rate loop does, forces don't.
+    """
+    if not named.found:
+        return named, of, _verdict(vehicle, named, of)
+    on_progress(0.6, "refining")
+    naming, moved = _refined(vehicle, named, of)
+    on_progress(0.75, "verifying")
+    gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
+    if gone:
+        named = named.without(gone, "does something else on data not used before")
+        naming, moved = _refined(vehicle, named, of)
+    gap = _verdict(vehicle, naming, moved)
+    if not naming.found or not far_from_noise(gap):
+        return naming, moved, gap
+    while gone := proxies(vehicle, named.found, named.constant) or named.trifles():
+        named = named.without(gone, "stands for something else, or changes hardly what is left")
+    named = named.with_classes_of_a_poor_model()
+    forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
+    named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
+    return named, of, _verdict(vehicle, named, of)
 
 
 def _nothing_left(naming: Naming, gap: Gap) -> Naming:

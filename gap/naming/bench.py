@@ -9,6 +9,8 @@ import numpy as np
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from gap import voltage
+from gap.compare import residual
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
@@ -42,6 +44,8 @@ class SimulatorBench:
     """Samples for each row, by flight."""
     fit: list[Mask]
     holdout: list[Mask]
+    mute: frozenset[str] = frozenset()
+    """Effects that none of the flights can show beside what the vehicle's model lacks."""
 
     def residual(self, vehicle: Vehicle) -> list[F64]:
         """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
@@ -54,8 +58,13 @@ class SimulatorBench:
         return out
 
     def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
-        """Derivatives of the simulated (N, 12, K) of each flight."""
-        return [sensitivities(vehicle, s, knobs, k) for s, k in zip(self.flights, self.every, strict=True)]
+        """Derivatives of the simulated (N, 12, K) of each flight; 0 of what it can't show."""
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            shown = sensitivities(vehicle, s, knobs, k)
+            shown[:, :, [i for i, knob in enumerate(knobs) if knob.effect in self.mute]] = 0.0
+            out.append(shown)
+        return out
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
         """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
@@ -95,12 +104,16 @@ def simulator_bench(
 ) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
     every = _every(flights)
+    off = [residual(vehicle, s).y[:, 2] for s in flights]
+    lift = [float(np.sqrt(np.mean(y[np.isfinite(y)] ** 2))) if np.isfinite(y).any() else 0.0 for y in off]
+    speaks = any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True))
     return SimulatorBench(
         tuple(flights),
         tuple(with_smooth_commands(s, vehicle) for s in flights),
         every,
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
+        frozenset() if speaks else frozenset({"battery_sag"}),
     )
 
 

@@ -9,7 +9,9 @@ how far a good model of a good vehicle is off anyway.  The evidence takes every 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
 from flightstack.vehicle import Vehicle
@@ -41,6 +43,36 @@ def negligible(vehicle: Vehicle, effect: str, parameter: str) -> float:
     return _SHARES.get(effect, _SHARE) * natural_scale(vehicle, effect, parameter)
 
 
+_INERTIA = (1.0 / 3.0, 3.0)
+"""Of an inertia's scale: a rod, a disc and a ball of the same mass and reach differ by less."""
+
+
+def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, float]:
+    """Range in which a parameter is still what its name says, inside the table's.
+
+    A mass less than half of the file's, an inertia that no shape of that size has or a centre of mass beyond the
+    rotors stand for something else: torques that do not come, mostly.
+    """
+    spec = _spec(effect, parameter)
+    arm = float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)))
+    own = {"inertia": _INERTIA, "com_offset": (-arm, arm), "payload": (-0.5 * vehicle.mass_kg, spec.maximum)}
+    low, high = own.get(effect, (spec.minimum, spec.maximum))
+    return max(low, spec.minimum), min(high, spec.maximum)
+
+
+def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bool:
+    """Whether an estimate has run against the far end of its range: what it stands for is something else.
+
+    A centre of mass is not judged by its height, which hardly any flight shows.
+    """
+    spec = _spec(effect, parameter)
+    if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
+        return False
+    low, high = plausible(vehicle, effect, parameter)
+    near = 1e-6 * (high - low)
+    return (estimate <= low + near and spec.null != low) or (estimate >= high - near and spec.null != high)
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """One effect (in one variant) as a group of columns."""
@@ -52,6 +84,8 @@ class Candidate:
     """One for each of them, same units."""
     variant: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are held while all candidates are looked at: which rotor, how long a rope."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and greatest value of each of them that is plausible."""
 
     @property
     def key(self) -> str:
@@ -59,8 +93,10 @@ class Candidate:
         return self.effect + "".join(f":{name}={value:g}" for name, value in self.variant.items())
 
     def spec(self, parameter: str) -> ParamSpec:
-        """The table's row of one parameter."""
-        return _spec(self.effect, parameter)
+        """The table's row of one parameter, in its plausible range."""
+        spec = _spec(self.effect, parameter)
+        low, high = self.ranges.get(parameter, (spec.minimum, spec.maximum))
+        return replace(spec, minimum=low, maximum=high)
 
     def values(self, vehicle: Vehicle) -> dict[str, float]:
         """The effect's parameters as this candidate starts from: the vehicle's where it has them, else null."""
@@ -88,7 +124,8 @@ def candidates(vehicle: Vehicle) -> tuple[Candidate, ...]:
             continue
         linear = tuple(p.name for p in spec.params if not p.required)
         sizes = tuple(negligible(vehicle, effect, name) for name in linear)
-        found += [Candidate(effect, linear, sizes, variant) for variant in _VARIANTS.get(effect, ({},))]
+        ranges = {name: plausible(vehicle, effect, name) for name in linear}
+        found += [Candidate(effect, linear, sizes, variant, ranges) for variant in _VARIANTS.get(effect, ({},))]
     return tuple(found)
 
 
@@ -105,4 +142,5 @@ def fitted(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Candid
         _REQUIRED_SHARE * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name) for p in free
     )
     held = {p.name: float(values[p.name]) for p in EFFECT_SPECS[effect].params if p.integer}
-    return Candidate(effect, tuple(p.name for p in free), sizes, held)
+    ranges = {p.name: plausible(vehicle, effect, p.name) for p in free}
+    return Candidate(effect, tuple(p.name for p in free), sizes, held, ranges)

@@ -17,10 +17,12 @@ from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from gap.naming.candidates import Candidate, candidates
 from gap.naming.evidence import Gram, robust
-from gap.naming.whitening import Mask, Whitener, apply, fit, whole_windows
+from gap.naming.whitening import Mask, Whitener, apply, fit, plain, whole_windows
 from gap.simulate import Knob, value
 
 _WHITENINGS = 2
+_ALL, _TORQUES = range(12), range(3, 6)
+"""Channels whose noise has colour."""
 _OUTLIER = 6.0
 FIT, HOLDOUT = 0, -1
 
@@ -174,7 +176,7 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
     knobs = [Knob(group[s.candidate].effect, s.parameter, group[s.candidate].variant) for s in slots]
     raw_x = [np.nan_to_num(x) for x in bench.columns(vehicle, knobs)]
     if layout is None:
-        layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]))
+        layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]), vehicle is start)
     x = layout.stack(raw_x)
     raw_nuisance, sizes, told = bench.nuisance(vehicle)
     nuisance = layout.stack([np.nan_to_num(columns) for columns in raw_nuisance])
@@ -189,24 +191,43 @@ def _slot(m: int, candidate: Candidate, parameter: str, size: float, vehicle: Ve
     return Slot(m, parameter, now, origin if np.isfinite(origin) else now, spec.minimum, spec.maximum, size)
 
 
-def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: F64) -> Layout:
-    """Noise models from what even all candidates together leave, by turns with the fit itself."""
+def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: F64, at_start: bool) -> Layout:
+    """Noise models from what even all candidates together leave, by turns with the fit itself.
+
+    A noise model of a residual from which nothing has been taken yet takes its mean and its drift for colour, and
+    looks away from them ever after.  At the vehicle as its file has it that is wanted: straight lines don't reach
+    as far as it may be off.  Elsewhere it would let a weight go uncarried, and the turns begin without colour.  Not
+    for torques: a rate loop answers a slow disturbance with its own opposite, so that commands and disturbance are
+    alike and the turning is small; without colour that would pass for torques that hardly act (Soderstrom and
+    Ljung, Automatica 1977: in a closed loop only a rich enough model of the noise saves the direct method).
+    """
     ok = [
         np.isfinite(y) & (fit_rows | held)[:, None]
         for y, fit_rows, held in zip(raw_y, bench.fit, bench.holdout, strict=True)
     ]
     errors = [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)]
-    layout = _layout(bench, errors, ok)
+    if not at_start:  # a torque that never changes is no disturbance that a loop answers
+        errors = [e - np.sum(e, axis=0) / np.maximum(good.sum(axis=0), 1) for e, good in zip(errors, ok, strict=True)]
+    layout = _layout(bench, errors, ok, _ALL if at_start else _TORQUES)
     if not (layout.keep & ~layout.held).any():
         raise InputError(
             "the logs hold too little in one piece that a simulation can be compared with; record half a minute in "
             "the air: motors, gyro and accelerometer at 100 Hz or more, attitude and velocity"
         )
-    for _ in range(_WHITENINGS):
+    for coloured in (*([] if at_start else [_TORQUES]), *([_ALL] * _WHITENINGS)):
         theta = _saturated(layout, raw_y, raw_x, negligible)
         errors = [y - x @ theta for y, x in zip(raw_y, raw_x, strict=True)]
-        layout = _layout(bench, errors, ok)
+        layout = _layout(bench, errors, ok, coloured)
     return layout
+
+
+def plain_layout(bench: Bench, raw_y: list[F64]) -> Layout:
+    """Rows without colour, each channel in units of what is left of it in this residual."""
+    ok = [
+        np.isfinite(y) & (fit_rows | held)[:, None]
+        for y, fit_rows, held in zip(raw_y, bench.fit, bench.holdout, strict=True)
+    ]
+    return _layout(bench, [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)], ok, range(0))
 
 
 def _saturated(layout: Layout, raw_y: list[F64], raw_x: list[F64], negligible: F64) -> F64:
@@ -222,16 +243,21 @@ def _saturated(layout: Layout, raw_y: list[F64], raw_x: list[F64], negligible: F
 _WIDE = 1000.0
 
 
-def _layout(bench: Bench, errors: list[F64], ok: list[Mask]) -> Layout:
+def _layout(bench: Bench, errors: list[F64], ok: list[Mask], coloured: range) -> Layout:
+    """Noise models of these errors; channels not in `coloured` have white noise."""
     channels = errors[0].shape[1]
     whiteners: list[list[Whitener]] = []
     windows: list[list[Mask]] = []
     flight, channel, at, held, keep = [], [], [], [], []
+    learned = [f for f, rows in enumerate(bench.fit) if rows.any()]
     for f, e in enumerate(errors):
         row_whiteners, row_windows = [], []
+        source = [f] if f in learned else learned  # a flight that was kept is whitened as the others are
         for c in range(channels):
             good = ok[f][:, c]
-            whitener = fit([e[:, c]], [good & bench.fit[f]])
+            whitener = (fit if c in coloured else plain)(
+                [errors[g][:, c] for g in source], [ok[g][:, c] & bench.fit[g] for g in source]
+            )
             fit_window = whole_windows(good & bench.fit[f], whitener.order)
             window = fit_window | whole_windows(good & bench.holdout[f], whitener.order)
             row_whiteners.append(whitener)

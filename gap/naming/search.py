@@ -17,7 +17,7 @@ import numpy as np
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.naming.candidates import Candidate, fitted
+from gap.naming.candidates import Candidate, at_end, fitted
 from gap.naming.design import Bench, Linearised, linearise
 from gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from gap.naming.whitening import Mask
@@ -66,11 +66,31 @@ class Search:
     metric: Metric
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     """By candidate keys."""
+    barred: set[str] = field(default_factory=set)
+    """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
 
     @property
     def best(self) -> Fit:
-        """The fit with the least score."""
-        return min(self.fits.values(), key=lambda fit: fit.score)
+        """The fit with the least score, of those that stand at no end of what is plausible."""
+        return self.fits[self.best_key]
+
+    @property
+    def best_key(self) -> frozenset[str]:
+        """By which it is kept."""
+        fair = {key: fit.score for key, fit in self.fits.items() if not self.barred & set(fit.effects)}
+        return min((key for key in fair if not _strained(self.start, self.fits[key])), key=lambda key: fair[key])
+
+
+def _strained(start: Vehicle, fit: Fit) -> set[str]:
+    return {e for e, values in fit.effects.items() if any(at_end(start, e, p, x) for p, x in values.items())}
+
+
+def _bar(state: Search) -> bool:
+    """Bar what is strained in the fit that else were the best; whether there was any."""
+    fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
+    strained = _strained(state.start, min(fair, key=lambda fit: fit.score))
+    state.barred |= strained
+    return bool(strained)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,14 +131,23 @@ def search(bench: Bench, start: Vehicle) -> Search:
     state = Search(bench, start, point, metric_of(point))
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
-    _fit_all(state, _shortlist(_scored(state, subsets)))
+    scored = _scored(state, subsets)
+    _fit_all(state, _shortlist(scored))
+    while _bar(state):
+        _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
     for _ in range(_ROUNDS):
         best = state.best
         if best.vehicle is state.point.vehicle:
             break
         move_to(state, best.vehicle)
         _fit_all(state, _neighbours(state))
+        while _bar(state):
+            _fit_all(state, _neighbours(state))
     return state
+
+
+def _allowed(state: Search, members: Sequence[int]) -> bool:
+    return not state.barred & {state.point.candidates[m].effect for m in members}
 
 
 def move_to(state: Search, vehicle: Vehicle) -> None:
@@ -158,7 +187,7 @@ def _neighbours(state: Search) -> list[Subset]:
     """Subsets one member less and up to two more than the best, where they come near it."""
     point, effects = state.point, state.best.effects
     inside = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects)
-    outside = [m for m, c in enumerate(point.candidates) if c.effect not in effects]
+    outside = [m for m, c in enumerate(point.candidates) if c.effect not in effects and _allowed(state, (m,))]
     kept = [inside] + [tuple(m for m in inside if m != gone) for gone in inside]
     subsets = {
         tuple(sorted(base + more))

@@ -66,6 +66,13 @@ def fit(errors: list[F64], ok: list[Mask], *, most: int = ORDER) -> Whitener:
     return Whitener(np.concatenate([[1.0], -coefficients]), max(sigma, 1e-9 * scale))
 
 
+def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
+    """Noise of one channel without colour: its size only."""
+    rows = np.concatenate([e[good] for e, good in zip(errors, ok, strict=True)])
+    usable = len(rows) >= _FEWEST_ROWS and bool(np.any(rows))
+    return Whitener(np.ones(1), float(np.sqrt(np.mean(rows**2))) if usable else np.nan)
+
+
 def apply(whitener: Whitener, values: F64, ok: Mask) -> F64:
     """Filtered and scaled to unit noise: (N,) or (N, k); rows whose window is not whole are for the caller to leave."""
     clean = np.where(ok.reshape((-1,) + (1,) * (values.ndim - 1)), values, 0.0)

@@ -1,0 +1,105 @@
+"""Which of the named effects only trim what a poor model lacks: judged on rows that nothing was learned from.
+
+Far from the noise everything that bends a curve helps a little.  An effect of the vehicle makes what is left on
+held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
+may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
+torques) counts little, or in the rows as they are, where fast disagreement counts little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.types import F64
+from gap.naming.design import Layout, plain_layout
+from gap.naming.estimate import Estimates
+from gap.naming.search import Search
+from gap.naming.whitening import Mask
+from gap.remainder import GROUPS
+from gap.simulate import Knob, value
+
+_CLEARLY = 1.1**2 - 1.0
+"""Share by which a group's mean square must rise without an effect: a tenth of the rms."""
+_SURE = 2.0
+"""Standard errors, over blocks of a second, by which it must rise."""
+_FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """Rows of one kind: `x` (R, n) columns, `whole` (R,) the disagreement with no effect at all."""
+
+    layout: Layout
+    x: F64
+    whole: F64
+    rate: F64
+    """(flights,) rows a second."""
+
+    def left(self, mine: list[int]) -> F64:
+        """(R,) what these columns leave, fitted where one learns."""
+        fit = self.layout.keep & ~self.layout.held
+        x = self.x[:, mine]
+        size = np.maximum(np.linalg.norm(x[fit], axis=0), 1e-300)
+        theta = np.linalg.lstsq(x[fit] / size, self.whole[fit], rcond=1e-9)[0] / size
+        return np.asarray(self.whole - x @ theta)
+
+    def worth(self, base: F64, without: F64) -> float:
+        """Greatest rise of a group's held-out mean square that is sure, relative."""
+        held = self.layout.keep & self.layout.held
+        best = 0.0
+        for channels in GROUPS.values():
+            mine = held & np.isin(self.layout.channel, channels)
+            if not mine.any():
+                continue
+            blocks = self._seconds(mine, without[mine] ** 2 - base[mine] ** 2)
+            risen = float(blocks.sum())
+            if len(blocks) >= _FEWEST_BLOCKS and risen > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
+                best = max(best, risen / max(float(np.sum(base[mine] ** 2)), 1e-300))
+        return best
+
+    def _seconds(self, mine: Mask, change: F64) -> F64:
+        """Sums of these rows' changes over each second of each flight."""
+        flight = self.layout.flight[mine]
+        second = (self.layout.at[mine] / self.rate[flight]).astype(np.int64)
+        _, block = np.unique(np.stack([flight, second]), axis=1, return_inverse=True)
+        return np.asarray(np.bincount(block.ravel(), weights=change), dtype=np.float64)
+
+
+def trifles(state: Search, made: Estimates, effects: Sequence[str]) -> tuple[str, ...]:
+    """Of these effects, all in `made`, those that are taken back; () where nothing is held out."""
+    if not np.any(state.point.layout.keep & state.point.layout.held):
+        return ()
+    views = _views(state, made)
+    left, gone = list(effects), list[str]()
+    while len(left) > 1:
+        worth = {effect: max(_worth(view, made, left, effect) for view in views) for effect in left}
+        weakest = min(worth, key=lambda effect: worth[effect])
+        if worth[weakest] >= _CLEARLY:
+            break
+        gone.append(weakest)
+        left.remove(weakest)
+    return tuple(gone)
+
+
+def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> float:
+    base = [i for i, (effect, _) in enumerate(made.slots) if effect in effects]
+    less = [i for i in base if made.slots[i][0] != gone]
+    return view.worth(view.left(base), view.left(less))
+
+
+def _views(state: Search, made: Estimates) -> tuple[_View, _View]:
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    moved = np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
+    bench, coloured = state.bench, state.point.layout
+    rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
+    rows = bench.residual(made.vehicle)
+    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [Knob(e, p) for e, p in made.slots])]
+    plain = plain_layout(bench, rows)
+    x = plain.stack(raw)
+    return (
+        _View(coloured, made.x, made.rows + made.x @ moved, rate),
+        _View(plain, x, plain.stack(rows) + x @ moved, rate),
+    )
