@@ -38,6 +38,7 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
+_ANSWERS = (m.CommandAck, m.Timesync)
 _RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
@@ -153,14 +154,14 @@ class Companion:
     def _read(self, now_us: int) -> None:
         now = self._now
         while (received := self.link.next_event()) is not None:
-            if received.system == self.link.system and received.component == self.link.component:
+            if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
+                self._take(received.message, now_us)
+            elif received.system == self.link.system and received.component == self.link.component:
                 now.rival = now.rival or "another companion is on this link (our own system and component speak)"
             elif isinstance(received.message, _RIVALS) and received.system != now.system:
                 now.rival = now.rival or f"system {received.system} sends offboard setpoints on this link"
             elif now.system == 0:
                 self._meet(received, now_us)
-            elif received.system == now.system and received.component == px4.COMPONENT_AUTOPILOT:
-                self._take(received.message, now_us)
             elif isinstance(received.message, m.Heartbeat) and received.message.autopilot == px4.AUTOPILOT_PX4:
                 now.foreign_system = received.system
 
@@ -174,7 +175,7 @@ class Companion:
 
     def _take(self, message: object, now_us: int) -> None:
         t_us = self._t_us
-        if isinstance(message, m.CommandAck | m.Timesync) and message.target_system not in (0, self.link.system):
+        if isinstance(message, _ANSWERS) and message.target_system not in (0, self.link.system):
             return  # somebody else's answer
         self.view.update(self._watch.see(message), now_us)
         self._observer.on_message(t_us, message)

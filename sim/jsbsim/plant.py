@@ -8,7 +8,7 @@ the new one.  An effect that changes makes a new aircraft, which takes over stat
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,7 @@ _SHOWN_PLACE = ("position/lat-geod-rad", "position/long-gc-rad", "position/h-agl
 _PLACE = ("ic/lat-geod-rad", "ic/long-gc-rad", "ic/h-agl-ft")
 _START_EULER = tuple(f"ic/{name}-rad" for name in ("phi", "theta", "psi-true"))
 _START_VELOCITY = tuple(f"ic/{name}-fps" for name in ("vn", "ve", "vd"))
+_ONCE: tuple[tuple[Any, ...], ...] = ((),)
 _START_RATES = tuple(f"ic/{name}-rad_sec" for name in "pqr")
 _GROUND_MARGIN_M = 1.0
 """Height over a vehicle's reach from which it can't come down in a step."""
@@ -94,7 +95,7 @@ class JsbsimPlant:
     @property
     def on_ground(self) -> bool:
         """Whether the ground pushed during the last step."""
-        return any(get() != 0.0 for get in self._get_ground)
+        return self._ground_works and any(get() != 0.0 for get in self._get_ground)
 
     @property
     def aircraft_xml(self) -> str:
@@ -103,28 +104,42 @@ class JsbsimPlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        one, two, three, four = self._set_commands
-        a, b, c, d = motor_command.tolist()
-        one(a if 0.0 <= a <= 1.0 else _within(a))
-        two(b if 0.0 <= b <= 1.0 else _within(b))
-        three(c if 0.0 <= c <= 1.0 else _within(c))
-        four(d if 0.0 <= d <= 1.0 else _within(d))
-        self._run()
-        if (self._show() < self._ground_below_m) is not self._ground_works:
-            self._toggle_ground()
-        self.t_us += self.dt_us
+        self.fly(motor_command, read, _ONCE)
 
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands."""
-        for _ in range(steps):
-            self.step(motor_command)
+        self.fly(motor_command, read, _ONCE * steps)
+
+    def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
+        """A step for each item: commands (4,) in, a frame, `look(row, frame, *numbers, *item)`, which gives the height.
+
+        `numbers` are the sixteen that `readings.read` takes; `look` may change the commands.
+        """
+        one, two, three, four = self._set_commands
+        x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._get_state
+        row, frame, low_m, dt_us = self._row, self._frame, self._ground_below_m, self.dt_us
+        for item in each:
+            a, b, c, d = motor_command.tolist()
+            one(a if 0.0 <= a <= 1.0 else _within(a))
+            two(b if 0.0 <= b <= 1.0 else _within(b))
+            three(c if 0.0 <= c <= 1.0 else _within(c))
+            four(d if 0.0 <= d <= 1.0 else _within(d))
+            self._run()
+            height_m = look(
+                row, frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz(),
+                *item,
+            )  # fmt: skip
+            if (height_m < low_m) is not self._ground_works:
+                self._toggle_ground()
+            self.t_us += dt_us
 
     def truth(self) -> Truth:
         """A snapshot."""
         row: Any = tuple(self._row.tolist())
-        u1, u2, u3, u4 = (get() * self._aircraft.speed_unit for get in self._get_speeds)
-        t1, t2, t3, t4 = (get() * self._aircraft.thrust_unit_n for get in self._get_thrusts)
-        north, east, down = (get() * FOOT_M for get in self._get_wind)
+        aircraft = self._aircraft
+        u1, u2, u3, u4 = [get() * aircraft.speed_unit for get in self._get_speeds]
+        t1, t2, t3, t4 = [get() * aircraft.thrust_unit_n for get in self._get_thrusts]
+        north, east, down = [get() * FOOT_M for get in self._get_wind]
         return Truth(
             self.t_us,
             row[R_POS : R_POS + 3],
@@ -213,6 +228,7 @@ class JsbsimPlant:
         fdm, aircraft = self._fdm, self._aircraft
         self._run = fdm.first_run(self._use)
         self._set_commands = tuple(fdm.set(name) for name in aircraft.commands)
+        self._get_state = tuple(map(fdm.get, (*_ECEF, *_VELOCITY, *_EULER, *_RATES, *_FORCES)))
         self._get_speeds = tuple(fdm.get(name) for name in aircraft.speeds)
         self._get_thrusts = tuple(fdm.get(name) for name in aircraft.thrusts)
         self._get_wind = tuple(fdm.get(name) for name in _WIND)
@@ -224,27 +240,13 @@ class JsbsimPlant:
         self._ground_works = True
         self._ground_below_m = _GROUND_MARGIN_M + float(np.max(np.linalg.norm(self.vehicle.rotors.position_m, axis=1)))
         self._frame[F_PER_POUND] = POUND_N / (SLUG_KG * fdm.get("inertia/mass-slugs")())
-        self._show = self._reader()
 
     def _use(self, run: Callable[[], bool]) -> None:
         self._run = run
 
-    def _reader(self) -> Callable[[], float]:
-        """What reads JSBSim's numbers into the row: fifteen calls and a compiled one, spelled out for speed."""
-        get = self._fdm.get
-        x, y, z = map(get, _ECEF)
-        vn, ve, vd = map(get, _VELOCITY)
-        phi, theta, psi = map(get, _EULER)
-        p, q, r = map(get, _RATES)
-        fx, fy, fz = map(get, _FORCES)
-        row, frame = self._row, self._frame
-
-        def show() -> float:
-            return read(
-                row, frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz()
-            )  # fmt: skip
-
-        return show
+    def _show(self) -> None:
+        """Read JSBSim's present numbers into the row."""
+        read(self._row, self._frame, *(get() for get in self._get_state))
 
     def _toggle_ground(self) -> None:
         """JSBSim looks for contacts only where there can be some: a sixth of a step's time."""
