@@ -49,7 +49,6 @@ _SHOWN_PLACE = ("position/lat-geod-rad", "position/long-gc-rad", "position/h-agl
 _PLACE = ("ic/lat-geod-rad", "ic/long-gc-rad", "ic/h-agl-ft")
 _START_EULER = tuple(f"ic/{name}-rad" for name in ("phi", "theta", "psi-true"))
 _START_VELOCITY = tuple(f"ic/{name}-fps" for name in ("vn", "ve", "vd"))
-_ONCE: tuple[tuple[Any, ...], ...] = ((),)
 _START_RATES = tuple(f"ic/{name}-rad_sec" for name in "pqr")
 _GROUND_MARGIN_M = 1.0
 """Height over a vehicle's reach from which it can't come down in a step."""
@@ -104,20 +103,33 @@ class JsbsimPlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        self.fly(motor_command, read, _ONCE)
+        one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
+        a, b, c, d = motor_command.tolist()
+        one(a if 0.0 <= a <= 1.0 else _within(a))
+        two(b if 0.0 <= b <= 1.0 else _within(b))
+        three(c if 0.0 <= c <= 1.0 else _within(c))
+        four(d if 0.0 <= d <= 1.0 else _within(d))
+        self._run()
+        height_m = read(
+            self._row, self._frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(),
+            fx(), fy(), fz(),
+        )  # fmt: skip
+        if (height_m < self._ground_below_m) is not self._ground_works:
+            self._toggle_ground()
+        self.t_us += self.dt_us
 
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands."""
-        self.fly(motor_command, read, _ONCE * steps)
+        for _ in range(steps):
+            self.step(motor_command)
 
     def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
-        """A step for each item: commands (4,) in, a frame, `look(row, frame, *numbers, *item)`, which gives the height.
+        """`step` for each item with `look(row, frame, *numbers, *item)` in `read`'s place: it gives the height.
 
-        `numbers` are the sixteen that `readings.read` takes; `look` may change the commands.
+        `look` may change the commands (4,) and see more than the plant; `numbers` are those that `read` takes.
         """
-        one, two, three, four = self._set_commands
-        x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._get_state
-        row, frame, low_m, dt_us = self._row, self._frame, self._ground_below_m, self.dt_us
+        one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
+        row, frame, low_m = self._row, self._frame, self._ground_below_m
         for item in each:
             a, b, c, d = motor_command.tolist()
             one(a if 0.0 <= a <= 1.0 else _within(a))
@@ -131,7 +143,7 @@ class JsbsimPlant:
             )  # fmt: skip
             if (height_m < low_m) is not self._ground_works:
                 self._toggle_ground()
-            self.t_us += dt_us
+            self.t_us += self.dt_us
 
     def truth(self) -> Truth:
         """A snapshot."""
@@ -227,8 +239,8 @@ class JsbsimPlant:
         """Every property that a step or a snapshot touches, found once."""
         fdm, aircraft = self._fdm, self._aircraft
         self._run = fdm.first_run(self._use)
-        self._set_commands = tuple(fdm.set(name) for name in aircraft.commands)
         self._get_state = tuple(map(fdm.get, (*_ECEF, *_VELOCITY, *_EULER, *_RATES, *_FORCES)))
+        self._wires: tuple[Any, ...] = (*map(fdm.set, aircraft.commands), *self._get_state)
         self._get_speeds = tuple(fdm.get(name) for name in aircraft.speeds)
         self._get_thrusts = tuple(fdm.get(name) for name in aircraft.thrusts)
         self._get_wind = tuple(fdm.get(name) for name in _WIND)
