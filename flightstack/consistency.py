@@ -51,11 +51,6 @@ class Repetition:
             self.value, self.changed_us = value, t_us
         self.held_us = t_us - self.changed_us
 
-    @property
-    def frozen(self) -> bool:
-        """It has stood still for too long."""
-        return self.held_us >= FROZEN_US
-
 
 class EstimateWatch:
     """Watches position, velocity, attitude and IMU of one vehicle; `trouble` names the first contradiction.
@@ -121,10 +116,10 @@ class EstimateWatch:
         measured = _down(q_ned_frd)
         if dt > _STEP_MAX_S:
             self._down = measured
-        self._tilt_error = math.acos(min(1.0, max(-1.0, _dot(measured, self._down))))
-        pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
         (x, y, z), (mx, my, mz) = self._down, measured
-        self._down = _unit((x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z)))
+        self._tilt_error = math.acos(min(1.0, max(-1.0, mx * x + my * y + mz * z)))
+        pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
+        self._down = _unit(x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z))
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED."""
@@ -171,21 +166,19 @@ class EstimateWatch:
     @property
     def trouble(self) -> str:
         """Name of the first contradiction (a row of the fault table), empty where there is none."""
-        if self._attitude.frozen:
+        if self._attitude.held_us >= FROZEN_US:
             return "frozen-attitude"
-        if self._imu.frozen:
+        if self._imu.held_us >= FROZEN_US:
             return "frozen-imu"
-        if self._position.frozen or self._velocity.frozen:
+        if self._position.held_us >= FROZEN_US or self._velocity.held_us >= FROZEN_US:
             return "frozen-position"
         if self._tilt_error > TILT_ERROR_RAD:
             return "attitude-against-gyro"
-        if self.velocity_error_mps > VELOCITY_ERROR_MPS:
+        x, y, z = self._velocity_error
+        if math.sqrt(x * x + y * y + z * z) > VELOCITY_ERROR_MPS:
             return "velocity-against-imu"
-        return "position-against-velocity" if self.position_error_m > POSITION_ERROR_M else ""
-
-
-def _dot(a: Tuple3, b: Tuple3) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        x, y, z = self._position_error
+        return "position-against-velocity" if math.sqrt(x * x + y * y + z * z) > POSITION_ERROR_M else ""
 
 
 def _norm(a: Tuple3) -> float:
@@ -203,10 +196,9 @@ def _turned(d: Tuple3, turn: Tuple3) -> Tuple3:
     (x, y, z), (p, q, r) = d, turn
     a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
     x, y, z = x + a + 0.5 * (b * r - c * q), y + b + 0.5 * (c * p - a * r), z + c + 0.5 * (a * q - b * p)
+    return _unit(x, y, z)
+
+
+def _unit(x: float, y: float, z: float) -> Tuple3:
     size = math.sqrt(x * x + y * y + z * z) or 1.0
     return x / size, y / size, z / size
-
-
-def _unit(a: Tuple3) -> Tuple3:
-    size = _norm(a) or 1.0
-    return a[0] / size, a[1] / size, a[2] / size

@@ -194,7 +194,7 @@ class Companion:
         self._measurement = predict(self.view.streams, t_us)
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
-        now.unfit, now.trouble = self._watch.unfit, self._watch.trouble
+        now.unfit, now.trouble = self._watch.judge()
         if self._guard_since_us >= 0 and now_us - self._guard_since_us > now.config.blind_s * SECOND_US:
             now.trouble = f"stale-{lost}" if lost else "guard"
         if now.state is State.OFFBOARD and self.mission is not None:

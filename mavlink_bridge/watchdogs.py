@@ -160,17 +160,21 @@ class Watchdogs:
         """A tick at local time `now_us`."""
         self._pace_trouble = self.pace.step(now_us, self._clock.rate)
 
-    @property
-    def unfit(self) -> str:
-        """Name of a row that says that the state is not fit to fly with; empty where it is."""
-        return self._flags_trouble or self.estimate.trouble
+    def judge(self) -> tuple[str, str]:
+        """Names of two rows: one that says that the state is not fit to fly with, and the first that applies at all.
+
+        Empty where all is well.
+        """
+        contradiction = self.estimate.trouble
+        unfit = self._flags_trouble or contradiction
+        if self._flying and self._clock.jumps > self._clock_jumps:
+            return unfit, "reboot" if self._behind else "clock"
+        return unfit, self._pace_trouble or self._flags_trouble or self.resets.trouble or contradiction
 
     @property
     def trouble(self) -> str:
-        """Name of the first row that applies, empty where all is well."""
-        if self._flying and self._clock.jumps > self._clock_jumps:
-            return "reboot" if self._behind else "clock"
-        return self._pace_trouble or self._flags_trouble or self.resets.trouble or self.estimate.trouble
+        """The second of the two."""
+        return self.judge()[1]
 
     def _imu(self, message: m.HighresImu) -> m.HighresImu:
         """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
