@@ -7,6 +7,8 @@ stack lives in the vehicle's time (`vehicle_clock`), in which stamps, delays and
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from flightstack.guard import stale
@@ -104,7 +106,8 @@ class Companion:
     @property
     def done(self) -> bool:
         """Nothing more will happen; what is queued should still be sent."""
-        return self.state in FINAL or (self._config.dry_run and self.state is State.STREAMING)
+        state = self._now.state
+        return state in FINAL or (self._config.dry_run and state is State.STREAMING)
 
     @property
     def completed(self) -> bool:
@@ -153,7 +156,7 @@ class Companion:
 
     def _read(self, now_us: int) -> None:
         now = self._now
-        while (received := self.link.next_event()) is not None:
+        for received in self.link.take_events():
             if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
                 self._take(received.message, now_us)
             elif received.system == self.link.system and received.component == self.link.component:
@@ -173,15 +176,15 @@ class Companion:
             self.link.expect_peer(received.system)
             self._take(message, now_us)
 
-    def _take(self, message: object, now_us: int) -> None:
-        t_us = self._t_us
-        if isinstance(message, _ANSWERS) and message.target_system not in (0, self.link.system):
+    def _take(self, message: Any, now_us: int) -> None:
+        t_us, kind = self._t_us, type(message)
+        if kind in _ANSWERS and message.target_system not in (0, self.link.system):
             return  # somebody else's answer
         self.view.update(self._watch.see(message), now_us)
         self._observer.on_message(t_us, message)
-        if isinstance(message, m.CommandAck):
+        if kind is m.CommandAck:
             self._commands.acknowledge(message)
-        elif isinstance(message, m.Statustext):
+        elif kind is m.Statustext:
             self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
         elif self.view.mode_at_us >= 0 and self.view.custom_mode != self._mode_seen:
             self._mode_seen = self.view.custom_mode

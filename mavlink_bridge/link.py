@@ -154,6 +154,14 @@ class Link:
         """The oldest message not yet handed out, None where there is none."""
         return self._events.popleft() if self._events else None
 
+    def take_events(self) -> tuple[Received, ...]:
+        """All of them, the oldest first."""
+        if not self._events:
+            return ()
+        taken = tuple(self._events)
+        self._events.clear()
+        return taken
+
     def send(self, message: Any, *, component: int | None = None) -> None:
         """Queue a message, as this link's component or as another one of the same system."""
         row = BY_EVENT[type(message)]

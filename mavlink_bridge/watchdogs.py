@@ -112,7 +112,7 @@ class PaceWatch:
             self._last_us = now_us
             return ""
         self.gap_us, self._last_us = round((now_us - self._last_us) * rate), now_us
-        missed = max(0, round(self.gap_us / self.period_us) - 1)
+        missed = round(self.gap_us / self.period_us) - 1 if self.gap_us > self.period_us else 0
         if missed:
             self._missed.append((now_us, missed))
             self._sum += missed

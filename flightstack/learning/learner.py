@@ -210,9 +210,8 @@ class GpLearner:
 
     def _stage(self, state: LearnerState, t_us: int, fit: bool) -> tuple[int, float]:
         """Stage by the table above, and the share of what is learned that is fed forward."""
-        enough = min(len(state.lateral.gp), len(state.vertical.gp)) >= self.config.valid_points
         if state.valid_us < 0:
-            if not enough:
+            if min(len(state.lateral.gp), len(state.vertical.gp)) < self.config.valid_points:
                 return int(fit), 0.0
             state.valid_us = t_us
         weight = min((t_us - state.valid_us) / (1e6 * self.config.ramp_s), 1.0)
