@@ -117,6 +117,7 @@ class CertifyResult:
         return {
             "schema": "flightstack.certify/1",
             "mode": "as-published" if self.as_published else "sound",
+            "plant": flight.plant,
             **(Figures.nothing() if self.figures is None else self.figures.as_json()),
             "rounds": 0 if self.state is None else len(self.state.rounds),
             "exits": flight.barrier["violations"],

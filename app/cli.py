@@ -197,6 +197,7 @@ def certify(
         bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
     ] = False,
     vehicle: VehicleOption = None,
+    plant: PlantOption = PlantName.native,
     truth: TruthOption = None,
     sensors: SensorsOption = None,
     seed: SeedOption = 0,
@@ -224,6 +225,7 @@ def certify(
         scenario=scenario,
         as_published=as_published,
         vehicle=vehicle,
+        plant=plant.value,
         truth=truth,
         sensors=sensors.value if sensors else None,
         seed=seed,

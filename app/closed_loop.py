@@ -91,6 +91,7 @@ def fly(
     make_stack: Callable[[Model, Limits], Stack] = Stack,
     latency_ticks: int = 1,
     truth: Vehicle | None = None,
+    plant: str = "native",
 ) -> Flight:
     """Climb, run up and track, all from estimates; the true position is only scored.
 
@@ -98,7 +99,8 @@ def fly(
     """
     limits = dataclasses.replace(scenario.limits, latency_max_us=10_000 + latency_ticks * TICK_MS * 1000)
     stack = make_stack(Model.from_vehicle(believed), limits)
-    vehicle = simulated_vehicle(believed, truth or scenario.truth_vehicle(believed), load_grade(grade), seed=seed)
+    flies = truth or scenario.truth_vehicle(believed)
+    vehicle = simulated_vehicle(believed, flies, load_grade(grade), seed=seed, plant=plant)
     wire = _Wire(latency_ticks)
     for _ in range(20 + latency_ticks):
         vehicle.advance(ControlSetpoint(ControlKind.RATE, thrust_norm=0.0), TICK_MS)

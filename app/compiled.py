@@ -10,9 +10,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from flightstack.jit import cache_folder
+from flightstack.types import InputError
 
 _ROOT = Path(__file__).resolve().parent.parent
 _MARKER = "flight-is-compiled"
@@ -41,6 +43,8 @@ def main() -> None:
 
     for scenario in _SCENARIOS:
         warm_up_all(prepare(FlyOptions(scenario=scenario)))
+    with suppress(InputError):  # not every machine has JSBSim
+        warm_up_all(prepare(FlyOptions(scenario=_SCENARIOS[0], plant="jsbsim")))
     (cache_folder() / _MARKER).touch()
 
 

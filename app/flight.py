@@ -190,6 +190,8 @@ class SimulatedFlight:
 
     def _carry(self, datagrams: list[bytes], sender: UdpSocket, receiver: UdpSocket) -> list[bytes]:
         """Send a tick's messages, packed into as few datagrams as hold them, and wait until they are there."""
+        if not datagrams:
+            return datagrams
         for data in datagrams:
             sender.send(data)
         arrived = receiver.receive_exactly(len(datagrams), LOCKSTEP_TIMEOUT_S)

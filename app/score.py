@@ -136,6 +136,6 @@ def link_summary(companion: Companion) -> dict[str, object]:
 
 def _relative(position_ned_m: Position, start_ned_m: Position) -> Tuple3:
     """A position seen from where the flight began."""
-    north, east, down = position_ned_m
-    start_n, start_e, start_d = start_ned_m
-    return float(north - start_n), float(east - start_e), float(down - start_d)
+    north, east, down = position_ned_m if isinstance(position_ned_m, tuple) else position_ned_m.tolist()
+    start_n, start_e, start_d = start_ned_m if isinstance(start_ned_m, tuple) else start_ned_m.tolist()
+    return north - start_n, east - start_e, down - start_d

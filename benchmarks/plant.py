@@ -36,6 +36,7 @@ DT_S = 1e-3
 RUNS = 3
 BATCH = 10_000
 COMMAND = np.full(4, 0.7)
+IN_THE_AIR = "--plant jsbsim, in the air"
 ALL_EFFECTS: dict[str, dict[str, float]] = {
     "payload": {"mass_kg": 0.1},
     "thrust_scale": {"scale": 1.05},
@@ -186,14 +187,20 @@ def jsbsim(seconds: float) -> Iterator[Row]:
         return 2000
 
     yield Row("JSBSim", "one vehicle, a call a step", best_rate(run, seconds), "its default integrators")
-    yield Row("JSBSim plant", "quad-x in the air, a call a step", best_rate(_jsbsim_plant(), seconds), "--plant jsbsim")
+    for path in sorted((ROOT / "vehicles").glob("*.toml")):
+        vehicle = parse_vehicle(path.read_text(), path.name)
+        yield Row("JSBSim plant", f"{path.stem}, a call a step", best_rate(_jsbsim_plant(vehicle), seconds), IN_THE_AIR)
+    moved_by_air = ("rotor_drag", "translational_lift")
+    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    vehicle = with_effects(parse_vehicle(text, "quad-x.toml"), {name: ALL_EFFECTS[name] for name in moved_by_air})
+    what = "quad-x, rotor drag and lift, a call a step"
+    yield Row("JSBSim plant", what, best_rate(_jsbsim_plant(vehicle), seconds), IN_THE_AIR)
 
 
-def _jsbsim_plant() -> Callable[[], int]:
+def _jsbsim_plant(vehicle: Vehicle) -> Callable[[], int]:
     """Our plant on JSBSim: commands in, a frame, all that a `Plant` shows out."""
     from sim.jsbsim.plant import JsbsimPlant
 
-    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
     plant = JsbsimPlant(vehicle, seed=0)
     plant.place(pos_ned_m=(0.0, 0.0, -50.0), motor_u=COMMAND.tolist())
 

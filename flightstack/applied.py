@@ -42,14 +42,15 @@ class Applied(NamedTuple):
     def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
         """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
         norm = sent.thrust_norm
-        recent = self.recent_norm + min(max(dt_us / _RECENT_US, 0.0), 1.0) * (norm - self.recent_norm)
+        recent = self.recent_norm + _share(dt_us / _RECENT_US) * (norm - self.recent_norm)
         a, b, c, d = motor_command.tolist()
         steady = norm > _LEAST_NORM and abs(norm - recent) < _STEADY * norm
-        if not (steady and min(a, b, c, d) >= 0.0 and max(a, b, c, d) <= 1.0 and a + b + c + d >= 0.0):
+        inside = 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0 and 0.0 <= c <= 1.0 and 0.0 <= d <= 1.0  # False for NaN
+        if not (steady and inside):
             return Applied(recent, self.sent, self.measured)
         f = model.thrust_model_factor
         mean = 0.25 * (f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d))
-        share = min(max(dt_us / _TIME_CONSTANT_US, 0.0), 1.0)
+        share = _share(dt_us / _TIME_CONSTANT_US)
         measured = model.norm_of(mean * model.max_thrust_n)
         return Applied(
             recent, self.sent + share * (norm - self.sent), self.measured + share * (measured - self.measured)
@@ -59,3 +60,8 @@ class Applied(NamedTuple):
         """The command as it was applied; the very same one where nothing was changed."""
         ratio = self.ratio
         return sent if ratio == 1.0 else sent._replace(thrust_norm=min(1.0, sent.thrust_norm * ratio))
+
+
+def _share(value: float) -> float:
+    """Within 0..1."""
+    return 0.0 if value < 0.0 else 1.0 if value > 1.0 else value

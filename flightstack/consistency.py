@@ -51,11 +51,6 @@ class Repetition:
             self.value, self.changed_us = value, t_us
         self.held_us = t_us - self.changed_us
 
-    @property
-    def frozen(self) -> bool:
-        """It has stood still for too long."""
-        return self.held_us >= FROZEN_US
-
 
 class EstimateWatch:
     """Watches position, velocity, attitude and IMU of one vehicle; `trouble` names the first contradiction.
@@ -94,7 +89,13 @@ class EstimateWatch:
         self._imu_us = t_us
         self._imu.see(t_us, (force_frd_mps2, rate_frd_radps))
         if dt <= _STEP_MAX_S:
-            north, east, down = _to_world(self._q, force_frd_mps2)
+            (w, x, y, z), (fx, fy, fz) = self._q, force_frd_mps2  # R f = f + 2 w (u x f) + 2 u x (u x f)
+            tx, ty, tz = 2.0 * (y * fz - z * fy), 2.0 * (z * fx - x * fz), 2.0 * (x * fy - y * fx)
+            north, east, down = (
+                fx + w * tx + y * tz - z * ty,
+                fy + w * ty + z * tx - x * tz,
+                fz + w * tz + x * ty - y * tx,
+            )
             x, y, z = self._velocity_error
             fade = math.exp(-dt / _VELOCITY_FORGET_S)
             down += STANDARD_GRAVITY_MPS2
@@ -115,10 +116,10 @@ class EstimateWatch:
         measured = _down(q_ned_frd)
         if dt > _STEP_MAX_S:
             self._down = measured
-        self._tilt_error = math.acos(min(1.0, max(-1.0, _dot(measured, self._down))))
-        pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
         (x, y, z), (mx, my, mz) = self._down, measured
-        self._down = _unit((x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z)))
+        self._tilt_error = math.acos(min(1.0, max(-1.0, mx * x + my * y + mz * z)))
+        pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
+        self._down = _unit(x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z))
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED."""
@@ -165,21 +166,19 @@ class EstimateWatch:
     @property
     def trouble(self) -> str:
         """Name of the first contradiction (a row of the fault table), empty where there is none."""
-        if self._attitude.frozen:
+        if self._attitude.held_us >= FROZEN_US:
             return "frozen-attitude"
-        if self._imu.frozen:
+        if self._imu.held_us >= FROZEN_US:
             return "frozen-imu"
-        if self._position.frozen or self._velocity.frozen:
+        if self._position.held_us >= FROZEN_US or self._velocity.held_us >= FROZEN_US:
             return "frozen-position"
         if self._tilt_error > TILT_ERROR_RAD:
             return "attitude-against-gyro"
-        if self.velocity_error_mps > VELOCITY_ERROR_MPS:
+        x, y, z = self._velocity_error
+        if math.sqrt(x * x + y * y + z * z) > VELOCITY_ERROR_MPS:
             return "velocity-against-imu"
-        return "position-against-velocity" if self.position_error_m > POSITION_ERROR_M else ""
-
-
-def _dot(a: Tuple3, b: Tuple3) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        x, y, z = self._position_error
+        return "position-against-velocity" if math.sqrt(x * x + y * y + z * z) > POSITION_ERROR_M else ""
 
 
 def _norm(a: Tuple3) -> float:
@@ -192,28 +191,14 @@ def _down(q: Tuple4) -> Tuple3:
     return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
 
 
-def _to_world(q: Tuple4, v: Tuple3) -> Tuple3:
-    """Turn a body vector into the world: v + 2 w (u x v) + 2 u x (u x v) with u the vector part."""
-    w, x, y, z = q
-    tx, ty, tz = 2.0 * (y * v[2] - z * v[1]), 2.0 * (z * v[0] - x * v[2]), 2.0 * (x * v[1] - y * v[0])
-    return (
-        v[0] + w * tx + y * tz - z * ty,
-        v[1] + w * ty + z * tx - x * tz,
-        v[2] + w * tz + x * ty - y * tx,
-    )
-
-
 def _turned(d: Tuple3, turn: Tuple3) -> Tuple3:
     """A world vector `d`, seen from a body that turns by the small rotation vector `turn`; of length 1."""
-    cross = _cross(d, turn)
-    again = _cross(cross, turn)
-    return _unit((d[0] + cross[0] + 0.5 * again[0], d[1] + cross[1] + 0.5 * again[1], d[2] + cross[2] + 0.5 * again[2]))
+    (x, y, z), (p, q, r) = d, turn
+    a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
+    x, y, z = x + a + 0.5 * (b * r - c * q), y + b + 0.5 * (c * p - a * r), z + c + 0.5 * (a * q - b * p)
+    return _unit(x, y, z)
 
 
-def _unit(a: Tuple3) -> Tuple3:
-    size = _norm(a) or 1.0
-    return a[0] / size, a[1] / size, a[2] / size
-
-
-def _cross(a: Tuple3, b: Tuple3) -> Tuple3:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def _unit(x: float, y: float, z: float) -> Tuple3:
+    size = math.sqrt(x * x + y * y + z * z) or 1.0
+    return x / size, y / size, z / size

@@ -224,7 +224,7 @@ class FlightLog:
         if self._silent:
             return
         try:
-            channel = self._channels.get(topic) or self._open_channel(topic)
+            channel = self._channels[topic] if topic in self._channels else self._open_channel(topic)
             if channel.is_log:
                 record = viewer.log_line(t_us, *record)  # type: ignore[misc]
             try:

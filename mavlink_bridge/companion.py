@@ -7,6 +7,8 @@ stack lives in the vehicle's time (`vehicle_clock`), in which stamps, delays and
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from flightstack.guard import stale
@@ -38,6 +40,7 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
+_ANSWERS = (m.CommandAck, m.Timesync)
 _RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
@@ -103,7 +106,8 @@ class Companion:
     @property
     def done(self) -> bool:
         """Nothing more will happen; what is queued should still be sent."""
-        return self.state in FINAL or (self._config.dry_run and self.state is State.STREAMING)
+        state = self._now.state
+        return state in FINAL or (self._config.dry_run and state is State.STREAMING)
 
     @property
     def completed(self) -> bool:
@@ -152,15 +156,15 @@ class Companion:
 
     def _read(self, now_us: int) -> None:
         now = self._now
-        while (received := self.link.next_event()) is not None:
-            if received.system == self.link.system and received.component == self.link.component:
+        for received in self.link.take_events():
+            if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
+                self._take(received.message, now_us)
+            elif received.system == self.link.system and received.component == self.link.component:
                 now.rival = now.rival or "another companion is on this link (our own system and component speak)"
             elif isinstance(received.message, _RIVALS) and received.system != now.system:
                 now.rival = now.rival or f"system {received.system} sends offboard setpoints on this link"
             elif now.system == 0:
                 self._meet(received, now_us)
-            elif received.system == now.system and received.component == px4.COMPONENT_AUTOPILOT:
-                self._take(received.message, now_us)
             elif isinstance(received.message, m.Heartbeat) and received.message.autopilot == px4.AUTOPILOT_PX4:
                 now.foreign_system = received.system
 
@@ -172,15 +176,15 @@ class Companion:
             self.link.expect_peer(received.system)
             self._take(message, now_us)
 
-    def _take(self, message: object, now_us: int) -> None:
-        t_us = self._t_us
-        if isinstance(message, m.CommandAck | m.Timesync) and message.target_system not in (0, self.link.system):
+    def _take(self, message: Any, now_us: int) -> None:
+        t_us, kind = self._t_us, type(message)
+        if kind in _ANSWERS and message.target_system not in (0, self.link.system):
             return  # somebody else's answer
         self.view.update(self._watch.see(message), now_us)
         self._observer.on_message(t_us, message)
-        if isinstance(message, m.CommandAck):
+        if kind is m.CommandAck:
             self._commands.acknowledge(message)
-        elif isinstance(message, m.Statustext):
+        elif kind is m.Statustext:
             self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
         elif self.view.mode_at_us >= 0 and self.view.custom_mode != self._mode_seen:
             self._mode_seen = self.view.custom_mode
@@ -193,7 +197,7 @@ class Companion:
         self._measurement = predict(self.view.streams, t_us)
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
-        now.unfit, now.trouble = self._watch.unfit, self._watch.trouble
+        now.unfit, now.trouble = self._watch.judge()
         if self._guard_since_us >= 0 and now_us - self._guard_since_us > now.config.blind_s * SECOND_US:
             now.trouble = f"stale-{lost}" if lost else "guard"
         if now.state is State.OFFBOARD and self.mission is not None:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 from fastcrc.crc16 import mcrf4xx
 
+from mavlink_bridge.codec import Row
 from mavlink_bridge.framing import (
     CRC_STEP,
     HEADER,
@@ -38,6 +39,11 @@ MAX_DATAGRAM = 1400
 _REORDER_WINDOW = 16
 _SHORTEST = HEADER_SIZE + 2
 _EXTRAS = CRC_EXTRAS | {row.id: row.crc_extra for row in MESSAGES}
+_KNOWN: dict[int, tuple[int | None, Row | None]] = {
+    number: (extra, BY_ID.get(number)) for number, extra in _EXTRAS.items()
+}
+"""Id -> CRC extra and row, None where there is none."""
+_UNKNOWN = (None, None)
 
 
 class Received(NamedTuple):
@@ -148,6 +154,14 @@ class Link:
         """The oldest message not yet handed out, None where there is none."""
         return self._events.popleft() if self._events else None
 
+    def take_events(self) -> tuple[Received, ...]:
+        """All of them, the oldest first."""
+        if not self._events:
+            return ()
+        taken = tuple(self._events)
+        self._events.clear()
+        return taken
+
     def send(self, message: Any, *, component: int | None = None) -> None:
         """Queue a message, as this link's component or as another one of the same system."""
         row = BY_EVENT[type(message)]
@@ -169,17 +183,24 @@ class Link:
 
     def _take_plain(self, data: bytes, now_us: int) -> int:
         """Take good unsigned frames that follow one another (nearly always: all there is); where they end."""
-        at, have = 0, len(data)
+        at, have, expected = 0, len(data), self._expected
         while at + _SHORTEST <= have:
             magic, size, sequence, system, number = _header(data, at)
             end = at + _SHORTEST + size
-            extra = _EXTRAS.get(number >> 8)
+            extra, row = _KNOWN.get(number >> 8, _UNKNOWN)
             if magic != MAGIC_V2 or size > 0xFF or end > have or extra is None:  # the size's upper byte: flags
                 break
             crc = mcrf4xx(data[at + 1 : end - 2])
             if CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 != data[end - 2] | data[end - 1] << 8:
                 break
-            self._take(data, at + HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
+            at += HEADER_SIZE
+            component = number & 0xFF
+            source = system << 8 | component
+            if row is None or expected.get(source) != sequence:
+                self._take(data, at, size, sequence, system, component, number >> 8, now_us)
+            else:
+                expected[source] = (sequence + 1) & 0xFF
+                self._hand_out(row, data, at, size, (system, component, sequence, now_us))
             at = end
         return at
 
@@ -230,6 +251,10 @@ class Link:
         if row is None:
             self.stats.unknown_id += 1
             return
+        self._hand_out(row, data, at, size, (system, component, sequence, now_us))
+
+    def _hand_out(self, row: Row, data: bytes, at: int, size: int, about: tuple[int, int, int, int]) -> None:
+        """Decode a known message and queue it; `about`: system, component, sequence, time."""
         if size >= row.size:
             message = row.decode(data, at)
         else:  # MAVLink 2 cuts trailing zeros
@@ -238,7 +263,7 @@ class Link:
             self.stats.not_finite += 1
             return
         self.stats.received += 1
-        self._events.append(_new_received(Received, (system, component, sequence, now_us, message)))
+        self._events.append(_new_received(Received, (*about, message)))
 
     def _account(self, source: int, sequence: int) -> None:
         """A sequence number that isn't the expected one: after a gap, repeated, or late."""

@@ -43,11 +43,12 @@ class Outputs(NamedTuple):
 
     def commands(self, pwm_us: tuple[int, ...]) -> Tuple4:
         """Normalised commands, 0..1; below the low pulse is stopped."""
-        values = [
-            min(1.0, max(0.0, (pwm_us[channel] - low) / (high - low)))
-            for channel, low, high in zip(self.channels, self.low_us, self.high_us, strict=True)
-        ]
-        return values[0], values[1], values[2], values[3]
+        (c1, c2, c3, c4), (low1, low2, low3, low4), (high1, high2, high3, high4) = self
+        a, b = (pwm_us[c1] - low1) / (high1 - low1), (pwm_us[c2] - low2) / (high2 - low2)
+        c, d = (pwm_us[c3] - low3) / (high3 - low3), (pwm_us[c4] - low4) / (high4 - low4)
+        if 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0 and 0.0 <= c <= 1.0 and 0.0 <= d <= 1.0:
+            return a, b, c, d
+        return min(1.0, max(0.0, a)), min(1.0, max(0.0, b)), min(1.0, max(0.0, c)), min(1.0, max(0.0, d))
 
 
 @dataclass(slots=True)

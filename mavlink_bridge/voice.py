@@ -47,8 +47,9 @@ class Voice:
     def fly(self, command: Command) -> None:
         """A setpoint of the stack: body rates and thrust."""
         (x, y, z), (roll, pitch, yaw) = self.rate_max_radps, command.rate_frd_radps.tolist()
-        rates = (min(x, max(-x, roll)), min(y, max(-y, pitch)), min(z, max(-z, yaw)))
-        self._setpoint(command.t_us, RATES, _NO_TURN, rates, command.thrust_norm)
+        if not (-x <= roll <= x and -y <= pitch <= y and -z <= yaw <= z):
+            roll, pitch, yaw = min(x, max(-x, roll)), min(y, max(-y, pitch)), min(z, max(-z, yaw))
+        self._setpoint(command.t_us, RATES, _NO_TURN, (roll, pitch, yaw), command.thrust_norm)
 
     def stand(self, t_us: int) -> None:
         """A setpoint that does nothing on the ground."""
@@ -65,7 +66,9 @@ class Voice:
 
     def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
         f = min(1.0, max(0.0, self.thrust_model_factor))
-        wire = min(1.0, max(0.0, f * thrust * thrust + (1.0 - f) * thrust))  # PX4 undoes the same curve
+        wire = f * thrust * thrust + (1.0 - f) * thrust  # PX4 undoes the same curve
+        if not 0.0 <= wire <= 1.0:
+            wire = min(1.0, max(0.0, wire))
         self._link.send(m.SetAttitudeTarget(t_us, self.system, px4.COMPONENT_AUTOPILOT, mask, q, rates, wire))
 
 

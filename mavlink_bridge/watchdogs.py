@@ -7,7 +7,9 @@ of the estimator's resets; `step` is called once a tick and names the first row 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from flightstack.consistency import JUMP_M, EstimateWatch
 from flightstack.types import Tuple3
@@ -110,7 +112,7 @@ class PaceWatch:
             self._last_us = now_us
             return ""
         self.gap_us, self._last_us = round((now_us - self._last_us) * rate), now_us
-        missed = max(0, round(self.gap_us / self.period_us) - 1)
+        missed = round(self.gap_us / self.period_us) - 1 if self.gap_us > self.period_us else 0
         if missed:
             self._missed.append((now_us, missed))
             self._sum += missed
@@ -151,35 +153,50 @@ class Watchdogs:
 
     def see(self, message: object) -> object:
         """Take a message; the same one back, a position without the jumps of the flight."""
-        if isinstance(message, m.HighresImu):
-            self._stamp(message.t_us)
-            self.estimate.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
-        elif isinstance(message, m.AttitudeQuaternion):
-            self.estimate.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
-        elif isinstance(message, m.LocalPositionNed):
-            return self._position(message)
-        elif isinstance(message, m.Odometry):
-            if self.resets.counter(message.t_us, message.reset_counter):
-                self.estimate.forgive()
-        elif isinstance(message, m.EstimatorStatus):
-            self._flags(message.flags)
-        return message
+        look = _LOOKS.get(type(message))
+        return message if look is None else look(self, message)
 
     def step(self, now_us: int) -> None:
         """A tick at local time `now_us`."""
         self._pace_trouble = self.pace.step(now_us, self._clock.rate)
 
-    @property
-    def unfit(self) -> str:
-        """Name of a row that says that the state is not fit to fly with; empty where it is."""
-        return self._flags_trouble or self.estimate.trouble
+    def judge(self) -> tuple[str, str]:
+        """Names of two rows: one that says that the state is not fit to fly with, and the first that applies at all.
+
+        Empty where all is well.
+        """
+        contradiction = self.estimate.trouble
+        unfit = self._flags_trouble or contradiction
+        if self._flying and self._clock.jumps > self._clock_jumps:
+            return unfit, "reboot" if self._behind else "clock"
+        return unfit, self._pace_trouble or self._flags_trouble or self.resets.trouble or contradiction
 
     @property
     def trouble(self) -> str:
-        """Name of the first row that applies, empty where all is well."""
-        if self._flying and self._clock.jumps > self._clock_jumps:
-            return "reboot" if self._behind else "clock"
-        return self._pace_trouble or self._flags_trouble or self.resets.trouble or self.estimate.trouble
+        """The second of the two."""
+        return self.judge()[1]
+
+    def _imu(self, message: m.HighresImu) -> m.HighresImu:
+        """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
+        t_us = message.t_us
+        self._behind = t_us < self._newest_us - _BACK_US
+        if not self._behind and t_us > self._newest_us:
+            self._newest_us = t_us
+        self.estimate.imu(t_us, message.accel_frd_mps2, message.rate_frd_radps)
+        return message
+
+    def _attitude(self, message: m.AttitudeQuaternion) -> m.AttitudeQuaternion:
+        self.estimate.attitude(message.t_boot_us, message.q_ned_frd, message.rate_frd_radps)
+        return message
+
+    def _odometry(self, message: m.Odometry) -> m.Odometry:
+        if self.resets.counter(message.t_us, message.reset_counter):
+            self.estimate.forgive()
+        return message
+
+    def _status(self, message: m.EstimatorStatus) -> m.EstimatorStatus:
+        self._flags(message.flags)
+        return message
 
     def _position(self, message: m.LocalPositionNed) -> m.LocalPositionNed:
         self.estimate.position(message.t_boot_us, message.pos_ned_m, message.vel_ned_mps)
@@ -193,12 +210,6 @@ class Watchdogs:
         north, east, down = message.pos_ned_m
         return message._replace(pos_ned_m=(north - shift[0], east - shift[1], down - shift[2]))
 
-    def _stamp(self, t_us: int) -> None:
-        """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
-        self._behind = t_us < self._newest_us - _BACK_US
-        if not self._behind:
-            self._newest_us = max(self._newest_us, t_us)
-
     def _flags(self, flags: int) -> None:
         bad = ""
         if not flags & _FLAG_ATTITUDE:
@@ -207,6 +218,15 @@ class Watchdogs:
             bad = "estimator-position"
         self._bad_flags = self._bad_flags + 1 if bad else 0
         self._flags_trouble = bad if self._bad_flags >= _FLAGS_TWICE else ""
+
+
+_LOOKS: dict[type, Callable[[Watchdogs, Any], object]] = {
+    m.HighresImu: Watchdogs._imu,
+    m.AttitudeQuaternion: Watchdogs._attitude,
+    m.LocalPositionNed: Watchdogs._position,
+    m.Odometry: Watchdogs._odometry,
+    m.EstimatorStatus: Watchdogs._status,
+}
 
 
 def _size(step: Tuple3) -> float:

@@ -102,7 +102,7 @@ class Server:
         """Take a datagram of one link."""
         port = self._ports[link_index]
         port.link.receive_datagram(data, self.vehicle.plant.t_us)
-        while (received := port.link.next_event()) is not None:
+        for received in port.link.take_events():
             kind = type(received.message)
             handler = _HANDLERS.get(kind)
             if handler is not None and kind not in self.deaf_to and self._addressed(received.message):

@@ -145,7 +145,8 @@ class View:
     @property
     def stamp_us(self) -> int:
         """Time since boot as messages carry it."""
-        return max(0, self.t_us + self.clock_offset_us)
+        stamp_us = self.t_us + self.clock_offset_us
+        return stamp_us if stamp_us > 0 else 0
 
     @property
     def told_pos_ned_m(self) -> Tuple3:

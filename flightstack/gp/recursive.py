@@ -234,6 +234,8 @@ class RecursiveGP:
         return np.ascontiguousarray(self._rows[first : first + count, places].T)
 
     def _shaped(self, values: F64 | Sequence[float], shape: tuple[int], name: str) -> F64:
+        if type(values) is np.ndarray and values.shape == shape and values.dtype == np.float64:
+            return values
         if np.shape(values) != shape:
             raise InputError(f"{name}: shape {np.shape(values)} does not fit; {shape} is wanted")
         return np.asarray(values, np.float64)

@@ -31,7 +31,7 @@ from flightstack.jit import njit
 from flightstack.learning import sampler as s
 from flightstack.learning.priors import Prior, Priors, default_priors, state_only
 from flightstack.learning.sampler import Sampler
-from flightstack.learning.store import Relevance, Store
+from flightstack.learning.store import INFLATION, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
@@ -110,21 +110,17 @@ class LearnerState:
 
     def variance(self) -> F64:
         """(3,) calibrated variances at the state, tilt axes."""
-        lateral, vertical = self.posterior.tolist()
-        return np.array(
-            [self.lateral.bound(lateral, 0), self.lateral.bound(lateral, 1), self.vertical.bound(vertical, 0)]
-        )
+        return calibrated(self.posterior, self.lateral.excess, self.vertical.excess)
 
     def calm(self) -> F64:
         """(3,) the same without what single errors have widened."""
-        lateral, vertical = self.posterior.tolist()
-        return np.array([self.lateral.calm(lateral, 0), self.lateral.calm(lateral, 1), self.vertical.calm(vertical, 0)])
+        return calibrated(self.posterior, self.lateral.calm_excess, self.vertical.calm_excess)
 
 
 class GpLearner:
     """The learner of one model; final, holds only constants."""
 
-    __slots__ = ("_sampler", "config", "model")
+    __slots__ = ("_limits", "_sampler", "config", "model")
     enabled = True
 
     def __init__(
@@ -133,6 +129,8 @@ class GpLearner:
         self.model = model
         self.config = config or LearnerConfig(priors=default_priors() if inputs == "full" else state_only())
         self._sampler = Sampler(model)
+        c = self.config
+        self._limits = np.array([c.residual_max_mps2, *c.gain_range, c.unsure_mps2, c.jerk_max_mps3])
 
     def init(self) -> LearnerState:
         """Nothing learned yet."""
@@ -159,15 +157,11 @@ class GpLearner:
         self._sampler.at_reference(state.memory, reference, state.fed_forward, state.query)
         forward = self._forward(state, measurement.t_us)
         row = np.empty(32)
-        limits = (config.residual_max_mps2, *config.gain_range)
-        _assemble(state.query, forward, weight, limits, sample, expected, variance, fit, row)
-        bound = 3.0 * math.sqrt(float(variance.max()))
-        row[7], row[8] = weight * max(0.0, 1.0 - bound / config.unsure_mps2), stage
-        row[19:22], row[22:25] = state.rate_mean, state.rate_sigma
-        row[27:32] = (
-            len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
+        _assemble(
+            self._limits, state.query, forward, weight, stage, sample, expected, variance, int(fit), state.rate_mean,
+            state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
+            state.fed_forward, row,
         )  # fmt: skip
-        _relax(row, config.jerk_max_mps3, state.fed_forward)
         state.steps += 1
         return state, Learned(row)
 
@@ -216,9 +210,8 @@ class GpLearner:
 
     def _stage(self, state: LearnerState, t_us: int, fit: bool) -> tuple[int, float]:
         """Stage by the table above, and the share of what is learned that is fed forward."""
-        enough = min(len(state.lateral.gp), len(state.vertical.gp)) >= self.config.valid_points
         if state.valid_us < 0:
-            if not enough:
+            if min(len(state.lateral.gp), len(state.vertical.gp)) < self.config.valid_points:
                 return int(fit), 0.0
             state.valid_us = t_us
         weight = min((t_us - state.valid_us) / (1e6 * self.config.ramp_s), 1.0)
@@ -232,10 +225,9 @@ class GpLearner:
         Worked out every fourth step, carried along its own rate in between: over 16 ms that is off by half the second
         derivative times 1e-4 s^2.
         """
-        out = state.forward.copy()
         if state.steps % _FORWARD_EVERY:
-            out[0] += out[1] * (1e-6 * (t_us - state.forward_us))
-            return out
+            return _carried(state.forward, 1e-6 * (t_us - state.forward_us))
+        out = state.forward.copy()
         query, rate = state.query.copy()
         near, near_rate = query[s.GROUND], rate[s.GROUND]
         query[s.GROUND] = rate[s.GROUND] = 0.0
@@ -264,6 +256,25 @@ def _relax(row: F64, jerk_max: float, fed_forward: F64) -> None:
 
 
 @njit
+def calibrated(posterior: F64, lateral: F64, vertical: F64) -> F64:
+    """(3,) calibrated variances, tilt axes: the posteriors' (2,) and the excess of both stores."""
+    out = np.empty(3)
+    out[0] = INFLATION * INFLATION * (posterior[0] + lateral[0])
+    out[1] = INFLATION * INFLATION * (posterior[0] + lateral[1])
+    out[2] = INFLATION * INFLATION * (posterior[1] + vertical[0])
+    return out
+
+
+@njit
+def _carried(forward: F64, dt_s: float) -> F64:
+    """(2, 4) mean and rate, the mean carried along its rate."""
+    out = forward.copy()
+    for i in range(4):
+        out[0, i] += out[1, i] * dt_s
+    return out
+
+
+@njit
 def fits(sample: F64, most: float) -> bool:
     """Whether the sample may be learned from."""
     inside = sample[s.S_OK] != 0.0
@@ -274,11 +285,12 @@ def fits(sample: F64, most: float) -> bool:
 
 @njit
 def _assemble(
-    query: F64, forward: F64, weight: float, limits: tuple[float, float, float], sample: F64, expected: F64,
-    variance: F64, fit: bool, row: F64,
+    limits: F64, query: F64, forward: F64, weight: float, stage: int, sample: F64, expected: F64, variance: F64,
+    fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int, changes: int, surprise: float,
+    fed_forward: F64, row: F64,
 ) -> None:  # fmt: skip
-    """A Learned row (32,) but for what is counted: feed-forward at the reference, residual at the state."""
-    most, gain_least, gain_most = limits
+    """A Learned row (32,): feed-forward at the reference, residual at the state, counters."""
+    most, gain_least, gain_most = limits[0], limits[1], limits[2]
     if not np.isfinite(forward).all():
         forward[:] = 0.0
     tilt, later = np.empty((3, 3)), np.empty((3, 3))
@@ -311,3 +323,13 @@ def _assemble(
     row[18] = row[14] / STANDARD_GRAVITY_MPS2
     row[25] = sample[s.S_APPLIED]
     row[26] = sample[s.S_LATENCY]
+    sure = -1.0
+    if not math.isnan(variance[0] + variance[1] + variance[2]):
+        sure = 1.0 - 3.0 * math.sqrt(max(variance[0], variance[1], variance[2])) / limits[3]
+    row[7] = weight * sure if sure > 0.0 else 0.0
+    row[8] = stage
+    for i in range(3):
+        row[19 + i] = rate_mean[i]
+        row[22 + i] = rate_sigma[i]
+    row[27], row[28], row[29], row[30], row[31] = points, fed, refused, changes, surprise
+    _relax(row, limits[4], fed_forward)

@@ -45,7 +45,7 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_calm", "_fresh", "_heard", "_next", "_pool", "_wanted", "excess", "floor", "gp", "outputs",
+        "_age", "_fresh", "_heard", "_next", "_pool", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs",
         "relevance",
     )  # fmt: skip
 
@@ -61,7 +61,9 @@ class Store:
         self._heard = -_NOISE_EVERY
         self._wanted = 0
         self._fresh: list[tuple[F64, F64]] = []
-        self._calm = self.excess.copy()
+        self.calm_excess = self.excess.copy()
+        """The same without what single errors have widened: what a sudden change must be compared with, for the first
+        window that it falls into widens the bound by as much."""
         self._pool: deque[tuple[F64, F64]] = deque(maxlen=_POOL)
 
     @property
@@ -77,11 +79,6 @@ class Store:
     def bound(self, variance: float, i: int) -> float:
         """Calibrated variance of output `i` for a posterior variance."""
         return INFLATION * INFLATION * (variance + float(self.excess[i]))
-
-    def calm(self, variance: float, i: int) -> float:
-        """The same without what single errors have widened: what a sudden change must be compared with, for the first
-        window that it falls into widens the bound by as much."""
-        return INFLATION * INFLATION * (variance + float(self._calm[i]))
 
     def renew(self, error: F64, points: int) -> None:
         """What was learned is no longer so, by `error` (P,): widen the bound now, forget after `points` new points."""
@@ -116,7 +113,7 @@ class Store:
             self._wanted = 0
             self.gp.clear()
             self._pool.clear()
-            self.excess[:] = self._calm
+            self.excess[:] = self.calm_excess
             for point in self._fresh:
                 self._add(*point)
             return
@@ -147,12 +144,12 @@ class Store:
             self._pool.append((x.copy(), y.copy()))
 
     def _calibrate(self, error: F64, variance: float) -> None:
-        """The rule of the header; `_calm` is the same without single errors beyond the bound, which may be a change."""
+        """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""
         known = variance + self.gp.noise_var
         for i in range(self.outputs):
             squared = float(error[i]) ** 2
-            most = _BOUND_SIGMAS**2 * (known + float(self._calm[i]))
-            for held, value in ((self.excess, squared), (self._calm, min(squared, most))):
+            most = _BOUND_SIGMAS**2 * (known + float(self.calm_excess[i]))
+            for held, value in ((self.excess, squared), (self.calm_excess, min(squared, most))):
                 held[i] = max(held[i] + (value - known - held[i]) / _MEMORY_WINDOWS, self.floor)
             if squared > _BOUND_SIGMAS**2 * (known + float(self.excess[i])):
                 self.excess[i] = squared / _BOUND_SIGMAS**2 - known

@@ -122,17 +122,15 @@ class UdpSocket:
         datagrams: list[bytes] = []
         deadline = -1.0
         receive = self.receive
-        while len(datagrams) < count:
-            data = receive()
-            if data is not None:
-                datagrams.append(data)
-                continue
-            now = time.monotonic()
-            if deadline < 0.0:
-                deadline = now + timeout_s
-            if now >= deadline:
-                break
-            self.wait(deadline - now)
+        for _ in range(count):
+            while (data := receive()) is None:
+                now = time.monotonic()
+                if deadline < 0.0:
+                    deadline = now + timeout_s
+                if now >= deadline:
+                    return datagrams
+                self.wait(deadline - now)
+            datagrams.append(data)
         return datagrams
 
     def wait(self, timeout_s: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,27 +20,32 @@ _SQRT3 = math.sqrt(3.0)
 _LEAST_AIRSPEED_MPS = 1.0
 
 
-def body_air() -> str:
-    """air/x, y, z, speed: velocity through the air, FRD, m/s."""
+def body_air(axes: Collection[str], *, still: bool, speed: bool) -> str:
+    """air/x, y, z of these axes: velocity through the air, FRD, m/s; air/speed of all three.
+
+    In `still` air it is that over the ground, and JSBSim need not work out what depends on the wind.
+    """
     parts = [
-        text.function(f"air/{axis}", times(FOOT_M, prop(f"velocities/{letter}-aero-fps")))
+        text.function(f"air/{axis}", times(FOOT_M, prop(f"velocities/{letter}{'' if still else '-aero'}-fps")))
         for axis, letter in zip("xyz", "uvw", strict=True)
+        if axis in axes
     ]
-    squares = total(*(times(prop(f"air/{axis}"), prop(f"air/{axis}")) for axis in "xyz"))
-    return "".join(parts) + text.function("air/speed", text.root(squares))
+    if speed:
+        squares = total(*(times(prop(f"air/{axis}"), prop(f"air/{axis}")) for axis in "xyz"))
+        parts.append(text.function("air/speed", text.root(squares)))
+    return "".join(parts)
 
 
-def hub_air(number: int, arm: XYZ) -> str:
-    """rotor/air-x, y, z-N: the hub's velocity through the air, omega x r included."""
+def hub_air(number: int, arm: XYZ, axes: Collection[str]) -> str:
+    """rotor/air-x, y, z-N of these axes: the hub's velocity through the air, omega x r included."""
     x, y, z = arm
-    added = (
-        minus(times(z, _Q), times(y, _R)),
-        minus(times(x, _R), times(z, _P)),
-        minus(times(y, _P), times(x, _Q)),
-    )
+    added = {"x": ((z, _Q), (-y, _R)), "y": ((x, _R), (-z, _P)), "z": ((y, _P), (-x, _Q))}
     return "".join(
-        text.function(f"rotor/air-{axis}-{number}", total(prop(f"air/{axis}"), more))
-        for axis, more in zip("xyz", added, strict=True)
+        text.function(
+            f"rotor/air-{axis}-{number}",
+            total(prop(f"air/{axis}"), *(times(length, rate) for length, rate in added[axis] if length)),
+        )
+        for axis in axes
     )
 
 

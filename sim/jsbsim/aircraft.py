@@ -115,9 +115,10 @@ class _Writer:
         self.seed = seed
         self.ground = ground
         self.com: XYZ = self.effects.xyz("com_offset")
-        hub = ("rotor_drag", "induced_inflow", "translational_lift", "blade_flapping", "vortex_ring")
+        across, along = ("rotor_drag", "translational_lift", "blade_flapping"), ("induced_inflow", "vortex_ring")
         turning = ("rotor_drag", "induced_inflow", "blade_flapping", "rotor_gyroscopic")
-        self.needs_hub_air = any(map(self.acts, hub))
+        self.hub_axes = ("xy" if any(map(self.acts, across)) else "") + ("z" if any(map(self.acts, along)) else "")
+        self.still = not (self.acts("steady_wind") or self.acts("turbulence"))
         self.needs_speeds = any(map(self.acts, turning))
 
     def acts(self, effect: str) -> bool:
@@ -140,7 +141,7 @@ class _Writer:
             external_reactions=self._functions() + self._forces() + self._moments(),
             reference=self.com,
         )
-        needs_air = self.needs_hub_air or bool(self._drags())
+        meets_wind = not self.still and bool(self.hub_axes or self._drags())
         battery = (_CHARGE, _VOLTAGE) if vehicle.battery is not None else ()
         return Aircraft(
             name="vehicle",
@@ -154,7 +155,7 @@ class _Writer:
             voltage=_VOLTAGE if vehicle.battery is not None else None,
             settle_frames=2 + math.ceil(effects("transport_delay", "delay_s") / self.dt_s),
             rest_height_m=0.0,
-            idle=IDLE if needs_air else (*IDLE, "Auxiliary"),
+            idle=IDLE if meets_wind else (*IDLE, "Auxiliary"),
             first={**first, **air.wind(effects)},
         )
 
@@ -209,24 +210,26 @@ class _Writer:
         if battery is None:
             return ""
         disk = 2.0 * RHO_KGPM3 * math.pi * self.vehicle.rotors.radius_m**2
-        thrusts = [text.greatest(prop(f"rotor/thrust-{i + 1}"), 0.0) for i in ROTORS]
-        power = times(1.0 / (FIGURE_OF_MERIT * math.sqrt(disk)), total(*(times(t, text.root(t)) for t in thrusts)))
+        induced = [text.power(text.greatest(prop(f"rotor/thrust-{i + 1}"), 0.0), 1.5) for i in ROTORS]
+        power = times(1.0 / (FIGURE_OF_MERIT * math.sqrt(disk)), total(*induced))
         drawn = over(prop("battery/power"), prop(_VOLTAGE))
         charge = minus(prop(_CHARGE), times(self.dt_s / battery.capacity_as, drawn))
-        open_circuit = total(battery.empty_v, times(battery.full_v - battery.empty_v, prop(_CHARGE)))
-        half = times(0.5, prop("battery/open-circuit"))
+        half_open = total(0.5 * battery.empty_v, times(0.5 * (battery.full_v - battery.empty_v), prop(_CHARGE)))
+        half = prop("battery/half-open-circuit")
         inside = minus(times(half, half), times(battery.resistance_ohm, prop("battery/power")))
         return (
             text.state("battery/power", power)
             + text.state(_CHARGE, text.greatest(charge, 0.0))
-            + text.state("battery/open-circuit", open_circuit)
+            + text.state("battery/half-open-circuit", half_open)
             + text.state(_VOLTAGE, total(half, text.root(text.greatest(inside, 0.0))))
         )
 
     # --- functions, once a step ---
 
     def _functions(self) -> str:
-        parts = [air.body_air()] if self.needs_hub_air or self._drags() else []
+        parasitic = self.acts("parasitic_drag")
+        axes = "xyz" if parasitic else {*self.hub_axes, *(axis for axis, _, _ in self._drags())}
+        parts = [air.body_air(axes, still=self.still, speed=parasitic)]
         if self.acts("ground_effect"):
             parts.append(air.down_axis())
         for i in ROTORS:
@@ -242,8 +245,7 @@ class _Writer:
         if self.needs_speeds:
             speed = times(rotors.max_speed_radps, text.root(prop(f"rotor/share-{n}")))
             parts.append(text.function(f"rotor/speed-{n}", speed))
-        if self.needs_hub_air:
-            parts.append(air.hub_air(n, self._arm(i)))
+        parts.append(air.hub_air(n, self._arm(i), self.hub_axes))
         if self.acts("vortex_ring"):
             parts.append(text.function(f"rotor/early-{n}", self._thrust(i)))
         parts.append(
@@ -261,8 +263,9 @@ class _Writer:
         curve = times(self.vehicle.rotors.max_thrust_n, prop(f"rotor/share-{n}"))
         if self.acts("translational_lift"):
             x, y = prop(f"rotor/air-x-{n}"), prop(f"rotor/air-y-{n}")
-            gained = times(effects("translational_lift", "k_h_kg_per_m"), total(times(x, x), times(y, y)))
-            curve = total(curve, text.if_positive(prop(f"rotor/share-{n}"), gained))
+            turning = text.positive(prop(f"rotor/share-{n}"))
+            lift = effects("translational_lift", "k_h_kg_per_m")
+            curve = total(curve, times(lift, turning, total(times(x, x), times(y, y))))
         gain = effects("thrust_scale", "scale")
         if effects("rotor_fault", "rotor", 0.0) == n:
             gain *= effects("rotor_fault", "effectiveness")
@@ -302,8 +305,8 @@ class _Writer:
             parts.append(text.force(f"rotor-{n}", (x, y, z), (0.0, 0.0, -1.0), total(*up)))
             if drag:
                 for axis, along in zip("xy", _AXES, strict=False):
-                    value = times(-drag, speed, prop(f"rotor/air-{axis}-{n}"))
-                    parts.append(text.force(f"rotor-drag-{axis}-{n}", (x, y, z), along, value))
+                    through = prop(f"rotor/air-{axis}-{n}")
+                    parts.append(text.force(f"rotor-drag-{axis}-{n}", (x, y, z), along, speed, through, gain=-drag))
         for axis, along, value in self._drags():
             parts.append(text.force(f"drag-{axis}", self.com, along, value))
         return "".join(parts) + air.constant_force(self.effects, self.com)

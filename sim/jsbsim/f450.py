@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+from xml.etree import ElementTree
+
+import numpy as np
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import InputError
@@ -32,6 +35,7 @@ GEAR_M: Final = 0.1524
 _GEAR_SPRING_NPM: Final = 3000.0
 _FEET: Final = ('type="BOGEY"', 'type="STRUCTURE"')
 """Its contacts are shipped as wheels, on which any wind would roll it away."""
+_PLACE_M: Final = 1e-6
 _FULL_RPM: Final = 10_604.6
 _SPIN_UP_FRAMES: Final = 400
 """JSBSim's propellers can't be given a speed: they run up to what the commands ask for, in about 60 ms."""
@@ -50,6 +54,8 @@ def refuse(vehicle: Vehicle) -> None:
 def write(vehicle: Vehicle, shipped: Path, *, dt_s: float, gravity_mps2: float, seed: int) -> Aircraft:
     """The aircraft; `shipped`: the folder of JSBSim's data."""
     refuse(vehicle)
+    sections = _shipped(shipped)
+    _check_places(vehicle, sections["Propulsion.xml"])
     effects = Effects(vehicle)
     still = EFFECT_SPECS["turbulence"].is_null(vehicle.effects.get("turbulence", {}))
     gusts = air.STILL if still else air.gusts(effects, dt_s, seed)
@@ -68,7 +74,7 @@ def write(vehicle: Vehicle, shipped: Path, *, dt_s: float, gravity_mps2: float, 
     rpm = tuple(f"{engine}/propeller-rpm" for engine in engines)
     return Aircraft(
         name=NAME,
-        files={f"{NAME}.xml": xml, **_shipped(shipped)},
+        files={f"{NAME}.xml": xml, **sections},
         commands=_ESC,
         thrusts=tuple(f"{engine}/thrust-lbs" for engine in engines),
         thrust_unit_n=text.POUND_N,
@@ -81,6 +87,21 @@ def write(vehicle: Vehicle, shipped: Path, *, dt_s: float, gravity_mps2: float, 
         idle=tuple(name for name in IDLE if name not in ("Aerodynamics", "Atmosphere", "Propulsion")),
         first={**gusts.first, **air.wind(effects)},
     )
+
+
+def _check_places(vehicle: Vehicle, propulsion: str) -> None:
+    """InputError where the file's rotors sit elsewhere than JSBSim's: they would fly where JSBSim has them."""
+    places = [
+        (-float(thruster.findtext("location/x", "nan")), float(thruster.findtext("location/y", "nan")))
+        for thruster in ElementTree.fromstring(propulsion).iter("thruster")
+    ]
+    own = vehicle.rotors.position_m[:, :2]
+    if len(places) != len(own) or not np.allclose(places, own, atol=_PLACE_M):
+        said = ", ".join(f"({x:g}, {y:g})" for x, y in places)
+        raise InputError(
+            f"{vehicle.name}: its rotors are not where JSBSim's own F450 has them (x, y: {said} m), which flies under "
+            "that name: give the vehicle another name, or fly --plant native"
+        )
 
 
 def _shipped(folder: Path) -> Mapping[str, str]:

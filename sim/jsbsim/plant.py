@@ -8,7 +8,7 @@ the new one.  An effect that changes makes a new aircraft, which takes over stat
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,7 @@ class JsbsimPlant:
     @property
     def on_ground(self) -> bool:
         """Whether the ground pushed during the last step."""
-        return any(get() != 0.0 for get in self._get_ground)
+        return self._ground_works and any(get() != 0.0 for get in self._get_ground)
 
     @property
     def aircraft_xml(self) -> str:
@@ -103,14 +103,18 @@ class JsbsimPlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        one, two, three, four = self._set_commands
+        one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
         a, b, c, d = motor_command.tolist()
         one(a if 0.0 <= a <= 1.0 else _within(a))
         two(b if 0.0 <= b <= 1.0 else _within(b))
         three(c if 0.0 <= c <= 1.0 else _within(c))
         four(d if 0.0 <= d <= 1.0 else _within(d))
         self._run()
-        if (self._show() < self._ground_below_m) is not self._ground_works:
+        height_m = read(
+            self._row, self._frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(),
+            fx(), fy(), fz(),
+        )  # fmt: skip
+        if (height_m < self._ground_below_m) is not self._ground_works:
             self._toggle_ground()
         self.t_us += self.dt_us
 
@@ -119,12 +123,35 @@ class JsbsimPlant:
         for _ in range(steps):
             self.step(motor_command)
 
+    def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
+        """`step` for each item with `look(row, frame, *numbers, *item)` in `read`'s place: it gives the height.
+
+        `look` may change the commands (4,) and see more than the plant; `numbers` are those that `read` takes.
+        """
+        one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
+        row, frame, low_m = self._row, self._frame, self._ground_below_m
+        for item in each:
+            a, b, c, d = motor_command.tolist()
+            one(a if 0.0 <= a <= 1.0 else _within(a))
+            two(b if 0.0 <= b <= 1.0 else _within(b))
+            three(c if 0.0 <= c <= 1.0 else _within(c))
+            four(d if 0.0 <= d <= 1.0 else _within(d))
+            self._run()
+            height_m = look(
+                row, frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz(),
+                *item,
+            )  # fmt: skip
+            if (height_m < low_m) is not self._ground_works:
+                self._toggle_ground()
+            self.t_us += self.dt_us
+
     def truth(self) -> Truth:
         """A snapshot."""
         row: Any = tuple(self._row.tolist())
-        u1, u2, u3, u4 = (get() * self._aircraft.speed_unit for get in self._get_speeds)
-        t1, t2, t3, t4 = (get() * self._aircraft.thrust_unit_n for get in self._get_thrusts)
-        north, east, down = (get() * FOOT_M for get in self._get_wind)
+        aircraft = self._aircraft
+        u1, u2, u3, u4 = [get() * aircraft.speed_unit for get in self._get_speeds]
+        t1, t2, t3, t4 = [get() * aircraft.thrust_unit_n for get in self._get_thrusts]
+        north, east, down = [get() * FOOT_M for get in self._get_wind]
         return Truth(
             self.t_us,
             row[R_POS : R_POS + 3],
@@ -212,7 +239,8 @@ class JsbsimPlant:
         """Every property that a step or a snapshot touches, found once."""
         fdm, aircraft = self._fdm, self._aircraft
         self._run = fdm.first_run(self._use)
-        self._set_commands = tuple(fdm.set(name) for name in aircraft.commands)
+        self._get_state = tuple(map(fdm.get, (*_ECEF, *_VELOCITY, *_EULER, *_RATES, *_FORCES)))
+        self._wires: tuple[Any, ...] = (*map(fdm.set, aircraft.commands), *self._get_state)
         self._get_speeds = tuple(fdm.get(name) for name in aircraft.speeds)
         self._get_thrusts = tuple(fdm.get(name) for name in aircraft.thrusts)
         self._get_wind = tuple(fdm.get(name) for name in _WIND)
@@ -224,27 +252,13 @@ class JsbsimPlant:
         self._ground_works = True
         self._ground_below_m = _GROUND_MARGIN_M + float(np.max(np.linalg.norm(self.vehicle.rotors.position_m, axis=1)))
         self._frame[F_PER_POUND] = POUND_N / (SLUG_KG * fdm.get("inertia/mass-slugs")())
-        self._show = self._reader()
 
     def _use(self, run: Callable[[], bool]) -> None:
         self._run = run
 
-    def _reader(self) -> Callable[[], float]:
-        """What reads JSBSim's numbers into the row: fifteen calls and a compiled one, spelled out for speed."""
-        get = self._fdm.get
-        x, y, z = map(get, _ECEF)
-        vn, ve, vd = map(get, _VELOCITY)
-        phi, theta, psi = map(get, _EULER)
-        p, q, r = map(get, _RATES)
-        fx, fy, fz = map(get, _FORCES)
-        row, frame = self._row, self._frame
-
-        def show() -> float:
-            return read(
-                row, frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz()
-            )  # fmt: skip
-
-        return show
+    def _show(self) -> None:
+        """Read JSBSim's present numbers into the row."""
+        read(self._row, self._frame, *(get() for get in self._get_state))
 
     def _toggle_ground(self) -> None:
         """JSBSim looks for contacts only where there can be some: a sixth of a step's time."""

@@ -58,6 +58,11 @@ def root(value: Term) -> str:
     return _call("sqrt", (value,))
 
 
+def power(value: Term, exponent: float) -> str:
+    """value to the power of exponent."""
+    return _call("pow", (value, exponent))
+
+
 def exponential(value: Term) -> str:
     """exp."""
     return _call("exp", (value,))
@@ -78,9 +83,9 @@ def greatest(*terms: Term) -> str:
     return _call("max", terms)
 
 
-def if_positive(value: Term, then: Term) -> str:
-    """`then` where value > 0, else 0."""
-    return _call("ifthen", (_call("gt", (value, 0.0)), then, 0.0))
+def positive(value: Term) -> str:
+    """1 where value > 0, else 0."""
+    return _call("gt", (value, 0.0))
 
 
 def normal(seed: int) -> str:
@@ -124,9 +129,12 @@ def _direction(axis: XYZ) -> str:
     return "<direction>" + "".join(f"<{k}>{v!r}</{k}>" for k, v in zip("xyz", axis, strict=True)) + "</direction>"
 
 
-def force(name: str, place: XYZ, axis: XYZ, newton: Term, *, frame: str = "BODY") -> str:
-    """A force along an axis of the frame (BODY: FRD, LOCAL: NED) at a place given in FRD from the file's origin."""
-    value = f"<function>{times(1.0 / POUND_N, newton)}</function>"
+def force(name: str, place: XYZ, axis: XYZ, *newton: Term, gain: float = 1.0, frame: str = "BODY") -> str:
+    """A force along an axis of the frame (BODY: FRD, LOCAL: NED) at a place given in FRD from the file's origin.
+
+    Its size is `gain` times the product of `newton`.
+    """
+    value = f"<function>{times(gain / POUND_N, *newton)}</function>"
     return f'<force name="{name}" frame="{frame}">{value}{location(place)}{_direction(axis)}</force>'
 
 

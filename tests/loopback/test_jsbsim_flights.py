@@ -1,4 +1,4 @@
-"""Whole flights over UDP on the JSBSim plant, the native model believed, with learner and barrier filter."""
+"""Whole flights over UDP on the JSBSim plant, the native model believed, with learner, certifier and barrier filter."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.flight import FlyOptions, fly
+from app.certify import ExplorationPlanner, prepare_certify
+from app.flight import FlyOptions, fly, fly_setup
 from app.result import FlightResult
+from flightstack.explore import ExploreConfig, Explorer
 from logs.reader import Log, read
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
@@ -39,6 +41,23 @@ def test_the_paper_s_flight_learns_the_mass_and_stays_inside_on_the_other_physic
     assert result.gp["coverage_3sigma"] > 0.97
     assert log.metadata["settings"]["plant"] == "jsbsim"
     assert log.tables["/truth"]["pos_ned_m"][:, 2].min() < -1.0
+
+
+def test_the_certified_region_grows_and_is_not_left_on_the_other_physics(tmp_path: Path) -> None:
+    """`certify --plant jsbsim`'s flight, one round: what the native model's certifier says holds for JSBSim's truth."""
+    options = FlyOptions(scenario="paper-barrier", seed=21, duration_s=30.0, out=tmp_path, plant="jsbsim")
+    setup = prepare_certify(options)
+    certifier = setup.flight.protection.watched
+    assert certifier is not None
+    planner = ExplorationPlanner(Explorer(ExploreConfig(axes=(2,), rounds_max=1)), certifier)
+    result = fly_setup(setup, options, planner=planner, stop_requested=lambda: "")
+    assert result.completed, result.reason
+    assert result.plant == "jsbsim"
+    assert result.barrier["violations"] == 0
+    assert result.barrier["min_h_truth"] > 0.0
+    areas = [certificate.axes[0].barrier.area_m2ps for certificate in certifier.adopted]
+    assert len(areas) > 1
+    assert areas[-1] > areas[0]
 
 
 def test_rotor_drag_and_lift_that_only_jsbsim_knows_are_learned(tmp_path: Path) -> None:

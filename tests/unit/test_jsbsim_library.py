@@ -108,6 +108,37 @@ def test_the_shipped_f450_takes_what_acts_from_outside_and_refuses_the_rest_by_n
     one_line(error)
 
 
+def test_an_f450_with_other_rotors_is_not_jsbsim_s_and_is_refused() -> None:
+    shipped = load_vehicle("f450")
+    rotors = dataclasses.replace(shipped.rotors, position_m=1.1 * shipped.rotors.position_m)
+    with pytest.raises(InputError, match="not where JSBSim's own F450 has them") as error:
+        JsbsimPlant(dataclasses.replace(shipped, rotors=rotors), seed=0)
+    one_line(error)
+
+
+@pytest.mark.parametrize("verb", [["fly", "hover"], ["certify"], ["sim", "--duration", "1"]], ids=lambda verb: verb[0])
+@pytest.mark.parametrize(
+    ("version", "words"), [(None, "JSBSim is not installed"), ("1.2.1", "JSBSim 1.2.1 is installed")]
+)
+def test_every_verb_that_flies_says_in_one_line_what_is_wrong_with_the_library(
+    verb: list[str], version: str | None, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    if version is None:
+        monkeypatch.setitem(sys.modules, "jsbsim", None)
+    else:
+        monkeypatch.setattr(jsbsim, "__version__", version)
+    out = [] if verb[0] == "sim" else ["--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as ended:
+        main([*verb, "--plant", "jsbsim", *out])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.startswith("error: --plant jsbsim: ")
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_fly_refuses_a_hidden_slung_load_before_it_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = tmp_path / "truth.toml"
     truth.write_text(vehicle_to_toml(with_effects(QUAD, LOAD)))
