@@ -44,6 +44,8 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Mea
 _VALID = 2
 _PATIENCE, _EAGER = 16.0, 3.0
 """Longest wait in periods, with a certificate in force and without."""
+_LEAST_HOVER_MPS2 = 1.0
+"""What a vehicle out of hand has taught of its hover may be below zero."""
 _T = TypeVar("_T")
 
 
@@ -275,7 +277,7 @@ class OnlineCertifier:
         still, far = np.zeros((2, 3)), np.zeros(2)
         down, _ = learned.at(DOWN, still, thrust, far)
         gain = max(float(down[0] - down[1]) / (0.8 * g), 0.2)
-        hover = 0.8 * g + float(down[0]) / gain
+        hover = max(0.8 * g + float(down[0]) / gain, _LEAST_HOVER_MPS2)
         at = np.array([[0.0, 0.0, hover]])
         force = max(
             abs(float(mean[0])) + 3.0 * float(sigma[0])

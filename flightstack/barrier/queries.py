@@ -88,7 +88,8 @@ def budget(
     whatever the gain is.  Tilt is cut at the limit, lateral with it.
     """
     least, greatest = (n / model.mass_kg for n in model.thrust_range_n(limits))
-    hover, low = hover_mps2 or STANDARD_GRAVITY_MPS2, min(max(low_mps2, least), greatest)
+    hover = max(hover_mps2 or STANDARD_GRAVITY_MPS2, least)  # a vehicle out of hand may teach that it needs none
+    low = min(max(low_mps2, least), greatest)
     most = math.sin(limits.tilt_max_rad)
     lean, lead = 0.0, max(hover, 0.5 * (low + greatest))
     for _ in range(20):  # high and with it F0 fall a little with the lean: a contraction

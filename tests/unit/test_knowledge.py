@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from shipped import load_scenario, load_vehicle
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
@@ -113,6 +115,16 @@ def test_the_budget_keeps_thrust_and_lean_within_their_limits_and_serves_both_ax
         assert lean <= math.sin(box.tilt_max_rad) * math.cos(math.pi / 8.0) + 1e-9
         assert box.high_mps2 / math.cos(box.tilt_max_rad) == pytest.approx(box.thrust_max_mps2, rel=1e-9)
         assert box.lateral_mps2 == pytest.approx(lateral, rel=1e-6) or lateral > 30.0
+
+
+@given(
+    st.floats(0.0, 1e3), st.floats(-1e3, 1e3), st.sampled_from([-math.inf, -50.0, 0.0, 5.0, math.inf]),
+    st.floats(-1e3, 1e3),
+)  # fmt: skip
+def test_what_a_tumbling_vehicle_teaches_of_its_hover_raises_nothing(lateral, low, high, hover) -> None:
+    box = budget(MODEL, LIMITS, lateral_mps2=lateral, low_mps2=low, high_mps2=high, hover_mps2=hover)
+    assert 0.0 <= box.tilt_max_rad <= LIMITS.tilt_max_rad + 1e-12
+    assert 0.0 < box.low_mps2 <= box.high_mps2 < math.inf
 
 
 def test_posterior_is_scikit_learns() -> None:
