@@ -7,9 +7,12 @@ It knows the model's numbers and the limits, nothing of controller, learner or f
 | attitude missing, stale or not finite                   | zero_rates: no rotation, the thrust that carried so far  |
 | position, velocity or IMU missing, stale or not finite  | level: level attitude, 3 % less than that thrust (sinks) |
 | tilt beyond `tilt_abort_rad`                            | brake: lean against the velocity, sink at 0.5 m/s        |
-| position outside `radius_m`, `height_m`                 | brake                                                    |
+| position outside `radius_m`, `height_m`                 | brake, as the safety filter lets it pass                 |
 | command not finite                                      | brake                                                    |
 | thrust or rates outside their limits                    | clip: the nearest allowed ones                           |
+
+Outside the envelope a certificate still holds: the stack asks `turn_back` before the filter, so that the brake keeps
+the certified region, and the guard's own brake is left to a command that comes back as no number.
 
 Ending the flight is the companion's business: it sees the name in the record and lands.
 """
@@ -33,13 +36,14 @@ _SINK_GAIN_PS = 3.0
 _LEVEL_SINK_SHARE = 0.97
 _CARRIED_TIME_CONSTANT_US = 1_000_000
 
+OUTSIDE = "brake: outside the envelope"
 _PASS, _CLIP, _COMMAND, _TILT, _ENVELOPE, _POSITION, _ATTITUDE = range(7)
 _NAMES = (
     "",
     "clip: command beyond its limits",
     "brake: command not finite",
     "brake: tilt",
-    "brake: outside the envelope",
+    OUTSIDE,
     "level: position lost",
     "zero_rates: attitude lost",
 )
@@ -81,12 +85,28 @@ class Guard:
             ]
         )  # fmt: skip
 
+    def turn_back(
+        self, command: Command, measurement: Measurement, origin_ned_m: F64, carried_n: float, now_us: int
+    ) -> tuple[Command, bool]:
+        """What a safety filter is to make safe: the brake and True outside the envelope, else the command and False.
+
+        The arguments are those of `check`.
+        """
+        north, east, down = (measurement.pos_ned_m - origin_ned_m).tolist()
+        radius_m, height_m = self.limits.radius_m, self.limits.height_m
+        if north * north + east * east <= radius_m * radius_m and -down <= height_m:
+            return command, False
+        brake, name = self.check(command, measurement, origin_ned_m, carried_n, now_us)
+        return (brake, True) if name == OUTSIDE else (command, False)
+
     def check(
-        self, command: Command, measurement: Measurement | None, origin_ned_m: F64, carried_n: float, now_us: int
-    ) -> tuple[Command, str]:
+        self, command: Command, measurement: Measurement | None, origin_ned_m: F64, carried_n: float, now_us: int,
+        turned: bool = False,
+    ) -> tuple[Command, str]:  # fmt: skip
         """The command to send, and the name of what was done to it ("" where it passed).
 
-        `origin_ned_m` (3,): where the vehicle was armed; `carried_n`: the vertical thrust that carried it so far, N.
+        `origin_ned_m` (3,): where the vehicle was armed; `carried_n`: the vertical thrust that carried it so far, N;
+        `turned`: the command is what a filter made of `turn_back`'s brake.
         """
         lost = stale(measurement, self.limits)
         rate = np.zeros(3)
@@ -96,10 +116,10 @@ class Guard:
         else:
             code, thrust = _judge(
                 command.thrust_n, command.thrust_norm, command.rate_frd_radps, measurement.row, origin_ned_m, carried,
-                self._bounds, lost != "", rate,
+                self._bounds, lost != "", turned, rate,
             )  # fmt: skip
         if code == _PASS:
-            return command, ""
+            return command, OUTSIDE if turned else ""
         return Command(now_us, thrust, self.model.norm_of(thrust), rate), _NAMES[code]
 
 
@@ -114,12 +134,12 @@ def _finite(values: F64) -> bool:
 @njit
 def _judge(
     thrust: float, thrust_norm: float, rate: F64, measured: F64, origin: F64, carried: float, bounds: F64, lost: bool,
-    out: F64,
+    turned: bool, out: F64,
 ) -> tuple[int, float]:  # fmt: skip
     """What is wrong (the worst first) and the thrust for it; body rates in `out` (3,).
 
     `measured` (20,): a Measurement's row.  `bounds` (9,): least and greatest thrust, rates (3), radius, height, cosine
-    of the greatest tilt, mass.
+    of the greatest tilt, mass.  `turned`: the command brakes outside the envelope already.
     """
     pos, vel, q, body_rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     carried = min(max(carried, bounds[0]), bounds[1])
@@ -132,7 +152,7 @@ def _judge(
         return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[0])
     code = _PASS
     north, east, down = pos[0] - origin[0], pos[1] - origin[1], pos[2] - origin[2]
-    if not (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6]):
+    if not (turned or (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6])):
         code = _ENVELOPE
     elif not quat_to_matrix(q)[2, 2] >= bounds[7]:
         code = _TILT

@@ -87,7 +87,7 @@ class Stack:
         control, learner, certifier, safe = state.control, state.learner, state.certifier, state.filter
         applied = state.applied
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, state.sent, False
-        filtered = _UNFILTERED
+        filtered, turned = _UNFILTERED, False
         if usable:
             applied = applied.follow(state.sent, seen.motor_command, self.model, now_us - state.sent.t_us)
             learner, learned = self.learner.step(learner, seen, applied.of(state.sent), setpoint)
@@ -97,8 +97,9 @@ class Stack:
             bent = self.filter.bend(safe, setpoint)
             control, proposal = self.controller.step(control, seen, bent, learned, state.sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
+            wanted, turned = self.guard.turn_back(wanted, seen, state.origin_ned_m, state.carried_n, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, state.sent, learned)
-        command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us)
+        command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us, turned)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         carried = state.carried_n

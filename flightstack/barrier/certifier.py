@@ -222,15 +222,19 @@ class OnlineCertifier:
         yield self.certificate(knowledge, tuple(axes))
 
     def knowledge_steps(
-        self, learner: LearnerState, version: int, widen_mps2: F64, thrust_share: tuple[float, float]
-    ) -> Iterator[Knowledge | None]:
-        """What the learner knows of this region now: None after each piece of the work, then the knowledge."""
+        self, learner: LearnerState, version: int, widen_mps2: F64, thrust_share: tuple[float, float],
+        last: bool = False,
+    ) -> Iterator[Knowledge | None]:  # fmt: skip
+        """What the learner knows of this region now: None after each piece of the work, then the knowledge.
+
+        `last`: no certificate will be issued after this one.
+        """
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
         box = self._budget(accelerations, thrust_share)
         yield None
         yield from Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=self.config.delta, version=version, widen_mps2=widen_mps2,
+            delta=self.config.delta, version=version, last=last, widen_mps2=widen_mps2,
         )  # fmt: skip
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:

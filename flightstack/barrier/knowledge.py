@@ -46,7 +46,10 @@ thrust, ground) keeps its prior.  Source of bounds by sets of hyper-parameters: 
 
 **k_sigma.**  Each bound is two-sided and Gaussian; the union over all of them (`statements`: queries and gaps) fails
 with probability delta_n at most: k = Phi^-1(1 - delta_n / (2 statements)), delta_n = 6 delta / (pi n)^2 for the n-th
-certificate, n from 1, so that all that are ever issued fail with delta at most.
+certificate, n from 1, so that all that are ever issued fail with delta at most.  One after which none is issued
+(`last`) may spend what is left: delta_n + delta_n+1 + ... = delta (1 - sum over k < n of 6 / (pi k)^2).  Which one is
+issued is chosen after the data were seen.  That costs nothing: the bounds are posterior ones, so given the data each
+fails with its chance, whichever is chosen.
 
 `as_json` holds all that these sentences use; `sha256` is over x, then y of the lateral store, then of the vertical one
 (little-endian doubles, row by row).
@@ -61,7 +64,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtri, zeta
 
 from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
 from flightstack.barrier.posterior import Accelerations
@@ -110,7 +113,7 @@ class Knowledge:
     ) -> Knowledge:
         """Before any data; with `box` None no thrust across is allowed for (the vertical axis alone)."""
         box = box or budget(model, limits)
-        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, np.zeros(3))
+        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3))
         *_, hulls = _all_steps(nothing)
         assert hulls is not None
         return _finish(nothing, hulls)
@@ -152,13 +155,17 @@ class Knowledge:
         box: Budget | None = None,
         delta: float = 0.05,
         version: int = 1,
+        last: bool = False,
         widen_mps2: F64 | None = None,
     ) -> Iterator[Knowledge | None]:
-        """The same in pieces of about a millisecond: None after each, the knowledge after the last."""
+        """The same in pieces of about a millisecond: None after each, the knowledge after the last.
+
+        `last`: no certificate will be issued after this one.
+        """
         box = box or budget(model, limits)
-        k = confidence(delta, version, statements(envelope))
+        k = confidence(delta, version, statements(envelope), last)
         widen = np.zeros(3) if widen_mps2 is None else widen_mps2
-        request = Request(learned, initial, model, box, envelope, k, delta, version, widen)
+        request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen)
         for hulls in _all_steps(request):
             yield None if hulls is None else _finish(request, hulls)
 
@@ -174,6 +181,7 @@ class Request(NamedTuple):
     k: float
     delta: float
     version: int
+    last: bool
     widen: F64
 
 
@@ -189,9 +197,14 @@ class _Hull(NamedTuple):
     """W of a lateral axis."""
 
 
-def confidence(delta: float, version: int, statements: int) -> float:
-    """k_sigma for the `version`-th certificate (from 1), whose bounds are so many two-sided Gaussian statements."""
+def confidence(delta: float, version: int, statements: int, last: bool = False) -> float:
+    """k_sigma for the `version`-th certificate (from 1), whose bounds are so many two-sided Gaussian statements.
+
+    `last`: with all that those before it have left of delta.
+    """
     share = 6.0 * delta / (math.pi * version) ** 2
+    if last:
+        share = 6.0 * delta / math.pi**2 * float(zeta(2.0, version))
     return float(-ndtri(0.5 * share / statements))
 
 
@@ -345,6 +358,8 @@ def _as_json(request: Request) -> dict[str, object]:
         "statements": 0 if request.learned is None else statements(envelope),
         "widen_mps2": request.widen.tolist(),
     }  # fmt: skip
+    if request.last:
+        data["last"] = True
     if request.learned is not None:
         lateral, vertical = request.learned.lateral.process, request.learned.vertical.process
         data["lateral"], data["vertical"] = lateral.as_json(), vertical.as_json()

@@ -3,8 +3,9 @@
 In flight a region is an ellipse about the centre inside an ellipse of allowed speeds (`search`).  Afterwards nothing
 presses: every family of `design.largest`, in the strip |e| <= limit, with the bounds asked for up to several speeds
 (the further a speed lies from what was flown, the wider they are), and of all that close the one with the largest area
-on its worst slice.  The ledger depends on the barrier, so each design is repeated until its own margins are no larger
-than those that it was made with.
+on its worst slice.  It is the last certificate of its flight and may spend all that is left of delta (`knowledge`).
+The ledger depends on the barrier, so each design is repeated until its own margins are no larger than those that it
+was made with.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def settled(
             safe=safe,
         )  # fmt: skip
         knowledge: Knowledge | None = None
-        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrust_shares[0]):
+        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrust_shares[0], last=True):
             knowledge = piece
         assert knowledge is not None
         one, needs = asked.axis_of(axis, knowledge, learned)

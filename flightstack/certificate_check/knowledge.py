@@ -35,12 +35,13 @@ from .reading import Refused, number, rows, table_of
 NEAR = 1e-6
 """What two correct computations of a posterior may differ by, m/s^2."""
 DOWN = 2
+_MOST_VERSIONS = 100_000
 _KEYS = (
     "kind", "initial", "gravity_mps2", "drag_per_s", "rotor_radius_m", "speeds_mps", "heights_m", "nodes",
     "slice_only", "axes", "delta", "version", "k_sigma", "statements", "widen_mps2",
 )  # fmt: skip
 _LEARNED = ("lateral", "vertical", "sha256")
-_ALSO = ("doubts", "falsified", "hand_over", "vehicle", "vehicle_hash")
+_ALSO = ("doubts", "falsified", "hand_over", "last", "vehicle", "vehicle_hash")
 _PROCESS = ("kernel", "noise_var", "inflation", "excess", "x", "y")
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
@@ -288,7 +289,11 @@ def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> Non
     statements = len({DOWN, *data["axes"]}) * 2 * (known.queries * known.nodes + known.nodes - 1)
     if data["statements"] != statements or not isinstance(version, int) or version < 1 or not 0.0 < delta < 1.0:
         raise Refused(f"knowledge: statements must be {statements}, version at least 1, delta in 0 to 1")
-    allowed = 6.0 * delta / (math.pi * version) ** 2 / statements
+    shares = [6.0 / (math.pi * n) ** 2 for n in range(1, version + 1)]
+    last = data.get("last", False)
+    if not isinstance(last, bool) or version > _MOST_VERSIONS:
+        raise Refused(f"knowledge: last must be true or false, version {_MOST_VERSIONS} at most")
+    allowed = delta * (1.0 - sum(shares[:-1]) if last else shares[-1]) / statements
     if not math.erfc(k / math.sqrt(2.0)) <= allowed * (1.0 + 1e-9):
         raise Refused(f"k_sigma = {k:.6g} is less than delta = {delta:g} asks for with {statements} statements")
     digest = hashlib.sha256()

@@ -9,13 +9,13 @@ the bound:
 
 Model error which the kernel does not know (gusts, lags) so widens the bound, and an error beyond it does at once.
 
-Beside this *tracking set*, which follows the flight, every point since the last noticed change is pooled; from the
-pool `certificate_set` chooses those that a certificate may rest on: fixed by whoever asks, never forgotten in flight.
+Beside this *tracking set*, which follows the flight, the points since the last noticed change are pooled; from the
+pool `certificate_set` chooses those that a certificate may rest on.  When the pool is full, the older three quarters
+are thinned to a third that reaches as far as all of them: what was seen once, far out, is not forgotten in flight.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Literal
 
 import numpy as np
@@ -37,6 +37,7 @@ _NOISE_EVERY = 50
 _NOISE_LEAST = 1e-4
 _POOL = 2000
 """Two minutes of windows."""
+_THINNED, _KEPT = 1500, 500
 _BOUND_SIGMAS = 3.0
 _ORIGIN = np.zeros(16)
 
@@ -64,7 +65,7 @@ class Store:
         self.calm_excess = self.excess.copy()
         """The same without what single errors have widened: what a sudden change must be compared with, for the first
         window that it falls into widens the bound by as much."""
-        self._pool: deque[tuple[F64, F64]] = deque(maxlen=_POOL)
+        self._pool: list[tuple[F64, F64]] = []
 
     @property
     def renewing(self) -> bool:
@@ -132,7 +133,7 @@ class Store:
 
     def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
         """Places (N, D) and values (N, P) of the newest pooled points, the oldest of them first."""
-        held = list(self._pool)[-newest:]
+        held = self._pool[-newest:]
         return np.array([x for x, _ in held]), np.array([y for _, y in held])
 
     def _add(self, x: F64, y: F64) -> None:
@@ -142,6 +143,12 @@ class Store:
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
             self._pool.append((x.copy(), y.copy()))
+            if len(self._pool) >= _POOL:
+                self._thin()
+
+    def _thin(self) -> None:
+        chosen = spread(np.array([x for x, _ in self._pool[:_THINNED]]), _KEPT)
+        self._pool[:_THINNED] = [self._pool[i] for i in chosen.tolist()]
 
     def _calibrate(self, error: F64, variance: float) -> None:
         """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""

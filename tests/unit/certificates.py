@@ -89,12 +89,14 @@ def known_vehicle(points: int, *, seed: int = 1) -> Accelerations:
     )
 
 
-def knowledge(points: int = 60, axes: tuple[int, ...] = (2,)) -> Knowledge:
+def knowledge(points: int = 60, axes: tuple[int, ...] = (2,), version: int = 1, last: bool = False) -> Knowledge:
     """What these points say of some axes round 2 m of height, with some thrust across."""
     envelope = Envelope(((-0.2, 0.2), (-0.2, 0.2), (-1.6, 1.6)), (1.2, 2.8), nodes=9, axes=axes)
     limits = Limits()
     box = budget(MODEL, limits, lateral_mps2=0.5, low_mps2=3.0)
-    *_, known = Knowledge.steps(known_vehicle(points), MODEL, limits, envelope, initial=InitialKnowledge(), box=box)
+    *_, known = Knowledge.steps(
+        known_vehicle(points), MODEL, limits, envelope, initial=InitialKnowledge(), box=box, version=version, last=last
+    )
     assert known is not None
     return known
 

@@ -23,11 +23,13 @@ from hypothesis import strategies as st
 
 import flightstack.certificate_check as checker
 from flightstack.barrier.file import certificate_to_json
+from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.shapes import value
 from flightstack.certificate_check import check
 from flightstack.certificate_check.gaussian import factor, posterior
 from flightstack.certificate_check.intervals import Interval
 from flightstack.certificate_check.knowledge import Box, read, tables
+from flightstack.certificate_check.reading import Refused
 
 
 @cache
@@ -271,12 +273,29 @@ def test_the_process_is_that_of_scikit_learn() -> None:
     np.testing.assert_allclose(np.sqrt(variance), std, atol=1e-9)
 
 
+def box_of(made: Knowledge) -> Box:
+    lean = math.sin(made.budget.tilt_max_rad) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
+    return Box(lean, made.budget.low_mps2, made.budget.high_mps2)
+
+
+def test_the_last_certificate_may_spend_what_is_left_of_delta_and_no_other_may() -> None:
+    made = knowledge(version=8, last=True)
+    data = json.loads(json.dumps(made.as_json()))
+    read(data, box_of(made), made.delta, made.k_sigma, 8)
+    for change, why in (
+        ({"last": False}, "k_sigma"),
+        ({"last": 1}, "last"),
+        ({"k_sigma": made.k_sigma - 0.01}, "k_si"),
+    ):
+        changed = {**data, **change}
+        with pytest.raises(Refused, match=why):
+            read(changed, box_of(made), made.delta, changed["k_sigma"], 8)
+
+
 def test_the_authority_of_every_axis_is_what_the_maker_says() -> None:
     made = knowledge(80, axes=(0, 1, 2))
     data = json.loads(json.dumps(made.as_json()))
-    lean = math.sin(made.budget.tilt_max_rad) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
-    box = Box(lean, made.budget.low_mps2, made.budget.high_mps2)
-    found = tables(read(data, box, made.delta, made.k_sigma, made.version))
+    found = tables(read(data, box_of(made), made.delta, made.k_sigma, made.version))
     assert set(found) == {0, 1, 2}
     for axis, table in found.items():
         np.testing.assert_allclose(table, made.authorities[axis].table, atol=1e-8)

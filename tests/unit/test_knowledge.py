@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 from shipped import load_scenario, load_vehicle
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
@@ -174,6 +175,14 @@ def test_certified_braking_is_what_the_true_plant_has_in_all_but_delta_of_plants
         refuted += bool(off_low.any() or off_high.any())
         assert float(a.error_low_mps2.max()) < 0.67 * G * 0.6  # far better than before any data
     assert refuted <= 0.05 * plants
+
+
+@pytest.mark.parametrize("issued", [0, 1, 7])
+def test_all_certificates_together_fail_with_delta_at_most(issued: int) -> None:
+    """However many are issued, the last one with what is left: by the tail of the normal distribution."""
+    k = [confidence(0.05, n, 30) for n in range(1, issued + 1)] + [confidence(0.05, issued + 1, 30, last=True)]
+    assert sum(30 * 2 * norm.sf(each) for each in k) == pytest.approx(0.05)
+    assert sum(30 * 2 * norm.sf(confidence(0.05, n, 30)) for n in range(1, 4000)) == pytest.approx(0.05, rel=1e-3)
 
 
 def test_bounds_at_the_nodes_are_mean_and_k_sigma_of_an_independent_computation() -> None:

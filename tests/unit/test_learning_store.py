@@ -53,6 +53,21 @@ def test_a_certificate_set_is_of_what_was_taken() -> None:
     np.testing.assert_array_equal(store.pooled(3)[0], path(200)[-3:])
 
 
+def test_what_was_seen_once_far_out_is_not_forgotten_however_long_it_hovers_after() -> None:
+    store = Store(PRIOR, inputs=2, outputs=1, capacity=10, floor=0.01)
+    rng = np.random.default_rng(6)
+    near = rng.normal(scale=0.02, size=(6000, 2))
+    near[:40] = rng.uniform(-1.0, 1.0, (40, 2))
+    for x in near:
+        store.take(x, np.zeros(1))
+    places = store.pooled()[0]
+    assert len(places) <= 2000
+    for ends in (np.min, np.max):
+        np.testing.assert_array_equal(ends(places, axis=0), ends(near, axis=0))
+        np.testing.assert_array_equal(ends(store.certificate_set(100)[0], axis=0), ends(near, axis=0))
+    np.testing.assert_array_equal(store.pooled(400)[0], near[-400:], err_msg="the newest are all there, in their order")
+
+
 def test_learning_on_does_not_change_a_certificate_set() -> None:
     store = filled()
     x, y = store.certificate_set(25)

@@ -176,6 +176,40 @@ def test_whatever_is_missing_ends_in_the_guards_fallback_and_the_next_good_tick_
     np.testing.assert_allclose(command.rate_frd_radps, 0.0, atol=0.05)
 
 
+class _Less(NoFilter):
+    """Lets pass a share of the thrust."""
+
+    def __init__(self, share: float) -> None:
+        self.share, self.asked = share, list[Command]()
+
+    def step(
+        self, state: object, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[object, Command, Filtered]:
+        self.asked.append(command)
+        thrust = self.share * command.thrust_n
+        return state, command._replace(thrust_n=thrust, thrust_norm=MODEL.norm_of(thrust)), Filtered.nothing()
+
+
+@pytest.mark.parametrize("place", [(51.0, 0.0, -1.0), (0.0, 0.0, -52.0)])
+def test_outside_the_envelope_the_brake_is_what_the_filter_makes_of_it(place: tuple[float, float, float]) -> None:
+    """A certificate holds there as well: the guard does not override what keeps it."""
+    seen = measurement(pos_ned_m=np.array(place), vel_ned_mps=np.array([2.0, 0.0, 0.5]))
+    less = _Less(0.9)
+    command, guard = tick(Stack(MODEL, safety_filter=less), seen)
+    assert guard == "brake: outside the envelope"
+    assert less.asked[0].rate_frd_radps[1] > 0.5, "flying north it pitches up"
+    np.testing.assert_array_equal(command.rate_frd_radps, less.asked[0].rate_frd_radps)
+    assert command.thrust_n == pytest.approx(0.9 * MODEL.weight_n), "it sinks at 0.5 m/s already: thrust that carries"
+
+
+def test_outside_the_envelope_a_filter_that_gives_no_number_is_overridden() -> None:
+    command, guard = tick(
+        Stack(MODEL, safety_filter=_Less(math.nan)), measurement(pos_ned_m=np.array([60.0, 0.0, -1.0]))
+    )
+    assert guard == "brake: outside the envelope"
+    assert np.isfinite([command.thrust_n, *command.rate_frd_radps]).all()
+
+
 def test_a_setpoint_that_is_not_finite_brakes_and_is_forgotten() -> None:
     stack = Stack(MODEL)
     bad = changed(SETPOINT, pos_ned_m=np.full(3, np.nan))
