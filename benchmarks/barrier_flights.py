@@ -96,6 +96,8 @@ class _Wire:
             due = now_us + self._delay_us + self._jitter_us * self._rng.uniform()
             last = self._queue[-1][0] if self._queue else 0.0
             self._queue.append((max(due, last), data))
+        if not self._queue or self._queue[0][0] > now_us:
+            return []
         arrived = [data for due, data in self._queue if due <= now_us]
         del self._queue[: len(arrived)]
         return arrived
