@@ -62,7 +62,7 @@ class Element:
     @overload
     def __get__(self, record: _Record, owner: type[Any]) -> float: ...
     def __get__(self, record: _Record | None, owner: type[Any]) -> Element | float:
-        return self if record is None else float(record.row[self.place])
+        return self if record is None else record.row.item(self.place)
 
 
 @dataclass(slots=True, eq=False)
