@@ -55,9 +55,7 @@ class FlightScore:
             return None
         return (t_us - companion.flight_start_us) * 1e-6 - companion.mission.track_start_s
 
-    def add(
-        self, track_s: float | None, pos_ned_m: Place, start_ned_m: Place, truth: Truth | None = None
-    ) -> None:
+    def add(self, track_s: float | None, pos_ned_m: Place, start_ned_m: Place, truth: Truth | None = None) -> None:
         """Score the last tick: position, and where the flight began, in one frame; tracking on the track only."""
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:

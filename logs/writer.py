@@ -30,8 +30,9 @@ from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
 from flightstack.types import InputError, TickRecord
 from logs import scene as viewer
+from logs.encoder import Encoder, make_encoder
 from logs.topics import FINAL_CERTIFICATE, LEVELS, SEVERITIES, TOPICS, Attachment, Kind, Topic, severity_names
-from logs.wire import Encoder, descriptor, make_encoder
+from logs.wire import descriptor
 
 FORMAT = "flightstack.log/1"
 CHUNK_BYTES = 64 * 1024

@@ -73,10 +73,9 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral",
-        "memory",
-        "posterior", "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us",
-        "variance", "vertical", "watch",
+        "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
+        "forward", "forward_us", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
+        "rates", "refused", "sample", "steps", "valid_us", "variance", "vertical", "watch",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -165,8 +164,8 @@ class GpLearner:
         row = np.empty(32)
         _assemble(
             self._limits, state.query, forward, weight, stage, sample, state.expected, state.variance, int(fit),
-            state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
-            state.fed_forward, row,
+            state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes,
+            state.watch.surprise, state.fed_forward, row,
         )  # fmt: skip
         state.steps += 1
         return state, Learned(row)
