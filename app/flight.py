@@ -143,6 +143,8 @@ class SimulatedFlight:
         stack, config = prepared.stack, setup.companion
         self.companion = Companion(Link(240, 191), stack, self.scenario, observer, config, planner)
         observer.companion = self.score.companion = self.companion
+        self.faulty = bool(setup.faults)
+        """Whether faults were asked for."""
         self._events = sorted(self.scenario.events, key=lambda event: event.time_s)
         self._true_start_ned_m = (0.0, 0.0, 0.0)
 
@@ -150,11 +152,6 @@ class SimulatedFlight:
     def t_us(self) -> int:
         """Simulated time."""
         return self.vehicle.t_us
-
-    @property
-    def faulty(self) -> bool:
-        """Whether faults were asked for."""
-        return bool(self.shell.server.faults.faults)
 
     @property
     def progress(self) -> float:
@@ -170,9 +167,10 @@ class SimulatedFlight:
         companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
         most_bytes = 0 if seam.bad else MAX_DATAGRAM
         server.advance(TICK_MS)
-        now_us = self.vehicle.t_us
-        for at_us, words in server.faults.new():
-            log.event(at_us, "fault", words)
+        now_us = self.vehicle.plant.t_us
+        if self.faulty:
+            for at_us, words in server.faults.new():
+                log.event(at_us, "fault", words)
         for data in self._carry(seam.out(ONBOARD, server.datagrams(ONBOARD, most_bytes)), self._theirs, self._ours):
             log.mavlink("rx", now_us, data)
             companion.receive_datagram(data, now_us)

@@ -47,9 +47,10 @@ class LearnerEvents:
 
     def on_learned(self, t_us: int, learned: Learned) -> None:
         """What is known at one tick."""
-        stage, changes = learned.stage, learned.changes
+        stage = learned.stage
         if stage < 0.0:
             return
+        changes = learned.changes
         self._recent.append(learned.row)
         if stage != self._stage and t_us >= self._stage_due_us:
             self._stage, self._stage_due_us = stage, t_us + _STAGE_PERIOD_US

@@ -10,27 +10,29 @@ from typing import Any
 import numpy as np
 
 from flightstack.scenario import Check
-from flightstack.types import Tuple3
+from flightstack.types import F64, Tuple3
+
+Place = F64 | Tuple3
 
 
 @dataclass(slots=True)
 class TrackingScore:
-    """Distance from the scenario's reference, tick by tick, while the scenario is tracked."""
+    """Distance from the scenario's reference, tick by tick, while the scenario is tracked; worked out at the end."""
 
     of: str
-    times_s: list[float] = field(default_factory=list)
-    distances_m: list[float] = field(default_factory=list)
+    _positions: list[tuple[Place, Place]] = field(default_factory=list)
+    _references: list[tuple[Place, Place]] = field(default_factory=list)
 
-    def add(self, time_s: float, position_ned_m: Tuple3, reference_ned_m: Tuple3) -> None:
-        """One tick: time since the start of tracking, both positions relative to the place of arming."""
-        self.times_s.append(time_s)
-        self.distances_m.append(math.dist(position_ned_m, reference_ned_m))
+    def add(self, position: tuple[Place, Place], reference: tuple[Place, Place]) -> None:
+        """One tick: both positions (3,) NED, each with the place of arming in its own frame, (3,)."""
+        self._positions.append(position)
+        self._references.append(reference)
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `tracking`; null figures where nothing was tracked."""
-        if not self.distances_m:
+        if not self._positions:
             return {"of": self.of, "rmse_m": None, "max_m": None, "rmse_settled_m": None}
-        distance = np.asarray(self.distances_m)
+        distance = np.array(list(map(math.dist, _relative(self._positions), _relative(self._references))))
         settled = distance[len(distance) // 2 :]
         return {
             "of": self.of,
@@ -38,6 +40,13 @@ class TrackingScore:
             "max_m": float(distance.max()),
             "rmse_settled_m": float(np.sqrt(np.mean(settled**2))),
         }
+
+
+def _relative(places: list[tuple[Place, Place]]) -> list[list[float]]:
+    """Each position seen from where its flight began."""
+    table = np.array(places)
+    relative: list[list[float]] = (table[:, 0] - table[:, 1]).tolist()
+    return relative
 
 
 @dataclass(slots=True)

@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING
 from app.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary
 from app.calibration import gp_summary
 from app.preparation import Prepared
-from app.result import NO_LOOP, FlightResult, LoopTiming, TrackingScore, judge, percentiles
+from app.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
 from flightstack.types import F64, Learned, TickRecord, Tuple3
 from logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
 
 if TYPE_CHECKING:
     from sim.plant import Truth
-
-
-Position = F64 | Tuple3
 
 
 class FlightScore:
@@ -34,6 +31,8 @@ class FlightScore:
         self._truths: list[Truth] = []
         protection = prepared.protection
         self.region = RegionScore(protection.region, protection.watched)
+        self._judging = self.region.of is not None
+        self._duration_s = prepared.scenario.duration_s
         self._filtering = prepared.stack.filter.enabled
         self._acting = self._interventions = self._infeasible = 0
 
@@ -56,22 +55,19 @@ class FlightScore:
             return None
         return (t_us - companion.flight_start_us) * 1e-6 - companion.mission.track_start_s
 
-    def add(
-        self, track_s: float | None, pos_ned_m: Position, start_ned_m: Position, truth: Truth | None = None
-    ) -> None:
+    def add(self, track_s: float | None, pos_ned_m: Place, start_ned_m: Place, truth: Truth | None = None) -> None:
         """Score the last tick: position, and where the flight began, in one frame; tracking on the track only."""
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:
             return
-        if self.region.of is not None:
+        if self._judging:
             estimate = record.measurement
             state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
             true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
             self.region.add(record.t_us, state, true)
-        if not 0.0 <= track_s <= self.prepared.scenario.duration_s:
+        if not 0.0 <= track_s <= self._duration_s:
             return
-        reference = _relative(record.reference.pos_ned_m, companion.start_ned_m)
-        self.tracking.add(track_s, _relative(pos_ned_m, start_ned_m), reference)
+        self.tracking.add((pos_ned_m, start_ned_m), (record.reference.pos_ned_m, companion.start_ned_m))
         if self._learning:
             self._learned_rows.append(record.learned.row)
             if truth is not None:
@@ -134,7 +130,7 @@ def link_summary(companion: Companion) -> dict[str, object]:
     }
 
 
-def _relative(position_ned_m: Position, start_ned_m: Position) -> Tuple3:
+def _relative(position_ned_m: Place, start_ned_m: Place) -> Tuple3:
     """A position seen from where the flight began."""
     north, east, down = position_ned_m if isinstance(position_ned_m, tuple) else position_ned_m.tolist()
     start_n, start_e, start_d = start_ned_m if isinstance(start_ned_m, tuple) else start_ned_m.tolist()

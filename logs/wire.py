@@ -8,19 +8,15 @@ Wire format: https://protobuf.dev/programming-guides/encoding/
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from flightstack.types import Element, Part
-from logs.topics import Field, Topic
+from logs.topics import Topic
 
-Encoder = Callable[[Any], bytes]
-
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_VARINT, _FIXED64, BYTES, _FIXED32 = 0, 1, 2, 5
 _STRING = 9
 
 
@@ -34,14 +30,14 @@ class _Scalar:
     result: type[np.generic]
 
 
-_SCALARS = {
+SCALARS = {
     "double": _Scalar("d", _FIXED64, 1, np.float64),
     "float": _Scalar("f", _FIXED32, 2, np.float64),
     "int64": _Scalar("q", _FIXED64, 16, np.int64),
     "int32": _Scalar("i", _FIXED32, 15, np.int64),
     "bool": _Scalar("?", _VARINT, 8, np.bool_),
 }
-_BY_NUMBER = {scalar.number: scalar for scalar in _SCALARS.values()}
+_BY_NUMBER = {scalar.number: scalar for scalar in SCALARS.values()}
 
 
 def varint(value: int) -> bytes:
@@ -78,7 +74,7 @@ def walk(data: bytes) -> Iterator[tuple[int, int | bytes]]:
             value, at = read_varint(data, at)
             yield tag >> 3, value
             continue
-        if wire == _BYTES:
+        if wire == BYTES:
             size, at = read_varint(data, at)
         elif wire in (_FIXED64, _FIXED32):
             size = 8 if wire == _FIXED64 else 4
@@ -91,7 +87,7 @@ def walk(data: bytes) -> Iterator[tuple[int, int | bytes]]:
 
 
 def _bytes_field(number: int, data: bytes) -> bytes:
-    return varint(number << 3 | _BYTES) + varint(len(data)) + data
+    return varint(number << 3 | BYTES) + varint(len(data)) + data
 
 
 def _int_field(number: int, value: int) -> bytes:
@@ -103,160 +99,12 @@ def descriptor(topic: Topic) -> bytes:
     package, _, name = topic.schema.rpartition(".")
     message = _bytes_field(1, name.encode())
     for number, field in enumerate(topic.fields, 1):
-        kind = _STRING if field.type == "string" else _SCALARS[field.type].number
+        kind = _STRING if field.type == "string" else SCALARS[field.type].number
         entry = _bytes_field(1, field.name.encode()) + _int_field(3, number) + _int_field(4, 3 if field.size else 1)
         message += _bytes_field(2, entry + _int_field(5, kind))
     file_name = f"{topic.schema.replace('.', '/')}.proto"
     file = _bytes_field(1, file_name.encode()) + _bytes_field(2, package.encode())
     return _bytes_field(1, file + _bytes_field(4, message) + _bytes_field(12, b"proto3"))
-
-
-def _prefix(number: int, field: Field) -> bytes:
-    """Tag (and length) before a field's bytes."""
-    scalar = _SCALARS[field.type]
-    if field.size == 0:
-        return varint(number << 3 | scalar.wire)
-    return varint(number << 3 | _BYTES) + varint(field.size * struct.calcsize("<" + scalar.code))
-
-
-def _text_field(prefix: bytes, text: str) -> bytes:
-    data = text.encode()
-    return prefix + varint(len(data)) + data
-
-
-def _follow(record: object, path: str) -> object:
-    for name in path.split("."):
-        record = getattr(record, name)
-    return record
-
-
-def _is_block(value: object, field: Field) -> bool:
-    """Whether an array's own bytes are the field's bytes."""
-    if not isinstance(value, np.ndarray):
-        return False
-    return bool(value.shape == (field.size,) and value.dtype is _block_dtype(field) and value.flags.c_contiguous)
-
-
-def _block_dtype(field: Field) -> np.dtype[Any]:
-    return np.dtype(_SCALARS[field.type].code)
-
-
-def _place_in_row(owner: object, name: str, field: Field) -> slice | None:
-    """Which bytes of its owner's row a field is, if it is a named part of one (`flightstack.types`)."""
-    part = getattr(type(owner), name, None)
-    if isinstance(part, Element) and field.size == 0 and field.type == "double":
-        return slice(8 * part.place, 8 * part.place + 8)
-    if isinstance(part, Part) and part.place.stop - part.place.start == field.size and field.type == "double":
-        return slice(8 * part.place.start, 8 * part.place.stop)
-    return None
-
-
-def _not_a_block(value: np.ndarray) -> bytes:
-    raise TypeError(f"an array of {value.dtype} came where another type came before")
-
-
-class _Source:
-    """Python source of an encoder while it grows: runs of `struct.pack` and bytes that go in as they are."""
-
-    def __init__(self) -> None:
-        self.names: dict[str, Any] = {"join": b"".join, "text": _text_field, "other": _not_a_block}
-        self.size = 0
-        self._parts: list[str] = []
-        self._layout = "<"
-        self._arguments: list[str] = []
-        self._fixed = b""
-        self._rows: dict[str, str] = {}
-
-    def constant(self, value: object) -> str:
-        name = f"c{len(self.names)}"
-        self.names[name] = value
-        return name
-
-    def pack(self, layout: str, argument: str) -> None:
-        """One more value, or several (`*...`), for the current run."""
-        self._end_fixed()
-        self._layout += layout
-        self._arguments.append(argument)
-
-    def fixed(self, data: bytes) -> None:
-        """Bytes that are the same in every message."""
-        self._fixed += data
-
-    def part(self, row: str, place: slice) -> None:
-        """Bytes of a row (an array of doubles) that is fetched once, whatever number of its parts is used."""
-        self._end_run()
-        name = self._rows.setdefault(row, f"row{len(self._rows)}")
-        self._parts.append(f"{name}[{place.start}:{place.stop}]")
-        self.size += place.stop - place.start
-
-    def block(self, value: str, dtype: np.dtype[Any], size: int) -> None:
-        self._end_run()
-        self._parts.append(f"(v if (v := {value}).dtype is {self.constant(dtype)} else other(v))")
-        self.size += size * dtype.itemsize
-
-    def _end_fixed(self) -> None:
-        """What is the same in every message becomes part of the current run."""
-        if self._fixed:
-            self._layout += f"{len(self._fixed)}s"
-            self._arguments.append(self.constant(self._fixed))
-            self._fixed = b""
-
-    def _end_run(self) -> None:
-        if self._fixed and not self._arguments:
-            self._parts.append(self.constant(self._fixed))
-            self.size += len(self._fixed)
-            self._fixed = b""
-        self._end_fixed()
-        if not self._arguments:
-            return
-        run = struct.Struct(self._layout)
-        self._parts.append(f"{self.constant(run.pack)}({', '.join(self._arguments)})")
-        self.size += run.size
-        self._layout, self._arguments = "<", []
-
-    def compile(self, tail: str) -> Encoder:
-        self._end_run()
-        parts = f"join(({', '.join(self._parts)},))" if len(self._parts) > 1 else "".join(self._parts) or "b''"
-        lines = ["def encode(r):", *(f"    {name} = {row}.tobytes()" for row, name in self._rows.items())]
-        lines += [f"    data = {parts}", f"    if len(data) != {self.size}:"]
-        lines += ["        raise ValueError('an array is of another length than its field')", f"    return data{tail}"]
-        exec("\n".join(lines), self.names)
-        encoder: Encoder = self.names["encode"]
-        return encoder
-
-
-def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encoder:
-    """An encoder for records like `sample`: a plain tuple in field order, or any object with the fields' attributes.
-
-    Generated source, as `namedtuple` does it: every part is fetched in place, three times faster than a loop over the
-    fields.  With `blocks`, arrays of the field's own type and parts of rows go in as they are; the encoder raises where
-    a later record's aren't.  Without, any sequence of the right length will do.
-    """
-    by_place = type(sample) is tuple
-    source = _Source()
-    tail = ""
-    for place, field in enumerate(topic.fields):
-        path = field.path or field.name
-        value = f"r[{place}]" if by_place else f"r.{path}"
-        if field.type == "string":
-            prefix = source.constant(varint((place + 1) << 3 | _BYTES))
-            tail += f" + (text({prefix}, {value}) if {value} else b'')"
-            continue
-        source.fixed(_prefix(place + 1, field))
-        code = _SCALARS[field.type].code
-        owner, _, name = ("r." + path).rpartition(".")
-        stretch = None
-        if blocks and not by_place:
-            stretch = _place_in_row(_follow(sample, owner[2:]) if owner != "r" else sample, name, field)
-        if stretch is not None:
-            source.part(f"{owner}.row", stretch)
-        elif not field.size:
-            source.pack(code, value)
-        elif blocks and not by_place and _is_block(_follow(sample, path), field):
-            source.block(value, _block_dtype(field), field.size)
-        else:
-            source.pack(f"{field.size}{code}", f"*{value}")
-    return source.compile(tail)
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +166,7 @@ def _layout(first: bytes, fields: dict[int, _ProtoField]) -> _Layout:
         dtype = np.dtype("<" + scalar.code)
         shape: tuple[int, ...] = ()
         size = dtype.itemsize
-        if tag & 7 == _BYTES:
+        if tag & 7 == BYTES:
             size, begin = read_varint(first, begin)
             shape = (size // dtype.itemsize,)
         names.append(field.name)

@@ -30,8 +30,9 @@ from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
 from flightstack.types import InputError, TickRecord
 from logs import scene as viewer
+from logs.encoder import Encoder, make_encoder
 from logs.topics import FINAL_CERTIFICATE, LEVELS, SEVERITIES, TOPICS, Attachment, Kind, Topic, severity_names
-from logs.wire import Encoder, descriptor, make_encoder
+from logs.wire import descriptor
 
 FORMAT = "flightstack.log/1"
 CHUNK_BYTES = 64 * 1024
@@ -224,7 +225,7 @@ class FlightLog:
         if self._silent:
             return
         try:
-            channel = self._channels[topic] if topic in self._channels else self._open_channel(topic)
+            channel = self._channels.get(topic) or self._open_channel(topic)
             if channel.is_log:
                 record = viewer.log_line(t_us, *record)  # type: ignore[misc]
             try:
@@ -252,16 +253,16 @@ class FlightLog:
 
     def tick(self, record: TickRecord) -> None:
         """One tick of the stack: /setpoint, /command, /tick, /learner, /filter and, at their own rate, the views."""
-        t_us = record.t_us
-        self.write("/setpoint", t_us, record.reference)
-        self.write("/command", t_us, record.command)
-        self.write("/tick", t_us, record)
+        t_us, write, status = record.t_us, self.write, record.filtered.status
+        write("/setpoint", t_us, record.reference)
+        write("/command", t_us, record.command)
+        write("/tick", t_us, record)
         if record.learned.stage >= 0.0:
-            self.write("/learner", t_us, record.learned)
-        if record.filtered.status >= 0.0:
-            self.write("/filter", t_us, record.filtered)
+            write("/learner", t_us, record.learned)
+        if status >= 0.0:
+            write("/filter", t_us, record.filtered)
         if self._trail.is_due(t_us):
-            if record.filtered.status >= viewer.ENGAGED:
+            if status >= viewer.ENGAGED:
                 self._views(t_us, viewer.arrow_views, record)
             self._views(t_us, self._trail.poses, record.measurement)
 

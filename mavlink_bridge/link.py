@@ -166,8 +166,9 @@ class Link:
         """Queue a message, as this link's component or as another one of the same system."""
         row = BY_EVENT[type(message)]
         source = component or self.component
-        sequence = self._next_sequence.get(source, 0)
-        self._next_sequence[source] = (sequence + 1) & 0xFF
+        sequences = self._next_sequence
+        sequence = sequences.get(source, 0)
+        sequences[source] = (sequence + 1) & 0xFF
         frame = build_frame(row.encode(message), row.id, row.crc_extra, sequence, self.system, source, self._flags)
         if self._signing is not None:
             frame += self._signing.signature(frame)
@@ -193,14 +194,12 @@ class Link:
             crc = mcrf4xx(data[at + 1 : end - 2])
             if CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 != data[end - 2] | data[end - 1] << 8:
                 break
-            at += HEADER_SIZE
-            component = number & 0xFF
-            source = system << 8 | component
+            source = system << 8 | number & 0xFF
             if row is None or expected.get(source) != sequence:
-                self._take(data, at, size, sequence, system, component, number >> 8, now_us)
+                self._take(data, at + HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
             else:
                 expected[source] = (sequence + 1) & 0xFF
-                self._hand_out(row, data, at, size, (system, component, sequence, now_us))
+                self._hand_out(row, data, at + HEADER_SIZE, size, system, number & 0xFF, sequence, now_us)
             at = end
         return at
 
@@ -251,10 +250,12 @@ class Link:
         if row is None:
             self.stats.unknown_id += 1
             return
-        self._hand_out(row, data, at, size, (system, component, sequence, now_us))
+        self._hand_out(row, data, at, size, system, component, sequence, now_us)
 
-    def _hand_out(self, row: Row, data: bytes, at: int, size: int, about: tuple[int, int, int, int]) -> None:
-        """Decode a known message and queue it; `about`: system, component, sequence, time."""
+    def _hand_out(
+        self, row: Row, data: bytes, at: int, size: int, system: int, component: int, sequence: int, now_us: int
+    ) -> None:
+        """Decode a known message and queue it."""
         if size >= row.size:
             message = row.decode(data, at)
         else:  # MAVLink 2 cuts trailing zeros
@@ -263,7 +264,7 @@ class Link:
             self.stats.not_finite += 1
             return
         self.stats.received += 1
-        self._events.append(_new_received(Received, (*about, message)))
+        self._events.append(_new_received(Received, (system, component, sequence, now_us, message)))
 
     def _account(self, source: int, sequence: int) -> None:
         """A sequence number that isn't the expected one: after a gap, repeated, or late."""

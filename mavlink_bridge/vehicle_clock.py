@@ -47,8 +47,9 @@ class VehicleClock:
         if self._anchor is None:
             self._restart(stamp_us, local_us)
             return
-        lead = stamp_us - self.vehicle_us(local_us)
-        if abs(lead) > _JUMP_US * max(1.0, self.rate) and len(self._buckets) >= 2:
+        (local0, stamp0), rate = self._anchor, self.rate
+        lead = stamp_us - stamp0 - round((local_us - local0) * rate)
+        if abs(lead) > _JUMP_US and abs(lead) > _JUMP_US * rate and len(self._buckets) >= 2:
             self.jumps += 1
             self._restart(stamp_us, local_us)
             return

@@ -64,13 +64,16 @@ class ParamReader:
         self.values: dict[str, float] = {}
         self.outputs_now = Outputs()
         """`outputs` as of the last parameter that came."""
+        self._wanted: list[str] = []
+        """Which pulse limits are wanted by then."""
         self._absent: set[str] = set()
         self._asked: dict[str, _Asked] = {name: _Asked() for name in (*NEEDED, *OPTIONAL)}
 
     def ask(self, link: Link, system: int, now_us: int) -> None:
         """Send what is due."""
-        for name in self._limits_wanted():
-            self._asked.setdefault(name, _Asked())
+        for name in self._wanted:
+            if name not in self._asked:
+                self._asked[name] = _Asked()
         for name in self._open():
             asked = self._asked[name]
             if asked.sent_us < 0 or now_us - asked.sent_us >= _RETRY_US:
@@ -83,7 +86,7 @@ class ParamReader:
             value = float(message.value)
             if math.isfinite(value):
                 self.values[message.param_id] = value
-                self.outputs_now = self.outputs
+                self.outputs_now, self._wanted = self.outputs, self._limits_wanted()
         elif isinstance(message, m.ParamError) and message.param_id in self._asked:
             self._absent.add(message.param_id)
 
@@ -95,7 +98,7 @@ class ParamReader:
     @property
     def settled(self) -> bool:
         """Nothing more is to be expected."""
-        return not self.missing and not self._open() and all(name in self._asked for name in self._limits_wanted())
+        return not self.missing and not self._open() and all(name in self._asked for name in self._wanted)
 
     @property
     def rate_max_radps(self) -> Tuple3:

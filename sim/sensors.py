@@ -26,6 +26,7 @@ from sim.plant import Plant
 ESTIMATE_EVERY_MS = 4
 _BLOCK = 1024
 _FIX_BLOCK = 64
+_AIR_BLOCK = 256
 GYRO, _ACCEL, _SUM, _MEAN_GYRO, _MEAN_ACCEL, _COUNT = 0, 3, 6, 12, 15, 18
 """Places in the IMU's numbers: last sample, sums, means over 4 ms, samples in the sums."""
 _IMU_SIZE = 19
@@ -88,6 +89,7 @@ class Sensors:
         self._fix_std = np.array([*fix.pos_std_m, *fix.vel_std_mps])
         self._fix_accuracy = (math.hypot(*fix.pos_std_m[:2]), fix.pos_std_m[2], math.hypot(*fix.vel_std_mps))
         self._fix_noise: list[list[float]] = []
+        self._air_noise: list[float] = []
         self._fix_period_us = round(1e6 / grade.fix.rate_hz)
         self._fix_delay_us = round(1e6 * grade.fix.delay_s)
         self._next_fix_us = 0
@@ -178,15 +180,20 @@ class Sensors:
     def pressure_hpa(self) -> float:
         """Barometer now: standard atmosphere at the true height, with noise."""
         altitude_m = HOME_ALTITUDE_M - float(self._pos_ned_m[2])
-        noise_pa = self.grade.air.baro_std_pa * float(self._air_rng.standard_normal())
+        noise_pa = self.grade.air.baro_std_pa * self._air_normal()
         return 1013.25 * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588) + 0.01 * noise_pa
 
     def mag_frd_gauss(self) -> Tuple3:
         """Magnetometer now: Earth's field turned into the body, with noise."""
         x, y, z = _to_body(self._q_ned_frd.tolist(), FIELD_NED_GAUSS)
-        n = self._air_rng.standard_normal(3).tolist()
-        std = self.grade.air.mag_std_gauss
-        return x + std[0] * n[0], y + std[1] * n[1], z + std[2] * n[2]
+        normal, std = self._air_normal, self.grade.air.mag_std_gauss
+        return x + std[0] * normal(), y + std[1] * normal(), z + std[2] * normal()
+
+    def _air_normal(self) -> float:
+        """The next normal for the barometer or the magnetometer."""
+        if not self._air_noise:
+            self._air_noise = self._air_rng.standard_normal(_AIR_BLOCK)[::-1].tolist()
+        return self._air_noise.pop()
 
 
 def _to_body(q: list[float], v: Tuple3) -> Tuple3:

@@ -73,10 +73,9 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us", "forward", "forward_us", "lateral",
-        "memory",
-        "posterior", "query", "rate_mean", "rate_sigma", "rates", "refused", "sample", "steps", "valid_us",
-        "vertical", "watch",
+        "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
+        "forward", "forward_us", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
+        "rates", "refused", "sample", "steps", "valid_us", "variance", "vertical", "watch",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -103,18 +102,24 @@ class LearnerState:
         """Mean at the state, tilt axes."""
         self.posterior = np.full(2, math.inf)
         """Posterior variance at the state: lateral, vertical."""
+        self.variance = np.full(3, math.inf)
+        """Calibrated variances at the state, tilt axes."""
+        self.calm_variance = np.full(3, math.inf)
         self.forward = np.zeros((2, 4))
+        self.carried = np.zeros((2, 4))
+        """What was worked out last, and the same carried on to this step."""
         self.forward_us = 0
         self.rate_mean = np.zeros(3)
         self.rate_sigma = np.full(3, math.nan)
 
-    def variance(self) -> F64:
-        """(3,) calibrated variances at the state, tilt axes."""
-        return calibrated(self.posterior, self.lateral.excess, self.vertical.excess)
+    def calibrate(self) -> None:
+        """Bring `variance` in line with the posterior and what the stores have in excess of it."""
+        calibrated(self.posterior, self.lateral.excess, self.vertical.excess, self.variance)
 
     def calm(self) -> F64:
-        """(3,) the same without what single errors have widened."""
-        return calibrated(self.posterior, self.lateral.calm_excess, self.vertical.calm_excess)
+        """(3,) the same without what single errors have widened; good until the next call."""
+        calibrated(self.posterior, self.lateral.calm_excess, self.vertical.calm_excess, self.calm_variance)
+        return self.calm_variance
 
 
 class GpLearner:
@@ -143,13 +148,13 @@ class GpLearner:
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
         self._expect(state, both=state.steps == 0)
-        expected, variance = state.expected, state.variance()
+        state.calibrate()
         fit = fits(sample, config.residual_max_mps2)
         if fit:
             recovering = measurement.t_us - state.changed_us < _RECOVERY_US
-            allowed = variance if recovering else state.calm()
-            if self._learn(state, expected, allowed, measurement.t_us):
-                variance = state.variance()
+            allowed = state.variance if recovering else state.calm()
+            if self._learn(state, state.expected, allowed, measurement.t_us):
+                state.calibrate()
         else:
             state.refused += 1
             state.watch.reset()
@@ -158,9 +163,9 @@ class GpLearner:
         forward = self._forward(state, measurement.t_us)
         row = np.empty(32)
         _assemble(
-            self._limits, state.query, forward, weight, stage, sample, expected, variance, int(fit), state.rate_mean,
-            state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes, state.watch.surprise,
-            state.fed_forward, row,
+            self._limits, state.query, forward, weight, stage, sample, state.expected, state.variance, int(fit),
+            state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes,
+            state.watch.surprise, state.fed_forward, row,
         )  # fmt: skip
         state.steps += 1
         return state, Learned(row)
@@ -226,8 +231,9 @@ class GpLearner:
         derivative times 1e-4 s^2.
         """
         if state.steps % _FORWARD_EVERY:
-            return _carried(state.forward, 1e-6 * (t_us - state.forward_us))
-        out = state.forward.copy()
+            _carried(state.forward, 1e-6 * (t_us - state.forward_us), state.carried)
+            return state.carried
+        out = state.forward
         query, rate = state.query.copy()
         near, near_rate = query[s.GROUND], rate[s.GROUND]
         query[s.GROUND] = rate[s.GROUND] = 0.0
@@ -236,8 +242,9 @@ class GpLearner:
         query[s.THRUST], query[s.GROUND], rate[s.GROUND] = 1.0, near, near_rate
         out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
         out[:, 3] -= out[:, 2]
-        state.forward, state.forward_us = out.copy(), t_us
-        return out
+        state.forward_us = t_us
+        state.carried[:] = out
+        return state.carried
 
 
 @njit
@@ -256,22 +263,19 @@ def _relax(row: F64, jerk_max: float, fed_forward: F64) -> None:
 
 
 @njit
-def calibrated(posterior: F64, lateral: F64, vertical: F64) -> F64:
-    """(3,) calibrated variances, tilt axes: the posteriors' (2,) and the excess of both stores."""
-    out = np.empty(3)
+def calibrated(posterior: F64, lateral: F64, vertical: F64, out: F64) -> None:
+    """(3,) calibrated variances, tilt axes, into `out`: the posteriors' (2,) and the excess of both stores."""
     out[0] = INFLATION * INFLATION * (posterior[0] + lateral[0])
     out[1] = INFLATION * INFLATION * (posterior[0] + lateral[1])
     out[2] = INFLATION * INFLATION * (posterior[1] + vertical[0])
-    return out
 
 
 @njit
-def _carried(forward: F64, dt_s: float) -> F64:
-    """(2, 4) mean and rate, the mean carried along its rate."""
-    out = forward.copy()
+def _carried(forward: F64, dt_s: float, out: F64) -> None:
+    """(2, 4) mean and rate into `out`, the mean carried along its rate."""
     for i in range(4):
-        out[0, i] += out[1, i] * dt_s
-    return out
+        out[0, i] = forward[0, i] + forward[1, i] * dt_s
+        out[1, i] = forward[1, i]
 
 
 @njit

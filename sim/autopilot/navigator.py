@@ -9,7 +9,7 @@ Descend goes down level and lets the vehicle drift.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from flightstack.types import Tuple3
@@ -114,7 +114,7 @@ class Navigator:
         cruise = self.state.cruise_mps
         if setpoint.speed_mps == cruise or (math.isnan(cruise) and math.isnan(setpoint.speed_mps)):
             return setpoint
-        self.state.setpoint = replace(setpoint, speed_mps=cruise)
+        self.state.setpoint = setpoint._replace(speed_mps=cruise)
         return self.state.setpoint
 
     def _enter(

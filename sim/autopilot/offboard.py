@@ -69,9 +69,12 @@ def from_attitude_target(message: SetAttitudeTarget, last: ControlSetpoint | Non
         thrust = 0.0
     elif not 0.0 <= thrust <= 1.0:
         thrust = NAN if not math.isfinite(thrust) else 0.0 if thrust < 0.0 else 1.0
-    yaw_rate = NAN if mask & _NO_YAW_RATE else _within(z, _MAX_RATE_RADPS)
+    most = _MAX_RATE_RADPS
+    if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+        x, y, z = _within(x, most), _within(y, most), _within(z, most)
+    yaw_rate = NAN if mask & _NO_YAW_RATE else z
     if kind is ControlKind.RATE:
-        return ControlSetpoint(kind, (_within(x, _MAX_RATE_RADPS), _within(y, _MAX_RATE_RADPS), yaw_rate), thrust)
+        return ControlSetpoint(kind, (x, y, yaw_rate), thrust)
     q = _unit(message.q_ned_frd)
     if q is None:
         q = last.q_ned_frd if last is not None and last.kind is ControlKind.ATTITUDE else (1.0, 0.0, 0.0, 0.0)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from flightstack.types import Tuple3, Tuple4
 
@@ -35,8 +35,7 @@ POSITION_KINDS = (ControlKind.POSITION, ControlKind.GOTO, ControlKind.TAKEOFF, C
 HOLDING_KINDS = (ControlKind.GOTO, ControlKind.TAKEOFF, ControlKind.LAND)
 
 
-@dataclass(frozen=True, slots=True)
-class ControlSetpoint:
+class ControlSetpoint(NamedTuple):
     """What the control loops shall do; fields that the kind doesn't use are left at their defaults, NaN is unset."""
 
     kind: ControlKind

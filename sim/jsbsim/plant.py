@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ _PLACE = ("ic/lat-geod-rad", "ic/long-gc-rad", "ic/h-agl-ft")
 _START_EULER = tuple(f"ic/{name}-rad" for name in ("phi", "theta", "psi-true"))
 _START_VELOCITY = tuple(f"ic/{name}-fps" for name in ("vn", "ve", "vd"))
 _START_RATES = tuple(f"ic/{name}-rad_sec" for name in "pqr")
+_ONCE: tuple[tuple[()]] = ((),)
 _GROUND_MARGIN_M = 1.0
 """Height over a vehicle's reach from which it can't come down in a step."""
 
@@ -89,7 +91,7 @@ class JsbsimPlant:
     @property
     def battery_v(self) -> float:
         """Voltage at the battery's terminals; 0 where the vehicle has no [battery]."""
-        return self._get_voltage() if self._get_voltage is not None else 0.0
+        return self._get_shown[-1]()
 
     @property
     def on_ground(self) -> bool:
@@ -103,25 +105,11 @@ class JsbsimPlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
-        a, b, c, d = motor_command.tolist()
-        one(a if 0.0 <= a <= 1.0 else _within(a))
-        two(b if 0.0 <= b <= 1.0 else _within(b))
-        three(c if 0.0 <= c <= 1.0 else _within(c))
-        four(d if 0.0 <= d <= 1.0 else _within(d))
-        self._run()
-        height_m = read(
-            self._row, self._frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(),
-            fx(), fy(), fz(),
-        )  # fmt: skip
-        if (height_m < self._ground_below_m) is not self._ground_works:
-            self._toggle_ground()
-        self.t_us += self.dt_us
+        self.fly(motor_command, read, _ONCE)
 
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands."""
-        for _ in range(steps):
-            self.step(motor_command)
+        self.fly(motor_command, read, repeat((), steps))
 
     def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
         """`step` for each item with `look(row, frame, *numbers, *item)` in `read`'s place: it gives the height.
@@ -129,9 +117,9 @@ class JsbsimPlant:
         `look` may change the commands (4,) and see more than the plant; `numbers` are those that `read` takes.
         """
         one, two, three, four, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = self._wires
-        row, frame, low_m = self._row, self._frame, self._ground_below_m
+        row, frame, low_m, dt_us, commands = self._row, self._frame, self._ground_below_m, self.dt_us, motor_command
         for item in each:
-            a, b, c, d = motor_command.tolist()
+            a, b, c, d = commands.tolist()
             one(a if 0.0 <= a <= 1.0 else _within(a))
             two(b if 0.0 <= b <= 1.0 else _within(b))
             three(c if 0.0 <= c <= 1.0 else _within(c))
@@ -143,15 +131,13 @@ class JsbsimPlant:
             )  # fmt: skip
             if (height_m < low_m) is not self._ground_works:
                 self._toggle_ground()
-            self.t_us += self.dt_us
+            self.t_us += dt_us
 
     def truth(self) -> Truth:
         """A snapshot."""
         row: Any = tuple(self._row.tolist())
-        aircraft = self._aircraft
-        u1, u2, u3, u4 = [get() * aircraft.speed_unit for get in self._get_speeds]
-        t1, t2, t3, t4 = [get() * aircraft.thrust_unit_n for get in self._get_thrusts]
-        north, east, down = [get() * FOOT_M for get in self._get_wind]
+        u1, u2, u3, u4, t1, t2, t3, t4, north, east, down, voltage = self._get_shown
+        speed, thrust_n = self._units
         return Truth(
             self.t_us,
             row[R_POS : R_POS + 3],
@@ -160,11 +146,11 @@ class JsbsimPlant:
             row[R_RATE : R_RATE + 3],
             row[R_FORCE : R_FORCE + 3],
             row[R_ANGULAR : R_ANGULAR + 3],
-            (u1, u2, u3, u4),
-            (t1, t2, t3, t4),
-            (north, east, down),
-            self.battery_v,
-            self.on_ground,
+            (u1() * speed, u2() * speed, u3() * speed, u4() * speed),
+            (t1() * thrust_n, t2() * thrust_n, t3() * thrust_n, t4() * thrust_n),
+            (north() * FOOT_M, east() * FOOT_M, down() * FOOT_M),
+            voltage(),
+            self._ground_works and self.on_ground,
         )
 
     def set_effect(self, name: str, values: Mapping[str, float]) -> None:
@@ -241,11 +227,10 @@ class JsbsimPlant:
         self._run = fdm.first_run(self._use)
         self._get_state = tuple(map(fdm.get, (*_ECEF, *_VELOCITY, *_EULER, *_RATES, *_FORCES)))
         self._wires: tuple[Any, ...] = (*map(fdm.set, aircraft.commands), *self._get_state)
-        self._get_speeds = tuple(fdm.get(name) for name in aircraft.speeds)
-        self._get_thrusts = tuple(fdm.get(name) for name in aircraft.thrusts)
-        self._get_wind = tuple(fdm.get(name) for name in _WIND)
+        voltage = fdm.get(aircraft.voltage) if aircraft.voltage is not None else float
+        self._get_shown = (*map(fdm.get, (*aircraft.speeds, *aircraft.thrusts, *_WIND)), voltage)
+        self._units = aircraft.speed_unit, aircraft.thrust_unit_n
         self._get_ground = tuple(fdm.get(name) for name in _GROUND)
-        self._get_voltage = fdm.get(aircraft.voltage) if aircraft.voltage is not None else None
         if not self._frame.size:
             origin = np.array([fdm.get(name)() for name in _ECEF])
             self._frame = self._earth.frame(origin, 1e-6 * self.dt_us)
