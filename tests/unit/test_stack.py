@@ -206,7 +206,7 @@ def test_outside_the_envelope_a_filter_that_gives_no_number_is_overridden() -> N
     command, guard = tick(
         Stack(MODEL, safety_filter=_Less(math.nan)), measurement(pos_ned_m=np.array([60.0, 0.0, -1.0]))
     )
-    assert guard == "brake: outside the envelope"
+    assert guard == "brake: command not finite"
     assert np.isfinite([command.thrust_n, *command.rate_frd_radps]).all()
 
 
