@@ -106,5 +106,5 @@ def simulated_vehicle(
     """A vehicle that flies as `truth` with an autopilot set up for `believed`; the seed fixes plant and sensors."""
     plant_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
     physics = make_plant(plant, truth, seed=int(plant_seed.generate_state(1)[0]))
-    control = FlightControl(believed, params if params is not None else airframe_params(believed))
+    control = FlightControl(believed, params if params is not None else airframe_params(believed, truth))
     return SimulatedVehicle(physics, Sensors(grade, seed=sensor_seed), control)

@@ -25,11 +25,14 @@ POSITION_TICKS = 2
 _OFF, _RATE, _ATTITUDE = ControlKind.OFF, ControlKind.RATE, ControlKind.ATTITUDE
 
 
-def airframe_params(vehicle: Vehicle) -> Params:
-    """Parameters as an autopilot set up for this vehicle has them: hover thrust, rotor places, rate loop gains."""
+def airframe_params(vehicle: Vehicle, flown: Vehicle | None = None) -> Params:
+    """Parameters as an autopilot set up for this vehicle has them: hover thrust, rotor places, rate loop gains.
+
+    The gains are tuned on what is `flown`, as everybody's are; by default the same.
+    """
     params = Params()
     values = {"MPC_THR_HOVER": min(0.8, max(0.1, hover_command(vehicle)))}
-    values |= default_rate_gains(vehicle, params)
+    values |= default_rate_gains(vehicle, params, flown)
     for index, (place, ratio) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.torque_ratio_m, strict=True)):
         values |= {f"CA_ROTOR{index}_P{axis}": float(place[k]) for k, axis in enumerate("XYZ")}
         values[f"CA_ROTOR{index}_KM"] = float(ratio)

@@ -11,7 +11,7 @@ import pytest
 from scipy import signal
 
 from flightstack.types import F64
-from flightstack.vehicle import Vehicle, parse_vehicle
+from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from sim.autopilot.flight_control import airframe_params
 from sim.autopilot.params import Params
 from sim.autopilot.rate_control import (
@@ -21,6 +21,7 @@ from sim.autopilot.rate_control import (
     butterworth2,
     first_order_alpha,
     hover_command,
+    phase_margin_deg,
 )
 from tests.recorded_px4 import latest, read_flight
 
@@ -213,6 +214,26 @@ def test_an_agile_vehicle_gets_the_k_that_its_lag_allows() -> None:
     lag_s = 0.048 + math.sqrt(2.0) / (2.0 * math.pi * 40.0)
     assert params.get("MC_ROLLRATE_K") == pytest.approx(LOOP_GAIN_MAX[0] / (0.15 * alpha[0] * lag_s), rel=1e-6)
     assert params.get("MC_YAWRATE_K") < 1.0
+
+
+@pytest.mark.parametrize("dead_s", [0.0, 0.005, 0.02])
+def test_the_phase_margin_of_an_integrator_with_dead_time_is_the_closed_form(dead_s: float) -> None:
+    """P alpha e^(-s T) / s crosses 1 at P alpha: 90 degrees less T P alpha."""
+    margin = phase_margin_deg((0.15, 0.0, 0.0, 0.0), 270.0, (0.0, 0.0, 0.0), dead_s)
+    assert margin == pytest.approx(90.0 - math.degrees(0.15 * 270.0 * dead_s), abs=0.6)
+    assert phase_margin_deg((1e-6, 0.0, 0.0, 0.0), 270.0, (0.0, 0.0, 0.0), dead_s) == 180.0
+
+
+def test_gains_are_tuned_on_what_flies_until_it_does_not_ring() -> None:
+    """20 ms of dead time beside 50 ms of rotor lag: with PX4's defaults the rate loop swings against its limits."""
+    quad = vehicle("quad-x")
+    late = {"motor_lag": {"time_constant_s": 0.05}, "transport_delay": {"delay_s": 0.02}}
+    params = airframe_params(quad, with_effects(quad, late))
+    k = [params.get(name) for name in GAINS]
+    assert 0.4 < k[0] < 0.75
+    assert k[2] == 1.0, "yaw is slow enough"
+    slow = with_effects(quad, {"motor_lag": {"time_constant_s": 0.08}})
+    assert [airframe_params(quad, slow).get(name) for name in GAINS] == [1.0, 1.0, 1.0]
 
 
 def test_hover_command_carries_the_weight_on_any_thrust_curve() -> None:
