@@ -21,6 +21,7 @@ from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
+from flightstack.learning.learner import LearnerState
 from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import Certifier, SafetyFilter
@@ -145,6 +146,8 @@ class WatchedCertifier:
             state, learner, learned = self.seen
             if isinstance(state, GrowthState):
                 state = replace(state, inner=copy(state.inner))
+            if isinstance(learner, LearnerState):
+                learner = learner.snapshot()
             self.seen, self._seeing = (state, learner, learned), False
 
     def stamped(self, certificate: Certificate) -> Certificate:

@@ -22,6 +22,7 @@ range.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -111,6 +112,12 @@ class LearnerState:
         self.forward_us = 0
         self.rate_mean = np.zeros(3)
         self.rate_sigma = np.full(3, math.nan)
+
+    def snapshot(self) -> LearnerState:
+        """What a certificate needs of it, as of now; learning on does not change it."""
+        other = copy(self)
+        other.lateral, other.vertical = self.lateral.snapshot(), self.vertical.snapshot()
+        return other
 
     def calibrate(self) -> None:
         """Bring `variance` in line with the posterior and what the stores have in excess of it."""

@@ -16,6 +16,7 @@ are thinned to a third that reaches as far as all of them: what was seen once, f
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Literal
 
 import numpy as np
@@ -145,6 +146,12 @@ class Store:
             self._pool.append((x.copy(), y.copy()))
             if len(self._pool) >= _POOL:
                 self._thin()
+
+    def snapshot(self) -> Store:
+        """What a certificate needs of it, as of now: the pool, kernel, noise and calibration."""
+        other = copy(self)
+        other._pool, other.excess = list(self._pool), self.excess.copy()
+        return other
 
     def _thin(self) -> None:
         chosen = spread(np.array([x for x, _ in self._pool[:_THINNED]]), _KEPT)

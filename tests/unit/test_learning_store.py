@@ -78,6 +78,20 @@ def test_learning_on_does_not_change_a_certificate_set() -> None:
     np.testing.assert_array_equal(y, before[1])
 
 
+def test_a_snapshot_is_as_of_its_time() -> None:
+    store = filled()
+    then, excess = store.snapshot(), store.excess.copy()
+    x, y = then.certificate_set(25)
+    for place in path(60):
+        store.take(place + 0.3, np.array([5.0]))
+    store.hear(2.0)
+    assert store.excess[0] > 10.0 * excess[0]
+    np.testing.assert_array_equal(then.excess, excess)
+    for now, before in zip(then.certificate_set(25), (x, y), strict=True):
+        np.testing.assert_array_equal(now, before)
+    assert then.gp.noise_var == PRIOR.noise_var
+
+
 def test_after_a_change_the_pool_holds_only_what_came_since() -> None:
     store = filled()
     store.renew(np.array([2.0]), 3)
