@@ -23,6 +23,8 @@ _FEWEST_ROWS = 40
 _ROWS_PER_TAP = 12
 """A short or slow flight's noise model has fewer taps."""
 _OUTLIER = 6.0
+_FADES = 0.999
+"""Greatest root of a noise that is there: a drift that never comes back is no noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +43,13 @@ class Whitener:
     def order(self) -> int:
         """How many rows before its own one a whitened row needs."""
         return len(self.taps) - 1
+
+    @property
+    def stable_taps(self) -> F64:
+        """Taps of the same colour whose inverse fades: least squares may put a root beyond the unit circle."""
+        roots = np.roots(self.taps)
+        size = np.maximum(np.abs(roots), 1e-12)
+        return np.real(np.poly(roots / size * np.minimum(np.minimum(size, 1.0 / size), _FADES)))
 
 
 def fit(errors: list[F64], ok: list[Mask], *, most: int = ORDER) -> Whitener:
