@@ -59,11 +59,12 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)
     read = replace(flight, signals=signals)
-    samples = make_samples(flight.name, signals, vehicle, _ground(read, span, ground_d_m, findings))
+    ground_d_m = _ground(read, span, ground_d_m, findings)
+    samples = make_samples(flight.name, signals, vehicle, ground_d_m)
     if samples is None:
         findings.append(_not_flying())
         return Checked(read, None, tuple(findings), offsets)
-    samples, more = contact.leave_out(samples, vehicle)
+    samples, more = contact.leave_out(samples, vehicle, contact.standing_m(signals, vehicle, span, ground_d_m))
     findings += more
     samples, more = stopped.leave_out(samples, vehicle)
     findings += more

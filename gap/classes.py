@@ -6,13 +6,15 @@ evidence can bear; nothing is taken from a list.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
 from gap.naming.search import Fit, Search, fit_subset
-from gap.records import Found
+from gap.records import Found, Samples
+from gap.track import track
 
 _ALIKE = 10.0
 """Difference of scores below which one of two effects is not preferred."""
@@ -51,7 +53,8 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
 
 _POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"))
 """How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
-shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust."""
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust.  It
+takes a gyro, and a model that leaves little else."""
 
 
 def beside_a_poor_model(found: Found) -> Found:
@@ -61,6 +64,12 @@ def beside_a_poor_model(found: Found) -> Found:
             twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
             return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
     return found
+
+
+def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
+    """The named effects of these flights: without a gyro their classes are those of a poor model."""
+    gyro = any("rate_frd_radps" not in track(s).missing for s in flights)
+    return found if gyro else tuple(beside_a_poor_model(f) for f in found)
 
 
 def splitting_manoeuvre(effects: tuple[str, ...]) -> str:

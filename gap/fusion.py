@@ -9,9 +9,9 @@ Control, 1974).  The two crossovers are those, of a few, that leave the least er
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import csd, welch
 
 from flightstack.types import F64
-from gap.filters import spectra
 
 _SEGMENT_S = 16.0
 _POSITION_BELOW_HZ = (0.0, 0.04, 0.08, 0.16, 0.32)
@@ -57,7 +57,9 @@ def _left(hz: F64, errors: F64, low_hz: float, high_hz: float) -> float:
 
 def _errors(by_position: F64, by_inertia: F64, dt_s: float) -> tuple[F64, F64]:
     """Frequencies (n,) and the error spectra (3, n) of velocity, position's derivative and integrated acceleration."""
-    hz, density = spectra([by_position, by_inertia], dt_s, round(_SEGMENT_S / dt_s), linear=True)
-    first, second, shared = density[0, 0], density[1, 1], density[0, 1]
+    settings = {"fs": 1.0 / dt_s, "nperseg": min(len(by_position), round(_SEGMENT_S / dt_s)), "detrend": "linear"}
+    hz, first = welch(by_position, **settings)
+    second = welch(by_inertia, **settings)[1]
+    shared = np.real(csd(by_position, by_inertia, **settings)[1])
     least = 1e-3 * np.minimum(first, second)
     return hz, np.maximum(np.stack([shared, first - shared, second - shared]), least)

@@ -11,6 +11,7 @@ changes from stretch to stretch, or if it stands at the end of what is plausible
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -108,11 +109,19 @@ def far_from_noise(gap: Gap) -> bool:
 def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:
     """Named effects that, far from the noise, stand for something else.
 
-    Those that stand at the end of their range, and those whose size changes from stretch to stretch (`constant`:
-    p-values of its being the same).
+    Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
+    of its being the same), and a wind that blows up or down more than along: no steady wind goes through the ground.
     """
     ends = on_edge(believed, found)
-    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < _FICKLE_P)
+    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < _FICKLE_P or _upright(f))
+
+
+def _upright(found: Found) -> bool:
+    """Whether it is a wind steeper than half a right angle."""
+    if found.name != "steady_wind":
+        return False
+    north, east, down = (found.parameters[f"{axis}_mps"].estimate for axis in ("north", "east", "down"))
+    return abs(down) > math.hypot(north, east)
 
 
 def on_edge(believed: Vehicle, found: Sequence[Found]) -> tuple[str, ...]:

@@ -17,8 +17,9 @@ from scipy.special import chdtrc
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, beside_a_poor_model, splitting_manoeuvre
+from gap.classes import alternatives, beside_a_poor_model, in_classes, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
+from gap.held import corrected
 from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
@@ -32,7 +33,7 @@ from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
 from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
-from gap.simulate import Knob, sensitivities, unseen, value, with_value
+from gap.simulate import Knob, sensitivities, unseen, untold, value
 from gap.track import track
 
 _LEAST_EVIDENCE = 15.0
@@ -139,12 +140,10 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         unexplained = Unexplained(True, ("time", "battery"), 1.0)
-    kept = tuple(f for f in judged.found if f.name not in doubtful)
-    corrected = vehicle
-    for f in kept:
-        corrected = with_value(corrected, f.name, {p: e.estimate for p, e in f.parameters.items()})
+    doubtful |= {f.name for f in judged.found if all(untold(s, f.name) for s in bench.flights)}
+    kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
-    return Naming(kept, rejected, corrected, unexplained, where, judged.constant, seen, (bench, state))
+    return Naming(kept, rejected, corrected(vehicle, kept), unexplained, where, judged.constant, seen, (bench, state))
 
 
 def _told(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:

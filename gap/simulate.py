@@ -76,6 +76,19 @@ def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
     return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
 
 
+_QUICK = ("motor_lag", "transport_delay", "inertia", "angular_damping", "rotor_gyroscopic")
+"""Effects that show only in how soon and how fast a vehicle turns."""
+
+
+def untold(samples: Samples, effect: str) -> bool:
+    """Whether the effect may only stand for how the log's attitude was made.
+
+    An attitude out of the acceleration is the one at which there is no side force: it tells nothing of what blows or
+    drags.  Differentiated twice it tells what tips a vehicle, not how soon: lags and damping are its filter's.
+    """
+    return "q_ned_frd" in samples.derived and (effect in _QUICK or "q_ned_frd" in NEEDS.get(effect, ()))
+
+
 def predict(vehicle: Vehicle, samples: Samples) -> F64:
     """What the sensors would show if the simulator were right, (N, 12), before the common low-pass.
 

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from gap.filters import both_ways, lowpass_sections
 from gap.fusion import crossovers
 from gap.records import Samples
 from logs.turn import conjugate, continuous, multiply, rotate, rotate_inverse, rotation_vector
@@ -109,8 +109,7 @@ class Track:
 
     def smooth(self, columns: F64) -> F64:
         """The common low-pass along the first axis, of finite numbers."""
-        flat = columns.reshape(len(columns), -1)
-        return both_ways(*_lowpass_of(len(flat), self.cutoff_hz, self.samples.dt_s), flat).reshape(columns.shape)
+        return _both_ways(columns, self.cutoff_hz, self.samples.dt_s)
 
     def lowpass(self, columns: F64) -> F64:
         """The common low-pass along the first axis; NaN columns stay NaN."""
@@ -271,13 +270,14 @@ def lowpass(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
     seen &= ~still
     if not seen.any():
         return out.reshape(columns.shape)
-    out[:, seen] = both_ways(*_lowpass_of(len(flat), cutoff_hz, dt_s), _filled(flat[:, seen]))
+    out[:, seen] = _both_ways(_filled(flat[:, seen]), cutoff_hz, dt_s)
     return out.reshape(columns.shape)
 
 
-def _lowpass_of(count: int, cutoff_hz: float, dt_s: float) -> tuple[F64, int]:
-    """Sections and padding."""
-    return lowpass_sections(cutoff_hz, dt_s), min(count - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
+def _both_ways(x: F64, cutoff_hz: float, dt_s: float) -> F64:
+    sections = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
+    pad = min(len(x) - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
+    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
 
 
 def _filled(x: F64) -> F64:
@@ -340,7 +340,8 @@ def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
     at = np.linspace(-1.0, 1.0, len(x))[:, None]
     trend = x.mean(axis=0) + at * (np.sum(at * x, axis=0) / np.sum(at * at))
     pad = min(len(x) - 1, int(2.0 / (cutoff_hz * dt_s)) + 3)
-    return np.asarray(trend + both_ways(lowpass_sections(cutoff_hz, dt_s), pad, x - trend, even=True))
+    sections = butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos")
+    return np.asarray(trend + sosfiltfilt(sections, x - trend, axis=0, padtype="even", padlen=pad))
 
 
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from gap.checks.grid import attitude_on_grid, on_grid, period_s
-from gap.filters import bandpass_sections, both_ways, lowpass_sections
 from gap.records import Signal
 from logs.turn import conjugate, multiply
 
@@ -68,11 +68,11 @@ def band(values: F64, dt_s: float, low_hz: float, high_hz: float) -> F64:
     nyquist = 0.5 / dt_s
     high_hz = min(high_hz, 0.9 * nyquist)
     if low_hz > 0.0:
-        sections = bandpass_sections(low_hz, high_hz, dt_s)
+        sections = butter(2, [low_hz, high_hz], "bandpass", fs=1.0 / dt_s, output="sos")
     else:
-        sections = lowpass_sections(high_hz, dt_s)
+        sections = butter(2, high_hz, "lowpass", fs=1.0 / dt_s, output="sos")
     pad = min(len(values) - 1, int(1.5 / max(low_hz, 0.3) / dt_s))
-    return both_ways(sections, pad, values.reshape(len(values), -1)).reshape(values.shape)
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=pad))
 
 
 def integrated(values: F64, dt_s: float) -> F64:

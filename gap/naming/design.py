@@ -201,10 +201,7 @@ def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: 
     alike and the turning is small; without colour that would pass for torques that hardly act (Soderstrom and
     Ljung, Automatica 1977: in a closed loop only a rich enough model of the noise saves the direct method).
     """
-    ok = [
-        np.isfinite(y) & (fit_rows | held)[:, None]
-        for y, fit_rows, held in zip(raw_y, bench.fit, bench.holdout, strict=True)
-    ]
+    ok = _measured(bench, raw_y)
     errors = [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)]
     if not at_start:  # a torque that never changes is no disturbance that a loop answers
         errors = [e - np.sum(e, axis=0) / np.maximum(good.sum(axis=0), 1) for e, good in zip(errors, ok, strict=True)]
@@ -221,13 +218,19 @@ def _learn_layout(bench: Bench, raw_y: list[F64], raw_x: list[F64], negligible: 
     return layout
 
 
-def plain_layout(bench: Bench, raw_y: list[F64]) -> Layout:
-    """Rows without colour, each channel in units of what is left of it in this residual."""
-    ok = [
+def layout_of(bench: Bench, raw_y: list[F64], *, coloured: bool) -> Layout:
+    """Rows by the noise that this residual is: with colour, or each channel in units of its size only."""
+    ok = _measured(bench, raw_y)
+    errors = [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)]
+    return _layout(bench, errors, ok, _ALL if coloured else range(0))
+
+
+def _measured(bench: Bench, raw_y: list[F64]) -> list[Mask]:
+    """(N, channels) for each flight: known, and in use."""
+    return [
         np.isfinite(y) & (fit_rows | held)[:, None]
         for y, fit_rows, held in zip(raw_y, bench.fit, bench.holdout, strict=True)
     ]
-    return _layout(bench, [np.where(good, y, 0.0) for y, good in zip(raw_y, ok, strict=True)], ok, range(0))
 
 
 def _saturated(layout: Layout, raw_y: list[F64], raw_x: list[F64], negligible: F64) -> F64:

@@ -2,6 +2,9 @@
 
 Selection leaves a little of everything in the model (`gap.naming.evidence`); an estimate does not.  The covariance is
 the sandwich of the whitened fit: what colour is left in the scores makes it wider (Newey and West, Econometrica 1987).
+The rows are white by what some fifty candidates together leave, and these take most of the slow noise with them; a
+kernel of half a second finds too little of that again.  So the noise that the named effects alone leave is modelled,
+and the intervals are never narrower than it makes them (prewhitening: Andrews and Monahan, Econometrica 1992).
 """
 
 from __future__ import annotations
@@ -11,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.special import chdtrc
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.naming.candidates import fitted, negligible
+from gap.naming.design import Layout, layout_of
 from gap.naming.search import Search, bounded_step
 from gap.naming.whitening import Mask
 from gap.simulate import Knob, value, with_value
@@ -69,7 +74,8 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
         vehicle, rows = moved, fresh
         if still < _STILL:
             break
-    covariance = _covariance(state, x, rows, chosen)
+    left = layout_of(state.bench, state.bench.residual(vehicle), coloured=True) if slots else layout
+    covariance = _covariance(state, x, rows, chosen, left)
     now = np.array([value(vehicle, e, p) for e, p in slots])
     spread = _constancy(state, vehicle, slots, x, rows, chosen)
     return Estimates(vehicle, slots, now, covariance, spread, x, rows)
@@ -104,15 +110,18 @@ def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
     return state.point.nuisance[:, told], state.point.nuisance_size[told]
 
 
-def _covariance(state: Search, x: F64, rows: F64, chosen: Mask) -> F64:
-    """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966)."""
+def _covariance(state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None) -> F64:
+    """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966).
+
+    `left`: whose noise the rows have; without it they are taken as they are.
+    """
     count = x.shape[1]
     if count == 0:
         return np.zeros((0, 0))
     nuisance, size = _fitted_nuisance(state)
     both = np.hstack([x, nuisance])
     prior = np.concatenate([np.zeros(count), 1.0 / size**2])
-    covariance = _sandwich(state, both, rows, chosen, prior)[:count, :count]
+    covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
     other, scale = (
         state.point.nuisance[:, ~state.point.nuisance_fitted],
         state.point.nuisance_size[~state.point.nuisance_fitted],
@@ -128,7 +137,7 @@ def _inverse(gram: F64) -> F64:
     return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size))
 
 
-def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64:
+def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64, left: Layout | None) -> F64:
     """Sandwich over time: scores of all channels at one time belong together, neighbours by Bartlett weights."""
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
@@ -148,10 +157,32 @@ def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64) -> F64
             cross = series[k:].T @ series[:-k]
             middle += (1.0 - k / (lags + 1.0)) * (cross + cross.T)
     sandwich = inverse @ middle @ inverse
-    # never narrower than white noise would make it; what the flights don't see at all has no variance here
+    # never narrower than the noise would make it; what the flights don't see at all has no variance here
     seen = (np.diag(sandwich) > 0.0) & (size > 1e-100)
-    root = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.where(seen, np.diag(sandwich), 1.0))) * seen
+    least = np.diag(inverse)
+    if left is not None:
+        least = np.maximum(least, np.diag(inverse @ (_coloured(layout, left, xs, chosen) + np.diag(prior)) @ inverse))
+    root = np.sqrt(np.maximum(1.0, least / np.where(seen, np.diag(sandwich), 1.0))) * seen
     return np.asarray(sandwich * np.outer(root, root))
+
+
+def _coloured(layout: Layout, left: Layout, x: F64, chosen: Mask) -> F64:
+    """(n, n) covariance of the scores of columns (R, n) where the noise is what `left` says, channel by channel.
+
+    Rows whitened by one model of noise of the other are that noise through one filter and the other's inverse: the
+    scores' covariance is that of the columns passed backwards through the same.
+    """
+    total = np.zeros((x.shape[1], x.shape[1]))
+    for f, channels in enumerate(layout.whiteners):
+        for c, whitener in enumerate(channels):
+            mine, noise = (layout.flight[chosen] == f) & (layout.channel[chosen] == c), left.whiteners[f][c]
+            if not mine.any() or not noise.usable:
+                continue
+            series = np.zeros((len(layout.ok[f]), x.shape[1]))
+            series[layout.at[chosen][mine]] = x[mine]
+            passed = lfilter(whitener.taps * (noise.sigma / whitener.sigma), noise.stable_taps, series[::-1], axis=0)
+            total += passed.T @ passed
+    return total
 
 
 def segments(state: Search, chosen: Mask) -> NDArray[np.int64]:

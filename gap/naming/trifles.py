@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.types import F64
-from gap.naming.design import Layout, plain_layout
+from gap.naming.design import Layout, layout_of
 from gap.naming.estimate import Estimates
 from gap.naming.search import Search
 from gap.naming.whitening import Mask
@@ -97,7 +97,7 @@ def _views(state: Search, made: Estimates) -> tuple[_View, _View]:
     rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
     rows = bench.residual(made.vehicle)
     raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [Knob(e, p) for e, p in made.slots])]
-    plain = plain_layout(bench, rows)
+    plain = layout_of(bench, rows, coloured=False)
     x = plain.stack(raw)
     return (
         _View(coloured, made.x, made.rows + made.x @ moved, rate),

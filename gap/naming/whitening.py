@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from flightstack.types import F64
-from gap.filters import finite
 
 Mask = NDArray[np.bool_]
 ORDER = 16
@@ -23,6 +23,8 @@ _FEWEST_ROWS = 40
 _ROWS_PER_TAP = 12
 """A short or slow flight's noise model has fewer taps."""
 _OUTLIER = 6.0
+_FADES = 0.999
+"""Greatest root of a noise that is there: a drift that never comes back is no noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +43,13 @@ class Whitener:
     def order(self) -> int:
         """How many rows before its own one a whitened row needs."""
         return len(self.taps) - 1
+
+    @property
+    def stable_taps(self) -> F64:
+        """Taps of the same colour whose inverse fades: least squares may put a root beyond the unit circle."""
+        roots = np.roots(self.taps)
+        size = np.maximum(np.abs(roots), 1e-12)
+        return np.real(np.poly(roots / size * np.minimum(np.minimum(size, 1.0 / size), _FADES)))
 
 
 def fit(errors: list[F64], ok: list[Mask], *, most: int = ORDER) -> Whitener:
@@ -76,7 +85,7 @@ def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
 def apply(whitener: Whitener, values: F64, ok: Mask) -> F64:
     """Filtered and scaled to unit noise: (N,) or (N, k); rows whose window is not whole are for the caller to leave."""
     clean = np.where(ok.reshape((-1,) + (1,) * (values.ndim - 1)), values, 0.0)
-    return finite(whitener.taps / whitener.sigma, clean)
+    return np.asarray(lfilter(whitener.taps / whitener.sigma, 1.0, clean, axis=0))
 
 
 def whole_windows(ok: Mask, order: int) -> Mask:

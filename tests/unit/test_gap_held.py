@@ -73,6 +73,14 @@ def test_an_inertia_that_no_body_of_that_size_has_stands_for_torques_that_do_not
     assert proxies(quad(), [Found("inertia", scales, -50.0, 0.1, 1e-9)], {}) == ("inertia",)
 
 
+@pytest.mark.parametrize(("down_mps", "proxy"), [(-2.2, True), (0.2, False)])
+def test_no_steady_wind_goes_through_the_ground(down_mps: float, proxy: bool) -> None:
+    air_mps = {"north_mps": 0.2, "east_mps": -0.2, "down_mps": down_mps}
+    blows = {name: Estimate(0.0, x, x, x) for name, x in air_mps.items()}
+    wind = Found("steady_wind", blows, -50.0, 0.1, 1e-9)
+    assert proxies(quad(), [wind, found("payload")], {}) == (("steady_wind",) if proxy else ())
+
+
 def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model() -> None:
     named = [found("payload"), found("rotor_drag")]
     assert proxies(quad(), named, {"payload": 1e-12, "rotor_drag": 0.5}) == ("payload",)

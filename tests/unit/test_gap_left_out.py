@@ -1,4 +1,4 @@
-"""What the data check leaves out or what a log can't show: stopped rotors, and a voltage that only mirrors commands."""
+"""What is left out or not named: stopped rotors, ground contact, a voltage that mirrors commands, a made attitude."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.types import F64
 from gap import voltage
-from gap.checks import stopped
+from gap.checks import contact, stopped
 from gap.naming.candidates import at_end, plausible
-from gap.records import Samples
+from gap.records import Samples, Signal
+from gap.simulate import untold
 from tests.gap_flights import as_samples, fly, quad, wander
 
 CUT_S = 0.4
@@ -49,6 +51,57 @@ def test_a_vehicle_that_stops_its_rotors_all_the_time_is_taken_as_it_is(flown: S
     kept, findings = stopped.leave_out(replace(flown, motor=motor), quad())
     assert np.array_equal(kept.valid, flown.valid)
     assert findings[0].level == "warning"
+
+
+STANDS_M = 0.05
+"""Height of the body's origin over its feet."""
+
+
+def log_of(height_m: np.ndarray, motor: np.ndarray) -> dict[str, Signal]:
+    """Position and four equal motors at 100 Hz."""
+    t_s: F64 = 0.01 * np.arange(len(height_m), dtype=np.float64)
+    position = np.stack([0.0 * t_s, 0.0 * t_s, -height_m], axis=1)
+    return {"pos_ned_m": Signal(t_s, position, "pose"), "motor": Signal(t_s, np.tile(motor, (4, 1)).T, "motors")}
+
+
+@pytest.mark.parametrize(
+    ("before_m", "after_m", "stands_m"),
+    [
+        (STANDS_M, STANDS_M, STANDS_M),
+        (0.9, STANDS_M, STANDS_M),  # from a table
+        (0.9, 0.9, 0.0),
+        (-0.02, -0.02, 0.0),  # a drift
+    ],
+)
+def test_the_log_shows_how_high_the_body_s_origin_stands(before_m: float, after_m: float, stands_m: float) -> None:
+    flying = np.arange(3000) // 1000 == 1
+    height = np.where(flying, 1.5, np.where(np.arange(3000) < 1000, before_m, after_m))
+    log = log_of(height, np.where(flying, 0.5, 0.0))
+    assert contact.standing_m(log, quad(), (10.0, 20.0), 0.0) == pytest.approx(stands_m)
+    assert contact.standing_m({"motor": log["motor"]}, quad(), (10.0, 20.0), 0.0) == 0.0
+
+
+def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) -> None:
+    """A bounce at 12 s that never comes below 5 cm: a quarter of a second before and after it is gone."""
+    t_s = flown.t_s - flown.t_s[0]
+    height = np.where(np.abs(t_s - 12.0) < 0.02, STANDS_M, 2.0)
+    level = replace(flown, height_m=height, q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)))
+    assert contact.leave_out(level, quad()) == (level, [])
+    kept, findings = contact.leave_out(level, quad(), STANDS_M)
+    gone = t_s[flown.valid & ~kept.valid]
+    assert gone.min() == pytest.approx(12.0 - 0.02 - contact.AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.max() == pytest.approx(12.0 + 0.02 + contact.AROUND_S, abs=2.0 * flown.dt_s)
+    assert [finding.name for finding in findings] == ["ground"]
+
+
+def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flown: Samples) -> None:
+    """It is the one at which there is no side force: linear drag F = -d v would be its own null."""
+    made = replace(flown, derived=("q_ned_frd",))
+    for effect in ("linear_drag", "steady_wind", "blade_flapping", "angular_damping", "motor_lag"):
+        assert untold(made, effect)
+        assert not untold(flown, effect)
+    for effect in ("rotor_fault", "com_offset", "thrust_scale", "payload"):
+        assert not untold(made, effect)
 
 
 def with_voltage(samples: Samples, volts: np.ndarray) -> Samples:

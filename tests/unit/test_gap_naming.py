@@ -217,11 +217,7 @@ def test_two_hidden_effects_are_the_best_subset_and_estimated(quad: Vehicle, see
 
 
 def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
-    """95 % intervals of 60 noisy data sets: 80 % at least hold the truth.
-
-    Before refinement they are a little narrow (86 % over many sets): what all 50 candidates together leave of coloured
-    noise is less than the noise.
-    """
+    """95 % intervals of 60 noisy data sets: 51 at least hold the truth (fewer happens by chance in 0.2 % of trials)."""
     size = negligible(quad, "payload", "mass_kg")
     hidden = {("payload", "mass_kg"): 60.0 * size}
     held = 0
@@ -230,7 +226,7 @@ def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
         state.bench = MadeUp(1000 + seed, hidden, quad)
         made = estimate(state, {"payload": {"mass_kg": 0.0}})
         held += abs(made.values[0] - 60.0 * size) < 1.96 * np.sqrt(made.covariance[0, 0])
-    assert 48 <= held <= 60
+    assert held >= 51
 
 
 def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:

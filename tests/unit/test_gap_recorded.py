@@ -96,6 +96,28 @@ def test_a_derived_attitude_is_trusted_slowly(recorded: Path) -> None:
     assert samples.bandwidth_hz == pytest.approx(4.0)
 
 
+def test_a_hard_landing_is_no_flight(recorded: Path) -> None:
+    """The figure 8 touches down at 0.86 m/s; its accelerometer reads 65 m/s^2 while the markers are 5.7 cm up.
+
+    No rotor of the vehicle does that: at full command all four push with 23.7 m/s^2.
+    """
+    samples = usable(recorded / "nanobench_B3_figure8_fast_rep2.csv.gz", own("crazyflie-2.1"), "nanobench")
+    felt = np.linalg.norm(samples.accel_frd_mps2, axis=1)
+    assert felt.max() > 50.0
+    assert felt[samples.valid].max() < 23.7
+
+
+def test_a_clipped_propeller_is_named_with_its_class_and_nothing_beside(recorded: Path, tmp_path: Path) -> None:
+    """M3 is the vehicle file's rotor 2; a hovering vehicle with a shifted mass looks nearly the same."""
+    logs = [recorded / "crazypad" / f"cut4mm_M3_E8_log0{k}" for k in range(2)]
+    vehicle = str(VEHICLES / "crazyflie-2.1.toml")
+    result = find_gap(GapOptions(logs=(logs[0],), holdout=(logs[1],), vehicle=vehicle, out=tmp_path))
+    found = {each.name: each for each in result.found}
+    assert found["rotor_fault"].parameters["rotor"].estimate == 2.0
+    assert "com_offset" in found["rotor_fault"].indistinguishable_from
+    assert set(found) <= {"rotor_fault", "com_offset"}
+
+
 def test_the_clipped_propeller_s_rotor_works_hardest(recorded: Path) -> None:
     """M3 sits rear left, the vehicle file's rotor 2: clipped, it alone takes more than before for the same weight."""
     flown = {
