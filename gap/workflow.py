@@ -132,9 +132,10 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     Refinement trusts the structure.  Where the model stays far from the noise, only what clearly matters is named,
     and the naming's own estimates stand but for forces: torques answer what a rate loop does, forces don't.
     """
-    if not named.found:
-        return named, of, _verdict(vehicle, named, of)
     on_progress(0.6, "refining")
+    if not named.found:
+        moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
+        return named, moved, _verdict(vehicle, named, moved)
     naming, moved = _refined(vehicle, named, of)
     on_progress(0.75, "verifying")
     gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
