@@ -89,8 +89,10 @@ def test_a_command_logged_late_is_timed_where_no_effect_is_refined(loaded: Sampl
     plain = refine(truth, truth, [loaded], usable, ["gyro_bias"])
     shifted = np.vstack([loaded.motor[:1], 0.7 * loaded.motor[1:] + 0.3 * loaded.motor[:-1]])
     moved = refine(truth, truth, [replace(loaded, motor=shifted)], usable, [])
-    assert plain is not None and moved is not None
-    assert plain.parameters == {} and moved.vehicle == truth
+    assert plain is not None
+    assert moved is not None
+    assert plain.parameters == {}
+    assert moved.vehicle == truth
     assert plain.late_s[0] - moved.late_s[0] == pytest.approx(late_s, rel=0.3)
 
 
