@@ -45,6 +45,9 @@ from sim.plant import evaluate_rows, state_rows
 
 _MOST_ROWS_MADE = 256
 _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
+_MOST_FELT = 2
+_FELT: dict[tuple[int, bytes], tuple[Track, F64]] = {}
+"""Of the last few vehicles: many ropes are tried on each."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
 SENSORS = [
@@ -242,7 +245,10 @@ def _load(p: F64, flight: Track, u: F64) -> F64:
 def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
     """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
     bare = p.copy()
-    bare[slung_load.MASS] = 0.0
+    bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
+    key = (id(flight), bare.tobytes())
+    if key in _FELT:
+        return _FELT[key][1]
     out = np.empty((len(u), 6, 1))
     rate, attitude = flight.rate_frd_radps - gyro_bias.bias(p), np.ascontiguousarray(true_attitude(p, flight))
     voltage = np.ascontiguousarray(flight.samples.battery_v)
@@ -252,4 +258,7 @@ def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
         force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
     felt = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
     felt[~flight.samples.valid] = np.nan
-    return np.asarray(felt)
+    if len(_FELT) >= _MOST_FELT:
+        del _FELT[next(iter(_FELT))]
+    _FELT[key] = (flight, np.asarray(felt))  # the flight is kept, so its number is its own
+    return _FELT[key][1]
