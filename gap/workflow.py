@@ -16,6 +16,7 @@ from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
 from gap.held import doubtful, far_from_noise, proxies
+from gap.likeness import other_vehicle
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
@@ -60,6 +61,12 @@ def analyse(
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
+    if unlike:
+        raise InputError(
+            f"log {logs[0]}: this log does not look like {vehicle_name or vehicle.name}: {unlike}; name the file of "
+            "the vehicle that flew"
+        )
     naming = _still_open(_nothing_left(naming, gap), gap)
     rest = naming.unexplained
     if naming.found and rest.significant and not rest.depends_on:

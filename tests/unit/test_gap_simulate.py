@@ -261,6 +261,7 @@ def test_what_a_log_lacks_is_not_shown(flown: tuple[Samples, Samples]) -> None:
     assert np.isnan(shown[:, 6:]).all()
     assert np.isfinite(shown[:, :6]).all()
     assert unseen(bare, "linear_drag") == ("vel_ned_mps", "q_ned_frd")
+    assert unseen(bare, "angular_damping") == ("vel_ned_mps", "q_ned_frd")  # drag at the hubs damps as well
     assert unseen(bare, "battery_sag") == ("battery_v",)
     assert not np.any(np.nan_to_num(sensitivity(quad(), bare, "rotor_drag", "k_d_kg_per_rad")))
     assert np.nanstd(sensitivity(quad(), bare, "payload", "mass_kg")[:, 2]) > 0.0
