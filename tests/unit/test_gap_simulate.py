@@ -127,6 +127,16 @@ def test_the_load_swings_under_the_measured_motion_as_a_driven_pendulum() -> Non
     assert load[:, 0] == pytest.approx(np.sin(angle), abs=2e-4)
 
 
+def test_a_height_of_the_position_s_own_is_as_smooth_as_the_path(flown: tuple[Samples, Samples]) -> None:
+    exact, measured = flown
+    off = track(measured).pos_ned_m[:, 2] - exact.pos_ned_m[:, 2]
+    raw = -measured.height_m - exact.pos_ned_m[:, 2]
+    inner = slice(100, -100)
+    assert np.std(off[inner]) < 0.7 * np.std(raw[inner])
+    ranged = replace(measured, height_m=measured.height_m + 0.01 * np.sin(3.0 * measured.t_s))
+    assert track(ranged).pos_ned_m[:, 2] == pytest.approx(-ranged.height_m)
+
+
 def test_how_a_load_swung_when_the_log_began_is_told_by_what_the_vehicle_feels() -> None:
     mass, carried, length = 1.2, 0.25, 0.8
     damping = 2.0 * 0.02 * np.sqrt(G / length)
