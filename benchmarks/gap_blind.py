@@ -51,17 +51,21 @@ def counts(quick: bool) -> dict[str, int]:
 def jobs_of(quick: bool, first_seed: int) -> list[Job]:
     """All cases, mixed, so that a run that is cut off has seen something of each kind.
 
-    Half of the flights that the other simulator can fly (all but those with something outside the table) are its.
+    Half of the flights that the other simulator can fly (all but those with something outside the table, and what it
+    refuses) are its.
     """
     most = counts(quick)
-    plants = ["native"]
+    plants, own = ["native"], set[str]()
     if importlib.util.find_spec("sim.jsbsim") and importlib.util.find_spec("jsbsim"):
+        from sim.jsbsim.aircraft import REFUSED
+
         plants.append("jsbsim")
+        own = {f"one:{effect}" for effect in REFUSED}
     judged_by = rules()
     jobs = []
     for at, (kind, count) in enumerate(most.items()):
         for k in range(count):
-            plant = plants[0] if kind.startswith("outside:") else plants[(k + at) % len(plants)]
+            plant = plants[0] if kind.startswith("outside:") or kind in own else plants[(k + at) % len(plants)]
             form = "mcap" if (k // 2 + at) % _MCAP_EVERY == 0 else "csv"
             jobs.append((k / count, (plant, kind, form, first_seed + k, judged_by)))
     return [job for _, job in sorted(jobs)]

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
-from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.classes import alternatives, beside_a_poor_model, in_classes, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
@@ -28,6 +27,7 @@ from gap.naming.drift import drifts_as_well
 from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
+from gap.naming.held_rows import gain, moved
 from gap.naming.search import Fit, Search, judged_fit, move_to, search
 from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
@@ -83,6 +83,13 @@ class Naming:
         _, state = self._behind
         return trifles(state, estimate(state, _values(self.found)), [f.name for f in self.found])
 
+    def with_a_rest(self, share: float) -> Naming:
+        """The verdict where this share of the held-out gap is still open: something is left, and on what it depends."""
+        assert self._behind is not None  # a verdict that names something has it
+        bench, state = self._behind
+        rest_of = _unexplained(_rests(bench, state.start, estimate(state, _values(self.found))))
+        return replace(self, unexplained=Unexplained(True, rest_of.depends_on, share))
+
     def with_classes_of_a_poor_model(self) -> Naming:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
         return replace(self, found=tuple(beside_a_poor_model(f) for f in self.found))
@@ -136,7 +143,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
     unexplained = _unexplained(_loud(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and drifts_as_well(state, judged.estimates, _moved(state, judged.estimates)):
+    if sagging and drifts_as_well(state, judged.estimates, moved(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         unexplained = Unexplained(True, ("time", "battery"), 1.0)
@@ -168,9 +175,9 @@ def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
     An effect that changes from stretch to stretch is given less leave.
     """
     made = judged.estimates
-    moved = _moved(state, made)
+    shifts = moved(state, made)
     power: dict[str, float] = {}
-    for (effect, _), size, shift in zip(made.slots, r.by_column, moved, strict=True):
+    for (effect, _), size, shift in zip(made.slots, r.by_column, shifts, strict=True):
         power[effect] = power.get(effect, 0.0) + size * shift**2
     explained = max(r.before - r.after, 0.0) + r.driven
     out = set()
@@ -179,12 +186,6 @@ def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
         if mine > _ACTS_SHARE * explained and (fickle or r.share > _ABSTAIN_SHARE):
             out.add(effect)
     return out
-
-
-def _moved(state: Search, made: Estimates) -> F64:
-    """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
-    origin = np.array([value(state.start, *slot) for slot in made.slots])
-    return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
 
 
 def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
@@ -264,19 +265,14 @@ def _judge(state: Search, best: Fit) -> _Judged:
     made = estimate(state, best.effects)
     if not best.effects:
         return _Judged((), made, {})
-    held = state.point.layout.keep & state.point.layout.held
-    start_rows = state.point.layout.stack(state.bench.residual(state.start))
-    gaps = _gap(start_rows, held), _gap(made.rows, held)
     found = []
     count = len(EFFECT_SPECS)
     for effect in best.effects:
-        mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
         fall = _evidence(state, best, effect)
         p_value = _p_value(state, best, effect)
         others = alternatives(state, best, effect)
-        lost = _held_out_loss(state, made, mine, held)
-        gain = lost / max(gaps[0] - gaps[1] + 1e-9, lost, 1e-9)
-        if p_value * count > _LEAST_P or lost <= 0.0:
+        held = gain(state, made, effect)
+        if p_value * count > _LEAST_P or held <= 0.0:
             continue
         found.append(
             (
@@ -285,7 +281,7 @@ def _judge(state: Search, best: Fit) -> _Judged:
                     effect,
                     _parameters(state, made, effect),
                     -fall,
-                    float(gain),
+                    held,
                     p_value,
                     others,
                     splitting_manoeuvre((effect, *others)) if others else "",
@@ -300,18 +296,6 @@ def _judge(state: Search, best: Fit) -> _Judged:
     for (effect, _), p in zip(made.slots, made.spread, strict=True):
         constant[effect] = min(constant.get(effect, 1.0), float(p))
     return _Judged(tuple(f for _, f in found), made, constant)
-
-
-def _gap(rows: F64, chosen: Mask) -> float:
-    return float(rows[chosen] @ rows[chosen])
-
-
-def _held_out_loss(state: Search, made: Estimates, mine: list[int], held: Mask) -> float:
-    """How much worse the held-out rows would be predicted without these coefficients, to first order."""
-    if not held.any():
-        return 1.0
-    without = made.rows[held] + made.x[held][:, mine] @ _moved(state, made)[mine]
-    return float(without @ without) - _gap(made.rows, held)
 
 
 def _p_value(state: Search, best: Fit, effect: str) -> float:

@@ -182,7 +182,7 @@ class Found:
     parameters: Mapping[str, Estimate]
     delta_bic: float
     holdout_gain: float
-    """Share of the explainable held-out gap that falls when this effect joins the others."""
+    """Share of the explainable held-out gap that falls when this effect joins the others; NaN where it hardly acts."""
     p_value: float
     indistinguishable_from: tuple[str, ...] = ()
     manoeuvre: str = ""

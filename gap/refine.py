@@ -90,9 +90,10 @@ def refine(
 ) -> Refined | None:
     """Refine the parameters of these effects of `vehicle`, starting at its values.
 
-    `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from.  None where there is
-    nothing to refine: no windows, no physical effect, or one that no flight can show; and where the refined vehicle
-    predicts a single step worse than the one it began with, as it may with a structure that is wrong.
+    `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from.  Without a physical
+    effect it is found when the commands acted.  None where there is nothing to refine by: no windows, or an effect
+    that no flight can show; and where the refined vehicle predicts a single step worse than the one it began with, as
+    it may with a structure that is wrong.
     """
     unknowns = [
         (effect, p.name)
@@ -102,7 +103,7 @@ def refine(
         if not p.integer and not math.isnan(value(vehicle, effect, p.name))
     ]
     problem = _Problem(vehicle, unknowns, flights, masks)
-    if not unknowns or problem.count <= len(unknowns) + 2:
+    if problem.count <= len(unknowns) + 2:
         return None
     theta, covariance = problem.solve()
     # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).

@@ -23,6 +23,7 @@ from logs.turn import conjugate, multiply, rotate, rotate_inverse
 from sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
 from sim.layout import (
     D_DELAY_STEPS,
+    D_MASS,
     D_TAU,
     P_DT,
     P_FULL_V,
@@ -44,6 +45,11 @@ from sim.plant import evaluate_rows, state_rows
 
 _MOST_ROWS_MADE = 256
 _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
+_MOST_FELT = 2
+_FELT: dict[tuple[int, bytes], tuple[Track, F64]] = {}
+"""Of the last few vehicles: many ropes are tried on each."""
+_ADRIFT_S = 1.0
+"""A log that holds flight this soon began in the air."""
 SENSORS = [
     p_effect(effect, p.name) for effect, spec in EFFECT_SPECS.items() if spec.kind == "sensor" for p in spec.params
 ]
@@ -93,7 +99,7 @@ class Run:
         if key not in known:
             known[key] = _rotors(p, flight)
         self.u = known[key]
-        self.load = _load(p, flight)
+        self.load = _load(p, flight, self.u)
         self.voltage = flight.samples.battery_v
         if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
             self._drain(p)
@@ -221,8 +227,8 @@ def _rotors(p: F64, flight: Track) -> F64:
     return out
 
 
-def _load(p: F64, flight: Track) -> F64:
-    """The slung load's direction and its rate (N, 6); hanging at rest at the first sample."""
+def _load(p: F64, flight: Track, u: F64) -> F64:
+    """The slung load's direction and its rate (N, 6); hanging at rest at the first sample, where that is no flight."""
     out = np.zeros((len(flight.samples.t_s), 6))
     out[:, 2] = 1.0
     if p[slung_load.MASS] != 0.0:
@@ -230,5 +236,29 @@ def _load(p: F64, flight: Track) -> F64:
         slow[P_DT] = flight.samples.dt_s
         row = np.zeros(S_RING)
         slung_load.hang(row)
-        run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), row, np.zeros((4, load_work())), out)
+        adrift = bool(flight.samples.valid[: max(1, round(_ADRIFT_S / flight.samples.dt_s))].any())
+        seen = _felt_of_the_load(p, flight, u, out)
+        run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), seen, adrift, row, np.zeros((4, load_work())), out)
     return out
+
+
+def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
+    """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
+    bare = p.copy()
+    bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
+    key = (id(flight), bare.tobytes())
+    if key in _FELT:
+        return _FELT[key][1]
+    out = np.empty((len(u), 6, 1))
+    rate, attitude = flight.rate_frd_radps - gyro_bias.bias(p), np.ascontiguousarray(true_attitude(p, flight))
+    voltage = np.ascontiguousarray(flight.samples.battery_v)
+    evaluate_at(bare[None], flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, u, hanging, voltage, out)
+    force = flight.measured[:, 0:3]
+    if "accel_frd_mps2" not in flight.missing:
+        force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
+    felt = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
+    felt[~flight.samples.valid] = np.nan
+    if len(_FELT) >= _MOST_FELT:
+        del _FELT[next(iter(_FELT))]
+    _FELT[key] = (flight, np.asarray(felt))  # the flight is kept, so its number is its own
+    return _FELT[key][1]

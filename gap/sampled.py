@@ -20,6 +20,8 @@ from gap.track import track
 
 _THIRD = np.sqrt(20.0)  # of the white noise in its third differences
 _MAD = 0.6745
+_JUMP = 1.0 / 24.0
+"""Variance of a command's mean between stamps for each squared second difference: a twelfth of a jump's, over two."""
 
 
 def command_noise(samples: Samples) -> F64:
@@ -30,9 +32,17 @@ def command_noise(samples: Samples) -> F64:
     return np.asarray(np.median(np.abs(np.diff(motor, n=3, axis=0)), axis=0) / _MAD / _THIRD)
 
 
+def unknown_commands(samples: Samples) -> F64:
+    """(N, 4) standard deviation of what each motor did round each stamp beyond what the log's commands say."""
+    motor = samples.motor
+    jumps = np.zeros_like(motor)
+    jumps[1:-1] = np.nan_to_num(np.diff(motor, n=2, axis=0))
+    return np.asarray(np.sqrt(np.maximum(command_noise(samples) ** 2, _JUMP * jumps**2)))
+
+
 def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[float, float]:
     """Rms of specific force (m/s^2) and angular acceleration (rad/s^2), each of three axes, over the masked samples."""
-    spread = command_noise(samples)
+    spread = unknown_commands(samples)
     flight = track(samples)
     if not spread.any() or "motor" in flight.missing:
         return 0.0, 0.0

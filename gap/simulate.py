@@ -37,6 +37,7 @@ _OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "battery_sag": ("battery_v",),
     "linear_drag": ("vel_ned_mps", "q_ned_frd"),
+    "angular_damping": ("vel_ned_mps", "q_ned_frd"),  # drag at the hubs damps as well: it could not be told from that
     "rotor_drag": ("vel_ned_mps", "q_ned_frd"),
     "induced_inflow": ("vel_ned_mps", "q_ned_frd"),
     "parasitic_drag": ("vel_ned_mps", "q_ned_frd"),

@@ -61,6 +61,7 @@ _TRACK_ROWS = (
     "usable",
 )
 _HIGH_M = 1e6
+_SAME_M = 1e-6
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
 
@@ -294,8 +295,17 @@ def _filled(x: F64) -> F64:
 
 
 def _position(path: F64, samples: Samples, missing: frozenset[str]) -> F64:
+    """The smoothed path over ground: a height that is the position's own is as smooth, another's is taken as it is."""
     pos = path.copy()
-    pos[:, 2] = -_HIGH_M if "height_m" in missing else -_filled(samples.height_m[:, None])[:, 0]
+    if "height_m" in missing:
+        pos[:, 2] = -_HIGH_M
+        return pos
+    down = -_filled(samples.height_m[:, None])[:, 0]
+    over = down - _filled(samples.pos_ned_m)[:, 2]
+    if "pos_ned_m" not in missing and np.ptp(over) < _SAME_M:
+        pos[:, 2] += float(np.median(over))
+    else:
+        pos[:, 2] = down
     return pos
 
 

@@ -38,7 +38,8 @@ _CHORDS = 2
 _CONVERGED = 0.1
 """Chi-square that another step would gain."""
 _HALVINGS = 3
-_ROPES_M = np.geomspace(0.2, 4.0, 28)
+_ROPES_M = np.geomspace(0.2, 4.0, 14)
+_NEAR_ROPES = (0.88, 1.0, 1.14)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +69,8 @@ class Search:
     """By candidate keys."""
     barred: set[str] = field(default_factory=set)
     """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
+    rope_m: float = 0.0
+    """Length of the rope that was best with the present columns, 0 before any was looked for."""
 
     @property
     def best(self) -> Fit:
@@ -154,6 +157,7 @@ def move_to(state: Search, vehicle: Vehicle) -> None:
     """Take all columns and the noise anew at this vehicle and measure all fits by the new metric."""
     state.point = linearise(state.bench, vehicle, state.start)
     state.metric = metric_of(state.point)
+    state.rope_m = 0.0
     for key, fit in state.fits.items():
         rows = state.point.layout.stack(state.bench.residual(fit.vehicle))
         state.fits[key] = judged_fit(state, fit.effects, fit.vehicle, rows, fit.used)
@@ -264,14 +268,18 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
 
 
 def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
-    """The vehicle with the rope on which the load swings best: in its length chi-square has a valley for each swing."""
+    """The vehicle with the rope on which the load swings best: too long or too short by a quarter it swings otherwise.
+
+    Which rope that is hardly depends on what else is missing, so all are tried once for each set of columns.
+    """
     best, least = vehicle, np.inf
     now = value(vehicle, "slung_load", "length_m")
-    for length in (now, *_ROPES_M):
+    near = [state.rope_m * share for share in _NEAR_ROPES]
+    for length in (now, *(near if state.rope_m > 0.0 else _ROPES_M)):
         tried = with_value(vehicle, "slung_load", {"length_m": float(length)})
         chi2 = state.metric.chi2(state.point.layout.stack(state.bench.residual(tried)))
         if chi2 < least:
-            best, least = tried, chi2
+            best, least, state.rope_m = tried, chi2, float(length)
     return best
 
 

@@ -50,8 +50,8 @@ def _effect(found: Found) -> str:
     return (
         f'<div class="effect" data-effect="{escape(found.name)}"><h3>{escape(name[0].upper() + name[1:])}</h3>'
         f'<table class="parameters">{rows}</table>{twin}'
-        f'<p class="evidence">ΔBIC {words.number(found.delta_bic)}, explains {words.percent(found.holdout_gain)} of '
-        f"the held-out gap that can be explained, by chance {chance}</p></div>"
+        f'<p class="evidence">ΔBIC {words.number(found.delta_bic)}, {words.held_out(found)}, '
+        f"by chance {chance}</p></div>"
     )
 
 

@@ -123,6 +123,13 @@ def percent(share: float) -> str:
     return f"{min(value, 99.9):.1f} %"
 
 
+def held_out(found: Found) -> str:
+    """What data not used before say of an effect."""
+    if math.isnan(found.holdout_gain):
+        return "held-out data hardly hold it and say nothing for or against"
+    return f"explains {percent(found.holdout_gain)} of the held-out gap that can be explained"
+
+
 def verdict(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
     """The page's state (good, plain, bad) and word."""
     if unexplained.significant:

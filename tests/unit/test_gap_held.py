@@ -13,6 +13,7 @@ from gap.held import doubtful, far_from_noise, proxies, slope
 from gap.naming.bench import simulator_bench
 from gap.naming.design import linearise
 from gap.naming.estimate import estimate
+from gap.naming.held_rows import gain
 from gap.naming.search import Search, metric_of
 from gap.naming.trifles import trifles
 from gap.pooled import Split
@@ -92,3 +93,13 @@ def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: Split) -> 
     state = Search(bench, quad(), point := linearise(bench, with_drag(1.0), quad()), metric_of(point))
     made = estimate(state, HIDDEN | {"blade_flapping": {"k_flap_nms2_per_rad_m": 0.0}})
     assert trifles(state, made, ["blade_flapping", "payload", "rotor_drag"]) == ("blade_flapping",)
+
+
+def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_below(flown: Split) -> None:
+    masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
+    bench = simulator_bench(quad(), flown.flights, *masks)
+    near = hidden(with_drag(1.0), {"ground_effect": {"strength": 1.0}})
+    state = Search(bench, quad(), point := linearise(bench, near, quad()), metric_of(point))
+    made = estimate(state, HIDDEN | {"ground_effect": {"strength": 1.0}})
+    assert 0.1 < gain(state, made, "payload") < 1.0  # the drag has the rest
+    assert np.isnan(gain(state, made, "ground_effect"))  # 8 m up

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,7 +81,19 @@ def test_a_parameter_that_nothing_shows_stays_with_an_interval_that_says_so(load
 def test_no_windows_no_refinement(loaded: Samples) -> None:
     nothing = np.zeros(len(loaded.t_s), dtype=bool)
     assert refine(quad(), hidden(quad(), HIDDEN), [loaded], [nothing], list(HIDDEN)) is None
-    assert refine(quad(), quad(), [loaded], [track(loaded).usable], ["gyro_bias"]) is None
+
+
+def test_a_command_logged_late_is_timed_where_no_effect_is_refined(loaded: Samples) -> None:
+    late_s = 0.3 * loaded.dt_s
+    truth, usable = hidden(quad(), HIDDEN), [track(loaded).usable]
+    plain = refine(truth, truth, [loaded], usable, ["gyro_bias"])
+    shifted = np.vstack([loaded.motor[:1], 0.7 * loaded.motor[1:] + 0.3 * loaded.motor[:-1]])
+    moved = refine(truth, truth, [replace(loaded, motor=shifted)], usable, [])
+    assert plain is not None
+    assert moved is not None
+    assert plain.parameters == {}
+    assert moved.vehicle == truth
+    assert plain.late_s[0] - moved.late_s[0] == pytest.approx(late_s, rel=0.3)
 
 
 def test_the_residual_is_white_with_the_right_model_only(loaded: Samples) -> None:

@@ -51,6 +51,12 @@ def found(name: str, twins: tuple[str, ...] = (), **parameters: tuple[float, flo
 GAP = Gap(figures(1.0, None), figures(0.1, None), figures(0.09, None), 0.98)
 
 
+def test_held_out_data_that_hardly_hold_an_effect_are_said_to_say_nothing() -> None:
+    mute = dataclasses.replace(found("ground_effect"), holdout_gain=float("nan"))
+    assert words.held_out(mute).endswith("say nothing for or against")
+    assert words.held_out(found("payload")) == "explains 90 % of the held-out gap that can be explained"
+
+
 def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:
     said = words.sentence((found("payload", mass_kg=(0.216, 0.21, 0.222)),), GAP, NOTHING)
     assert said == (

@@ -113,6 +113,7 @@ def test_the_load_swings_under_the_measured_motion_as_a_driven_pendulum() -> Non
     samples = still(n=2000)
     push = 1.5 * np.sin(1.7 * samples.t_s)
     samples.accel_frd_mps2[:, 0] = push
+    samples.valid[:] = False  # nothing is said of what the vehicle felt of it
     load = _run(vehicle, samples).load
     omega = np.sqrt(G / 0.8)
 
@@ -124,6 +125,42 @@ def test_the_load_swings_under_the_measured_motion_as_a_driven_pendulum() -> Non
     angle = solve_ivp(pendulum, (0.0, 8.0), [0.0, 0.0], t_eval=samples.t_s, rtol=1e-9, atol=1e-10).y[0]
     assert np.abs(angle).max() > 0.1
     assert load[:, 0] == pytest.approx(np.sin(angle), abs=2e-4)
+
+
+def test_a_height_of_the_position_s_own_is_as_smooth_as_the_path(flown: tuple[Samples, Samples]) -> None:
+    exact, measured = flown
+    off = track(measured).pos_ned_m[:, 2] - exact.pos_ned_m[:, 2]
+    raw = -measured.height_m - exact.pos_ned_m[:, 2]
+    inner = slice(100, -100)
+    assert np.std(off[inner]) < 0.7 * np.std(raw[inner])
+    ranged = replace(measured, height_m=measured.height_m + 0.01 * np.sin(3.0 * measured.t_s))
+    assert track(ranged).pos_ned_m[:, 2] == pytest.approx(-ranged.height_m)
+
+
+def test_how_a_load_swung_when_the_log_began_is_told_by_what_the_vehicle_feels() -> None:
+    mass, carried, length = 1.2, 0.25, 0.8
+    damping = 2.0 * 0.02 * np.sqrt(G / length)
+    samples = still(n=2000)
+
+    def push(angle: F64, rate: F64) -> F64:
+        """Level acceleration of the free vehicle: momentum of the pair along north is kept."""
+        inward = G * np.cos(angle) + length * rate**2
+        pull = carried * np.sin(angle) * inward + carried * damping * length * rate * np.cos(angle)
+        return np.asarray(pull / (mass + carried * np.sin(angle) ** 2))
+
+    def swing(t: float, y: F64) -> list[float]:
+        turn = -(G * np.sin(y[0]) + float(push(y[0], y[1])) * np.cos(y[0])) / length - damping * y[1]
+        return [y[1], turn]
+
+    angle, rate = solve_ivp(swing, (0.0, 8.0), [0.9, 0.0], t_eval=samples.t_s, rtol=1e-9, atol=1e-10).y
+    turn = np.gradient(rate, DT)
+    down = carried * (G + length * (turn * np.sin(angle) + rate**2 * np.cos(angle)))
+    samples.accel_frd_mps2[:, 0] = push(angle, rate)
+    samples.motor[:] = np.sqrt((mass * G + down) / (4 * 6.6))[:, None]  # it keeps its height
+    vehicle = hidden(quad(), {"slung_load": {"mass_kg": carried, "length_m": length}})
+    load = _run(vehicle, samples).load
+    assert np.abs(load[:100, 0] - np.sin(angle[:100])).max() > 0.5  # it is taken to hang at first
+    assert load[500:, 0] == pytest.approx(np.sin(angle[500:]), abs=0.03)
 
 
 def test_sensor_effects_are_shown_where_their_sensors_show_them() -> None:
@@ -234,6 +271,7 @@ def test_what_a_log_lacks_is_not_shown(flown: tuple[Samples, Samples]) -> None:
     assert np.isnan(shown[:, 6:]).all()
     assert np.isfinite(shown[:, :6]).all()
     assert unseen(bare, "linear_drag") == ("vel_ned_mps", "q_ned_frd")
+    assert unseen(bare, "angular_damping") == ("vel_ned_mps", "q_ned_frd")  # drag at the hubs damps as well
     assert unseen(bare, "battery_sag") == ("battery_v",)
     assert not np.any(np.nan_to_num(sensitivity(quad(), bare, "rotor_drag", "k_d_kg_per_rad")))
     assert np.nanstd(sensitivity(quad(), bare, "payload", "mass_kg")[:, 2]) > 0.0

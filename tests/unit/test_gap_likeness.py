@@ -1,0 +1,70 @@
+"""A log of another vehicle is told from one of this vehicle with effects: by all that a body and its motors are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped import load_vehicle
+
+from benchmarks import gap_draw
+from flightstack.vehicle import Vehicle, with_effects
+from gap.likeness import other_vehicle
+from gap.records import Estimate, Found
+
+Effects = dict[str, dict[str, float]]
+BODY = ("payload", "thrust_scale", "inertia", "motor_lag")
+
+
+def said(believed: Vehicle, effects: Effects, *, unexplained: bool = False) -> str:
+    found = [
+        Found(name, {p: Estimate(0.0, x, x, x) for p, x in values.items()}, -1e3, 0.5, 0.0)
+        for name, values in effects.items()
+    ]
+    return other_vehicle(believed, with_effects(believed, effects), found, unexplained=unexplained)
+
+
+def as_effects(flew: Vehicle, file: Vehicle) -> Effects:
+    """What of the table makes one file's vehicle fly as the other's: the files' own numbers."""
+    per_kg = (flew.max_total_thrust_n / flew.mass_kg) / (file.max_total_thrust_n / file.mass_kg)
+    arms = [np.abs(v.rotors.position_m[:, :2]).mean(axis=0)[::-1] * v.max_total_thrust_n for v in (flew, file)]
+    torque = [
+        [*arm, abs(v.rotors.torque_ratio_m[0]) * v.max_total_thrust_n]
+        for arm, v in zip(arms, (flew, file), strict=True)
+    ]
+    turning = [np.array(t) / v.inertia_kgm2 for t, v in zip(torque, (flew, file), strict=True)]
+    scale = per_kg * turning[1] / turning[0]
+    return {
+        "thrust_scale": {"scale": per_kg},
+        "inertia": {f"scale_{axis}": float(scale[i]) for i, axis in enumerate("xyz")},
+        "motor_lag": {"time_constant_s": flew.rotors.time_constant_s},
+    }
+
+
+@pytest.mark.parametrize(("flew", "file"), [("f450", "quad-x"), ("quad-x", "f450")])
+def test_a_carrier_and_a_light_quadrotor_are_not_each_other(flew: str, file: str) -> None:
+    text = said(load_vehicle(file), as_effects(load_vehicle(flew), load_vehicle(file)))
+    assert "thrust for its mass" in text
+
+
+def test_a_body_twice_as_hard_to_turn_is_another_where_something_is_left_unexplained() -> None:
+    effects: Effects = {
+        "payload": {"mass_kg": 0.23},
+        "inertia": {"scale_x": 1.7, "scale_y": 2.1, "scale_z": 2.1},
+    }
+    assert said(load_vehicle("quad-x"), effects, unexplained=True)
+    assert not said(load_vehicle("quad-x"), effects)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_the_blind_flights_hide_together_leaves_a_vehicle_the_file_s(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    vehicle = gap_draw.vehicle(rng, drag=False)
+    effects = {name: gap_draw.EFFECTS[name](rng, vehicle) for name in BODY}
+    assert said(vehicle, effects, unexplained=True) == ""
+
+
+def test_one_thing_far_off_is_named_and_not_refused() -> None:
+    quad = load_vehicle("quad-x")
+    for effects in ({"thrust_scale": {"scale": 0.5}}, {"payload": {"mass_kg": quad.mass_kg}}):
+        assert said(quad, effects, unexplained=True) == ""
+    assert said(quad, {"inertia": {"scale_x": 2.5, "scale_y": 2.5, "scale_z": 2.5}}, unexplained=True) == ""
