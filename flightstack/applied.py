@@ -42,9 +42,8 @@ class Applied(NamedTuple):
 
     def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
         """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
-        return Applied(
-            *_followed(*self, sent.thrust_norm, motor_command, model.max_thrust_n, model.thrust_model_factor, dt_us)
-        )
+        curve = model.max_thrust_n, model.thrust_model_factor
+        return Applied(*_followed(*self, sent.thrust_norm, motor_command, *curve, float(dt_us)))
 
     def of(self, sent: Command) -> Command:
         """The command as it was applied; the very same one where nothing was changed."""
@@ -54,7 +53,7 @@ class Applied(NamedTuple):
 
 @njit
 def _followed(
-    recent: float, sent: float, measured: float, norm: float, motors: F64, max_thrust: float, f: float, dt_us: int
+    recent: float, sent: float, measured: float, norm: float, motors: F64, max_thrust: float, f: float, dt_us: float
 ) -> Tuple3:
     """As `Applied.follow` says: the sums one tick on."""
     recent += _share(dt_us / _RECENT_US) * (norm - recent)
