@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flightstack.model import Model
-from flightstack.types import F64, Command
+from flightstack.jit import njit
+from flightstack.model import Model, thrust_to_norm
+from flightstack.types import F64, Command, Tuple3
 
 _TIME_CONSTANT_US = 2_000_000
 _SAME = 0.03
@@ -41,20 +42,8 @@ class Applied(NamedTuple):
 
     def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
         """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
-        norm = sent.thrust_norm
-        recent = self.recent_norm + _share(dt_us / _RECENT_US) * (norm - self.recent_norm)
-        a, b, c, d = motor_command.tolist()
-        steady = norm > _LEAST_NORM and abs(norm - recent) < _STEADY * norm
-        inside = 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0 and 0.0 <= c <= 1.0 and 0.0 <= d <= 1.0  # False for NaN
-        if not (steady and inside):
-            return Applied(recent, self.sent, self.measured)
-        f = model.thrust_model_factor
-        mean = 0.25 * (f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d))
-        share = _share(dt_us / _TIME_CONSTANT_US)
-        measured = model.norm_of(mean * model.max_thrust_n)
-        return Applied(
-            recent, self.sent + share * (norm - self.sent), self.measured + share * (measured - self.measured)
-        )
+        curve = model.max_thrust_n, model.thrust_model_factor
+        return Applied(*_followed(*self, sent.thrust_norm, motor_command, *curve, float(dt_us)))
 
     def of(self, sent: Command) -> Command:
         """The command as it was applied; the very same one where nothing was changed."""
@@ -62,6 +51,25 @@ class Applied(NamedTuple):
         return sent if ratio == 1.0 else sent._replace(thrust_norm=min(1.0, sent.thrust_norm * ratio))
 
 
+@njit
+def _followed(
+    recent: float, sent: float, measured: float, norm: float, motors: F64, max_thrust: float, f: float, dt_us: float
+) -> Tuple3:
+    """As `Applied.follow` says: the sums one tick on."""
+    recent += _share(dt_us / _RECENT_US) * (norm - recent)
+    inside = True
+    for command in motors:
+        inside = inside and 0.0 <= command <= 1.0  # False for NaN
+    if not (norm > _LEAST_NORM and abs(norm - recent) < _STEADY * norm and inside):
+        return recent, sent, measured
+    a, b, c, d = motors[0], motors[1], motors[2], motors[3]
+    mean = 0.25 * (f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d))
+    share = _share(dt_us / _TIME_CONSTANT_US)
+    now = thrust_to_norm(mean * max_thrust, max_thrust, f)
+    return recent, sent + share * (norm - sent), measured + share * (now - measured)
+
+
+@njit
 def _share(value: float) -> float:
     """Within 0..1."""
     return 0.0 if value < 0.0 else 1.0 if value > 1.0 else value

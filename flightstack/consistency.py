@@ -11,14 +11,18 @@ by another stream that measures the same motion:
 The difference of both sides is summed up and forgotten with a time constant (a high-pass), so that biases stay below
 the thresholds, which stand well above what PX4's estimator shows against itself in a recorded flight (the tests replay
 it): 0.7 m/s, 0.5 m and 0.03 rad at most, steps of 0.02 m.
+
+All numbers of a watch lie in one row, stamps included, and the arithmetic is compiled: it runs with every sample.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from flightstack.types import STANDARD_GRAVITY_MPS2, Tuple3, Tuple4
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3, Tuple4
 
 FROZEN_US = 100_000
 """Identical samples for so long: twelve of the position at 125 Hz."""
@@ -36,20 +40,20 @@ _JUDGED_MAX_S = 0.5
 """Over a longer gap a step of position says nothing."""
 _ZERO = (0.0, 0.0, 0.0)
 
+# The row: samples as they came last, what is worked out from them, then stamps (us; -1 before the first).
+_POS, _VEL, _FORCE, _RATE, _ATTITUDE_RATE, _Q = 0, 3, 6, 9, 12, 15
+_DOWN = 19
+"""World's down in body axes as the gyro carries it on."""
+_VELOCITY_ERROR, _POSITION_ERROR, _TILT_ERROR = 22, 25, 28
+_POSITION_US, _IMU_US, _ATTITUDE_US = 29, 30, 31
+_POSITION_CHANGED_US, _VELOCITY_CHANGED_US, _IMU_CHANGED_US, _ATTITUDE_CHANGED_US = 32, 33, 34, 35
+"""When a stream had another value than before; what it repeats it has held since."""
+_ROW = 36
 
-@dataclass(slots=True)
-class Repetition:
-    """For how long a stream has repeated its value."""
-
-    value: object = None
-    changed_us: int = -1
-    held_us: int = 0
-
-    def see(self, t_us: int, value: object) -> None:
-        """Take a sample."""
-        if value != self.value or self.changed_us < 0:
-            self.value, self.changed_us = value, t_us
-        self.held_us = t_us - self.changed_us
+_TROUBLES = (
+    "", "frozen-attitude", "frozen-imu", "frozen-position", "attitude-against-gyro", "velocity-against-imu",
+    "position-against-velocity",
+)  # fmt: skip
 
 
 class EstimateWatch:
@@ -59,146 +63,176 @@ class EstimateWatch:
     resets decides what it was.
     """
 
+    __slots__ = ("_row", "step_ned_m")
+
     def __init__(self) -> None:
-        self._position, self._velocity = Repetition(), Repetition()
-        self._attitude, self._imu = Repetition(), Repetition()
-        self._position_us = self._imu_us = self._attitude_us = -1
-        self._pos: Tuple3 = _ZERO
-        self._vel: Tuple3 = _ZERO
-        self._rate: Tuple3 = _ZERO
-        self._q: Tuple4 = (1.0, 0.0, 0.0, 0.0)
-        self._down: Tuple3 = (0.0, 0.0, 1.0)
-        """World's down in body axes as the gyro carries it on."""
-        self._velocity_error: Tuple3 = _ZERO
-        self._position_error: Tuple3 = _ZERO
-        self._tilt_error = 0.0
+        self._row = np.zeros(_ROW)
+        self._row[_Q] = self._row[_DOWN + 2] = 1.0
+        self._row[_POSITION_US:] = -1.0
         self.step_ned_m: Tuple3 = _ZERO
         """What the newest position sample moved beyond what velocity explains, m."""
 
     def forgive(self) -> None:
         """Begin all sums anew, as after a reset of the estimator that is accounted for."""
-        self._velocity_error = self._position_error = _ZERO
-        self._tilt_error = 0.0
-        self._down = _down(self._q)
+        _forgive(self._row)
 
     def imu(self, t_us: int, force_frd_mps2: Tuple3, rate_frd_radps: Tuple3) -> None:
         """HIGHRES_IMU: specific force and body rates."""
-        dt = (t_us - self._imu_us) * 1e-6
-        if dt <= 0.0:
-            return
-        self._imu_us = t_us
-        self._imu.see(t_us, (force_frd_mps2, rate_frd_radps))
-        if dt <= _STEP_MAX_S:
-            (w, x, y, z), (fx, fy, fz) = self._q, force_frd_mps2  # R f = f + 2 w (u x f) + 2 u x (u x f)
-            tx, ty, tz = 2.0 * (y * fz - z * fy), 2.0 * (z * fx - x * fz), 2.0 * (x * fy - y * fx)
-            north, east, down = (
-                fx + w * tx + y * tz - z * ty,
-                fy + w * ty + z * tx - x * tz,
-                fz + w * tz + x * ty - y * tx,
-            )
-            x, y, z = self._velocity_error
-            fade = math.exp(-dt / _VELOCITY_FORGET_S)
-            down += STANDARD_GRAVITY_MPS2
-            self._velocity_error = ((x - dt * north) * fade, (y - dt * east) * fade, (z - dt * down) * fade)
-            (p, q, r), (p2, q2, r2), half = self._rate, rate_frd_radps, 0.5 * dt
-            self._down = _turned(self._down, (half * (p + p2), half * (q + q2), half * (r + r2)))
-        else:
-            self.forgive()
-        self._rate = rate_frd_radps
+        _imu(self._row, float(t_us), *force_frd_mps2, *rate_frd_radps)
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION."""
-        dt = (t_us - self._attitude_us) * 1e-6
-        if dt <= 0.0:
-            return
-        self._attitude_us, self._q = t_us, q_ned_frd
-        self._attitude.see(t_us, (q_ned_frd, rate_frd_radps))
-        measured = _down(q_ned_frd)
-        if dt > _STEP_MAX_S:
-            self._down = measured
-        (x, y, z), (mx, my, mz) = self._down, measured
-        self._tilt_error = math.acos(min(1.0, max(-1.0, mx * x + my * y + mz * z)))
-        pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
-        self._down = _unit(x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z))
+        _attitude(self._row, float(t_us), *q_ned_frd, *rate_frd_radps)
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED."""
-        dt = (t_us - self._position_us) * 1e-6
-        self.step_ned_m = _ZERO
-        if dt <= 0.0:
-            return
-        first, self._position_us = self._position_us < 0, t_us
-        self._position.see(t_us, pos_ned_m)
-        self._velocity.see(t_us, vel_ned_mps)
-        pos, vel = self._pos, self._vel
-        self._pos, self._vel = pos_ned_m, vel_ned_mps
-        if first or dt > _JUDGED_MAX_S:
-            return
-        (n, e, d), (vn, ve, vd), (wn, we, wd), half = pos, vel, vel_ned_mps, 0.5 * dt
-        self.step_ned_m = step = (
-            pos_ned_m[0] - n - half * (vn + wn),
-            pos_ned_m[1] - e - half * (ve + we),
-            pos_ned_m[2] - d - half * (vd + wd),
-        )
-        if dt > _STEP_MAX_S:
-            return
-        x, y, z = self._velocity_error
-        self._velocity_error = (x + wn - vn, y + we - ve, z + wd - vd)
-        fade = math.exp(-dt / _POSITION_FORGET_S)
-        x, y, z = self._position_error
-        self._position_error = ((x + step[0]) * fade, (y + step[1]) * fade, (z + step[2]) * fade)
+        self.step_ned_m = _position(self._row, float(t_us), *pos_ned_m, *vel_ned_mps)
 
     @property
     def velocity_error_mps(self) -> float:
         """Velocity's lead over the IMU's of the last half second or so."""
-        return _norm(self._velocity_error)
+        return math.hypot(*self._row[_VELOCITY_ERROR : _VELOCITY_ERROR + 3].tolist())
 
     @property
     def position_error_m(self) -> float:
         """Position's lead over velocity's of the last second or so."""
-        return _norm(self._position_error)
+        return math.hypot(*self._row[_POSITION_ERROR : _POSITION_ERROR + 3].tolist())
 
     @property
     def tilt_error_rad(self) -> float:
         """Between the tilt reported and the one that the gyro carried on."""
-        return self._tilt_error
+        return self._row.item(_TILT_ERROR)
 
     @property
     def trouble(self) -> str:
         """Name of the first contradiction (a row of the fault table), empty where there is none."""
-        if self._attitude.held_us >= FROZEN_US:
-            return "frozen-attitude"
-        if self._imu.held_us >= FROZEN_US:
-            return "frozen-imu"
-        if self._position.held_us >= FROZEN_US or self._velocity.held_us >= FROZEN_US:
-            return "frozen-position"
-        if self._tilt_error > TILT_ERROR_RAD:
-            return "attitude-against-gyro"
-        x, y, z = self._velocity_error
-        if math.sqrt(x * x + y * y + z * z) > VELOCITY_ERROR_MPS:
-            return "velocity-against-imu"
-        x, y, z = self._position_error
-        return "position-against-velocity" if math.sqrt(x * x + y * y + z * z) > POSITION_ERROR_M else ""
+        return _TROUBLES[_trouble(self._row)]
 
 
-def _norm(a: Tuple3) -> float:
-    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+@njit
+def _trouble(row: F64) -> int:
+    """Place in `_TROUBLES` of what is wrong."""
+    if row[_ATTITUDE_US] - row[_ATTITUDE_CHANGED_US] >= FROZEN_US:
+        return 1
+    if row[_IMU_US] - row[_IMU_CHANGED_US] >= FROZEN_US:
+        return 2
+    changed_us = min(row[_POSITION_CHANGED_US], row[_VELOCITY_CHANGED_US])
+    if row[_POSITION_US] - changed_us >= FROZEN_US:
+        return 3
+    if row[_TILT_ERROR] > TILT_ERROR_RAD:
+        return 4
+    if _length(row, _VELOCITY_ERROR) > VELOCITY_ERROR_MPS:
+        return 5
+    return 6 if _length(row, _POSITION_ERROR) > POSITION_ERROR_M else 0
 
 
-def _down(q: Tuple4) -> Tuple3:
+@njit
+def _forgive(row: F64) -> None:
+    row[_VELOCITY_ERROR : _TILT_ERROR + 1] = 0.0
+    row[_DOWN], row[_DOWN + 1], row[_DOWN + 2] = _down(row[_Q], row[_Q + 1], row[_Q + 2], row[_Q + 3])
+
+
+@njit
+def _put(row: F64, place: int, x: float, y: float, z: float) -> bool:
+    """Three numbers into the row; whether they are other ones than before."""
+    other = x != row[place] or y != row[place + 1] or z != row[place + 2]
+    row[place], row[place + 1], row[place + 2] = x, y, z
+    return bool(other)
+
+
+@njit
+def _imu(row: F64, t_us: float, fx: float, fy: float, fz: float, p: float, q: float, r: float) -> None:
+    dt = (t_us - row[_IMU_US]) * 1e-6
+    if dt <= 0.0:
+        return
+    row[_IMU_US] = t_us
+    p0, q0, r0 = row[_RATE], row[_RATE + 1], row[_RATE + 2]
+    pushed, turned = _put(row, _FORCE, fx, fy, fz), _put(row, _RATE, p, q, r)
+    if pushed or turned or row[_IMU_CHANGED_US] < 0.0:
+        row[_IMU_CHANGED_US] = t_us
+    if dt > _STEP_MAX_S:
+        _forgive(row)
+        return
+    w, x, y, z = row[_Q], row[_Q + 1], row[_Q + 2], row[_Q + 3]  # R f = f + 2 w (u x f) + 2 u x (u x f)
+    tx, ty, tz = 2.0 * (y * fz - z * fy), 2.0 * (z * fx - x * fz), 2.0 * (x * fy - y * fx)
+    north, east, down = fx + w * tx + y * tz - z * ty, fy + w * ty + z * tx - x * tz, fz + w * tz + x * ty - y * tx
+    down += STANDARD_GRAVITY_MPS2
+    fade = math.exp(-dt / _VELOCITY_FORGET_S)
+    for i, acc in enumerate((north, east, down)):
+        row[_VELOCITY_ERROR + i] = (row[_VELOCITY_ERROR + i] - dt * acc) * fade
+    half = 0.5 * dt
+    _turn(row, half * (p0 + p), half * (q0 + q), half * (r0 + r))
+
+
+@njit
+def _attitude(row: F64, t_us: float, w: float, x: float, y: float, z: float, p: float, q: float, r: float) -> None:
+    dt = (t_us - row[_ATTITUDE_US]) * 1e-6
+    if dt <= 0.0:
+        return
+    row[_ATTITUDE_US] = t_us
+    turned, lain = _put(row, _ATTITUDE_RATE, p, q, r), _put(row, _Q + 1, x, y, z)
+    if turned or lain or w != row[_Q] or row[_ATTITUDE_CHANGED_US] < 0.0:
+        row[_ATTITUDE_CHANGED_US] = t_us
+    row[_Q] = w
+    mx, my, mz = _down(w, x, y, z)
+    if dt > _STEP_MAX_S:
+        row[_DOWN], row[_DOWN + 1], row[_DOWN + 2] = mx, my, mz
+    x, y, z = row[_DOWN], row[_DOWN + 1], row[_DOWN + 2]
+    row[_TILT_ERROR] = math.acos(min(max(mx * x + my * y + mz * z, -1.0), 1.0))
+    pull = 1.0 - math.exp(-min(dt, _STEP_MAX_S) / _TILT_FORGET_S)
+    _put_unit(row, x + pull * (mx - x), y + pull * (my - y), z + pull * (mz - z))
+
+
+@njit
+def _position(row: F64, t_us: float, n: float, e: float, d: float, vn: float, ve: float, vd: float) -> Tuple3:
+    """What the sample moved beyond what velocity explains."""
+    dt = (t_us - row[_POSITION_US]) * 1e-6
+    if dt <= 0.0:
+        return 0.0, 0.0, 0.0
+    first = row[_POSITION_US] < 0.0
+    row[_POSITION_US] = t_us
+    n0, e0, d0 = row[_POS], row[_POS + 1], row[_POS + 2]
+    vn0, ve0, vd0 = row[_VEL], row[_VEL + 1], row[_VEL + 2]
+    if _put(row, _POS, n, e, d) or row[_POSITION_CHANGED_US] < 0.0:
+        row[_POSITION_CHANGED_US] = t_us
+    if _put(row, _VEL, vn, ve, vd) or row[_VELOCITY_CHANGED_US] < 0.0:
+        row[_VELOCITY_CHANGED_US] = t_us
+    if first or dt > _JUDGED_MAX_S:
+        return 0.0, 0.0, 0.0
+    half = 0.5 * dt
+    step = n - n0 - half * (vn0 + vn), e - e0 - half * (ve0 + ve), d - d0 - half * (vd0 + vd)
+    if dt <= _STEP_MAX_S:
+        fade = math.exp(-dt / _POSITION_FORGET_S)
+        for i, change in enumerate(((vn, vn0), (ve, ve0), (vd, vd0))):
+            row[_VELOCITY_ERROR + i] = row[_VELOCITY_ERROR + i] + change[0] - change[1]
+            row[_POSITION_ERROR + i] = (row[_POSITION_ERROR + i] + step[i]) * fade
+    return step
+
+
+@njit
+def _length(row: F64, place: int) -> float:
+    return math.sqrt(row[place] * row[place] + row[place + 1] * row[place + 1] + row[place + 2] * row[place + 2])
+
+
+@njit
+def _down(w: float, x: float, y: float, z: float) -> Tuple3:
     """World's down in body axes: the rotation matrix's third row."""
-    w, x, y, z = q
     return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
 
 
-def _turned(d: Tuple3, turn: Tuple3) -> Tuple3:
-    """A world vector `d`, seen from a body that turns by the small rotation vector `turn`; of length 1."""
-    (x, y, z), (p, q, r) = d, turn
+@njit
+def _turn(row: F64, p: float, q: float, r: float) -> None:
+    """The world's down, seen from a body that has turned by the small rotation vector (p, q, r)."""
+    x, y, z = row[_DOWN], row[_DOWN + 1], row[_DOWN + 2]
     a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
-    x, y, z = x + a + 0.5 * (b * r - c * q), y + b + 0.5 * (c * p - a * r), z + c + 0.5 * (a * q - b * p)
-    return _unit(x, y, z)
+    _put_unit(
+        row, x + a + 0.5 * (b * r - c * q), y + b + 0.5 * (c * p - a * r), z + c + 0.5 * (a * q - b * p)
+    )  # fmt: skip
 
 
-def _unit(x: float, y: float, z: float) -> Tuple3:
-    size = math.sqrt(x * x + y * y + z * z) or 1.0
-    return x / size, y / size, z / size
+@njit
+def _put_unit(row: F64, x: float, y: float, z: float) -> None:
+    """The world's down into the row, of length 1."""
+    size = math.sqrt(x * x + y * y + z * z)
+    size = size if size > 0.0 else 1.0
+    row[_DOWN], row[_DOWN + 1], row[_DOWN + 2] = x / size, y / size, z / size

@@ -84,29 +84,26 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe = state.control, state.learner, state.certifier, state.filter
-        applied = state.applied
-        proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, state.sent, False
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied = state
+        proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
-            applied = applied.follow(state.sent, seen.motor_command, self.model, now_us - state.sent.t_us)
-            learner, learned = self.learner.step(learner, seen, applied.of(state.sent), setpoint)
-            certifier, certificate = self.certifier.step(certifier, learner, seen, learned, state.filtered)
+            applied = applied.follow(sent, seen.motor_command, self.model, now_us - sent.t_us)
+            learner, learned = self.learner.step(learner, seen, applied.of(sent), setpoint)
+            certifier, certificate = self.certifier.step(certifier, learner, seen, learned, before)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
             bent = self.filter.bend(safe, setpoint)
-            control, proposal = self.controller.step(control, seen, bent, learned, state.sent, now_us)
+            control, proposal = self.controller.step(control, seen, bent, learned, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
-            wanted, turned = self.guard.turn_back(wanted, seen, state.origin_ned_m, state.carried_n, now_us)
-            safe, wanted, filtered = self.filter.step(safe, seen, wanted, state.sent, learned)
-        command, guard = self.guard.check(wanted, measurement, state.origin_ned_m, state.carried_n, now_us, turned)
+            wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
+            safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
+        command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
-        carried = state.carried_n
         if not guard:
-            carried = carried_thrust(carried, command, seen, now_us - state.sent.t_us)
+            carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
-        origin = state.origin_ned_m
         after = StackState(control, learner, certifier, safe, filtered, seen, command, origin, carried, applied)
         return after, command, record
 

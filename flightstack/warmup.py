@@ -10,6 +10,7 @@ import numpy as np
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
 from flightstack.barrier.shapes import Quadratic
+from flightstack.consistency import EstimateWatch
 from flightstack.mission import plan
 from flightstack.predictor import Streams, predict
 from flightstack.scenario import Scenario
@@ -26,6 +27,7 @@ _FAR_M = 30.0
 
 def warm_up(stack: Stack, scenario: Scenario) -> None:
     """One prediction, tick and fallback with made-up samples, and a look at each leg of the mission."""
+    _watch()
     streams = Streams()
     streams.attitude(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.position(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -49,6 +51,16 @@ def warm_up(stack: Stack, scenario: Scenario) -> None:
         streams.position(now_us, tuple(place), tuple(setpoint.vel_ned_mps))
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
     stack.tick(state, predict(streams, 10 * now_us), setpoint, 10 * now_us)
+
+
+def _watch() -> None:
+    """The watch of the estimate: each stream once, and what is worked out of them."""
+    watch, zero = EstimateWatch(), (0.0, 0.0, 0.0)
+    watch.attitude(0, (1.0, 0.0, 0.0, 0.0), zero)
+    watch.position(0, zero, zero)
+    watch.imu(0, zero, zero)
+    watch.forgive()
+    assert not watch.trouble
 
 
 def _certificate(centre_ned_m: F64) -> Certificate:

@@ -41,6 +41,9 @@ _MODE_KNOWN_US = 1_500_000
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
 _ANSWERS = (m.CommandAck, m.Timesync)
+_MODES = (m.Heartbeat, m.CurrentMode)
+_RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext})
+"""What is more to the companion than something to look at."""
 _RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
@@ -177,16 +180,18 @@ class Companion:
             self._take(message, now_us)
 
     def _take(self, message: Any, now_us: int) -> None:
-        t_us, kind = self._t_us, type(message)
-        if kind in _ANSWERS and message.target_system not in (0, self.link.system):
+        t_us, kind, rare = self._t_us, type(message), type(message) in _RARE
+        if rare and kind in _ANSWERS and message.target_system not in (0, self.link.system):
             return  # somebody else's answer
         self.view.update(self._watch.see(message), now_us)
         self._observer.on_message(t_us, message)
+        if not rare:
+            return
         if kind is m.CommandAck:
             self._commands.acknowledge(message)
         elif kind is m.Statustext:
             self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
-        elif self.view.mode_at_us >= 0 and self.view.custom_mode != self._mode_seen:
+        elif kind in _MODES and self.view.custom_mode != self._mode_seen:
             self._mode_seen = self.view.custom_mode
             self._observer.on_event(t_us, "mode", f"vehicle is in {self.view.mode_name}", "info")
 

@@ -28,12 +28,14 @@ LONGEST_FRAME = HEADER_SIZE + 255 + 2 + SIGNATURE_SIZE
 
 HEADER = Struct("<BHxBBI")
 """Magic, length | incompatible flags << 8, (compatible flags), sequence, system, component | id << 8."""
-_CRC = Struct("<H")
-CRC_STEP = tuple(mcrf4xx(bytes([index]), 0) for index in range(256))
-"""Takes one more byte into a CRC: `CRC_STEP[(crc ^ byte) & 0xFF] ^ crc >> 8`."""
-_INDEX = next(index for index in range(256) if CRC_STEP[index] >> 8 == 0xFF)
-_BEFORE_MAGIC = (CRC_STEP[_INDEX] ^ 0xFFFF) << 8 | _INDEX ^ MAGIC_V2
+CRC = Struct("<H")
+ONE_BYTE = tuple(bytes([value]) for value in range(256))
+"""The CRC extra goes into a CRC as one more byte."""
+_STEP = tuple(mcrf4xx(byte, 0) for byte in ONE_BYTE)  # one more byte: _STEP[(crc ^ byte) & 0xFF] ^ crc >> 8
+_INDEX = next(index for index in range(256) if _STEP[index] >> 8 == 0xFF)
+_BEFORE_MAGIC = (_STEP[_INDEX] ^ 0xFFFF) << 8 | _INDEX ^ MAGIC_V2
 """A CRC that starts here has MAVLink's start value after the magic byte, which so needn't be cut off first."""
+_pack_header, _pack_crc = HEADER.pack, CRC.pack
 
 
 class Frame(NamedTuple):
@@ -96,8 +98,7 @@ def frame_at(data: bytes, start: int, crc_extras: Mapping[int, int]) -> Frame | 
     crc_at = payload_at + size
     if extra is None:
         return Fault("unknown_id", 0, system << 8 | component, sequence)
-    crc = mcrf4xx(data[start + 1 : crc_at])
-    if CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 != data[crc_at] | data[crc_at + 1] << 8:
+    if mcrf4xx(data[start + 1 : crc_at] + ONE_BYTE[extra]) != CRC.unpack_from(data, crc_at)[0]:
         return BAD_CRC
     return Frame(end, payload_at, size, sequence, system, component, number, flags)
 
@@ -108,9 +109,8 @@ def build_frame(
     """A MAVLink 2 frame without its signature; `payload` whole, its trailing zeros are cut here."""
     if payload[-1] == 0:
         payload = payload.rstrip(b"\0") or b"\0"
-    frame = HEADER.pack(MAGIC_V2, len(payload) | flags << 8, sequence, system, component | number << 8) + payload
-    crc = mcrf4xx(frame, _BEFORE_MAGIC)
-    return frame + _CRC.pack(CRC_STEP[(crc ^ crc_extra) & 0xFF] ^ crc >> 8)
+    frame = _pack_header(MAGIC_V2, len(payload) | flags << 8, sequence, system, component | number << 8) + payload
+    return frame + _pack_crc(mcrf4xx(frame + ONE_BYTE[crc_extra], _BEFORE_MAGIC))
 
 
 def next_magic(data: bytes, start: int) -> int:

@@ -19,10 +19,11 @@ from fastcrc.crc16 import mcrf4xx
 
 from mavlink_bridge.codec import Row
 from mavlink_bridge.framing import (
-    CRC_STEP,
+    CRC,
     HEADER,
     HEADER_SIZE,
     MAGIC_V2,
+    ONE_BYTE,
     SIGNED,
     DatagramFraming,
     Frame,
@@ -39,11 +40,10 @@ MAX_DATAGRAM = 1400
 _REORDER_WINDOW = 16
 _SHORTEST = HEADER_SIZE + 2
 _EXTRAS = CRC_EXTRAS | {row.id: row.crc_extra for row in MESSAGES}
-_KNOWN: dict[int, tuple[int | None, Row | None]] = {
-    number: (extra, BY_ID.get(number)) for number, extra in _EXTRAS.items()
+_KNOWN: dict[int, tuple[bytes, Row | None]] = {
+    number: (ONE_BYTE[extra], BY_ID.get(number)) for number, extra in _EXTRAS.items()
 }
-"""Id -> CRC extra and row, None where there is none."""
-_UNKNOWN = (None, None)
+"""Id -> CRC extra, and the row, None where there is none."""
 
 
 class Received(NamedTuple):
@@ -187,20 +187,20 @@ class Link:
         at, have, expected = 0, len(data), self._expected
         while at + _SHORTEST <= have:
             magic, size, sequence, system, number = _header(data, at)
-            end = at + _SHORTEST + size
-            extra, row = _KNOWN.get(number >> 8, _UNKNOWN)
-            if magic != MAGIC_V2 or size > 0xFF or end > have or extra is None:  # the size's upper byte: flags
+            known, crc_at = _KNOWN.get(number >> 8), at + HEADER_SIZE + size
+            if known is None or magic != MAGIC_V2 or size > 0xFF or crc_at + 2 > have:  # the size's upper byte: flags
                 break
-            crc = mcrf4xx(data[at + 1 : end - 2])
-            if CRC_STEP[(crc ^ extra) & 0xFF] ^ crc >> 8 != data[end - 2] | data[end - 1] << 8:
+            extra, row = known
+            if mcrf4xx(data[at + 1 : crc_at] + extra) != _crc(data, crc_at)[0]:
                 break
-            source = system << 8 | number & 0xFF
+            component = number & 0xFF
+            source = system << 8 | component
             if row is None or expected.get(source) != sequence:
-                self._take(data, at + HEADER_SIZE, size, sequence, system, number & 0xFF, number >> 8, now_us)
+                self._take(data, at + HEADER_SIZE, size, sequence, system, component, number >> 8, now_us)
             else:
                 expected[source] = (sequence + 1) & 0xFF
-                self._hand_out(row, data, at + HEADER_SIZE, size, system, number & 0xFF, sequence, now_us)
-            at = end
+                self._hand_out(row, data, at + HEADER_SIZE, size, system, component, sequence, now_us)
+            at = crc_at + 2
         return at
 
     def _search(self, data: bytes, now_us: int) -> None:
@@ -256,10 +256,9 @@ class Link:
         self, row: Row, data: bytes, at: int, size: int, system: int, component: int, sequence: int, now_us: int
     ) -> None:
         """Decode a known message and queue it."""
-        if size >= row.size:
-            message = row.decode(data, at)
-        else:  # MAVLink 2 cuts trailing zeros
-            message = row.decode(data[at : at + size].ljust(row.size, b"\0"), 0)
+        if size < row.size:  # MAVLink 2 cuts trailing zeros
+            data, at = data[at : at + size].ljust(row.size, b"\0"), 0
+        message = row.decode(data, at)
         if message is None:
             self.stats.not_finite += 1
             return
@@ -298,4 +297,4 @@ def _packed(frames: list[bytes], max_bytes: int) -> list[bytes]:
 
 
 _new_received = tuple.__new__
-_header = HEADER.unpack_from
+_header, _crc = HEADER.unpack_from, CRC.unpack_from

@@ -10,7 +10,7 @@ import numpy as np
 
 from flightstack.jit import njit
 from flightstack.types import F64
-from sim.autopilot.rate_control import RateControl, rate_step
+from sim.autopilot.rate_control import RateControl, motors_of, rate_step
 from sim.effects import turbulence
 from sim.layout import EVALUATED, S_COMMAND, S_FORCE, S_NORMALS, S_POS, S_Q, S_RATE, S_VEL
 from sim.plant import NativePlant
@@ -37,10 +37,7 @@ class FusedRun:
             estimator = sensors.estimator
             _run(
                 count,
-                rate.config,
-                rate.state,
-                rate.mix,
-                rate.motor_command,
+                rate.row,
                 plant.params_row,
                 plant.state_row,
                 normals,
@@ -63,10 +60,7 @@ class FusedRun:
 @njit
 def _run(
     steps: int,
-    config: F64,
     loop: F64,
-    mix: F64,
-    motors: F64,
     params: F64,
     row: F64,
     normals: F64,
@@ -81,9 +75,9 @@ def _run(
     model: F64,
     estimate: F64,
 ) -> None:
-    work = np.empty((3, EVALUATED))
+    work, motors = np.empty((3, EVALUATED)), motors_of(loop)
     for k in range(steps):
-        rate_step(imu[GYRO : GYRO + 3], config, loop, mix, motors)
+        rate_step(imu[GYRO : GYRO + 3], loop)
         for i in range(4):
             row[S_COMMAND + i] = motors[i]
         if normals.shape[0] > 0:

@@ -40,11 +40,11 @@ class Schedule:
         """Keys of the streams that are due at `now_us`, in order of due time, then key; each once."""
         heap = self._heap
         keys = []
-        while heap and heap[0][0] <= now_us:
+        while heap:
             due_us, key, interval_us = heap[0]
+            if due_us > now_us:
+                break
             next_us = due_us + interval_us
-            if next_us <= now_us:
-                next_us = now_us + interval_us
-            heapreplace(heap, (next_us, key, interval_us))
+            heapreplace(heap, (next_us if next_us > now_us else now_us + interval_us, key, interval_us))
             keys.append(key)
         return keys

@@ -106,6 +106,7 @@ class LearnerState:
         self.variance = np.full(3, math.inf)
         """Calibrated variances at the state, tilt axes."""
         self.calm_variance = np.full(3, math.inf)
+        """The same without what single errors have widened, as of the tick's first prediction."""
         self.forward = np.zeros((2, 4))
         self.carried = np.zeros((2, 4))
         """What was worked out last, and the same carried on to this step."""
@@ -123,10 +124,13 @@ class LearnerState:
         """Bring `variance` in line with the posterior and what the stores have in excess of it."""
         calibrated(self.posterior, self.lateral.excess, self.vertical.excess, self.variance)
 
-    def calm(self) -> F64:
-        """(3,) the same without what single errors have widened; good until the next call."""
-        calibrated(self.posterior, self.lateral.calm_excess, self.vertical.calm_excess, self.calm_variance)
-        return self.calm_variance
+    def weigh(self, most: float) -> bool:
+        """Both calibrated variances for this posterior; whether the sample may be learned from (`fits`)."""
+        lateral, vertical = self.lateral, self.vertical
+        return _weighed(
+            self.sample, most, self.posterior, lateral.excess, vertical.excess, self.variance, lateral.calm_excess,
+            vertical.calm_excess, self.calm_variance,
+        )  # fmt: skip
 
 
 class GpLearner:
@@ -155,11 +159,10 @@ class GpLearner:
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
         self._expect(state, both=state.steps == 0)
-        state.calibrate()
-        fit = fits(sample, config.residual_max_mps2)
+        fit = state.weigh(config.residual_max_mps2)
         if fit:
             recovering = measurement.t_us - state.changed_us < _RECOVERY_US
-            allowed = state.variance if recovering else state.calm()
+            allowed = state.variance if recovering else state.calm_variance
             if self._learn(state, state.expected, allowed, measurement.t_us):
                 state.calibrate()
         else:
@@ -167,12 +170,13 @@ class GpLearner:
             state.watch.reset()
         stage, weight = self._stage(state, measurement.t_us, fit)
         self._sampler.at_reference(state.memory, reference, state.fed_forward, state.query)
-        forward = self._forward(state, measurement.t_us)
-        row = np.empty(32)
+        if state.steps % _FORWARD_EVERY == 0:
+            self._look_ahead(state, measurement.t_us)
+        row, carry_s = np.empty(32), 1e-6 * (measurement.t_us - state.forward_us)
         _assemble(
-            self._limits, state.query, forward, weight, stage, sample, state.expected, state.variance, int(fit),
-            state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed, state.refused, state.changes,
-            state.watch.surprise, state.fed_forward, row,
+            self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
+            state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,
+            state.refused, state.changes, state.watch.surprise, state.fed_forward, row,
         )  # fmt: skip
         state.steps += 1
         return state, Learned(row)
@@ -231,15 +235,12 @@ class GpLearner:
             return 4, weight
         return (3 if weight >= 1.0 else 2), weight
 
-    def _forward(self, state: LearnerState, t_us: int) -> F64:
+    def _look_ahead(self, state: LearnerState, t_us: int) -> None:
         """(2, 4) mean and rate at the reference: x, y, z at no thrust, and what one weight of thrust adds to z.
 
         Worked out every fourth step, carried along its own rate in between: over 16 ms that is off by half the second
         derivative times 1e-4 s^2.
         """
-        if state.steps % _FORWARD_EVERY:
-            _carried(state.forward, 1e-6 * (t_us - state.forward_us), state.carried)
-            return state.carried
         out = state.forward
         query, rate = state.query.copy()
         near, near_rate = query[s.GROUND], rate[s.GROUND]
@@ -250,8 +251,6 @@ class GpLearner:
         out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
         out[:, 3] -= out[:, 2]
         state.forward_us = t_us
-        state.carried[:] = out
-        return state.carried
 
 
 @njit
@@ -286,6 +285,17 @@ def _carried(forward: F64, dt_s: float, out: F64) -> None:
 
 
 @njit
+def _weighed(
+    sample: F64, most: float, posterior: F64, lateral: F64, vertical: F64, variance: F64, calm_lateral: F64,
+    calm_vertical: F64, calm_variance: F64,
+) -> bool:  # fmt: skip
+    """As `LearnerState.weigh` says."""
+    calibrated(posterior, lateral, vertical, variance)
+    calibrated(posterior, calm_lateral, calm_vertical, calm_variance)
+    return fits(sample, most)
+
+
+@njit
 def fits(sample: F64, most: float) -> bool:
     """Whether the sample may be learned from."""
     inside = sample[s.S_OK] != 0.0
@@ -296,11 +306,15 @@ def fits(sample: F64, most: float) -> bool:
 
 @njit
 def _assemble(
-    limits: F64, query: F64, forward: F64, weight: float, stage: int, sample: F64, expected: F64, variance: F64,
-    fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int, changes: int, surprise: float,
-    fed_forward: F64, row: F64,
+    limits: F64, query: F64, looked: F64, carry_s: float, forward: F64, weight: float, stage: int, sample: F64,
+    expected: F64, variance: F64, fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int,
+    changes: int, surprise: float, fed_forward: F64, row: F64,
 ) -> None:  # fmt: skip
-    """A Learned row (32,): feed-forward at the reference, residual at the state, counters."""
+    """A Learned row (32,): feed-forward at the reference, residual at the state, counters.
+
+    What was `looked` up ahead, (2, 4), is carried along over `carry_s`, into `forward`.
+    """
+    _carried(looked, carry_s, forward)
     most, gain_least, gain_most = limits[0], limits[1], limits[2]
     if not np.isfinite(forward).all():
         forward[:] = 0.0

@@ -45,6 +45,11 @@ _STATE_SIZE = 28
 # places in its configuration
 _P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22, 23
 _CONFIG_SIZE = 24
+# and of all in the loop's one row: state, configuration, motor commands, then the mixer's rows
+_CONFIG = _STATE_SIZE
+_MOTORS = _CONFIG + _CONFIG_SIZE
+_ROTORS = 4
+_MIX = _MOTORS + _ROTORS
 
 
 def butterworth2(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float, float, float]:
@@ -124,44 +129,45 @@ def phase_margin_deg(gains: tuple[float, float, float, float], alpha: float, lag
 class RateControl:
     """Rate loop and allocation of one vehicle.
 
-    All arrays are updated in place: `rate_frd_radps` (3,) the filtered gyro, `angular_acceleration_frd_radps2` (3,) its
-    filtered derivative, `rate_setpoint_frd_radps` (3,), `torque` (3,) normalised, `integral` (3,), `motor_command`
-    (4,) 0..1.  `thrust_setpoint` is the collective thrust asked for, 0..1.
+    All arrays are parts of one `row`, which compiled code takes, and are updated in place: `rate_frd_radps` (3,) the
+    filtered gyro, `angular_acceleration_frd_radps2` (3,) its filtered derivative, `rate_setpoint_frd_radps` (3,),
+    `torque` (3,) normalised, `integral` (3,), `motor_command` (4,) 0..1.  `thrust_setpoint` is the collective thrust
+    asked for, 0..1.
     """
 
     __slots__ = (
+        "_config",
         "_dt_s",
         "_target",
         "angular_acceleration_frd_radps2",
-        "config",
         "integral",
-        "mix",
         "motor_command",
         "rate_frd_radps",
         "rate_setpoint_frd_radps",
-        "state",
+        "row",
         "thrust_setpoint",
         "torque",
     )
 
     def __init__(self, vehicle: Vehicle, params: Params, dt_s: float = 0.001) -> None:
         self._dt_s = dt_s
-        self.state = np.zeros(_STATE_SIZE)
-        self._target = memoryview(self.state)  # type: ignore[arg-type]
-        self.config = np.zeros(_CONFIG_SIZE)
-        self.mix = mixer(vehicle.rotors)
-        self.motor_command = np.zeros(self.mix.shape[0])
-        self.rate_setpoint_frd_radps = self.state[_RATE_SP : _RATE_SP + 3]
-        self.rate_frd_radps = self.state[_RATE : _RATE + 3]
-        self.angular_acceleration_frd_radps2 = self.state[_ACC : _ACC + 3]
-        self.integral = self.state[_INTEGRAL : _INTEGRAL + 3]
+        mix = mixer(vehicle.rotors)
+        row = self.row = np.zeros(_MIX + mix.size)
+        row[_MIX:] = mix.ravel()
+        self._target = memoryview(row)  # type: ignore[arg-type]
+        self._config = row[_CONFIG:_MOTORS]
+        self.motor_command = row[_MOTORS:_MIX]
+        self.rate_setpoint_frd_radps = row[_RATE_SP : _RATE_SP + 3]
+        self.rate_frd_radps = row[_RATE : _RATE + 3]
+        self.angular_acceleration_frd_radps2 = row[_ACC : _ACC + 3]
+        self.integral = row[_INTEGRAL : _INTEGRAL + 3]
         self.thrust_setpoint = 0.0
-        self.torque = self.state[_TORQUE : _TORQUE + 3]
+        self.torque = row[_TORQUE : _TORQUE + 3]
         self.configure(params)
 
     def configure(self, params: Params) -> None:
         """Take gains and cut-offs from the parameters; acts from the next sample."""
-        c = self.config
+        c = self._config
         for axis, name in enumerate(AXES):
             k = params.get(f"MC_{name}_K")
             c[_P + axis] = k * params.get(f"MC_{name}_P")
@@ -184,12 +190,19 @@ class RateControl:
 
     def step(self, gyro_frd_radps: F64) -> None:
         """One gyro sample (3,) rad/s -> `motor_command`."""
-        rate_step(gyro_frd_radps, self.config, self.state, self.mix, self.motor_command)
+        rate_step(gyro_frd_radps, self.row)
 
 
 @njit
-def rate_step(gyro: F64, c: F64, s: F64, mix: F64, motors: F64) -> None:
-    """Filter, PID and allocation of one sample, in place."""
+def motors_of(row: F64) -> F64:
+    """The motor commands in a loop's row."""
+    return row[_MOTORS:_MIX]
+
+
+@njit
+def rate_step(gyro: F64, row: F64) -> None:
+    """Filter, PID and allocation of one sample (3,), in place in a loop's row."""
+    s, c, motors, mix = row[:_STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:].reshape(_ROTORS, 4)
     first = s[_STARTED] == 0.0
     s[_STARTED] = 1.0
     armed = s[_ARMED] != 0.0

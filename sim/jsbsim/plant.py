@@ -52,6 +52,8 @@ _START_EULER = tuple(f"ic/{name}-rad" for name in ("phi", "theta", "psi-true"))
 _START_VELOCITY = tuple(f"ic/{name}-fps" for name in ("vn", "ve", "vd"))
 _START_RATES = tuple(f"ic/{name}-rad_sec" for name in "pqr")
 _ONCE: tuple[tuple[()]] = ((),)
+E_ACCEL, E_GYRO, E_TURN = 0, 3, 6
+"""Places in `JsbsimPlant.sensor_errors`."""
 _GROUND_MARGIN_M = 1.0
 """Height over a vehicle's reach from which it can't come down in a step."""
 
@@ -81,9 +83,11 @@ class JsbsimPlant:
         self.rate_frd_radps = row[R_RATE : R_RATE + 3]
         self.specific_force_frd_mps2 = row[R_FORCE : R_FORCE + 3]
         self.angular_acceleration_frd_radps2 = row[R_ANGULAR : R_ANGULAR + 3]
-        self.accel_bias_frd_mps2 = np.zeros(3)
-        self.gyro_bias_frd_radps = np.zeros(3)
-        self.misalignment_q = np.zeros(4)
+        errors = self.sensor_errors = np.zeros(10)
+        """The next three side by side: biases (3,) each, misalignment (4,)."""
+        self.accel_bias_frd_mps2 = errors[E_ACCEL : E_ACCEL + 3]
+        self.gyro_bias_frd_radps = errors[E_GYRO : E_GYRO + 3]
+        self.misalignment_q = errors[E_TURN : E_TURN + 4]
         self._frame = np.zeros(0)
         self._load(vehicle, {_PLACE[0]: LATITUDE_RAD, _PLACE[1]: LONGITUDE_RAD, _PLACE[2]: 0.0}, {}, [0.0] * 4)
         self._rest()

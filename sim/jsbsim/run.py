@@ -9,7 +9,7 @@ from __future__ import annotations
 from flightstack.jit import njit
 from flightstack.types import F64
 from sim.autopilot.rate_control import RateControl, rate_step
-from sim.jsbsim.plant import JsbsimPlant
+from sim.jsbsim.plant import E_ACCEL, E_GYRO, E_TURN, JsbsimPlant
 from sim.jsbsim.readings import R_FORCE, R_POS, R_Q, R_RATE, R_VEL, read
 from sim.sensors import GYRO, Sensors, sense
 
@@ -30,9 +30,8 @@ class JsbsimRun:
         estimator = sensors.estimator
         row, estimator_row = sensors.noise_row(), estimator.noise_row()
         arrays = (
-            rate.config, rate.state, rate.mix, rate.motor_command, plant.gyro_bias_frd_radps,
-            plant.accel_bias_frd_mps2, plant.misalignment_q, sensors.noise, sensors.imu, estimator.noise,
-            estimator.model, estimator.state,
+            rate.row, plant.sensor_errors, sensors.noise, sensors.imu, estimator.noise, estimator.model,
+            estimator.state,
         )  # fmt: skip
         rate.step(sensors.gyro_frd_radps)
         plant.fly(rate.motor_command, _look, [(steps - 1 - k, row + k, estimator_row, *arrays) for k in range(steps)])
@@ -43,8 +42,7 @@ class JsbsimRun:
 def _look(
     shown: F64, frame: F64, x: float, y: float, z: float, vn: float, ve: float, vd: float, phi: float, theta: float,
     psi: float, p: float, q: float, r: float, fx: float, fy: float, fz: float, left: int, noise_row: int,
-    estimator_row: int, config: F64, loop: F64, mix: F64, motors: F64, gyro_bias: F64, accel_bias: F64,
-    misalignment: F64, noise: F64, imu: F64, estimator_noise: F64, model: F64, estimate: F64,
+    estimator_row: int, loop: F64, errors: F64, noise: F64, imu: F64, estimator_noise: F64, model: F64, estimate: F64,
 ) -> float:  # fmt: skip
     """After JSBSim's frame: its numbers, the sensors, and where another step follows its motor commands."""
     height = read(shown, frame, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz)
@@ -54,9 +52,9 @@ def _look(
         shown[R_POS : R_POS + 3],
         shown[R_VEL : R_VEL + 3],
         shown[R_Q : R_Q + 4],
-        gyro_bias,
-        accel_bias,
-        misalignment,
+        errors[E_GYRO : E_GYRO + 3],
+        errors[E_ACCEL : E_ACCEL + 3],
+        errors[E_TURN : E_TURN + 4],
         noise,
         noise_row,
         imu,
@@ -66,5 +64,5 @@ def _look(
         estimate,
     )
     if left > 0:
-        rate_step(imu[GYRO : GYRO + 3], config, loop, mix, motors)
+        rate_step(imu[GYRO : GYRO + 3], loop)
     return height
