@@ -169,7 +169,9 @@ class _Problem:
     ) -> None:
         self._vehicle, self._unknowns = vehicle, unknowns
         most = max(1, _MOST_WINDOWS // max(len(flights), 1))
-        usable = [not any(unseen(s, effect) for effect, _ in unknowns) for s in flights]
+        usable = [
+            "motor" not in track(s).missing and not any(unseen(s, effect) for effect, _ in unknowns) for s in flights
+        ]
         self.windows = [
             windows_of(vehicle, s, m if ok else m & False, most)
             for s, m, ok in zip(flights, masks, usable, strict=True)
