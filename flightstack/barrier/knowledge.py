@@ -21,6 +21,10 @@ below is not extrapolated from the data but bounded, as it only ever adds thrust
 (twice Cheeseman and Bennett's): lo - g along down, lo - g beta and hi + g beta across.  Corners are
 representative: between them the processes are taken to be no further off than there.
 
+A `last` certificate asks along down at the least height as well, where its prior lets the ground do half of Cheeseman
+and Bennett's or more: lo is mean - k sigma there, less what is not linear in near, g near / (1 - near).  What is
+learned is linear in near: the less of both ends' lo holds between, and counts where it is more than lo - g.
+
 **The bound.**  For each query and end [lo, hi] = mean -+ k sigma of the acceleration along the axis, cut with the
 initial interval (of -f - drag v) there.  A lateral one is taken without what thrust explains: + gain_d(v_d) f_i, gain_d
 linear between the vertical nodes.  The node's interval is the hull over its queries, for lateral axes over both ends.
@@ -67,8 +71,17 @@ import numpy as np
 from scipy.special import ndtri, zeta
 
 from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
-from flightstack.barrier.posterior import Accelerations
-from flightstack.barrier.queries import Envelope, Steering, budget, ground_mps2, lean, queries, statements
+from flightstack.barrier.posterior import Accelerations, proximity
+from flightstack.barrier.queries import (
+    Envelope,
+    Steering,
+    budget,
+    ground_mps2,
+    ground_rest_mps2,
+    lean,
+    queries,
+    statements,
+)  # fmt: skip
 from flightstack.barrier.records import Authority, Budget
 from flightstack.learning.learner import LearnerState
 from flightstack.learning.sampler import V_N
@@ -83,6 +96,10 @@ __all__ = [
 _G = STANDARD_GRAVITY_MPS2
 _CHUNK = 64
 """Queries evaluated at one go: about a millisecond with 300 points."""
+
+
+_LEAST_GROUND = 0.5
+"""Cheeseman and Bennett's, one standard deviation of the prior."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +180,7 @@ class Knowledge:
         `last`: no certificate will be issued after this one.
         """
         box = box or budget(model, limits)
-        k = confidence(delta, version, statements(envelope), last)
+        k = confidence(delta, version, statements(envelope, last), last)
         widen = np.zeros(3) if widen_mps2 is None else widen_mps2
         request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen)
         for hulls in _all_steps(request):
@@ -243,6 +260,8 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
         ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust[part])
         share = 0.0 if axis == DOWN else lean(request.box)
         low[part] = bounds[0] + explained[part] - ground * (share or 1.0)
+        if axis == DOWN and request.last and request.learned is not None:
+            low[part] = np.maximum(low[part], np.minimum(bounds[0], _near_ground(request, speed[part], thrust[part])))
         high[part] = bounds[1] + explained[part] + ground * share
         if part.stop >= len(near):
             hull.low[:] = low.reshape(shape).min(axis=2)
@@ -266,6 +285,21 @@ def _interval(request: Request, axis: int, speed: F64, thrust: F64, near: F64) -
         np.where(apart, np.minimum(low, least), np.maximum(low, least)),
         np.where(apart, np.maximum(high, most), np.minimum(high, most)),
     )
+
+
+def _near_ground(request: Request, speed: F64, thrust: F64) -> F64:
+    """Least true acceleration along down at the least height, as learned; minus infinity by a learner without it."""
+    assert request.learned is not None
+    envelope, radius_m = request.envelope, request.model.rotor_radius_m
+    near = proximity(radius_m, envelope.heights_m[0])
+    x = np.zeros((2, 7))
+    x[:, 5], x[1, 6] = 1.0, near
+    far, close = request.learned.vertical.process.kernel.diagonal(x).tolist()
+    if not close - far >= (_LEAST_GROUND * near * _G) ** 2:
+        return np.full(len(thrust), -math.inf)
+    mean, sigma = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
+    least: F64 = mean - request.k * sigma - ground_rest_mps2(envelope, radius_m, thrust)
+    return least
 
 
 def _bend(request: Request, axis: int, nodes: F64) -> float:
@@ -355,7 +389,7 @@ def _as_json(request: Request) -> dict[str, object]:
         "heights_m": list(envelope.heights_m),
         "nodes": envelope.nodes, "slice_only": envelope.slice_only, "axes": list(envelope.axes),
         "delta": request.delta, "version": request.version, "k_sigma": request.k,
-        "statements": 0 if request.learned is None else statements(envelope),
+        "statements": 0 if request.learned is None else statements(envelope, request.last),
         "widen_mps2": request.widen.tolist(),
     }  # fmt: skip
     if request.last:

@@ -47,6 +47,13 @@ def ground_mps2(envelope: Envelope, rotor_radius_m: float, thrust_mps2: F64) -> 
     return GROUND_STRENGTH * near * size
 
 
+def ground_rest_mps2(envelope: Envelope, rotor_radius_m: float, thrust_mps2: F64) -> F64:
+    """The most of the same that is not linear in near: a learner that knows `near` leaves so much out."""
+    near = proximity(rotor_radius_m, envelope.heights_m[0])
+    rest: F64 = ground_mps2(envelope, rotor_radius_m, thrust_mps2) * near / (1.0 - near)
+    return rest
+
+
 class Steering(NamedTuple):
     """What lateral queries need of the vertical axis."""
 
@@ -108,10 +115,14 @@ def _square(lean: float) -> float:
     return lean * _EIGHT_SIDES / math.sqrt(2.0)
 
 
-def statements(envelope: Envelope) -> int:
-    """Bounds that the union counts: one for each query and one for each gap between nodes, at both ends."""
+def statements(envelope: Envelope, ground: bool = False) -> int:
+    """Bounds that the union counts: one for each query and one for each gap between nodes, at both ends.
+
+    `ground`: the vertical queries are asked at the least height as well.
+    """
     queries = 1 if envelope.slice_only else 1 + len(_SIGNS)
-    return len({DOWN, *envelope.axes}) * 2 * (queries * envelope.nodes + envelope.nodes - 1)
+    each = 2 * (queries * envelope.nodes + envelope.nodes - 1)
+    return len({DOWN, *envelope.axes}) * each + (2 * queries * envelope.nodes if ground else 0)
 
 
 def queries(envelope: Envelope, box: Budget, rotor_radius_m: float, axis: int, steering: Steering | None) -> Queries:

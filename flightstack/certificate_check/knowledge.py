@@ -12,7 +12,9 @@ a = g e_d - (f + drag v) / r + w.
 At each node of speed and at both ends of the command the intervals (mean -+ k sigma, cut with what mass and force
 allow; their hull where they are apart) of 17 queries are joined: the other speeds and thrust at the corners of their
 ranges, and one in the middle, all at the greatest height.  What the ground adds below it lies between nothing and
-2 near(least height) |f| along b.  Lateral intervals are those of what thrust does not do, a + gain f, over both ends.
+g = 2 near(least height) |f| along b.  In the last certificate of a flight, if the prior knows the ground, it is no more
+along down than what was learned says at the least height: mean - k sigma there, less g near / (1 - near).  Lateral
+intervals are those of what thrust does not do, a + gain f, over both ends.
 The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
 neighbours' intervals too, and is made larger by k times the prior's deviation half-way between two nodes, and by what
 falsified bounds have added.
@@ -89,6 +91,11 @@ class Knowledge:
     """Thrust that lateral axes are steered with, m/s^2: known with the tables."""
 
     @property
+    def last(self) -> bool:
+        """No certificate was issued after it."""
+        return self.data.get("last", False) is True
+
+    @property
     def queries(self) -> int:
         """At each node and end."""
         return 1 if self.data["slice_only"] else 1 + len(_CORNERS)
@@ -117,11 +124,26 @@ class Knowledge:
             parts = [self._query(axis, speed, end, gain) for speed in self.at(axis)]
             v, f, done = (np.concatenate([part[i] for part in parts]) for i in range(3))
             low, high = self._interval(axis, v, f)
-            ground = 2.0 * self._near(self.heights[0]) * np.linalg.norm(f, axis=1)
+            near = self._near(self.heights[0])
+            ground = 2.0 * near * np.linalg.norm(f, axis=1)
             below, above = (ground, 0.0) if axis == DOWN else (self.box.lean * ground, self.box.lean * ground)
+            if (
+                axis == DOWN and self.last and self._knows_ground(near)
+            ):  # learned at the least height: no more than that
+                a, sigma = self._learned(axis, v, f, near)
+                below = np.minimum(ground, np.maximum(low - (a - sigma - ground * near / (1.0 - near)), 0.0))
             low, high = ((side + done).reshape(self.nodes, -1) for side in (low - below, high + above))
             joint[0, end], joint[1, end] = low.min(axis=1), high.max(axis=1)
         return joint
+
+    def _knows_ground(self, near: float) -> bool:
+        """Whether the prior lets the ground do half of Cheeseman and Bennett's, one standard deviation."""
+        if not self.stores:
+            return False
+        x = np.zeros((2, 7))
+        x[:, 5], x[1, 6] = 1.0, near
+        far, close = np.diag(kernel(self.stores[1].spec, x, x, "kernel"))
+        return bool(close - far >= (0.5 * near * float(self.data["gravity_mps2"])) ** 2)
 
     def _near(self, height_m: float) -> float:
         radius = float(self.data["rotor_radius_m"])
@@ -162,9 +184,19 @@ class Knowledge:
             )
         if not self.stores:
             return low, high
+        a, sigma = self._learned(axis, v, f, self._near(self.heights[1]))
+        apart = np.maximum(low, a - sigma) > np.minimum(high, a + sigma)
+        return (
+            np.where(apart, np.minimum(low, a - sigma), np.maximum(low, a - sigma)),
+            np.where(apart, np.maximum(high, a + sigma), np.minimum(high, a + sigma)),
+        )
+
+    def _learned(self, axis: int, v: F64, f: F64, near: float) -> tuple[F64, F64]:
+        """Mean and k sigma of the acceleration along an axis at each query."""
+        g = float(self.data["gravity_mps2"])
         size = np.linalg.norm(f, axis=1)
         b = f / size[:, None]
-        x = np.column_stack([v, b[:, :2], size / g, self._near(self.heights[1]) * size / g])
+        x = np.column_stack([v, b[:, :2], size / g, near * size / g])
         (side, side_var), (up, up_var) = (s.at(x, n) for s, n in zip(self.stores, _LEARNED, strict=False))
         mean, variance = np.column_stack([side, up]), np.column_stack([side_var, up_var])
         turn = _turns(b)
@@ -172,12 +204,7 @@ class Knowledge:
         drag[:2] = drag[:2].mean()
         body = np.einsum("qji,qj->qi", turn, v)
         a = np.einsum("qj,qj->q", turn[:, axis], mean - drag * body) - f[:, axis] + (g if axis == DOWN else 0.0)
-        sigma = self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance))
-        apart = np.maximum(low, a - sigma) > np.minimum(high, a + sigma)
-        return (
-            np.where(apart, np.minimum(low, a - sigma), np.maximum(low, a - sigma)),
-            np.where(apart, np.maximum(high, a + sigma), np.minimum(high, a + sigma)),
-        )
+        return a, self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance))
 
 
 def _turns(b: F64) -> F64:
@@ -286,14 +313,19 @@ def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> Non
         raise Refused("knowledge: delta, k_sigma and version are not the certificate's")
     if not known.stores:
         return
+    if not isinstance(data.get("last", False), bool):
+        raise Refused("knowledge: last must be true or false")
     statements = len({DOWN, *data["axes"]}) * 2 * (known.queries * known.nodes + known.nodes - 1)
-    if data["statements"] != statements or not isinstance(version, int) or version < 1 or not 0.0 < delta < 1.0:
-        raise Refused(f"knowledge: statements must be {statements}, version at least 1, delta in 0 to 1")
+    statements += 2 * known.queries * known.nodes if known.last else 0
+    if (
+        data["statements"] != statements
+        or not isinstance(version, int)
+        or not 1 <= version <= _MOST_VERSIONS
+        or not 0.0 < delta < 1.0
+    ):
+        raise Refused(f"knowledge: statements must be {statements}, version 1 to {_MOST_VERSIONS}, delta in 0 to 1")
     shares = [6.0 / (math.pi * n) ** 2 for n in range(1, version + 1)]
-    last = data.get("last", False)
-    if not isinstance(last, bool) or version > _MOST_VERSIONS:
-        raise Refused(f"knowledge: last must be true or false, version {_MOST_VERSIONS} at most")
-    allowed = delta * (1.0 - sum(shares[:-1]) if last else shares[-1]) / statements
+    allowed = delta * (1.0 - sum(shares[:-1]) if known.last else shares[-1]) / statements
     if not math.erfc(k / math.sqrt(2.0)) <= allowed * (1.0 + 1e-9):
         raise Refused(f"k_sigma = {k:.6g} is less than delta = {delta:g} asks for with {statements} statements")
     digest = hashlib.sha256()

@@ -283,7 +283,7 @@ def test_the_last_certificate_may_spend_what_is_left_of_delta_and_no_other_may()
     data = json.loads(json.dumps(made.as_json()))
     read(data, box_of(made), made.delta, made.k_sigma, 8)
     for change, why in (
-        ({"last": False}, "k_sigma"),
+        ({"last": False}, "statements"),
         ({"last": 1}, "last"),
         ({"k_sigma": made.k_sigma - 0.01}, "k_si"),
     ):
@@ -292,8 +292,9 @@ def test_the_last_certificate_may_spend_what_is_left_of_delta_and_no_other_may()
             read(changed, box_of(made), made.delta, changed["k_sigma"], 8)
 
 
-def test_the_authority_of_every_axis_is_what_the_maker_says() -> None:
-    made = knowledge(80, axes=(0, 1, 2))
+@pytest.mark.parametrize("last", [False, True])
+def test_the_authority_of_every_axis_is_what_the_maker_says(last: bool) -> None:
+    made = knowledge(80, axes=(0, 1, 2), last=last)
     data = json.loads(json.dumps(made.as_json()))
     found = tables(read(data, box_of(made), made.delta, made.k_sigma, made.version))
     assert set(found) == {0, 1, 2}

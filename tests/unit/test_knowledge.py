@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,14 +143,29 @@ def test_posterior_is_scikit_learns() -> None:
     assert likelihood == pytest.approx(oracle.log_marginal_likelihood_value_, rel=1e-9)
 
 
-def plant(rng: np.random.Generator, points: int = 100) -> tuple[Accelerations, float, np.ndarray]:
-    """A true mass ratio and a true force (m/s^2, NED), and what processes learn of them in an upright flight."""
+def cushion(height_m: np.ndarray, strength: float) -> np.ndarray:
+    """Thrust over thrust far away: I. Cheeseman and W. Bennett, 1955, with a strength."""
+    return 1.0 / (1.0 - strength * (MODEL.rotor_radius_m / (4.0 * height_m)) ** 2)
+
+
+def plant(
+    rng: np.random.Generator, points: int = 100, ground: float | None = None
+) -> tuple[Accelerations, float, np.ndarray]:
+    """A true mass ratio and a true force (m/s^2, NED), and what processes learn of them in an upright flight.
+
+    `ground`: strength of a ground effect; then the flight goes from 0.2 to 1.4 m, else far above.
+    """
     mass, direction = rng.uniform(0.8, 1.5), rng.normal(size=3)
     force = rng.uniform(0.0, 0.15) * G * direction / np.linalg.norm(direction)
     x = np.zeros((points, 7))
     x[:, :3] = rng.uniform(-0.3, 0.3, (points, 3))
     x[:, 5] = np.clip(mass * (1.0 + force[2] / G) + rng.normal(0.0, 0.1, points), 0.2, 1.8)
-    residual = force + np.outer(x[:, 5] * G * (1.0 - 1.0 / mass), [0.0, 0.0, 1.0])
+    lifts = np.ones(points)
+    if ground is not None:
+        height = rng.uniform(0.2, 1.4, points)
+        lifts = cushion(height, ground)
+        x[:, 6] = x[:, 5] * (MODEL.rotor_radius_m / (4.0 * height)) ** 2
+    residual = force + np.outer(x[:, 5] * G * (1.0 - lifts / mass), [0.0, 0.0, 1.0])
     noisy = residual + rng.normal(0.0, 0.03, residual.shape)
     priors = default_priors()
     found = []
@@ -183,6 +199,47 @@ def test_all_certificates_together_fail_with_delta_at_most(issued: int) -> None:
     k = [confidence(0.05, n, 30) for n in range(1, issued + 1)] + [confidence(0.05, issued + 1, 30, last=True)]
     assert sum(30 * 2 * norm.sf(each) for each in k) == pytest.approx(0.05)
     assert sum(30 * 2 * norm.sf(confidence(0.05, n, 30)) for n in range(1, 4000)) == pytest.approx(0.05, rel=1e-3)
+
+
+def test_the_last_certificates_braking_is_true_from_the_least_height_to_the_greatest() -> None:
+    """With a ground effect of none to one and a half times Cheeseman and Bennett's, which the flight has met."""
+    rng, refuted, plants, narrower = np.random.default_rng(12), 0, 60, []
+    envelope = VERTICAL._replace(slice_only=True)
+    heights = np.linspace(0.2, 1.4, 40)
+    for _ in range(plants):
+        strength = float(rng.uniform(0.0, 1.5))
+        learned, mass, force = plant(rng, ground=strength)
+        before, last = (
+            list(Knowledge.steps(learned, MODEL, LIMITS, envelope, initial=InitialKnowledge(), last=last))[-1]
+            for last in (False, True)
+        )
+        assert before is not None
+        assert last is not None
+        a, box = last.authorities[2], last.budget
+        for thrust, middle, error in (
+            (box.high_mps2, a.u_low_mps2, a.error_low_mps2), (box.low_mps2, a.u_high_mps2, a.error_high_mps2),
+        ):  # fmt: skip
+            true = G + force[2] - thrust / mass * cushion(heights, strength)
+            refuted += bool((np.abs(true[:, None] - middle) > error).any())
+        narrower.append(a.error_low_mps2.max() / before.authorities[2].error_low_mps2.max())
+    assert refuted <= 0.05 * plants
+    assert max(narrower) < 1.0
+    assert np.mean(narrower) < 0.8
+
+
+def test_a_learner_that_knows_no_ground_says_nothing_of_it() -> None:
+    learned, _, _ = plant(np.random.default_rng(13))
+    process = learned.vertical.process
+    blind = Posterior(replace(process, kernel=SquaredExponential(4.0, 2.0, (0, 1, 2, 3, 4, 5))))
+    envelope = VERTICAL._replace(slice_only=True)
+    errors = []
+    for last in (False, True):
+        *_, known = Knowledge.steps(Accelerations(learned.lateral, blind, MODEL), MODEL, LIMITS, envelope, last=last)
+        assert known is not None
+        errors.append(known.authorities[2].error_low_mps2.min())
+    ground = 2.0 * (MODEL.rotor_radius_m / 0.8) ** 2 * known.budget.high_mps2
+    assert errors[1] > 0.5 * ground
+    assert errors[1] == pytest.approx(errors[0], rel=0.2), "the sigmas apart"
 
 
 def test_bounds_at_the_nodes_are_mean_and_k_sigma_of_an_independent_computation() -> None:
