@@ -92,9 +92,7 @@ class Guard:
 
         The arguments are those of `check`.
         """
-        north, east, down = (measurement.pos_ned_m - origin_ned_m).tolist()
-        radius_m, height_m = self.limits.radius_m, self.limits.height_m
-        if north * north + east * east <= radius_m * radius_m and -down <= height_m:
+        if not _outside(measurement.pos_ned_m, origin_ned_m, self._bounds):
             return command, False
         brake, name = self.check(command, measurement, origin_ned_m, carried_n, now_us)
         return (brake, True) if name == OUTSIDE else (command, False)
@@ -132,6 +130,13 @@ def _finite(values: F64) -> bool:
 
 
 @njit
+def _outside(pos: F64, origin: F64, bounds: F64) -> bool:
+    """Of the envelope; so is what is no number."""
+    north, east, down = pos[0] - origin[0], pos[1] - origin[1], pos[2] - origin[2]
+    return not (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6])
+
+
+@njit
 def _judge(
     thrust: float, thrust_norm: float, rate: F64, measured: F64, origin: F64, carried: float, bounds: F64, lost: bool,
     turned: bool, out: F64,
@@ -151,8 +156,7 @@ def _judge(
         _lean(q, still, bounds, out)
         return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[0])
     code = _PASS
-    north, east, down = pos[0] - origin[0], pos[1] - origin[1], pos[2] - origin[2]
-    if not (turned or (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6])):
+    if not turned and _outside(pos, origin, bounds):
         code = _ENVELOPE
     elif not quat_to_matrix(q)[2, 2] >= bounds[7]:
         code = _TILT

@@ -98,10 +98,6 @@ _CHUNK = 64
 """Queries evaluated at one go: about a millisecond with 300 points."""
 
 
-_LEAST_GROUND = 0.5
-"""Cheeseman and Bennett's, one standard deviation of the prior."""
-
-
 @dataclass(frozen=True, slots=True)
 class Knowledge:
     """Bounds of the true acceleration, axis by axis."""
@@ -292,10 +288,7 @@ def _near_ground(request: Request, speed: F64, thrust: F64) -> F64:
     assert request.learned is not None
     envelope, radius_m = request.envelope, request.model.rotor_radius_m
     near = proximity(radius_m, envelope.heights_m[0])
-    x = np.zeros((2, 7))
-    x[:, 5], x[1, 6] = 1.0, near
-    far, close = request.learned.vertical.process.kernel.diagonal(x).tolist()
-    if not close - far >= (_LEAST_GROUND * near * _G) ** 2:
+    if not request.learned.knows_ground(near):
         return np.full(len(thrust), -math.inf)
     mean, sigma = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
     least: F64 = mean - request.k * sigma - ground_rest_mps2(envelope, radius_m, thrust)

@@ -28,7 +28,7 @@ from flightstack.barrier.initial import DOWN
 from flightstack.gp import Kernel, Matern, SquaredExponential
 from flightstack.gp.kernels import Product, Sum
 from flightstack.learning.learner import LearnerState
-from flightstack.learning.sampler import D
+from flightstack.learning.sampler import GROUND, THRUST, D
 from flightstack.learning.store import INFLATION, Store
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
@@ -39,6 +39,8 @@ _LIKELY = 1.92
 _NEGLIGIBLE = 1e-18
 _NEWEST = 100
 """Points, some seconds."""
+_LEAST_GROUND = 0.5
+"""Of Cheeseman and Bennett's, one standard deviation of a prior that knows the ground."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +190,13 @@ class Accelerations:
                 yield None
             found.append(sized.widened(*store.pooled(_NEWEST)))
         yield cls(found[0], found[1], model)
+
+    def knows_ground(self, near: float) -> bool:
+        """Whether the vertical prior lets the ground do half of Cheeseman and Bennett's or more, one deviation."""
+        x = np.zeros((2, D))
+        x[:, THRUST], x[1, GROUND] = 1.0, near
+        far, close = self.vertical.process.kernel.diagonal(x).tolist()
+        return bool(close - far >= (_LEAST_GROUND * near * STANDARD_GRAVITY_MPS2) ** 2)
 
     def at(self, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:
         """Mean and standard deviation (M,) along an axis at velocities (M, 3), thrust vectors f (M, 3), nearness (M,).

@@ -224,7 +224,7 @@ def test_nothing_put_anywhere_raises(draw: st.DataObject) -> None:
     inner[path[-1]] = draw.draw(ODD)
     verdict = check(resealed(data))
     assert all("\n" not in line and len(line) < 400 for line in verdict.lines)
-    if verdict.valid:
+    if verdict.valid and data != json.loads(small_text()):  # what was there already may be drawn
         assert path[-1] == "because" or still_true(json.loads(small_text()), tuple(path), resealed(data))
 
 

@@ -22,6 +22,7 @@ from flightstack.barrier.records import Certificate, Margin
 from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
+from flightstack.learning.learner import GpLearner, LearnerState
 from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
@@ -109,7 +110,7 @@ def test_a_falsified_certificate_ends_the_exploration_and_lands() -> None:
 
 
 class _Widening:
-    """A certifier that every tick widens what it doubts, as one does that watches a landing which others fly."""
+    """A certifier that every tick widens what it doubts, and a learner's bound, as a landing does which others fly."""
 
     enabled = True
 
@@ -123,6 +124,8 @@ class _Widening:
         self, state: GrowthState, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
     ) -> tuple[GrowthState, None]:
         state.inner.widen_mps2 = state.inner.widen_mps2 + 1.0
+        assert isinstance(learner, LearnerState)
+        learner.vertical.excess += 1.0
         return state, None
 
 
@@ -133,14 +136,18 @@ def test_what_a_landing_contradicts_does_not_count_for_what_was_explored() -> No
     state = GrowingCertifier(model, scenario.limits, scenario.region, certifier=VERTICAL).init()
     watched, still = WatchedCertifier(_Widening(state)), _record(plan(load_scenario("hover"), np.zeros(3)), 0.0)
     watched.init()
-    arguments = ("learner", still.measurement, still.learned, still.filtered)
+    learns = GpLearner(model).init()
+    arguments = (learns, still.measurement, still.learned, still.filtered)
     watched.step(state, *arguments)
+    explored = learns.vertical.excess.copy()
     watched.look_away()
     watched.step(state, *arguments)
     assert watched.seen is not None
     kept, learner, _ = watched.seen
     assert isinstance(kept, GrowthState)
-    assert learner == "learner"
+    assert isinstance(learner, LearnerState)
+    np.testing.assert_array_equal(learner.vertical.excess, explored)
+    np.testing.assert_array_equal(learns.vertical.excess, explored + 1.0)
     assert kept.inner.widen_mps2.tolist() == [1.0, 1.0, 1.0]
     assert state.inner.widen_mps2.tolist() == [2.0, 2.0, 2.0]
 

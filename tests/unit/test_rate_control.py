@@ -224,14 +224,30 @@ def test_the_phase_margin_of_an_integrator_with_dead_time_is_the_closed_form(dea
     assert phase_margin_deg((1e-6, 0.0, 0.0, 0.0), 270.0, (0.0, 0.0, 0.0), dead_s) == 180.0
 
 
+def scipys_margin_deg(airframe: Vehicle, axis: int, name: str, params: Params, k: float) -> float:
+    """Phase margin of the loop as a transfer function of SciPy's, with 50 ms of lag and 20 ms of dead time."""
+    p, i, d = (k * params.get(f"MC_{name}_{part}") for part in "PID")
+    d_s = 1.0 / (2.0 * math.pi * params.get("IMU_DGYRO_CUTOFF"))
+    gyro_s = math.sqrt(2.0) / (2.0 * math.pi * params.get("IMU_GYRO_CUTOFF"))
+    over = float(angular_acceleration_per_torque(airframe)[axis])
+    pid = np.polyadd([d, 0.0, 0.0], np.polymul([p, i], [d_s, 1.0]))
+    plant = np.polymul(np.polymul([1.0, 0.0, 0.0], [d_s, 1.0]), np.polymul([0.05, 1.0], [gyro_s, 1.0]))
+    w = np.geomspace(1.0, 200.0, 20_000)
+    _, magnitude_db, phase_deg = signal.bode((over * pid, plant), w)
+    at = int(np.flatnonzero(magnitude_db >= 0.0)[-1])
+    return float(180.0 + phase_deg[at] - np.degrees(0.02 * w[at]))
+
+
 def test_gains_are_tuned_on_what_flies_until_it_does_not_ring() -> None:
     """20 ms of dead time beside 50 ms of rotor lag: with PX4's defaults the rate loop swings against its limits."""
     quad = vehicle("quad-x")
     late = {"motor_lag": {"time_constant_s": 0.05}, "transport_delay": {"delay_s": 0.02}}
     params = airframe_params(quad, with_effects(quad, late))
-    k = [params.get(name) for name in GAINS]
-    assert 0.4 < k[0] < 0.75
-    assert k[2] == 1.0, "yaw is slow enough"
+    for axis, name in enumerate(("ROLLRATE", "PITCHRATE")):
+        assert params.get(GAINS[axis]) < 1.0
+        assert scipys_margin_deg(quad, axis, name, params, params.get(GAINS[axis])) == pytest.approx(35.0, abs=1.5)
+        assert scipys_margin_deg(quad, axis, name, params, 1.0) < 25.0
+    assert params.get(GAINS[2]) == 1.0, "yaw is slow enough"
     slow = with_effects(quad, {"motor_lag": {"time_constant_s": 0.08}})
     assert [airframe_params(quad, slow).get(name) for name in GAINS] == [1.0, 1.0, 1.0]
 
