@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 """Channels of each part of the commands' noise."""
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
+_MOST_KNOWN = 64
 _MOST_ROWS = 12_000
 """Of all flights together, four minutes at 50 a second: of longer logs fewer are taken.
 
@@ -46,14 +47,24 @@ class SimulatorBench:
     holdout: list[Mask]
     mute: frozenset[str] = frozenset()
     """Effects that none of the flights can show beside what the vehicle's model lacks."""
+    _known: dict[int, tuple[Vehicle, list[F64]]] = field(default_factory=dict, repr=False)
+    """By the vehicle's identity: a search comes back to its fits again and again."""
 
     def residual(self, vehicle: Vehicle) -> list[F64]:
-        """Measured minus simulated (N, 12) of each flight, NaN where it can't be had."""
+        """Measured minus simulated (N, 12) of each flight, NaN where it can't be had; not to be written to."""
+        if id(vehicle) not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                del self._known[next(iter(self._known))]
+            self._known[id(vehicle)] = (vehicle, self._residual(vehicle))  # kept, so that its number stays its own
+        return self._known[id(vehicle)][1]
+
+    def _residual(self, vehicle: Vehicle) -> list[F64]:
         out = []
         for s, k in zip(self.flights, self.every, strict=True):
             flight = track(s)
             y = disagreement(vehicle, s)[0][::k].copy()
             y[~flight.usable[::k]] = np.nan
+            y.flags.writeable = False
             out.append(y)
         return out
 

@@ -78,10 +78,11 @@ class Layout:
         """Whitened rows (R,) of (N, channels) in each flight, or (R, K) of (N, channels, K)."""
         parts = []
         for f, flight in enumerate(values):
+            moving = np.any(flight, axis=0)
             for c, whitener in enumerate(self.whiteners[f]):
                 if not whitener.usable:
                     continue
-                rows, seen = flight[:, c], np.any(flight[:, c], axis=0)
+                rows, seen = flight[:, c], moving[c]
                 white = np.zeros(rows.shape)
                 if rows.ndim == 1 or seen.all():
                     white = apply(whitener, rows, self.ok[f][:, c])

@@ -18,6 +18,7 @@ from gap.naming.search import Search, metric_of
 from gap.naming.trifles import trifles
 from gap.pooled import Split
 from gap.records import Estimate, Figures, Found, Gap
+from gap.simulate import disagreement
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 HIDDEN = {"payload": {"mass_kg": 0.2}, "rotor_drag": {"k_d_kg_per_rad": 2e-4}}
@@ -103,3 +104,19 @@ def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_bel
     made = estimate(state, HIDDEN | {"ground_effect": {"strength": 1.0}})
     assert 0.1 < gain(state, made, "payload") < 1.0  # the drag has the rest
     assert np.isnan(gain(state, made, "ground_effect"))  # 8 m up
+
+
+def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles_came_between(flown: Split) -> None:
+    masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
+    bench = simulator_bench(quad(), flown.flights, *masks)
+    first = bench.residual(vehicle := with_drag(1.0))
+    assert bench.residual(vehicle) is first
+    with pytest.raises(ValueError, match="read-only"):
+        first[0][0, 0] = 0.0
+    for k in range(70):  # each gone before the next is made: numbers of vehicles that are no more come again
+        shown = bench.residual(with_drag(0.5 + 0.01 * k))[0]
+        if k % 30 == 0:
+            anew = disagreement(with_drag(0.5 + 0.01 * k), flown.flights[0])[0][:: bench.every[0]]
+            seen = np.isfinite(shown)
+            assert np.array_equal(shown[seen], anew[seen])
+    assert np.array_equal(bench.residual(vehicle)[0], first[0], equal_nan=True)
