@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
-from gap.naming.search import Fit, Search, fit_subset
+from gap.naming.search import Fit, Search, fit_subset, members
 from gap.records import Found, Samples
 from gap.track import track
 
@@ -26,7 +26,7 @@ _TRIED = 4
 def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     """Effects that would explain the flights as well in this one's place, closest first."""
     point = state.point
-    base = [m for m, c in enumerate(point.candidates) if c.effect in best.effects and c.effect != effect]
+    base = [m for m in members(point.candidates, best.effects) if point.candidates[m].effect != effect]
     barred = state.barred | set(best.effects)
     others = [m for m, c in enumerate(point.candidates) if c.effect not in barred]
     gram = point.gram()

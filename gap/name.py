@@ -28,7 +28,7 @@ from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
 from gap.naming.held_rows import gain, moved
-from gap.naming.search import Fit, Search, judged_fit, move_to, search
+from gap.naming.search import LEAST_EVIDENCE, Fit, Search, judged_fit, members, move_to, search
 from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
@@ -36,8 +36,6 @@ from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
 from gap.simulate import Knob, sensitivities, unseen, untold, value
 from gap.track import track
 
-_LEAST_EVIDENCE = 15.0
-"""Fall of the score from which an effect is named."""
 _LEAST_P = 1e-4
 """After Holm's correction for all candidates."""
 _LEAST_SIZES = 3.0
@@ -201,10 +199,10 @@ class _Judged:
     constant: Mapping[str, float]
 
 
-def _fall(state: Search, effects: Collection[str], gone: str) -> float:
+def _fall(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
     """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
-    whole = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects)
+    whole = members(point.candidates, effects)
     less = tuple(m for m in whole if point.candidates[m].effect != gone)
     gains = [s.gain for s in fit_subsets(point.gram(), [whole, less], point.columns, point.low, point.high)]
     most, least = (gain if np.isfinite(gain) else 0.0 for gain in gains)
@@ -228,7 +226,7 @@ def _pruned(state: Search) -> Fit:
                 fall = min(fall, 0.0)
             if fall < drop:
                 weakest, drop = effect, fall
-        if drop >= _LEAST_EVIDENCE:
+        if drop >= LEAST_EVIDENCE:
             return best
         rest_of = frozenset(best.effects) - {weakest}
         same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
@@ -358,7 +356,7 @@ def _rejected(
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point
     gram = point.gram()
-    base = tuple(m for m, c in enumerate(point.candidates) if c.effect in best.effects)
+    base = members(point.candidates, best.effects)
     without = fit_subsets(gram, [base], point.columns, point.low, point.high)[0]
     out = []
     for effect in EFFECT_SPECS:

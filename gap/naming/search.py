@@ -24,6 +24,8 @@ from gap.naming.whitening import Mask
 from gap.simulate import Knob, value, with_value
 
 MOST = 3
+LEAST_EVIDENCE = 15.0
+"""Fall of the score from which an effect is named."""
 _SHORTLIST = {1: 4, 2: 4, 3: 3}
 _MARGIN = 12.0
 """Difference of scores that the error of a straight line may well make."""
@@ -79,9 +81,15 @@ class Search:
 
     @property
     def best_key(self) -> frozenset[str]:
-        """By which it is kept."""
-        fair = {key: fit.score for key, fit in self.fits.items() if not self.barred & set(fit.effects)}
-        return min((key for key in fair if not _strained(self.start, self.fits[key])), key=lambda key: fair[key])
+        """By which it is kept.  What adds less than a name needs is not followed: the noise's model decides on that."""
+        fair = {
+            key: fit.score
+            for key, fit in self.fits.items()
+            if not self.barred & set(fit.effects) and not _strained(self.start, fit)
+        }
+        best = min(fair, key=lambda key: fair[key])
+        as_good = [key for key in fair if key <= best and fair[key] < fair[best] + LEAST_EVIDENCE]
+        return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
 def _strained(start: Vehicle, fit: Fit) -> set[str]:
@@ -190,7 +198,7 @@ def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[flo
 def _neighbours(state: Search) -> list[Subset]:
     """Subsets one member less and up to two more than the best, where they come near it."""
     point, effects = state.point, state.best.effects
-    inside = tuple(m for m, c in enumerate(point.candidates) if c.effect in effects)
+    inside = members(point.candidates, effects)
     outside = [m for m, c in enumerate(point.candidates) if c.effect not in effects and _allowed(state, (m,))]
     kept = [inside] + [tuple(m for m in inside if m != gone) for gone in inside]
     subsets = {
@@ -205,10 +213,21 @@ def _neighbours(state: Search) -> list[Subset]:
     found = []
     for value_, s in scored:
         # more on top of the best is told well by these columns, something else in its place is not
-        near = best - 1.0 if set(inside) <= set(s.members) else best + _MARGIN
+        near = best - 0.5 * LEAST_EVIDENCE if set(inside) <= set(s.members) else best + _MARGIN
         if value_ < min(near, _beaten(state, s)):
             found.append(s)
     return found[:_NEIGHBOURS]
+
+
+def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
+    """The candidate of each of these effects, of several (faults of other rotors) the one that is most like it."""
+    off = {
+        m: sum(abs(x - effects[c.effect][name]) for name, x in c.variant.items())
+        for m, c in enumerate(group)
+        if c.effect in effects
+    }
+    nearest = {effect: min((m for m in off if group[m].effect == effect), key=lambda m: off[m]) for effect in effects}
+    return tuple(sorted(nearest.values()))
 
 
 def _beaten(state: Search, subset: Subset) -> float:

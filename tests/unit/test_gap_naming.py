@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import comb
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from gap.naming import whitening
 from gap.naming.candidates import candidates, negligible
 from gap.naming.estimate import estimate
 from gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
-from gap.naming.search import bounded_step, search
+from gap.naming.search import LEAST_EVIDENCE, bounded_step, members, search
 from gap.naming.whitening import Mask
 from gap.simulate import Knob, value
 
@@ -214,6 +214,32 @@ def test_two_hidden_effects_are_the_best_subset_and_estimated(quad: Vehicle, see
     made = estimate(state, state.best.effects)
     for slot, now, variance in zip(made.slots, made.values, np.diag(made.covariance), strict=True):
         assert abs(now - hidden[slot]) < 4.0 * np.sqrt(variance)
+
+
+def test_what_adds_less_than_a_name_needs_is_not_followed(quad: Vehicle) -> None:
+    """The simpler fit stays the best until something on top of it gains as much as a name must."""
+    state = search(MadeUp(1, {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}, quad), quad)
+    simple, key = state.best, state.best_key
+    assert set(simple.effects) == {"payload"}
+    more = {**simple.effects, "rotor_drag": {"k_d_kg_per_rad": negligible(quad, "rotor_drag", "k_d_kg_per_rad")}}
+    for gained, followed in ((0.7 * LEAST_EVIDENCE, False), (1.3 * LEAST_EVIDENCE, True)):
+        state.fits[key | {"rotor_drag"}] = replace(simple, effects=more, score=simple.score - gained)
+        assert ("rotor_drag" in state.best.effects) is followed
+
+
+def test_an_effect_is_one_member_however_many_variants_are_looked_at(quad: Vehicle) -> None:
+    """The fault of that rotor, the rope that is nearest; never all of them at once."""
+    group = candidates(quad)
+    effects = {
+        "payload": {"mass_kg": 0.1},
+        "rotor_fault": {"rotor": 3.0, "effectiveness": 0.8},
+        "slung_load": {"mass_kg": 0.1, "length_m": 1.1},
+    }
+    inside = [group[m] for m in members(group, effects)]
+    assert sorted(c.effect for c in inside) == sorted(effects)
+    assert {c.effect: dict(c.variant) for c in inside} == {
+        "payload": {}, "rotor_fault": {"rotor": 3.0}, "slung_load": {"length_m": 1.0},
+    }  # fmt: skip
 
 
 def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
