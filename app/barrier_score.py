@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from app.result import NO_BARRIER, NO_QP, percentiles
+from flightstack.barrier.certifier import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.records import Certificate
@@ -110,11 +111,14 @@ class GivenCertificate:
 class WatchedCertifier:
     """A certifier whose certificates are kept, for the score and the log.
 
-    `stamp` is added to what they rest on: the vehicle that they are for, which the core does not know.
+    `stamp` is added to what they rest on: the vehicle that they are for, which the core does not know.  `elsewhere` is
+    where it has the work done, if it does not do that itself.
     """
 
-    def __init__(self, certifier: Certifier, stamp: Mapping[str, object] | None = None) -> None:
-        self.enabled = certifier.enabled
+    def __init__(
+        self, certifier: Certifier, stamp: Mapping[str, object] | None = None, elsewhere: Elsewhere | None = None
+    ) -> None:
+        self.enabled, self.elsewhere = certifier.enabled, elsewhere
         self._stamp = dict(stamp or {})
         self.adopted: list[Certificate] = []
         """Since the last `init`, in their order."""
@@ -147,7 +151,7 @@ class WatchedCertifier:
             if isinstance(state, GrowthState):
                 state = replace(state, inner=copy(state.inner))
             if isinstance(learner, LearnerState):
-                learner = learner.snapshot()
+                learner = learner.evidence()
             self.seen, self._seeing = (state, learner, learned), False
 
     def stamped(self, certificate: Certificate) -> Certificate:

@@ -28,7 +28,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.settle import settled, worst_area
 from flightstack.certificate_check import check
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
-from flightstack.learning.learner import LearnerState
+from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import Mission
 from flightstack.stack import Stack
@@ -228,7 +228,7 @@ def settle(certifier: WatchedCertifier, last: Certificate) -> list[Certificate]:
     assert certifier.seen is not None
     state, learner, learned = certifier.seen
     alone = last.axes[0] if len(last.axes) == 1 else None
-    if alone is None or not isinstance(state, GrowthState) or not isinstance(learner, LearnerState):
+    if alone is None or not isinstance(state, GrowthState) or not isinstance(learner, LearnerState | Learnt):
         return []
     found = settled(
         state.certifier, learner, learned, alone.axis, version=last.version + 1, widen_mps2=state.inner.widen_mps2

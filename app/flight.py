@@ -235,6 +235,17 @@ def fly_setup(
 ) -> FlightResult:
     """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
     ensure_compiled(lambda text: on_progress(0.0, text))
+    with setup.flight.protection.beside():
+        return _flown(setup, options, planner, stop_requested, on_progress)
+
+
+def _flown(
+    setup: Setup,
+    options: FlyOptions,
+    planner: Planner | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> FlightResult:
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"

@@ -79,9 +79,10 @@ def offboard(
     require_room(parse_address(options.connect))
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
-        messages.prepare()
-        warm_up(prepared.stack, prepared.scenario)
-        return _offboard(options, prepared, signer, stop_requested, on_progress)
+        with prepared.protection.beside():
+            messages.prepare()
+            warm_up(prepared.stack, prepared.scenario)
+            return _offboard(options, prepared, signer, stop_requested, on_progress)
 
 
 def _offboard(

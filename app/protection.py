@@ -4,17 +4,20 @@
 --as-published    the paper's filter on its h_mu (with --controller state-gp also its learner of the state alone)
 --certificate     the filter under the certificate of a file, whatever the scenario
 otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
-                  has none, in real time, or where the learner can't certify.  Of an ellipsoid, the paper's experiment
-                  up and down, the vertical axis alone, in a region that grows
+                  has none or where the learner can't certify.  Of an ellipsoid, the paper's experiment up and down, the
+                  vertical axis alone, in a region that grows.  In real time the certifier works in a process of its
+                  own (`workshop`)
 """
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from app import files
 from app.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from app.workshop import Workshop
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
@@ -43,7 +46,7 @@ class ProtectionOptions:
 
     @property
     def in_real_time(self) -> bool:
-        """Whether deadlines count: then nothing is certified in flight, which takes many ticks' time."""
+        """Whether deadlines count: then a certificate, which takes many ticks' time, is made beside the flight."""
         return False
 
     @property
@@ -68,6 +71,12 @@ class Protection:
     """Where that came from."""
     given: Certificate | None = None
     """The same, where there is a filter that keeps to it."""
+    workshop: Workshop | None = None
+    """Where certificates are made, if not in the ticks."""
+
+    def beside(self) -> AbstractContextManager[object]:
+        """What works beside the flight, to be entered for as long as that lasts."""
+        return self.workshop or nullcontext()
 
     @property
     def watched(self) -> WatchedCertifier | None:
@@ -90,17 +99,19 @@ def protect(
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region)
+    workshop: Workshop | None = None
     if given is not None:
         certifier: Certifier | str = GivenCertificate(given, model)
-    elif options.in_real_time and region is not None:
-        certifier = (
-            "certifying in flight takes longer than a tick, for which real time does not wait; give --certificate"
-        )
+    elif options.in_real_time and options.as_published and region is not None:
+        certifier = "what the paper publishes is certified within a tick, for which real time does not wait"
     else:
-        certifier = _online(mode, scenario, model, learner, sensors)
+        why_not = _not_online(mode, scenario, learner)
+        workshop = Workshop() if options.in_real_time and not why_not else None
+        certifier = why_not or _online(mode, scenario, model, sensors, workshop)
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", region)
-    watched = WatchedCertifier(certifier, {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)})
+    stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
+    watched = WatchedCertifier(certifier, stamp, workshop)
     text, path = ("", "") if file is None else (file.text, str(file.path))
     if not options.filtering:  # the certificate still says by which region the flight is judged
         return Protection(_NO_FILTER, region, NoFilter(), watched, text or None, path)
@@ -108,7 +119,7 @@ def protect(
     source = f"certificate {file.path}" if file is not None else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
     words = f"{mode}{doubt}, {source}"
-    return Protection(words, region, TimedFilter(made), watched, text or None, path, given)
+    return Protection(words, region, TimedFilter(made), watched, text or None, path, given, workshop)
 
 
 SOUND = "sound"
@@ -119,25 +130,35 @@ FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 _NO_FILTER = "off: --no-filter"
 
 
-def _online(mode: str, scenario: Scenario, model: Model, learner: str, sensors: str) -> Certifier | str:
-    """What certifies in flight; or why nothing can be."""
-    region, limits = scenario.region, scenario.limits
-    if region is None:
+def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
+    """Why nothing can be certified in flight; empty where it can."""
+    if scenario.region is None:
         return "the scenario has no region, and no --certificate was given"
     if mode == AS_PUBLISHED:
-        return PublishedCertifier(model, limits, region)
+        return ""
     if learner == STATE_ONLY:
         return "a learner of the state alone can't certify (--as-published flies it), and no --certificate was given"
     if learner == NONE:
         return "nothing is certified without the learner, and no --certificate was given"
+    return ""
+
+
+def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere: Workshop | None) -> Certifier:
+    """What certifies in flight."""
+    region, limits = scenario.region, scenario.limits
+    assert region is not None
+    if mode == AS_PUBLISHED:
+        return PublishedCertifier(model, limits, region)
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
     accuracy = GPS if sensors == "gps" else MOCAP
     if region.kind == "ellipsoid":
         vertical = replace(VERTICAL, accuracy=accuracy)
-        return GrowingCertifier(model, limits, region, initial=scenario.knowledge, certifier=vertical)
+        return GrowingCertifier(
+            model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
+        )
     config = CertifierConfig(accuracy=accuracy, most_doubt_mps2=_FIRST_DOUBT_MPS2)
-    return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config)
+    return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
 
 def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:

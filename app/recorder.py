@@ -112,6 +112,10 @@ class FilterEvents:
             self._say(t_us, f"certificate falsified: {falsified}", "warning")
         self._say(t_us, f"certificate {certificate.version}: {certified_words(certificate)}")
 
+    def on_lost(self, t_us: int, why: str) -> None:
+        """Who makes certificates is gone."""
+        self._say(t_us, f"certifies nothing more ({why}); what is in force stays", "warning")
+
     def _say(self, t_us: int, text: str, severity: str = "info") -> None:
         self._tell(t_us, "filter", f"filter: {text}", severity)
 
@@ -163,7 +167,7 @@ class LogObserver:
         self._learner_events = LearnerEvents(log.event)
         self._filter_events = FilterEvents(log.event)
         self._certifier = certifier
-        self._certificates = 0
+        self._certificates, self._lost = 0, False
         self._placed = False
         self._location_due_us = 0
 
@@ -187,7 +191,12 @@ class LogObserver:
     def _on_certificates(self, t_us: int) -> None:
         """Each new certificate: told, shown in the 3-D view and kept for the log's end."""
         certifier, companion = self._certifier, self.companion
-        if certifier is None or companion is None or len(certifier.adopted) == self._certificates:
+        if certifier is None or companion is None:
+            return
+        if not self._lost and certifier.elsewhere is not None and certifier.elsewhere.lost:
+            self._lost = True
+            self._filter_events.on_lost(t_us, certifier.elsewhere.lost)
+        if len(certifier.adopted) == self._certificates:
             return
         self._certificates = len(certifier.adopted)
         certificate = certifier.adopted[-1]

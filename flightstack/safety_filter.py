@@ -206,9 +206,11 @@ def _rest(certificate: Certificate) -> F64:
         low, high = axis.barrier.box[:2]
         places = np.linspace(low, high, _PLACES)
         room = axis.setting.inner + axis.setting.eta + _ROOM_H
-        held = [e for e in places.tolist() if value(axis.barrier, e, 0.0) >= room]
-        centre = certificate.centre_ned_m[axis.axis]
-        rest[:, axis.axis] = (centre + held[0], centre + held[-1]) if held else (centre, centre)
+        ends = [
+            next((e for e in way.tolist() if value(axis.barrier, e, 0.0) >= room), 0.0)
+            for way in (places, places[::-1])
+        ]
+        rest[:, axis.axis] = certificate.centre_ned_m[axis.axis] + np.array(ends)
     return rest
 
 

@@ -2,9 +2,9 @@
 
 Once the learner is valid: bounds (`knowledge`), then for each axis of the region the largest ellipse that
 the condition allows inside the region's (`search`), with its ledger (`margins`).  The work is cut into pieces of about
-a millisecond, one a tick.  The scenario's region gives the safe set of each axis:
-its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose product lies
-in it.
+a millisecond, one a tick, or is done `elsewhere` while the ticks go on.  The scenario's region gives the safe set of
+each axis: its ellipse (kind `axes`), or for an ellipsoid the ellipses shrunk by the root of the number of axes, whose
+product lies in it.
 
     again        a second after the last, and taken if it is larger by 2 %, or as large and surer by a tenth, and holds
                  the vehicle, with room; later and later, up to 16 s, where nothing comes of it
@@ -21,7 +21,7 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from flightstack.barrier.queries import Envelope, budget
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
-from flightstack.learning.learner import LearnerState
+from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, Tuple3
@@ -107,10 +107,23 @@ class CertifierState:
     """Of the thrust ranges."""
 
 
+class Elsewhere(Protocol):
+    """Where certificates are made beside the flight: a tick only asks whether one is there."""
+
+    lost: str
+    """Why none will come any more; empty while they may."""
+
+    def work(
+        self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
+    ) -> Iterator[Certificate | None]:
+        """As the certifier's own `work`, of what the learner knows when this is first asked."""
+        ...
+
+
 class OnlineCertifier:
     """The certifier of one believed vehicle and one region; final, holds only constants."""
 
-    __slots__ = ("config", "initial", "limits", "model", "region", "safe")
+    __slots__ = ("config", "elsewhere", "initial", "limits", "model", "region", "safe")
     enabled = True
 
     def __init__(
@@ -122,12 +135,27 @@ class OnlineCertifier:
         initial: InitialKnowledge | None = None,
         config: CertifierConfig | None = None,
         safe: Mapping[int, SafeSet] | None = None,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
-        """`safe`: each certified axis' own safe set, in place of the region's."""
+        """`safe`: each certified axis' own safe set, in place of the region's; `elsewhere`: who does the work."""
         self.model, self.limits, self.region, self.initial = model, limits, region, initial
         self.config = config or CertifierConfig()
         self.safe = dict(safe) if safe is not None else safe_sets(region, self.config.axes)
+        self.elsewhere = elsewhere
         compile_all()
+
+    def asked(self, safe: Mapping[int, SafeSet]) -> OnlineCertifier:
+        """The same for other safe sets."""
+        return OnlineCertifier(
+            self.model, self.limits, self.region, initial=self.initial, config=self.config, safe=safe,
+            elsewhere=self.elsewhere,
+        )  # fmt: skip
+
+    def here(self) -> OnlineCertifier:
+        """The same that does the work itself."""
+        return OnlineCertifier(
+            self.model, self.limits, self.region, initial=self.initial, config=self.config, safe=self.safe
+        )
 
     def init(self) -> CertifierState:
         """Nothing certified yet."""
@@ -145,7 +173,8 @@ class OnlineCertifier:
         self._watch(state, measurement, learned)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            state.work = self.work(learner, learned, state)
+            there = self.elsewhere
+            state.work = there.work(self, learner, learned, state) if there else self.work(learner, learned, state)
         if state.work is None:
             return state, None
         ready = next(state.work, None)
@@ -204,7 +233,9 @@ class OnlineCertifier:
         surer = all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
         return surer and area * self.config.growth > state.area
 
-    def work(self, learner: LearnerState, learned: Learned, state: CertifierState) -> Iterator[Certificate | None]:
+    def work(
+        self, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
+    ) -> Iterator[Certificate | None]:
         """A certificate, piece by piece: None after each; without axes where an axis has no region."""
         turn, ratios = state.turn, state.ratios
         knowledge = yield from _last(
@@ -222,7 +253,7 @@ class OnlineCertifier:
         yield self.certificate(knowledge, tuple(axes))
 
     def knowledge_steps(
-        self, learner: LearnerState, version: int, widen_mps2: F64, thrust_share: tuple[float, float],
+        self, learner: LearnerState | Learnt, version: int, widen_mps2: F64, thrust_share: tuple[float, float],
         last: bool = False,
     ) -> Iterator[Knowledge | None]:  # fmt: skip
         """What the learner knows of this region now: None after each piece of the work, then the knowledge.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, safe_sets
+from flightstack.barrier.certifier import CertifierConfig, CertifierState, Elsewhere, OnlineCertifier, safe_sets
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.barrier.records import Certificate
@@ -60,13 +60,16 @@ class GrowingCertifier:
     def __init__(
         self, model: Model, limits: Limits, region: Region, *, initial: InitialKnowledge | None = None,
         certifier: CertifierConfig | None = None, config: GrowthConfig | None = None,
+        elsewhere: Elsewhere | None = None,
     ) -> None:  # fmt: skip
         inner = certifier or CertifierConfig()
         self.config = config or GrowthConfig()
         safe = {axis: SafeSet(region.semi_axes_m[axis], self.config.across_mps) for axis in range(3)}
         for axis, each in safe_sets(region, inner.axes).items():
             safe[axis] = replace(each, limit_mps=max(each.limit_mps or 0.0, self.config.first_mps))
-        self._first = OnlineCertifier(model, limits, region, initial=initial, config=inner, safe=safe)
+        self._first = OnlineCertifier(
+            model, limits, region, initial=initial, config=inner, safe=safe, elsewhere=elsewhere
+        )
 
     def init(self) -> GrowthState:
         """Nothing certified yet."""
@@ -84,11 +87,7 @@ class GrowingCertifier:
         if standing and held is not None and state.inner.work is None:
             allowed = self.allowed(state.certifier.safe, held)
             if allowed != state.certifier.safe:
-                before = state.certifier
-                state.certifier = OnlineCertifier(
-                    before.model, before.limits, before.region, initial=before.initial, config=before.config,
-                    safe=allowed,
-                )  # fmt: skip
+                state.certifier = state.certifier.asked(allowed)
         return state, certificate
 
     def allowed(self, safe: dict[int, SafeSet], held: Certificate) -> dict[int, SafeSet]:

@@ -27,9 +27,9 @@ from scipy.linalg import lapack, solve_triangular
 from flightstack.barrier.initial import DOWN
 from flightstack.gp import Kernel, Matern, SquaredExponential
 from flightstack.gp.kernels import Product, Sum
-from flightstack.learning.learner import LearnerState
+from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.sampler import GROUND, THRUST, D
-from flightstack.learning.store import INFLATION, Store
+from flightstack.learning.store import INFLATION, Evidence, Store
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -62,6 +62,12 @@ class Process:
     def of(cls, store: Store, x: F64, y: F64) -> Process:
         """These points with the store's kernel, noise and calibration."""
         return cls(store.gp.kernel, store.gp.noise_var, x, y, store.excess.copy())
+
+    @classmethod
+    def resting_on(cls, evidence: Evidence) -> Process:
+        """As many points as a store holds, that reach as far as all of the evidence."""
+        x, y = evidence.certificate_set(evidence.capacity)
+        return cls(evidence.kernel, evidence.noise_var, x, y, evidence.excess)
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
@@ -176,19 +182,19 @@ class Accelerations:
         return cls(Live(state.lateral), Live(state.vertical), model)
 
     @classmethod
-    def frozen_steps(cls, state: LearnerState, model: Model) -> Iterator[Accelerations | None]:
+    def frozen_steps(cls, state: LearnerState | Learnt, model: Model) -> Iterator[Accelerations | None]:
         """From each store's certificate set, the smooth part sized by it: None after each piece of work.
 
         What the newest points are off by beyond their noise widens the bound: a drift since the oldest of the set.
         """
         found: list[Posterior] = []
         for store in (state.lateral, state.vertical):
-            copy = Process.of(store, *store.certificate_set(store.gp.capacity))
+            copy = Process.resting_on(store.evidence())
             yield None
             for posterior in sized_steps(copy):
                 sized = posterior
                 yield None
-            found.append(sized.widened(*store.pooled(_NEWEST)))
+            found.append(sized.widened(*store.evidence().pooled(_NEWEST)))
         yield cls(found[0], found[1], model)
 
     def knows_ground(self, near: float) -> bool:

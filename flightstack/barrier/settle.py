@@ -19,7 +19,7 @@ from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.records import AxisCertificate, Certificate
 from flightstack.barrier.search import GROWING, Axis, Ledger
 from flightstack.barrier.shapes import Quadratic
-from flightstack.learning.learner import LearnerState
+from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.types import F64, Learned
 
 _SPEEDS_MPS = (1.2, 1.5, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0)
@@ -29,7 +29,13 @@ _EASE, _SPARE, _BETTER = 0.75, 1.01, 1.003
 
 
 def settled(
-    certifier: OnlineCertifier, learner: LearnerState, learned: Learned, axis: int, *, version: int, widen_mps2: F64
+    certifier: OnlineCertifier,
+    learner: LearnerState | Learnt,
+    learned: Learned,
+    axis: int,
+    *,
+    version: int,
+    widen_mps2: F64,
 ) -> Certificate | None:
     """The largest certificate of one axis that what was learned allows; None where nothing closes."""
     best: Certificate | None = None
@@ -37,10 +43,7 @@ def settled(
     for speed_mps in _SPEEDS_MPS:
         limit_m = certifier.safe[axis].limit_m
         safe = {**certifier.safe, axis: SafeSet(limit_m, speed_mps)}
-        asked = OnlineCertifier(
-            certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=certifier.config,
-            safe=safe,
-        )  # fmt: skip
+        asked = certifier.asked(safe)
         knowledge: Knowledge | None = None
         for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrust_shares[0], last=True):
             knowledge = piece

@@ -22,9 +22,8 @@ range.
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from flightstack.jit import njit
 from flightstack.learning import sampler as s
 from flightstack.learning.priors import Prior, Priors, default_priors, state_only
 from flightstack.learning.sampler import Sampler
-from flightstack.learning.store import INFLATION, Relevance, Store
+from flightstack.learning.store import INFLATION, Evidence, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
@@ -68,6 +67,17 @@ class LearnerConfig:
 _FORWARD_EVERY = 4
 _RECOVERY_US = 1_000_000
 """After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
+
+
+class Learnt(NamedTuple):
+    """What a certificate rests on, of both processes."""
+
+    lateral: Evidence
+    vertical: Evidence
+
+    def evidence(self) -> Learnt:
+        """As a learner's state's: itself."""
+        return self
 
 
 class LearnerState:
@@ -114,11 +124,9 @@ class LearnerState:
         self.rate_mean = np.zeros(3)
         self.rate_sigma = np.full(3, math.nan)
 
-    def snapshot(self) -> LearnerState:
-        """What a certificate needs of it, as of now; learning on does not change it."""
-        other = copy(self)
-        other.lateral, other.vertical = self.lateral.snapshot(), self.vertical.snapshot()
-        return other
+    def evidence(self) -> Learnt:
+        """What a certificate rests on, as of now; learning on does not change it."""
+        return Learnt(self.lateral.evidence(), self.vertical.evidence())
 
     def calibrate(self) -> None:
         """Bring `variance` in line with the posterior and what the stores have in excess of it."""

@@ -16,12 +16,12 @@ are thinned to a third that reaches as far as all of them: what was seen once, f
 
 from __future__ import annotations
 
-from copy import copy
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from flightstack.gp import RecursiveGP, least_relevant, spread
+from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
 from flightstack.learning.priors import Prior
 from flightstack.types import F64
 
@@ -43,12 +43,42 @@ _BOUND_SIGMAS = 3.0
 _ORIGIN = np.zeros(16)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a certificate rests on: a store's pool, prior and calibration as of one moment."""
+
+    kernel: Kernel
+    noise_var: float
+    capacity: int
+    excess: F64
+    """(P,) variance that the kernel does not know."""
+    places: F64
+    """(N, D), the oldest first."""
+    values: F64
+    """(N, P)."""
+
+    def certificate_set(self, count: int) -> tuple[F64, F64]:
+        """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
+        if not len(self.places):
+            return self.places, self.values
+        chosen = spread(self.places, count)
+        return self.places[chosen], self.values[chosen]
+
+    def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
+        """Places (N, D) and values (N, P) of the newest pooled points, the oldest of them first."""
+        return self.places[-newest:], self.values[-newest:]
+
+    def evidence(self) -> Evidence:
+        """As a store's: itself."""
+        return self
+
+
 class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_fresh", "_heard", "_next", "_pool", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs",
-        "relevance",
+        "_age", "_fresh", "_heard", "_next", "_places", "_pooled", "_values", "_wanted", "calm_excess", "excess",
+        "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -66,7 +96,9 @@ class Store:
         self.calm_excess = self.excess.copy()
         """The same without what single errors have widened: what a sudden change must be compared with, for the first
         window that it falls into widens the bound by as much."""
-        self._pool: list[tuple[F64, F64]] = []
+        self._places, self._values = np.zeros((_POOL, inputs)), np.zeros((_POOL, outputs))
+        self._pooled = 0
+        """Points in the pool."""
 
     @property
     def renewing(self) -> bool:
@@ -114,7 +146,7 @@ class Store:
                 return
             self._wanted = 0
             self.gp.clear()
-            self._pool.clear()
+            self._pooled = 0
             self.excess[:] = self.calm_excess
             for point in self._fresh:
                 self._add(*point)
@@ -124,18 +156,10 @@ class Store:
             self._calibrate(y - mean, variance)
         self._add(x, y)
 
-    def certificate_set(self, count: int) -> tuple[F64, F64]:
-        """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
-        if not self._pool:
-            return self.gp.x[:0], self.gp.y[:0]
-        places, values = self.pooled()
-        chosen = spread(places, count)
-        return places[chosen], values[chosen]
-
-    def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
-        """Places (N, D) and values (N, P) of the newest pooled points, the oldest of them first."""
-        held = self._pool[-newest:]
-        return np.array([x for x, _ in held]), np.array([y for _, y in held])
+    def evidence(self) -> Evidence:
+        """What a certificate needs of it, as of now; learning on does not change it."""
+        places, values = self._places[: self._pooled].copy(), self._values[: self._pooled].copy()
+        return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values)
 
     def _add(self, x: F64, y: F64) -> None:
         if len(self.gp) >= self.gp.capacity:
@@ -143,19 +167,16 @@ class Store:
         if self.gp.add(x, y):
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
-            self._pool.append((x.copy(), y.copy()))
-            if len(self._pool) >= _POOL:
+            self._places[self._pooled], self._values[self._pooled] = x, y
+            self._pooled += 1
+            if self._pooled >= _POOL:
                 self._thin()
 
-    def snapshot(self) -> Store:
-        """What a certificate needs of it, as of now: the pool, kernel, noise and calibration."""
-        other = copy(self)
-        other._pool, other.excess = list(self._pool), self.excess.copy()
-        return other
-
     def _thin(self) -> None:
-        chosen = spread(np.array([x for x, _ in self._pool[:_THINNED]]), _KEPT)
-        self._pool[:_THINNED] = [self._pool[i] for i in chosen.tolist()]
+        chosen = spread(self._places[:_THINNED], _KEPT)
+        kept = np.concatenate([chosen, np.arange(_THINNED, self._pooled)])
+        self._pooled = len(kept)
+        self._places[: self._pooled], self._values[: self._pooled] = self._places[kept], self._values[kept]
 
     def _calibrate(self, error: F64, variance: float) -> None:
         """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import os
+import select
+import signal
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
 from app.closed_loop import Flight, fly
+from app.workshop import Workshop
 from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, area_of, safe_sets
 from flightstack.barrier.design import SafeSet
+from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import value
 from flightstack.learning.learner import GpLearner
@@ -39,7 +45,9 @@ class Kept(OnlineCertifier):
         return state, certificate
 
 
-def flight(duration_s: float, events: tuple[TimedEvent, ...] = ()) -> tuple[Flight, Kept]:
+def flight(
+    duration_s: float, events: tuple[TimedEvent, ...] = (), elsewhere: Workshop | None = None
+) -> tuple[Flight, Kept]:
     kept: list[Kept] = []
 
     def make(model: Model, limits: Limits) -> Stack:
@@ -50,6 +58,7 @@ def flight(duration_s: float, events: tuple[TimedEvent, ...] = ()) -> tuple[Flig
             initial=SCENARIO.knowledge,
             config=VERTICAL,
             safe={2: SafeSet(0.6, 1.2)},  # type: ignore[arg-type]
+            elsewhere=elsewhere,
         )
         certifier.issued = []
         kept.append(certifier)
@@ -113,6 +122,74 @@ def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[Flight, Kept]) 
     assert issued is not None
     assert "down: acceleration off by" in str(issued.knowledge["falsified"])
     assert state.widen_mps2[2] > 0.5
+
+
+# ---------------------------------------------------------------- in a process of its own
+
+
+@pytest.fixture(scope="module")
+def shop() -> Iterator[Workshop]:
+    with Workshop() as each:
+        yield each
+
+
+def ready(shop: Workshop, work: Iterator[Certificate | None]) -> Certificate | None:
+    """What comes of the work; None where nothing will."""
+    for certificate in work:
+        if certificate is not None or shop.lost:
+            return certificate
+        select.select([shop], [], [], 60.0)
+    return None
+
+
+def test_another_process_makes_the_very_same_certificate(calm: tuple[Flight, Kept], shop: Workshop) -> None:
+    """One that nobody waits for any more (the bounds were falsified meanwhile) does not come in place of the next."""
+    _, kept = calm
+    _, (learner, _, learned, _) = kept.last
+    certifier = OnlineCertifier(
+        kept.model, kept.limits, kept.region, initial=kept.initial, config=kept.config, safe=kept.safe
+    )
+    here, there, other = CertifierState(version=4), CertifierState(version=4), CertifierState(version=8)
+    expected = list(certifier.work(learner, learned, here))[-1]  # type: ignore[arg-type]
+    assert expected is not None
+    assert next(shop.work(certifier, learner, learned, other)) is None  # type: ignore[arg-type]
+    made = ready(shop, shop.work(certifier, learner, learned, there))  # type: ignore[arg-type]
+    assert made is not None
+    assert made.version == 5
+    assert certificate_to_json(made) == certificate_to_json(expected)
+    assert there.ratios == here.ratios != {}
+
+
+def test_a_flight_certifies_while_another_process_does_the_work(shop: Workshop) -> None:
+    """How soon depends on the machine (this flight waits for nobody), what is certified is true all the same."""
+    flown, kept = flight(40.0, elsewhere=shop)
+    assert not shop.lost
+    assert kept.issued
+    assert kept.issued[0][0] > flown.records[0].t_us
+    test_true_braking_and_acceleration_lie_within_every_certificate((flown, kept))
+
+
+@pytest.mark.parametrize("how", ["killed", "at fault"])
+def test_a_process_that_is_lost_takes_nothing_with_it(calm: tuple[Flight, Kept], how: str) -> None:
+    _, kept = calm
+    _, (learner, measurement, learned, filtered) = kept.last
+    with Workshop() as lost:
+        certifier = OnlineCertifier(
+            kept.model, kept.limits, kept.region, initial=kept.initial, config=kept.config, safe=kept.safe,
+            elsewhere=lost,
+        )  # fmt: skip
+        if how == "killed":
+            assert lost.pid is not None
+            os.kill(lost.pid, signal.SIGKILL)
+            work = lost.work(certifier, learner, learned, CertifierState())  # type: ignore[arg-type]
+        else:
+            work = lost.work(certifier, learner, None, CertifierState())  # type: ignore[arg-type]
+        assert ready(lost, work) is None
+        assert ("ended" if how == "killed" else "AttributeError") in lost.lost
+        state = certifier.init()
+        for _ in range(3):  # in flight nothing raises, and nothing is waited for
+            state, issued = certifier.step(state, learner, measurement, learned, filtered)  # type: ignore[arg-type]
+            assert issued is None
 
 
 def test_an_ellipsoids_safe_sets_lie_in_it_together() -> None:

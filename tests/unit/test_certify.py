@@ -22,7 +22,7 @@ from flightstack.barrier.records import Certificate, Margin
 from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
-from flightstack.learning.learner import GpLearner, LearnerState
+from flightstack.learning.learner import GpLearner, LearnerState, Learnt
 from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
@@ -145,7 +145,7 @@ def test_what_a_landing_contradicts_does_not_count_for_what_was_explored() -> No
     assert watched.seen is not None
     kept, learner, _ = watched.seen
     assert isinstance(kept, GrowthState)
-    assert isinstance(learner, LearnerState)
+    assert isinstance(learner, Learnt)
     np.testing.assert_array_equal(learner.vertical.excess, explored)
     np.testing.assert_array_equal(learns.vertical.excess, explored + 1.0)
     assert kept.inner.widen_mps2.tolist() == [1.0, 1.0, 1.0]

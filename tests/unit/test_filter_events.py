@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ import pytest
 from certified import CENTRE, axis_certificate, certificate, says
 from log_samples import proto_class, tick_record
 from mcap.reader import make_reader
-from shipped import load_vehicle
+from shipped import load_scenario, load_vehicle
 
 from app.barrier_score import GivenCertificate, WatchedCertifier
-from app.recorder import FilterEvents, certified_region, certified_words
+from app.recorder import FilterEvents, LogObserver, certified_region, certified_words
+from app.workshop import Workshop
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.frames import ned_to_enu
@@ -197,3 +199,16 @@ def test_a_falsified_certificate_is_told_with_its_reason() -> None:
     events.on_certificate(0, certificate(version=4, knowledge={"falsified": "down: off by 0.9 m/s^2"}))
     assert lines[0] == ("filter: certificate falsified: down: off by 0.9 m/s^2", "warning")
     assert lines[1][0].startswith("filter: certificate 4: ")
+
+
+def test_a_process_that_is_lost_is_told_once_with_its_reason(tmp_path: Path) -> None:
+    log, shop = FlightLog.open(tmp_path / "a.mcap", metadata={}), Workshop()
+    watched = WatchedCertifier(GivenCertificate(certificate(), MODEL), elsewhere=shop)
+    observer = LogObserver(log, load_scenario("hover"), load_vehicle("quad-x"), truth=False, certifier=watched)
+    observer.companion = SimpleNamespace(mission=None)  # type: ignore[assignment]
+    for tick, why in enumerate(("", "its process has ended", "its process has ended")):
+        shop.lost = why
+        observer.on_tick(filtered_record(4000 * tick))
+    log.close()
+    lines = [text for text in read(tmp_path / "a.mcap").tables["/events"]["text"].tolist() if "nothing more" in text]
+    assert lines == ["filter: certifies nothing more (its process has ended); what is in force stays"]

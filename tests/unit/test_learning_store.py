@@ -28,7 +28,7 @@ def filled(count: int = 200, capacity: int = 40) -> Store:
 
 def certificate(store: Store, count: int) -> RecursiveGP:
     gp = RecursiveGP(PRIOR.kernel, PRIOR.noise_var, input_dim=2, output_dim=1, capacity=max(count, 1))
-    x, y = store.certificate_set(count)
+    x, y = store.evidence().certificate_set(count)
     if len(x):
         gp.add(x, y)
     return gp
@@ -46,11 +46,11 @@ def test_the_tracking_set_forgets_where_it_has_been_the_certificate_set_does_not
 
 def test_a_certificate_set_is_of_what_was_taken() -> None:
     store = filled()
-    places, values = store.pooled()
+    places, values = store.evidence().pooled()
     held = {(*x, *y) for x, y in zip(places.tolist(), values.tolist(), strict=True)}
-    x, y = store.certificate_set(25)
+    x, y = store.evidence().certificate_set(25)
     assert {(*a, *b) for a, b in zip(x.tolist(), y.tolist(), strict=True)} <= held
-    np.testing.assert_array_equal(store.pooled(3)[0], path(200)[-3:])
+    np.testing.assert_array_equal(store.evidence().pooled(3)[0], path(200)[-3:])
 
 
 def test_what_was_seen_once_far_out_is_not_forgotten_however_long_it_hovers_after() -> None:
@@ -60,17 +60,19 @@ def test_what_was_seen_once_far_out_is_not_forgotten_however_long_it_hovers_afte
     near[:40] = rng.uniform(-1.0, 1.0, (40, 2))
     for x in near:
         store.take(x, np.zeros(1))
-    places = store.pooled()[0]
+    places = store.evidence().pooled()[0]
     assert len(places) <= 2000
     for ends in (np.min, np.max):
         np.testing.assert_array_equal(ends(places, axis=0), ends(near, axis=0))
-        np.testing.assert_array_equal(ends(store.certificate_set(100)[0], axis=0), ends(near, axis=0))
-    np.testing.assert_array_equal(store.pooled(400)[0], near[-400:], err_msg="the newest are all there, in their order")
+        np.testing.assert_array_equal(ends(store.evidence().certificate_set(100)[0], axis=0), ends(near, axis=0))
+    np.testing.assert_array_equal(
+        store.evidence().pooled(400)[0], near[-400:], err_msg="the newest are all there, in their order"
+    )
 
 
 def test_learning_on_does_not_change_a_certificate_set() -> None:
     store = filled()
-    x, y = store.certificate_set(25)
+    x, y = store.evidence().certificate_set(25)
     before = x.copy(), y.copy()
     for place in path(60):
         store.take(place + 0.3, np.array([5.0]))
@@ -78,9 +80,9 @@ def test_learning_on_does_not_change_a_certificate_set() -> None:
     np.testing.assert_array_equal(y, before[1])
 
 
-def test_a_snapshot_is_as_of_its_time() -> None:
+def test_evidence_is_as_of_its_time() -> None:
     store = filled()
-    then, excess = store.snapshot(), store.excess.copy()
+    then, excess = store.evidence(), store.excess.copy()
     x, y = then.certificate_set(25)
     for place in path(60):
         store.take(place + 0.3, np.array([5.0]))
@@ -89,7 +91,7 @@ def test_a_snapshot_is_as_of_its_time() -> None:
     np.testing.assert_array_equal(then.excess, excess)
     for now, before in zip(then.certificate_set(25), (x, y), strict=True):
         np.testing.assert_array_equal(now, before)
-    assert then.gp.noise_var == PRIOR.noise_var
+    assert then.noise_var == PRIOR.noise_var
 
 
 def test_after_a_change_the_pool_holds_only_what_came_since() -> None:
@@ -97,11 +99,11 @@ def test_after_a_change_the_pool_holds_only_what_came_since() -> None:
     store.renew(np.array([2.0]), 3)
     for x in path(3):
         store.take(x, np.array([2.0]))
-    assert len(store.certificate_set(100)[0]) == 3
+    assert len(store.evidence().certificate_set(100)[0]) == 3
 
 
 def test_an_empty_pool_gives_no_points() -> None:
     store = Store(PRIOR, inputs=2, outputs=1, capacity=10, floor=0.01)
-    x, y = store.certificate_set(10)
+    x, y = store.evidence().certificate_set(10)
     assert x.shape == (0, 2)
     assert y.shape == (0, 1)

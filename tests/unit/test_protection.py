@@ -68,15 +68,25 @@ def test_no_filter_means_none_and_the_region_still_judges() -> None:
     assert flight.protection.region is flight.scenario.region
 
 
-def test_in_real_time_nothing_is_certified_in_flight(tmp_path: Path) -> None:
-    """A certificate takes many ticks' time to make; under one that is given the filter flies."""
+def test_in_real_time_certificates_are_made_beside_the_flight(tmp_path: Path) -> None:
+    """A certificate takes many ticks' time to make: a tick of real time does not wait for it."""
     offboard = prepare_flight(OffboardOptions(connect="", scenario="paper-tracking"))
     for flight in (prepared(realtime=True), offboard):
-        assert not flight.stack.filter.enabled
-        assert not flight.stack.certifier.enabled
-        assert flight.settings["filter"].startswith("off: certifying in flight takes longer than a tick")
-        assert flight.protection.region is flight.scenario.region
-    assert prepared(realtime=True, certificate=file_of(tmp_path)).stack.filter.enabled
+        assert isinstance(inside(flight.stack.filter), BarrierFilter)
+        assert flight.settings["filter"].startswith("sound")
+        assert flight.protection.workshop is not None
+        assert flight.protection.watched is not None
+        assert flight.protection.watched.elsewhere is flight.protection.workshop
+    assert prepared().protection.workshop is None
+    given = prepared(realtime=True, certificate=file_of(tmp_path))
+    assert given.stack.filter.enabled
+    assert given.protection.workshop is None
+
+
+def test_in_real_time_what_the_paper_publishes_is_not_certified_in_flight() -> None:
+    flight = prepared(realtime=True, as_published=True)
+    assert not flight.stack.filter.enabled
+    assert "real time does not wait" in flight.settings["filter"]
 
 
 def test_a_scenario_without_a_region_flies_unfiltered_and_says_why() -> None:

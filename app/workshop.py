@@ -1,0 +1,184 @@
+"""Certificates made in a process of their own: a flight in real time can't wait for them, and needn't.
+
+A tick hands over what has been learned (a copy) and from then on asks whether the certificate is there; neither ever
+blocks: what the socket does not take at once goes with the next tick.  A process that ends or goes wrong takes nothing
+with it: the certificate in force stays in force and is watched as before, nothing new is certified, and `lost` says
+why.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from multiprocessing import get_context
+from typing import NamedTuple
+
+from flightstack.barrier.certifier import CertifierState, OnlineCertifier, compile_all
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.search import Ratios
+from flightstack.learning.learner import LearnerState, Learnt
+from flightstack.types import Learned
+
+_LENGTH = struct.Struct("<Q")
+_BUFFER = 1 << 20
+"""Bytes: an order with full pools has some 300,000."""
+_NICENESS = 10
+"""The flight's own process comes first."""
+_JOIN_S = 2.0
+_ENDED = "its process has ended"
+
+
+class _Reply(NamedTuple):
+    certificate: Certificate | None
+    ratios: dict[tuple[int, int], Ratios]
+    error: str
+
+
+class Workshop:
+    """The flight's end of that process, which runs while this is entered and ends when the flight does."""
+
+    def __init__(self) -> None:
+        self.lost = "not begun"
+        """Why no certificate will come any more."""
+        self._owed = False
+        """An order was placed and its reply has not come."""
+        self._out, self._in = memoryview(b""), bytearray()
+
+    def __enter__(self) -> Workshop:
+        self._socket, theirs = socket.socketpair()
+        for end in (self._socket, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        self._socket.setblocking(False)
+        with theirs:
+            self._process = get_context("spawn").Process(target=serve, args=(theirs,), name="certifier", daemon=True)
+            self._process.start()
+        self.lost = ""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lose("ended")
+        self._process.join(_JOIN_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return self._process.pid
+
+    def fileno(self) -> int:
+        """Of the socket, for whoever has the time to wait for it."""
+        return self._socket.fileno()
+
+    def work(
+        self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
+    ) -> Iterator[Certificate | None]:
+        """As `OnlineCertifier.work`, of what the learner knows once the process is free: None until it is done."""
+        while self._owed and not self.lost and self._exchange() is None:  # an order that nobody waits for any more
+            yield None
+        self._order(certifier, learner, learned, state)
+        reply = None
+        while reply is None:
+            reply = self._exchange()
+            if reply is None:
+                yield None
+        state.ratios.clear()
+        state.ratios.update(reply.ratios)
+        yield reply.certificate
+
+    def _order(
+        self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
+    ) -> None:
+        asked = CertifierState(version=state.version, widen_mps2=state.widen_mps2, ratios=state.ratios, turn=state.turn)
+        try:
+            what = (certifier.here(), learner.evidence(), learned, asked)
+            message = pickle.dumps(what, pickle.HIGHEST_PROTOCOL)
+        except Exception as error:  # in flight nothing raises
+            self._lose(f"{type(error).__name__}: {error}")
+            return
+        self._out, self._owed = memoryview(_LENGTH.pack(len(message)) + message), True
+
+    def _exchange(self) -> _Reply | None:
+        """Send and receive what goes without waiting; the reply if it is whole."""
+        if self.lost:
+            return None
+        try:
+            with suppress(BlockingIOError):
+                while self._out:
+                    self._out = self._out[self._socket.send(self._out) :]
+            with suppress(BlockingIOError):
+                while data := self._socket.recv(_BUFFER):
+                    self._in += data
+                self._lose(_ENDED)
+                return None
+            return self._received()
+        except OSError:
+            self._lose(_ENDED)
+            return None
+        except Exception as error:  # in flight nothing raises
+            self._lose(f"{type(error).__name__}: {error}")
+            return None
+
+    def _received(self) -> _Reply | None:
+        if len(self._in) < _LENGTH.size:
+            return None
+        (size,) = _LENGTH.unpack_from(self._in)
+        if len(self._in) < _LENGTH.size + size:
+            return None
+        reply: _Reply = pickle.loads(self._in[_LENGTH.size : _LENGTH.size + size])
+        del self._in[: _LENGTH.size + size]
+        self._owed = False
+        if reply.error:
+            self._lose(reply.error)
+            return None
+        return reply
+
+    def _lose(self, why: str) -> None:
+        if not self.lost:
+            self.lost = why
+            self._socket.close()
+
+
+def serve(end: socket.socket) -> None:
+    """The process: one certificate after the other until the flight's end of the socket is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the flight's business, which then closes the socket
+    with suppress(AttributeError, OSError):
+        os.nice(_NICENESS)
+    compile_all()
+    with end, suppress(OSError):
+        while (message := _read(end)) is not None:
+            answer = pickle.dumps(_made(message), pickle.HIGHEST_PROTOCOL)
+            end.sendall(_LENGTH.pack(len(answer)) + answer)
+
+
+def _made(message: bytes) -> _Reply:
+    try:
+        certifier, learner, learned, state = pickle.loads(message)
+        ready = None
+        for piece in certifier.work(learner, learned, state):
+            ready = piece
+        return _Reply(ready, state.ratios, "")
+    except Exception as error:  # whatever it is, the flight goes on and its log says so
+        return _Reply(None, {}, f"{type(error).__name__}: {error}")
+
+
+def _read(end: socket.socket) -> bytes | None:
+    """The next message; None where there is no more."""
+    head = _exactly(end, _LENGTH.size)
+    return None if head is None else _exactly(end, _LENGTH.unpack(head)[0])
+
+
+def _exactly(end: socket.socket, size: int) -> bytes | None:
+    parts = bytearray()
+    while len(parts) < size:
+        data = end.recv(min(size - len(parts), _BUFFER))
+        if not data:
+            return None
+        parts += data
+    return bytes(parts)
