@@ -147,14 +147,22 @@ class Workshop:
 
 def serve(end: socket.socket) -> None:
     """The process: one certificate after the other until the flight's end of the socket is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the flight's business, which then closes the socket
-    with suppress(AttributeError, OSError):
-        os.nice(_NICENESS)
+    for word in (signal.SIGINT, signal.SIGTERM):  # the flight's business: it lands, and then closes the socket
+        signal.signal(word, signal.SIG_IGN)
+    _stand_back()
     compile_all()
     with end, suppress(OSError):
         while (message := _read(end)) is not None:
             answer = pickle.dumps(_made(message), pickle.HIGHEST_PROTOCOL)
             end.sendall(_LENGTH.pack(len(answer)) + answer)
+
+
+def _stand_back() -> None:
+    """Run where the flight leaves room: a service's real-time priority (docs/companion.md) is inherited, not meant."""
+    with suppress(AttributeError, OSError):  # Linux has the first, Windows neither
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with suppress(AttributeError, OSError):
+        os.nice(_NICENESS)
 
 
 def _made(message: bytes) -> _Reply:

@@ -158,6 +158,8 @@ def test_another_process_makes_the_very_same_certificate(calm: tuple[Flight, Kep
     assert made.version == 5
     assert certificate_to_json(made) == certificate_to_json(expected)
     assert there.ratios == here.ratios != {}
+    assert shop.pid is not None
+    assert os.getpriority(os.PRIO_PROCESS, shop.pid) > os.getpriority(os.PRIO_PROCESS, 0)  # the flight comes first
 
 
 def test_a_flight_certifies_while_another_process_does_the_work(shop: Workshop) -> None:
