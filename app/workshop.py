@@ -54,14 +54,19 @@ class Workshop:
         for end in (self._socket, theirs):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._socket.setblocking(False)
+        self.lost = ""
         with theirs:
             self._process = get_context("spawn").Process(target=serve, args=(theirs,), name="certifier", daemon=True)
-            self._process.start()
-        self.lost = ""
+            try:
+                self._process.start()
+            except OSError as error:  # no memory, no process number: the flight can do without
+                self._lose(f"its process could not be started: {error}")
         return self
 
     def __exit__(self, *_: object) -> None:
         self._lose("ended")
+        if self._process.pid is None:
+            return
         self._process.join(_JOIN_S)
         if self._process.is_alive():
             self._process.kill()

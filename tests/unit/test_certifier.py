@@ -171,6 +171,15 @@ def test_a_flight_certifies_while_another_process_does_the_work(shop: Workshop) 
     test_true_braking_and_acceleration_lie_within_every_certificate((flown, kept))
 
 
+def test_a_process_that_can_t_be_started_is_one_that_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_: object) -> None:
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", refused)
+    with Workshop() as lost:
+        assert "could not be started: [Errno 12]" in lost.lost
+
+
 @pytest.mark.parametrize("how", ["killed", "at fault"])
 def test_a_process_that_is_lost_takes_nothing_with_it(calm: tuple[Flight, Kept], how: str) -> None:
     _, kept = calm
