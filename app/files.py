@@ -117,6 +117,7 @@ def write_flight_report(log_path: Path, report_path: Path, result: FlightResult)
 
     try:
         result.report = str(report_path)
+        report_path.parent.mkdir(parents=True, exist_ok=True)  # the log may lie elsewhere
         write_report(from_log(read(log_path), result.as_json()), report_path)
     except (InputError, OSError) as error:
         result.report = None

@@ -132,12 +132,16 @@ def test_help_names_every_controller_and_the_options_that_all_flights_have(
 
 
 def test_a_named_controller_flies_and_is_named_in_result_and_log(tmp_path: Path) -> None:
-    arguments = ("--controller", "pd", "--duration", 1, "--out", tmp_path, "--json", tmp_path / "r.json")
+    """With the log in one new folder and the report in another."""
+    log, out = tmp_path / "logs" / "a.mcap", tmp_path / "new" / "out"
+    arguments = ("--controller", "pd", "--duration", 1, "--log", log, "--out", out, "--json", tmp_path / "r.json")
     assert _run("fly", "hover", *arguments) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["controller"] == "pd"
     assert result["gp"]["enabled"] is False
-    assert read(tmp_path / "flight.mcap").metadata["settings"]["controller"] == "pd"
+    assert (result["log"], result["report"]) == (str(log), str(out / "report.html"))
+    assert "</html>" in (out / "report.html").read_text()
+    assert read(log).metadata["settings"]["controller"] == "pd"
 
 
 def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
