@@ -11,15 +11,15 @@ product lies in it.
     changed      the learner notices a change: the work begins anew.  The certificate in force was made with bounds of
                  its own, many times wider than what the learner calls a change, and stands while they hold
     falsified    the acceleration as measured stays beyond what the certificate says it may be (`falsify`): at once a
-                 new certificate with the bound widened by what was seen; where there is none, the last one again,
-                 marked `hand_over`.  `knowledge["falsified"]` says why.
+                 new certificate with the bound widened by what was seen; where there is none (or none comes from
+                 elsewhere in time), the last one again, marked `hand_over`.  `knowledge["falsified"]` says why.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Protocol, TypeVar
 
@@ -44,6 +44,8 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Mea
 _VALID = 2
 _PATIENCE, _EAGER = 16.0, 3.0
 """Longest wait in periods, with a certificate in force and without."""
+_IN_VAIN_US = 1_500_000
+"""Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
 _LEAST_HOVER_MPS2 = 1.0
 """What a vehicle out of hand has taught of its hover may be below zero."""
 _T = TypeVar("_T")
@@ -178,6 +180,9 @@ class OnlineCertifier:
         if state.work is None:
             return state, None
         ready = next(state.work, None)
+        if ready is None and self._in_vain(state, measurement):
+            assert state.certificate is not None  # nothing else is falsified
+            ready = replace(state.certificate, axes=())
         if ready is None:
             return state, None
         state.work = None
@@ -188,6 +193,12 @@ class OnlineCertifier:
         if issued is not None or state.turn == 0:
             state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
         return state, issued
+
+    def _in_vain(self, state: CertifierState, measurement: Measurement) -> bool:
+        """Whether a falsified certificate must not wait any longer for one from elsewhere."""
+        if not state.falsified or self.elsewhere is None:
+            return False
+        return bool(self.elsewhere.lost) or measurement.t_us - state.begun_us > _IN_VAIN_US
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
         """Whether what is certified is still so; where it is not, the work begins anew."""

@@ -203,6 +203,40 @@ def test_a_process_that_is_lost_takes_nothing_with_it(calm: tuple[Flight, Kept],
             assert issued is None
 
 
+class Idle:
+    """Works elsewhere, and nothing ever comes of it."""
+
+    def __init__(self, lost: str) -> None:
+        self.lost = lost
+
+    def work(self, *_: object) -> Iterator[None]:
+        return itertools.repeat(None)
+
+
+@pytest.mark.parametrize(("lost", "least_s", "most_s"), [("its process has ended", 0.0, 0.01), ("", 1.4, 1.6)])
+def test_a_falsified_certificate_does_not_wait_for_one_that_never_comes(
+    calm: tuple[Flight, Kept], lost: str, least_s: float, most_s: float
+) -> None:
+    _, kept = calm
+    _, (learner, measurement, learned, filtered) = kept.last
+    assert isinstance(measurement, Measurement)
+    certifier = OnlineCertifier(
+        kept.model, kept.limits, kept.region, initial=kept.initial, config=kept.config, safe=kept.safe,
+        elsewhere=Idle(lost),
+    )  # fmt: skip
+    state = certifier.init()
+    state.certificate, state.falsified = kept.issued[-1][1], "down: acceleration off by 2.0 m/s^2"
+    for tick in range(1000):
+        now = dataclasses.replace(measurement, t_us=measurement.t_us + 4000 * tick)
+        state, issued = certifier.step(state, learner, now, learned, filtered)  # type: ignore[arg-type]
+        if issued is not None:
+            break
+    assert issued is not None
+    assert issued.knowledge["hand_over"]
+    assert issued.axes == kept.issued[-1][1].axes
+    assert least_s <= 0.004 * tick <= most_s
+
+
 def test_an_ellipsoids_safe_sets_lie_in_it_together() -> None:
     region = Region("ellipsoid", (0.0, 0.0, -0.8), (0.4, 0.4, 0.6), (0.5, 0.5, 0.4))
     sets, rng = safe_sets(region, (0, 1, 2)), np.random.default_rng(0)
