@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -16,6 +16,7 @@ help:
 	@echo "make format       rewrite the sources in the house format"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
+	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make paper        every figure and number of the paper beside ours, into runs/paper (a quarter of an hour)"
@@ -28,6 +29,7 @@ help:
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
+	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
 	@echo "make clean        remove the environment and all caches"
 
@@ -67,7 +69,10 @@ bench-plant: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/plant.py
 
 bench-flight: $(BIN)/.installed
-	$(BIN)/python benchmarks/flight.py
+	$(BIN)/python -m benchmarks.flight
+
+bench-gap: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_timing
 
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py
@@ -118,6 +123,9 @@ gap-blind: $(BIN)/.installed
 
 gap-recorded: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_recorded
+
+gap-rotorpy: $(BIN)/.installed-bench
+	$(BIN)/python -m benchmarks.gap_rotorpy
 
 gap-blind-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_blind --quick

@@ -102,6 +102,14 @@ def _tidied(run: Callable[[Any], Any], job: Any) -> Any:
         gc.collect()
 
 
+def processor() -> str:
+    """What the machine computes with; times mean little without it."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text("utf-8").splitlines() if info.exists() else []
+    names = [line.split(": ", 1)[1] for line in lines if line.startswith("model name")]
+    return f"{os.cpu_count()} cores of {names[0] if names else platform.processor() or platform.machine()}"
+
+
 def provenance(schema: str, journal: Path) -> dict[str, Any]:
     """Where and when: the head of results.json."""
     wall_s, commits = runs_in(journal)

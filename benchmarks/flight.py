@@ -1,7 +1,8 @@
 """How fast, how accurate, how punctual: lockstep flights, tracking errors, and real-time lateness in two processes.
 
-    python benchmarks/flight.py                  all three parts
-    python benchmarks/flight.py --seeds 3 --realtime-s 0 --json results.json
+    python -m benchmarks.flight                  all three parts (make bench-flight)
+    python -m benchmarks.flight --seeds 3 --realtime-s 0 --json results.json
+    python -m benchmarks.flight --plant jsbsim   lockstep flights on that plant only
 
 Lockstep: every message goes through UDP on loopback; the factor is flight time over the wall time of the flight (log
 written, report not counted).  Tracking: 3-D distance of the true position from the scenario's reference, rms over the
@@ -23,35 +24,43 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from benchmarks import campaign
+
 FLIGHTS = (
-    ("hover", True),
-    ("figure8", True),
-    ("minimum-snap", True),
-    ("paper-tracking", True),
-    ("paper-tracking", False),
+    ("hover", True, "native"),
+    ("figure8", True, "native"),
+    ("minimum-snap", True, "native"),
+    ("paper-tracking", True, "native"),
+    ("paper-tracking", False, "native"),
+    ("hover", True, "jsbsim"),
+    ("figure8", True, "jsbsim"),
+    ("figure8", False, "jsbsim"),
+    ("paper-tracking", True, "jsbsim"),
 )
-"""Scenario, and whether it learns."""
-ROOT = Path(__file__).resolve().parents[1]
+"""Scenario, whether it learns, and the plant."""
 
 
-def lockstep(seeds: int) -> list[dict[str, Any]]:
+def lockstep(seeds: int, plants: set[str]) -> list[dict[str, Any]]:
     """Every scenario with both grades of sensors, over the seeds."""
     from app.flight import FlyOptions, fly
 
     rows = []
-    for scenario, learning in FLIGHTS:
-        for sensors in ("mocap", "gps"):
+    for scenario, learning, plant in FLIGHTS:
+        for sensors in ("mocap", "gps") if plant in plants else ():
             flights = []
             for seed in range(seeds):
                 with tempfile.TemporaryDirectory() as folder:
                     out = Path(folder)
-                    options = FlyOptions(scenario=scenario, sensors=sensors, seed=seed, learning=learning, out=out)
+                    options = FlyOptions(
+                        scenario=scenario, sensors=sensors, seed=seed, learning=learning, plant=plant, out=out
+                    )
                     flights.append(fly(options, stop_requested=lambda: "").as_json())
             factors = [flight["realtime_factor"] for flight in flights]
             errors = [flight["tracking"]["rmse_m"] for flight in flights]
             rows.append(
                 {
                     "scenario": scenario if learning else f"{scenario}, no learning",
+                    "plant": plant,
                     "sensors": sensors,
                     "completed": sum(flight["completed"] for flight in flights),
                     "flights": seeds,
@@ -68,13 +77,13 @@ def print_lockstep(row: dict[str, Any]) -> None:
     errors = " / ".join(f"{value:.1f}" for value in row["rmse_cm"])
     factors = " / ".join(f"{value:.1f}" for value in row["realtime_factor"])
     flights = f"{row['completed']} of {row['flights']}"
-    print(f"| {row['scenario']} | {row['sensors']} | {flights} | {errors} | {factors} |", flush=True)
+    print(f"| {row['scenario']} | {row['plant']} | {row['sensors']} | {flights} | {errors} | {factors} |", flush=True)
 
 
 def realtime(seconds: float, port: int = 14_640) -> dict[str, Any]:
     """Lateness of `offboard` against `sim` in another process; the track lasts `seconds`."""
     cli = [sys.executable, "-m", "app.cli"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(campaign.ROOT)}
     with tempfile.TemporaryDirectory() as folder:
         result_file = Path(folder) / "result.json"
         sim = subprocess.Popen(
@@ -111,17 +120,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--realtime-s", type=float, default=60.0)
+    parser.add_argument("--plant", choices=("native", "jsbsim"))
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     load = os.getloadavg()[0]
-    print(f"{date.today()}, {platform.machine()}, {os.cpu_count()} cores, load {load:.1f} at the start, Python")
-    print(f"{platform.python_version()}\n")
+    print(f"{date.today()}, {platform.machine()}, {campaign.processor()}, load {load:.1f} at the start,")
+    print(f"Python {platform.python_version()}\n")
     results: dict[str, Any] = {}
     if options.seeds:
-        print("| scenario | sensors | completed | true rmse, cm (min / median / max) | times real time |")
-        print("| --- | --- | --- | --- | --- |")
-        results["lockstep"] = lockstep(options.seeds)
-    if options.realtime_s:
+        print("| scenario | plant | sensors | completed | true rmse, cm (min / median / max) | times real time |")
+        print("| --- | --- | --- | --- | --- | --- |")
+        results["lockstep"] = lockstep(options.seeds, {options.plant} if options.plant else {"native", "jsbsim"})
+    if options.realtime_s and not options.plant:
         started = time.monotonic()
         results["realtime"] = realtime(options.realtime_s)
         results["pacing_alone_us"] = spin_lateness()
