@@ -6,7 +6,7 @@ evidence can bear; nothing is taken from a list.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,10 +51,15 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     return tuple(sorted(found, key=lambda name: found[name]))
 
 
-_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"))
+_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"), ("payload", "thrust_scale"))
 """How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
-shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust.  It
-takes a gyro, and a model that leaves little else."""
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust; a
+mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
+
+
+def poorly_told(effects: Collection[str]) -> set[str]:
+    """What beside a poor model can't be told from one of these."""
+    return {e for pair in _POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
 
 
 def beside_a_poor_model(found: Found) -> Found:
@@ -64,6 +69,13 @@ def beside_a_poor_model(found: Found) -> Found:
             twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
             return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
     return found
+
+
+def confused_with(gone: Collection[Found]) -> set[str]:
+    """What these names may have stood for: their twins, and what a manoeuvre is told for that splits them."""
+    names = {f.name for f in gone}
+    groups = (group for group, _ in _SPLITS if group & names)
+    return {twin for f in gone for twin in f.indistinguishable_from}.union(*groups) - names
 
 
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:

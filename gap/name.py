@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, beside_a_poor_model, in_classes, splitting_manoeuvre
+from gap.classes import alternatives, beside_a_poor_model, in_classes, poorly_told, splitting_manoeuvre
 from gap.compare import residual, velocity_noise
 from gap.held import corrected
 from gap.identify import Identifiable, identify
@@ -28,6 +28,7 @@ from gap.naming.drivers import block_means
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
 from gap.naming.held_rows import gain, moved
+from gap.naming.joining import joined
 from gap.naming.search import LEAST_EVIDENCE, Fit, Search, judged_fit, members, move_to, search
 from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
@@ -87,6 +88,23 @@ class Naming:
         bench, state = self._behind
         rest_of = _unexplained(_rests(bench, state.start, estimate(state, _values(self.found))))
         return replace(self, unexplained=Unexplained(True, rest_of.depends_on, share))
+
+    def joined(self, of: Collection[str]) -> Naming | None:
+        """The verdict with one more name, of these, that earns its place beside a poor model (`gap.naming.joining`)."""
+        assert self._behind is not None  # a verdict that names something has it
+        bench, state = self._behind
+        values = _values(self.found)
+        more = joined(state, estimate(state, values), values, set(of) - poorly_told(values))
+        if more is None:
+            return None
+        judged = _judge(*more)
+        if len(judged.found) <= len(values):
+            return None
+        kept = in_classes(judged.found, bench.flights)
+        names = {f.name for f in kept}
+        rest_of = replace(_unexplained(_loud(bench, state.start, _told(bench, state.start, judged.estimates))), significant=True)
+        rejected = tuple(r for r in self.rejected if r.name not in names)
+        return replace(self, found=kept, rejected=rejected, vehicle=judged.estimates.vehicle, unexplained=rest_of, constant=judged.constant, _behind=(bench, more[0]))
 
     def with_classes_of_a_poor_model(self) -> Naming:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""

@@ -85,23 +85,24 @@ class Search:
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.barred & set(fit.effects) and not _strained(self.start, fit)
+            if not self.barred & set(fit.effects) and not strained(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
         as_good = [key for key in fair if key <= best and fair[key] < fair[best] + LEAST_EVIDENCE]
         return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
-def _strained(start: Vehicle, fit: Fit) -> set[str]:
+def strained(start: Vehicle, fit: Fit) -> set[str]:
+    """Its effects that stand at an end of what is plausible."""
     return {e for e, values in fit.effects.items() if any(at_end(start, e, p, x) for p, x in values.items())}
 
 
 def _bar(state: Search) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
     fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
-    strained = _strained(state.start, min(fair, key=lambda fit: fit.score))
-    state.barred |= strained
-    return bool(strained)
+    at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
+    state.barred |= at_ends
+    return bool(at_ends)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
