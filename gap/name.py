@@ -46,6 +46,8 @@ _NOT_CONSTANT_P = _LEAST_P / len(EFFECT_SPECS)
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
 _TOLD_SHARE = 0.05
+_EVERYWHERE = ("constant_force", "steady_wind")
+"""Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 _ACTS_SHARE = 0.1
 """Of what can be explained in a group, the part from which an effect is taken to act there."""
 _MATTERS_MPS2 = 0.05
@@ -188,7 +190,8 @@ def _loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> di
 def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
     """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
 
-    An effect that changes from stretch to stretch is given less leave.
+    An effect that changes from stretch to stretch is given less leave, and so is one that is the same everywhere where
+    something depends on the place.
     """
     made = judged.estimates
     shifts = moved(state, made)
@@ -199,7 +202,8 @@ def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
     out = set()
     for effect, mine in power.items():
         fickle = judged.constant.get(effect, 1.0) < _NOT_CONSTANT_P
-        if mine > _ACTS_SHARE * explained and (fickle or r.share > _ABSTAIN_SHARE):
+        elsewhere = effect in _EVERYWHERE and "position" in r.drivers
+        if mine > _ACTS_SHARE * explained and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
             out.add(effect)
     return out
 

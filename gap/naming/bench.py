@@ -105,10 +105,6 @@ class SimulatorBench:
         """Rows a second of one flight."""
         return 1.0 / (self.flights[flight].dt_s * self.every[flight])
 
-    def times(self) -> list[F64]:
-        """(N,) seconds of the rows of each flight."""
-        return [s.t_s[::k] for s, k in zip(self.flights, self.every, strict=True)]
-
 
 def simulator_bench(
     vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
