@@ -26,7 +26,7 @@ _NEAR = 12.0
 def joined(
     state: Search, made: Estimates, effects: Mapping[str, Mapping[str, float]], of: Collection[str]
 ) -> tuple[Search, Fit] | None:
-    """The named effects (all in `made`) and one more, one of `of`, in a search of their own; None where none earns its place."""
+    """The named effects (all in `made`) and one more, one of `of`, in a search of their own; None if none earns it."""
     fresh = _searched_at(state, made.vehicle)
     point = fresh.point
     now = judged_fit(fresh, effects, made.vehicle, point.rest, len(made.slots))
@@ -37,7 +37,7 @@ def joined(
     found = [s for s in fit_subsets(gram, subsets, point.columns, point.low, point.high) if np.isfinite(s.gain)]
     promised = [gram.c + float(score(s.gain, s.used, len(s.members), gram.rows, count)) for s in found]
     best: tuple[float, Fit] | None = None
-    for i in np.argsort(promised, kind="stable"):
+    for i in np.argsort(promised):
         if promised[i] > now.score + _NEAR:
             break
         fit = fit_subset(fresh, found[i])
