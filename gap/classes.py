@@ -12,12 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
-from gap.naming.search import Fit, Search, fit_subset, members
+from gap.naming.search import ALIKE, Fit, Search, fit_subset, members
 from gap.records import Found, Samples
 from gap.track import track
 
-_ALIKE = 10.0
-"""Difference of scores below which one of two effects is not preferred."""
 _ALIKE_SHARE = 0.002
 """Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
@@ -33,7 +31,7 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
     explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
-    bearable = _ALIKE + _ALIKE_SHARE * explained
+    bearable = ALIKE + _ALIKE_SHARE * explained
     count = len(point.candidates)
     scored = sorted(
         (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)

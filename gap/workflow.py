@@ -16,7 +16,7 @@ from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
 from gap.classes import confused_with
-from gap.held import doubtful, far_from_noise, proxies
+from gap.held import doubtful, far_from_noise, proxies, vanished
 from gap.likeness import other_vehicle
 from gap.name import Naming, name
 from gap.pooled import Split
@@ -149,6 +149,11 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
         return named, moved, _verdict(vehicle, named, moved)
     naming, moved = _refined(vehicle, named, of)
     on_progress(0.75, "verifying")
+    gone = vanished(naming.found)
+    if gone:
+        left = named.without(gone, "nothing of it is left once all are refined")
+        named = replace(left, unexplained=named.unexplained)  # nothing is missing for it
+        naming, moved = _refined(vehicle, named, of)
     gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
     if gone:
         named = named.without(gone, "does something else on data not used before")

@@ -16,7 +16,8 @@ from flightstack.vehicle import Vehicle
 from gap.naming.design import linearise
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets, score
-from gap.naming.search import Fit, Search, fit_subset, judged_fit, members, metric_of, strained
+from gap.naming.metric import metric_of
+from gap.naming.search import Fit, Search, fit_subset, judged_fit, members, strained
 from gap.naming.trifles import CLEARLY, worth_of
 
 _NEAR = 12.0

@@ -18,7 +18,8 @@ from gap.naming.design import linearise
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.held_rows import gain
 from gap.naming.joining import joined
-from gap.naming.search import Search, metric_of
+from gap.naming.metric import metric_of
+from gap.naming.search import Search
 from gap.naming.trifles import CLEARLY, trifles, worth_of
 from gap.pooled import Split
 from gap.records import Estimate, Figures, Found, Gap
