@@ -23,7 +23,7 @@ from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
-from gap.naming.drift import drifts_as_well
+from gap.naming.drift import drifts_better
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
 from gap.naming.held_rows import gain, moved
@@ -161,7 +161,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
     left = unexplained(loud(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and drifts_as_well(state, judged.estimates, moved(state, judged.estimates)):
+    if sagging and drifts_better(state, judged.estimates, moved(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         left = Unexplained(True, ("time", "battery"), 1.0)

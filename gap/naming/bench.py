@@ -77,7 +77,7 @@ class SimulatorBench:
         return out
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
-        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
+        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it is fitted (K,).
 
         When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
         loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
@@ -97,7 +97,7 @@ class SimulatorBench:
             columns.append(np.concatenate([late, bent, folded, gains], axis=2))
         period = float(np.mean([s.dt_s for s in self.flights]))
         sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
-        fitted = np.array([False, True, *([True] * len(_FOLDED)), *([False] * len(_GAINS))])
+        fitted = np.arange(len(sizes)) > 0  # when commands acted is the delay itself
         return columns, np.array(sizes), fitted
 
     def rate(self, flight: int) -> float:

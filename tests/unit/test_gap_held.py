@@ -12,7 +12,7 @@ from benchmarks.gap_cases import make, write
 from flightstack.vehicle import Vehicle
 from gap import pooled
 from gap.classes import confused_with, poorly_told
-from gap.held import doubtful, far_from_noise, proxies, slope
+from gap.held import doubtful, far_from_noise, proxies, slope, vanished
 from gap.naming.bench import simulator_bench
 from gap.naming.design import linearise
 from gap.naming.estimate import Estimates, estimate
@@ -169,6 +169,44 @@ def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles
             seen = np.isfinite(shown)
             assert np.array_equal(shown[seen], anew[seen])
     assert np.array_equal(bench.residual(vehicle)[0], first[0], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "plant", "form"),
+    [
+        pytest.param("one:transport_delay", 100005, "jsbsim", "csv", marks=pytest.mark.jsbsim),  # looks like a lag
+        ("one:inertia", 100004, "native", "mcap"),  # a mass and a thrust scale together do the same
+        ("one:slung_load", 100003, "native", "mcap"),  # its weight looks like a payload's at first
+    ],
+)
+def test_of_explanations_that_look_alike_the_true_one_is_named_alone(
+    kind: str, seed: int, plant: str, form: str, tmp_path: Path
+) -> None:
+    case = make(kind, seed, plant=plant)
+    log, _, _ = write(case, tmp_path, "case", form)
+    said = analyse([log], case.believed)
+    assert [found.name for found in said.found] == [kind.removeprefix("one:")]
+    assert not said.unexplained.significant
+    assert said.gap.closed == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
+    nothing = Found("payload", {"mass_kg": Estimate(0.0, -0.001, -0.004, 0.002)}, -50.0, 0.1, 1e-9)
+    some = Found(
+        "com_offset",
+        {"x_m": Estimate(0.0, 1e-3, 9e-4, 1.1e-3), "y_m": Estimate(0.0, 0.0, -1e-4, 1e-4)},
+        -50.0,
+        0.1,
+        1e-9,
+    )
+    rope = Found(
+        "slung_load",
+        {"mass_kg": Estimate(0.0, 0.1, 0.09, 0.11), "length_m": Estimate(np.nan, 1.0, 0.9, 1.1)},
+        -50.0,
+        0.1,
+        1e-9,
+    )
+    assert vanished([nothing, some, rope]) == ("payload",)
 
 
 def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) -> None:
