@@ -6,18 +6,16 @@ evidence can bear; nothing is taken from a list.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gap.naming.evidence import fit_subsets, score
-from gap.naming.search import Fit, Search, fit_subset, members
+from gap.naming.search import ALIKE, Fit, Search, fit_subset, members
 from gap.records import Found, Samples
 from gap.track import track
 
-_ALIKE = 10.0
-"""Difference of scores below which one of two effects is not preferred."""
 _ALIKE_SHARE = 0.002
 """Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
@@ -33,7 +31,7 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
     explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
-    bearable = _ALIKE + _ALIKE_SHARE * explained
+    bearable = ALIKE + _ALIKE_SHARE * explained
     count = len(point.candidates)
     scored = sorted(
         (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)
@@ -51,10 +49,15 @@ def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
     return tuple(sorted(found, key=lambda name: found[name]))
 
 
-_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"))
+_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"), ("payload", "thrust_scale"))
 """How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
-shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust.  It
-takes a gyro, and a model that leaves little else."""
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust; a
+mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
+
+
+def poorly_told(effects: Collection[str]) -> set[str]:
+    """What beside a poor model can't be told from one of these."""
+    return {e for pair in _POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
 
 
 def beside_a_poor_model(found: Found) -> Found:
@@ -64,6 +67,13 @@ def beside_a_poor_model(found: Found) -> Found:
             twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
             return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
     return found
+
+
+def confused_with(gone: Collection[Found]) -> set[str]:
+    """What these names may have stood for: their twins, and what a manoeuvre is told for that splits them."""
+    names = {f.name for f in gone}
+    groups = (group for group, _ in _SPLITS if group & names)
+    return {twin for f in gone for twin in f.indistinguishable_from}.union(*groups) - names
 
 
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:

@@ -91,6 +91,15 @@ def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bo
     return tuple(name for name, without in others.items() if not slope(without, whole, of).holds(beside=beside))
 
 
+def vanished(found: Sequence[Found]) -> tuple[str, ...]:
+    """Named effects of which refinement has left nothing: every interval holds what the vehicle's file has."""
+    return tuple(
+        f.name
+        for f in found
+        if all(e.low <= e.before <= e.high for e in f.parameters.values() if math.isfinite(e.before) and e.low < e.high)
+    )
+
+
 def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     """The vehicle with these effects at their estimates."""
     vehicle = believed

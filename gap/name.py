@@ -3,7 +3,7 @@
 search (gap.naming.search)  ->  which subset explains most for its price, every one fitted in earnest
 verdict (this file)         ->  what of it may be said: significant, constant, better on held-out data, not a proxy
 classes (gap.classes)       ->  what else would explain the flights as well
-remainder (gap.remainder)   ->  what is left and on what it depends; too much of it, and nothing is named
+rest (gap.rest)             ->  what is left and on what it depends; too much of it, and nothing is named
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.vehicle import Vehicle
-from gap.classes import alternatives, beside_a_poor_model, in_classes, splitting_manoeuvre
-from gap.compare import residual, velocity_noise
+from gap.classes import alternatives, beside_a_poor_model, in_classes, poorly_told, splitting_manoeuvre
+from gap.compare import residual
 from gap.held import corrected
 from gap.identify import Identifiable, identify
 from gap.locate import locate
 from gap.naming.bench import SimulatorBench, simulator_bench
 from gap.naming.candidates import negligible
-from gap.naming.drift import drifts_as_well
-from gap.naming.drivers import block_means
+from gap.naming.drift import drifts_better
 from gap.naming.estimate import Estimates, estimate
 from gap.naming.evidence import fit_subsets
 from gap.naming.held_rows import gain, moved
+from gap.naming.joining import joined
 from gap.naming.search import LEAST_EVIDENCE, Fit, Search, judged_fit, members, move_to, search
 from gap.naming.trifles import trifles
 from gap.naming.whitening import Mask
 from gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
-from gap.remainder import BLOCK_S, FOLDS, GROUPS, Rest, rests
-from gap.simulate import Knob, sensitivities, unseen, untold, value
-from gap.track import track
+from gap.remainder import Rest
+from gap.rest import beside_names, every_rest, loud, telling, unexplained
+from gap.simulate import unseen, untold, value
 
 _LEAST_P = 1e-4
 """After Holm's correction for all candidates."""
@@ -44,14 +44,10 @@ _NOT_CONSTANT_P = _LEAST_P / len(EFFECT_SPECS)
 """Of an effect's being the same everywhere: as sure as a name must be."""
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
-_TOLD_SHARE = 0.05
+_EVERYWHERE = ("constant_force", "steady_wind")
+"""Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 _ACTS_SHARE = 0.1
 """Of what can be explained in a group, the part from which an effect is taken to act there."""
-_MATTERS_MPS2 = 0.05
-_MATTERS_SHARE = 0.03
-"""What is left matters from this specific force on, or this share of the angular acceleration flown."""
-_LOUD_SHARE = 0.5
-"""Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
 _CI = 1.959964
 
 
@@ -85,8 +81,31 @@ class Naming:
         """The verdict where this share of the held-out gap is still open: something is left, and on what it depends."""
         assert self._behind is not None  # a verdict that names something has it
         bench, state = self._behind
-        rest_of = _unexplained(_rests(bench, state.start, estimate(state, _values(self.found))))
+        rest_of = unexplained(every_rest(bench, state.start, estimate(state, _values(self.found))))
         return replace(self, unexplained=Unexplained(True, rest_of.depends_on, share))
+
+    def joined(self, of: Collection[str]) -> Naming | None:
+        """The verdict with one more name, of these, that earns its place beside a poor model (`gap.naming.joining`)."""
+        assert self._behind is not None  # a verdict that names something has it
+        bench, state = self._behind
+        values = _values(self.found)
+        more = joined(state, estimate(state, values), values, set(of) - poorly_told(values))
+        if more is None:
+            return None
+        judged = _judge(*more)
+        if len(judged.found) <= len(values):
+            return None
+        kept = in_classes(judged.found, bench.flights)
+        return Naming(
+            kept,
+            tuple(r for r in self.rejected if r.name not in {f.name for f in kept}),
+            corrected(state.start, kept),
+            beside_names(bench, state.start, judged.estimates),
+            self.where,
+            judged.constant,
+            self.identifiable,
+            (bench, more[0]),
+        )
 
     def with_classes_of_a_poor_model(self) -> Naming:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
@@ -103,12 +122,13 @@ class Naming:
         bench, state = self._behind
         made = estimate(state, _values(kept))
         refitted = tuple(replace(f, parameters=_parameters(state, made, f.name)) for f in kept)
-        loud = _loud(bench, state.start, _told(bench, state.start, made))
-        rest_of = replace(_unexplained(loud), significant=True)
-        if not kept:
-            rest_of = replace(rest_of, fraction=1.0)
+        left = beside_names(bench, state.start, made)
         return replace(
-            self, found=refitted, rejected=(*back, *self.rejected), vehicle=made.vehicle, unexplained=rest_of
+            self,
+            found=refitted,
+            rejected=(*back, *self.rejected),
+            vehicle=made.vehicle,
+            unexplained=left if kept else replace(left, fraction=1.0),
         )
 
 
@@ -136,41 +156,26 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     state = search(bench, vehicle)
     best = _pruned(state)
     judged = _judge(state, best)
-    told = _told(bench, vehicle, judged.estimates)
+    told = telling(bench, vehicle, judged.estimates)
     seen = identify(state.point)
     doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
-    unexplained = _unexplained(_loud(bench, vehicle, told))
+    left = unexplained(loud(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and drifts_as_well(state, judged.estimates, moved(state, judged.estimates)):
+    if sagging and drifts_better(state, judged.estimates, moved(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
-        unexplained = Unexplained(True, ("time", "battery"), 1.0)
+        left = Unexplained(True, ("time", "battery"), 1.0)
     doubtful |= {f.name for f in judged.found if all(untold(s, f.name) for s in bench.flights)}
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
-    return Naming(kept, rejected, corrected(vehicle, kept), unexplained, where, judged.constant, seen, (bench, state))
-
-
-def _told(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
-    """Groups of channels whose rest depends on something, strongly enough to matter."""
-    slow = _slow_noise(bench, made.vehicle)
-    return {
-        group: r
-        for group, r in _rests(bench, start, made).items()
-        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
-    }
-
-
-def _loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> dict[str, Rest]:
-    """Of these, what stands out of one step's noise."""
-    noise = np.nan_to_num(np.array([residual(start, s).noise for s in bench.flights])).max(axis=0)
-    return {g: r for g, r in told.items() if r.driven_rms > _LOUD_SHARE * np.linalg.norm(noise[list(GROUPS[g])])}
+    return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, (bench, state))
 
 
 def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
     """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
 
-    An effect that changes from stretch to stretch is given less leave.
+    An effect that changes from stretch to stretch is given less leave, and so is one that is the same everywhere where
+    something depends on the place.
     """
     made = judged.estimates
     shifts = moved(state, made)
@@ -181,15 +186,10 @@ def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
     out = set()
     for effect, mine in power.items():
         fickle = judged.constant.get(effect, 1.0) < _NOT_CONSTANT_P
-        if mine > _ACTS_SHARE * explained and (fickle or r.share > _ABSTAIN_SHARE):
+        elsewhere = effect in _EVERYWHERE and "position" in r.drivers
+        if mine > _ACTS_SHARE * explained and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
             out.add(effect)
     return out
-
-
-def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
-    """What the velocity's own slow error leaves of each group through the vehicle's drag, root mean square."""
-    worst = np.nan_to_num(np.array([velocity_noise(vehicle, s) for s in bench.flights])).max(axis=0)
-    return {group: float(np.max(worst[list(channels)])) for group, channels in GROUPS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -317,37 +317,6 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
         else:
             found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
     return found
-
-
-def _rests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
-    masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
-    after = [residual(made.vehicle, s).y for s in bench.flights]
-    before = [residual(start, s).y for s in bench.flights]
-    none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
-    knobs = [Knob(e, p) for e, p in made.slots]
-    columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
-    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
-    first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
-    return rests(first.y, blocks)
-
-
-def _matters(bench: SimulatorBench, group: str) -> float:
-    """What a remainder of this group must reach to be told, root mean square."""
-    if group != "torque":
-        return _MATTERS_MPS2
-    flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
-    return _MATTERS_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
-
-
-def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:
-    return list(zip(bench.flights, bench.fit, bench.holdout, bench.every, strict=True))
-
-
-def _unexplained(told: Mapping[str, Rest]) -> Unexplained:
-    drivers: list[str] = []
-    for r in sorted(told.values(), key=lambda r: -r.driven):
-        drivers += [d for d in r.drivers if d not in drivers]
-    return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
 
 
 def _rejected(

@@ -2,7 +2,8 @@
 
 A rate loop faster than the log passes its gyro's noise to the motors; the log keeps one command of several, and what
 the others did shows as a disagreement that no simulator can know.  The white noise on the logged commands tells how
-large they were; the simulator itself says what such noise does to forces and torques.
+large they were; the simulator itself says what such noise does to forces and torques, and what commands do that act a
+little beside their stamps.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from numpy.typing import NDArray
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from gap.records import SIGNALS, Samples
-from gap.simulate import predict
+from gap.simulate import predict, timing
 from gap.track import track
 
 _THIRD = np.sqrt(20.0)  # of the white noise in its third differences
 _MAD = 0.6745
+_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
+"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
 _JUMP = 1.0 / 24.0
 """Variance of a command's mean between stamps for each squared second difference: a twelfth of a jump's, over two."""
 
@@ -40,17 +43,23 @@ def unknown_commands(samples: Samples) -> F64:
     return np.asarray(np.sqrt(np.maximum(command_noise(samples) ** 2, _JUMP * jumps**2)))
 
 
+def timing_s(period_s: float) -> float:
+    """Standard deviation of when commands really acted, beside their stamps, in a log of this period."""
+    return _TIMING_S + _TIMING_SAMPLES * period_s
+
+
 def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[float, float]:
     """Rms of specific force (m/s^2) and angular acceleration (rad/s^2), each of three axes, over the masked samples."""
     spread = unknown_commands(samples)
     flight = track(samples)
-    if not spread.any() or "motor" in flight.missing:
+    if "motor" in flight.missing:
         return 0.0, 0.0
     noise = np.random.default_rng(0).standard_normal(samples.motor.shape) * spread
     other = replace(samples, motor=np.clip(samples.motor + noise, 0.0, 1.0))
     change = flight.lowpass(predict(vehicle, other) - predict(vehicle, samples))[:, : len(SIGNALS)]
-    rows = change[mask & flight.usable]
-    if not len(rows):
+    late = timing_s(samples.dt_s) * timing(vehicle, samples)[:, : len(SIGNALS)]
+    used = mask & flight.usable
+    if not used.any():
         return 0.0, 0.0
-    power = np.nan_to_num(np.mean(rows**2, axis=0))
+    power = np.nan_to_num(np.mean(change[used] ** 2 + late[used] ** 2, axis=0))
     return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

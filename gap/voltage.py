@@ -1,10 +1,12 @@
-"""Whether a flight can show what the battery's voltage does to thrust, apart from what the motors do to the voltage."""
+"""The battery's voltage without its sensor's noise, and whether a flight can show what it does to thrust."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import butter, lfilter, sosfiltfilt
 
-from flightstack.types import STANDARD_GRAVITY_MPS2
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from gap.checks.noise import white_noise
 from gap.records import Samples
 
 _SPAN = 0.05
@@ -14,6 +16,36 @@ _SQUARE = 2.0
 _FROM, _TO = 5.0, 95.0
 """Percentiles, between which a steady fall does nine tenths of its way."""
 _FEWEST = 10
+_SLOW_HZ = 0.5
+"""Below, a battery's voltage goes its own way; above, it follows the power that the rotors draw."""
+_LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08)
+"""Of that power behind the commands: the rotors'."""
+_ALL_NOISE = 1.2
+"""Times the white noise that a voltage without its noise may differ from the measured one."""
+
+
+def quiet(battery_v: F64, motor: F64, dt_s: float) -> F64:
+    """(N,) the voltage less its sensor's noise, which would pass through a sag for noise of the thrust.
+
+    What is slow is kept; what is fast is what follows the power drawn, commands cubed and lagged.  Where that is not
+    all but the white noise (steps of a coarse sensor, another load), the voltage is left as it is measured.
+    """
+    noise = float(white_noise(battery_v[:, None])[0]) if len(battery_v) > _FEWEST else 0.0
+    if not (noise > 0.0 and np.isfinite(battery_v).all() and np.isfinite(motor).all()):
+        return battery_v
+    low = butter(2, _SLOW_HZ, fs=1.0 / dt_s, output="sos")
+    slow = sosfiltfilt(low, battery_v)
+    power, best, least = np.mean(motor**3, axis=1), battery_v, _ALL_NOISE * noise
+    for lag_s in _LAGS_S:
+        keep = np.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
+        drawn = lfilter([1.0 - keep], [1.0, -keep], power, zi=[keep * power[0]])[0]
+        fast = drawn - sosfiltfilt(low, drawn)
+        share = float(fast @ (battery_v - slow)) / max(float(fast @ fast), 1e-300)
+        made = slow + share * fast
+        off = float(np.std(battery_v - made))
+        if off < least:
+            best, least = made, off
+    return best
 
 
 def own_span(samples: Samples) -> float:

@@ -15,12 +15,13 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from gap import gather, pooled
 from gap.check import check
-from gap.held import doubtful, far_from_noise, proxies
+from gap.classes import confused_with
+from gap.held import doubtful, far_from_noise, proxies, vanished
 from gap.likeness import other_vehicle
 from gap.name import Naming, name
 from gap.pooled import Split
 from gap.read import flight
-from gap.records import Checked, Gap, Samples, Unexplained
+from gap.records import Checked, Found, Gap, Samples, Unexplained
 from gap.refine import refine
 from gap.report.words import sentence
 from gap.result import GAP_FROM, GapResult, closed
@@ -148,6 +149,11 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
         return named, moved, _verdict(vehicle, named, moved)
     naming, moved = _refined(vehicle, named, of)
     on_progress(0.75, "verifying")
+    gone = vanished(naming.found)
+    if gone:
+        left = named.without(gone, "nothing of it is left once all are refined")
+        named = replace(left, unexplained=named.unexplained)  # nothing is missing for it
+        naming, moved = _refined(vehicle, named, of)
     gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
     if gone:
         named = named.without(gone, "does something else on data not used before")
@@ -155,12 +161,29 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     gap = _verdict(vehicle, naming, moved)
     if not naming.found or not far_from_noise(gap):
         return naming, moved, gap
-    while gone := proxies(vehicle, named.found, named.constant) or named.trifles():
-        named = named.without(gone, "stands for something else, or changes hardly what is left")
+    named = _beside_a_poor_model(vehicle, named)
     named = named.with_classes_of_a_poor_model()
     forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
     named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
     return named, of, _verdict(vehicle, named, of)
+
+
+def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
+    """What stands for something else or hardly matters is taken back; what the former stood for may join, one by one.
+
+    One beside which any of the names stands for something else does not.
+    """
+    stood: list[Found] = []
+    while gone := (proxy := proxies(vehicle, named.found, named.constant)) or named.trifles():
+        stood += [f for f in named.found if f.name in proxy]
+        named = named.without(gone, "stands for something else, or changes hardly what is left")
+    open_ = confused_with(stood) - {f.name for f in stood}
+    while open_ and named.found and (more := named.joined(open_)) is not None:
+        (new,) = {f.name for f in more.found} - {f.name for f in named.found}
+        open_.remove(new)
+        if not proxies(vehicle, more.found, more.constant):
+            named = more
+    return named
 
 
 def _nothing_left(naming: Naming, gap: Gap) -> Naming:

@@ -15,6 +15,7 @@ from gap.checks.motion import rates_of
 from gap.checks.noise import white_noise
 from gap.records import Samples, Signal
 from gap.sources import DERIVED, DERIVED_HZ
+from gap.voltage import quiet
 from logs.turn import rotate_inverse
 
 _G_NED = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -110,7 +111,8 @@ def _columns(used: dict[str, Signal], t_s: F64, dt_s: float) -> tuple[dict[str, 
             valid &= good
     columns["battery_v"] = np.zeros(rows)
     if "battery_v" in used:
-        columns["battery_v"] = np.interp(t_s, used["battery_v"].t_s, used["battery_v"].value)
+        volts = np.interp(t_s, used["battery_v"].t_s, used["battery_v"].value)
+        columns["battery_v"] = quiet(volts, columns["motor"], dt_s)
     return columns, valid, _derive(used, columns, t_s, dt_s)
 
 

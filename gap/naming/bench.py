@@ -14,11 +14,10 @@ from gap.compare import residual
 from gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from gap.naming.whitening import Mask
 from gap.records import Samples
+from gap.sampled import timing_s
 from gap.simulate import Knob, disagreement, evaluated_every, predict, sensitivities, timing
 from gap.track import track
 
-_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
-"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
 _GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
 """Of those gains, one standard deviation for each second between samples."""
@@ -78,7 +77,7 @@ class SimulatorBench:
         return out
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
-        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it can be fitted (K,).
+        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it is fitted (K,).
 
         When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
         loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
@@ -97,17 +96,13 @@ class SimulatorBench:
             gains[:, 3:, 0] = 0.0
             columns.append(np.concatenate([late, bent, folded, gains], axis=2))
         period = float(np.mean([s.dt_s for s in self.flights]))
-        sizes = [_TIMING_S + _TIMING_SAMPLES * period, 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
-        fitted = np.array([False, True, *([True] * len(_FOLDED)), *([False] * len(_GAINS))])
+        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
+        fitted = np.arange(len(sizes)) > 0  # when commands acted is the delay itself
         return columns, np.array(sizes), fitted
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""
         return 1.0 / (self.flights[flight].dt_s * self.every[flight])
-
-    def times(self) -> list[F64]:
-        """(N,) seconds of the rows of each flight."""
-        return [s.t_s[::k] for s, k in zip(self.flights, self.every, strict=True)]
 
 
 def simulator_bench(

@@ -37,9 +37,10 @@ class Bench(Protocol):
         """Derivatives of the simulated by these parameters at the vehicle: (N, channels, K) for each flight."""
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
-        """Columns (N, channels, K) of what is neither known nor an effect, the size (K,) of each, whether it is told.
+        """Columns (N, channels, K) of what is neither known nor an effect, the size (K,) of each, whether it is fitted.
 
-        What the data can't tell from effects is never fitted: it only widens the intervals.
+        Fitted as something of that size: else it would bend the effects.  What is an effect under another name is
+        never fitted: it only widens the intervals.
         """
 
     def rate(self, flight: int) -> float:

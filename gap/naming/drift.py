@@ -9,12 +9,9 @@ from gap.naming.estimate import Estimates
 from gap.naming.search import Search
 from gap.simulate import Knob
 
-_DRIFT_MARGIN = 10.0
-"""Chi-square by which the voltage must do better than time."""
 
-
-def drifts_as_well(state: Search, made: Estimates, moved: F64) -> bool:
-    """Whether a thrust that only drifts with time explains the flights as well as the battery's voltage does."""
+def drifts_better(state: Search, made: Estimates, moved: F64) -> bool:
+    """Whether a thrust that only drifts with time explains the flights better than the battery's voltage does."""
     layout = state.point.layout
     thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
     drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
@@ -23,7 +20,8 @@ def drifts_as_well(state: Search, made: Estimates, moved: F64) -> bool:
     without = made.rows + made.x[:, sag] @ moved[sag]
     k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
     explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
-    return explained < state.metric.chi2(made.rows) + _DRIFT_MARGIN
+    price = np.log(max(float(state.metric.rows.sum()), 2.0))  # a drift begins somewhere: a coefficient more
+    return explained + float(price) < state.metric.chi2(made.rows)
 
 
 def _along(count: int) -> F64:

@@ -75,9 +75,10 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
         if still < _STILL:
             break
     left = layout_of(state.bench, state.bench.residual(vehicle), coloured=True) if slots else layout
-    covariance = _covariance(state, x, rows, chosen, left)
+    free = _without_nuisance(state, rows, chosen)
+    covariance = _covariance(state, x, free, chosen, left)
     now = np.array([value(vehicle, e, p) for e, p in slots])
-    spread = _constancy(state, vehicle, slots, x, rows, chosen)
+    spread = _constancy(state, vehicle, slots, x, free, chosen)
     return Estimates(vehicle, slots, now, covariance, spread, x, rows)
 
 
@@ -110,6 +111,13 @@ def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
     return state.point.nuisance[:, told], state.point.nuisance_size[told]
 
 
+def _without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
+    """(R,) residual at the estimate less what the nuisance makes of it."""
+    nuisance, size = _fitted_nuisance(state)
+    mine = nuisance[chosen]
+    return np.asarray(rows - nuisance @ np.linalg.solve(mine.T @ mine + np.diag(1.0 / size**2), mine.T @ rows[chosen]))
+
+
 def _covariance(state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None) -> F64:
     """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966).
 
@@ -122,10 +130,8 @@ def _covariance(state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | N
     both = np.hstack([x, nuisance])
     prior = np.concatenate([np.zeros(count), 1.0 / size**2])
     covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
-    other, scale = (
-        state.point.nuisance[:, ~state.point.nuisance_fitted],
-        state.point.nuisance_size[~state.point.nuisance_fitted],
-    )
+    told = state.point.nuisance_fitted
+    other, scale = state.point.nuisance[:, ~told], state.point.nuisance_size[~told]
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
     shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)

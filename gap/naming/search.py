@@ -20,18 +20,22 @@ from flightstack.vehicle import Vehicle
 from gap.naming.candidates import Candidate, at_end, fitted
 from gap.naming.design import Bench, Linearised, linearise
 from gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
-from gap.naming.whitening import Mask
+from gap.naming.metric import Metric, metric_of
 from gap.simulate import Knob, value, with_value
 
 MOST = 3
 LEAST_EVIDENCE = 15.0
 """Fall of the score from which an effect is named."""
+ALIKE = 10.0
+"""Difference of scores below which one of two explanations is not preferred."""
 _SHORTLIST = {1: 4, 2: 4, 3: 3}
 _MARGIN = 12.0
 """Difference of scores that the error of a straight line may well make."""
 _NEAR = 0.3
 """And the share of the whole gain that it may make far from where the columns were taken."""
 _NEIGHBOURS = 6
+_ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
+"""To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
 _STUCK = 6.0
 _ROUNDS = 3
 _STEPS = 4
@@ -81,59 +85,33 @@ class Search:
 
     @property
     def best_key(self) -> frozenset[str]:
-        """By which it is kept.  What adds less than a name needs is not followed: the noise's model decides on that."""
+        """By which it is kept.  What adds less than a name needs is not followed: the noise's model decides on that.
+
+        Of other explanations that are as good the one with the fewest names is preferred.
+        """
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.barred & set(fit.effects) and not _strained(self.start, fit)
+            if not self.barred & set(fit.effects) and not strained(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
-        as_good = [key for key in fair if key <= best and fair[key] < fair[best] + LEAST_EVIDENCE]
+        as_good = [k for k in fair if fair[k] < fair[best] + (LEAST_EVIDENCE if k <= best else ALIKE)]
+        fewest = min(len(key) for key in as_good)
+        as_good = [key for key in as_good if key <= best or len(key) == fewest]
         return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
-def _strained(start: Vehicle, fit: Fit) -> set[str]:
+def strained(start: Vehicle, fit: Fit) -> set[str]:
+    """Its effects that stand at an end of what is plausible."""
     return {e for e, values in fit.effects.items() if any(at_end(start, e, p, x) for p, x in values.items())}
 
 
 def _bar(state: Search) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
     fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
-    strained = _strained(state.start, min(fair, key=lambda fit: fit.score))
-    state.barred |= strained
-    return bool(strained)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Metric:
-    """Chi-square with every candidate a little there: r' (I + X T X')^-1 r over the rows to learn from."""
-
-    rows: Mask
-    x: F64
-    inner: F64
-    """(T^-1 + X'X)^-1."""
-
-    def chi2(self, r: F64) -> float:
-        """Of whitened rows (R,)."""
-        mine = r[self.rows]
-        shown = self.x.T @ mine
-        return float(mine @ mine - shown @ self.inner @ shown)
-
-    def normal(self, x: F64, r: F64) -> tuple[F64, F64]:
-        """K (k, k) and b (k,) of columns (R, k) against rows (R,)."""
-        mine, data = x[self.rows], r[self.rows]
-        cross = self.x.T @ mine
-        k = mine.T @ mine - cross.T @ self.inner @ cross
-        return k, mine.T @ data - cross.T @ (self.inner @ (self.x.T @ data))
-
-
-def metric_of(point: Linearised) -> Metric:
-    """The metric at a point."""
-    rows = point.fit_rows()
-    x = np.hstack([point.x[rows], point.nuisance[rows]])
-    t = 1.0 / np.concatenate([point.negligible, point.nuisance_size])
-    inner = np.linalg.inv((x.T @ x) / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
-    return Metric(rows, x, inner)
+    at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
+    state.barred |= at_ends
+    return bool(at_ends)
 
 
 def search(bench: Bench, start: Vehicle) -> Search:
@@ -146,6 +124,7 @@ def search(bench: Bench, start: Vehicle) -> Search:
     _fit_all(state, _shortlist(scored))
     while _bar(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
+    _swap(state)
     for _ in range(_ROUNDS):
         best = state.best
         if best.vehicle is state.point.vehicle:
@@ -154,6 +133,7 @@ def search(bench: Bench, start: Vehicle) -> Search:
         _fit_all(state, _neighbours(state))
         while _bar(state):
             _fit_all(state, _neighbours(state))
+        _swap(state)
     return state
 
 
@@ -219,6 +199,23 @@ def _neighbours(state: Search) -> list[Subset]:
     return found[:_NEIGHBOURS]
 
 
+def _swap(state: Search) -> None:
+    """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
+    effects, start = state.best.effects, state.start
+    for (old, was), (new, now) in (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE)):
+        if old not in effects or new in effects or new in state.barred:
+            continue
+        size = effects[old][was] - value(start, old, was) + value(start, new, now)
+        if size <= value(start, new, now):  # sooner than the file says: no delay is negative
+            continue
+        swapped = {e: values for e, values in effects.items() if e != old} | {new: {now: size}}
+        vehicle = start
+        for effect, values in swapped.items():
+            vehicle = with_value(vehicle, effect, values)
+        group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
+        _keep(state, group, _fit_from(state, group, vehicle))
+
+
 def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
     """The candidate of each of these effects, of several (faults of other rotors) the one that is most like it."""
     off = {
@@ -232,13 +229,13 @@ def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float
 
 def _beaten(state: Search, subset: Subset) -> float:
     """Score below which a subset is fitted: what it had, if it was stuck far from where the columns now point to."""
-    fit = state.fits.get(_key(state, subset))
+    fit = state.fits.get(_key([state.point.candidates[m] for m in subset.members]))
     return np.inf if fit is None else fit.score - _STUCK
 
 
-def _key(state: Search, subset: Subset) -> frozenset[str]:
+def _key(group: Sequence[Candidate]) -> frozenset[str]:
     """What tells fits apart: the effects and the whole numbers held, not where a free parameter started."""
-    return frozenset(_label(state.point.candidates[m]) for m in subset.members)
+    return frozenset(_label(c) for c in group)
 
 
 def _label(candidate: Candidate) -> str:
@@ -248,23 +245,31 @@ def _label(candidate: Candidate) -> str:
 
 def _fit_all(state: Search, subsets: Iterable[Subset]) -> None:
     for subset in subsets:
-        fit = fit_subset(state, subset)
-        key = _key(state, subset)
-        if key not in state.fits or fit.score < state.fits[key].score:
-            state.fits[key] = fit
+        _keep(state, [state.point.candidates[m] for m in subset.members], fit_subset(state, subset))
+
+
+def _keep(state: Search, group: Sequence[Candidate], fit: Fit) -> None:
+    key = _key(group)
+    if key not in state.fits or fit.score < state.fits[key].score:
+        state.fits[key] = fit
 
 
 def fit_subset(state: Search, subset: Subset) -> Fit:
-    """Gauss-Newton from where the columns point to; columns are taken anew while they still promise something else."""
-    members = [state.point.candidates[m] for m in subset.members]
-    layout, metric = state.point.layout, state.metric
+    """The subset fitted from where the columns point to."""
+    group = [state.point.candidates[m] for m in subset.members]
     vehicle = _stepped(state, subset)
-    if any(c.effect == "slung_load" for c in members):
+    if any(c.effect == "slung_load" for c in group):
         vehicle = _swung(state, vehicle)
+    return _fit_from(state, group, vehicle)
+
+
+def _fit_from(state: Search, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
+    """Gauss-Newton from this vehicle; columns are taken anew while they still promise something else."""
+    layout, metric = state.point.layout, state.metric
     rows = layout.stack(state.bench.residual(vehicle))
     chi2, used = metric.chi2(rows), 0
-    for _ in range(_STEPS if members else 0):
-        slots = [(c, p) for c in members for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
+    for _ in range(_STEPS if group else 0):
+        slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
         raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
         x = layout.stack([np.nan_to_num(values) for values in raw])
         before = chi2
@@ -282,7 +287,7 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
             vehicle, rows, chi2 = moved, new_rows, new_chi2
         if before - chi2 < 10.0 * _CONVERGED:
             break
-    effects = {c.effect: dict(vehicle.effects[c.effect]) for c in members}
+    effects = {c.effect: dict(vehicle.effects[c.effect]) for c in group}
     return judged_fit(state, effects, vehicle, rows, used)
 
 

@@ -21,7 +21,7 @@ from gap.naming.whitening import Mask
 from gap.remainder import GROUPS
 from gap.simulate import Knob, value
 
-_CLEARLY = 1.1**2 - 1.0
+CLEARLY = 1.1**2 - 1.0
 """Share by which a group's mean square must rise without an effect: a tenth of the rms."""
 _SURE = 2.0
 """Standard errors, over blocks of a second, by which it must rise."""
@@ -38,20 +38,39 @@ class _View:
     rate: F64
     """(flights,) rows a second."""
 
-    def left(self, mine: list[int]) -> F64:
-        """(R,) what these columns leave, fitted where one learns."""
-        fit = self.layout.keep & ~self.layout.held
+    @property
+    def learned(self) -> Mask:
+        """(R,) rows to learn from."""
+        return self.layout.keep & ~self.layout.held
+
+    @property
+    def judged(self) -> Mask:
+        """(R,) rows that nothing is learned from."""
+        return self.layout.keep & self.layout.held
+
+    def left(self, mine: list[int], fit: Mask) -> F64:
+        """(R,) what these columns leave, fitted on these rows."""
         x = self.x[:, mine]
         size = np.maximum(np.linalg.norm(x[fit], axis=0), 1e-300)
         theta = np.linalg.lstsq(x[fit] / size, self.whole[fit], rcond=1e-9)[0] / size
         return np.asarray(self.whole - x @ theta)
 
-    def worth(self, base: F64, without: F64) -> float:
-        """Greatest rise of a group's held-out mean square that is sure, relative."""
-        held = self.layout.keep & self.layout.held
+    def left_across(self, mine: list[int]) -> F64:
+        """(R,) what these columns leave of each quarter of the rows to learn from, fitted on the other three."""
+        at, out = np.flatnonzero(self.learned), self.whole.copy()
+        quarter = np.zeros(len(self.whole), dtype=np.int64)
+        when = self.layout.flight[at] * 1e9 + self.layout.at[at]
+        quarter[at] = np.searchsorted(np.quantile(when, (0.25, 0.5, 0.75)), when)
+        for k in range(4):
+            own = self.learned & (quarter == k)
+            out[own] = self.left(mine, self.learned & ~own)[own]
+        return out
+
+    def worth(self, base: F64, without: F64, judged: Mask) -> float:
+        """Greatest rise of a group's mean square over these rows that is sure, relative."""
         best = 0.0
         for channels in GROUPS.values():
-            mine = held & np.isin(self.layout.channel, channels)
+            mine = judged & np.isin(self.layout.channel, channels)
             if not mine.any():
                 continue
             blocks = self._seconds(mine, without[mine] ** 2 - base[mine] ** 2)
@@ -77,17 +96,30 @@ def trifles(state: Search, made: Estimates, effects: Sequence[str]) -> tuple[str
     while len(left) > 1:
         worth = {effect: max(_worth(view, made, left, effect) for view in views) for effect in left}
         weakest = min(worth, key=lambda effect: worth[effect])
-        if worth[weakest] >= _CLEARLY:
+        if worth[weakest] >= CLEARLY:
             break
         gone.append(weakest)
         left.remove(weakest)
     return tuple(gone)
 
 
+def worth_of(state: Search, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
+    """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
+    views = _views(state, made)
+    base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
+    across = (view.worth(view.left_across(base), view.left_across(less), view.learned) for view in views)
+    return max(across), max(_worth(view, made, effects, effect) for view in views)
+
+
 def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> float:
-    base = [i for i, (effect, _) in enumerate(made.slots) if effect in effects]
-    less = [i for i in base if made.slots[i][0] != gone]
-    return view.worth(view.left(base), view.left(less))
+    base, less = (
+        view.left(_columns(made, kept), view.learned) for kept in (effects, [e for e in effects if e != gone])
+    )
+    return view.worth(base, less, view.judged)
+
+
+def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
+    return [i for i, (effect, _) in enumerate(made.slots) if effect in effects]
 
 
 def _views(state: Search, made: Estimates) -> tuple[_View, _View]:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.gap_cases import make, write
 from flightstack.vehicle import Vehicle
 from gap import pooled
-from gap.held import doubtful, far_from_noise, proxies, slope
+from gap.classes import confused_with, poorly_told
+from gap.held import doubtful, far_from_noise, proxies, slope, vanished
 from gap.naming.bench import simulator_bench
 from gap.naming.design import linearise
-from gap.naming.estimate import estimate
+from gap.naming.estimate import Estimates, estimate
 from gap.naming.held_rows import gain
-from gap.naming.search import Search, metric_of
-from gap.naming.trifles import trifles
+from gap.naming.joining import joined
+from gap.naming.metric import metric_of
+from gap.naming.search import Search
+from gap.naming.trifles import CLEARLY, trifles, worth_of
 from gap.pooled import Split
 from gap.records import Estimate, Figures, Found, Gap
 from gap.simulate import disagreement
+from gap.workflow import analyse
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 HIDDEN = {"payload": {"mass_kg": 0.2}, "rotor_drag": {"k_d_kg_per_rad": 2e-4}}
@@ -96,6 +102,49 @@ def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: Split) -> 
     assert trifles(state, made, ["blade_flapping", "payload", "rotor_drag"]) == ("blade_flapping",)
 
 
+def _drag_named(flown: Split) -> tuple[Search, Estimates]:
+    masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
+    bench = simulator_bench(quad(), flown.flights, *masks)
+    drag = {"rotor_drag": HIDDEN["rotor_drag"]}
+    state = Search(bench, quad(), point := linearise(bench, hidden(quad(), drag), quad()), metric_of(point))
+    return state, estimate(state, drag)
+
+
+def test_what_is_there_joins_the_names_and_of_what_is_not_nothing_does(flown: Split) -> None:
+    state, made = _drag_named(flown)
+    drag = {"rotor_drag": HIDDEN["rotor_drag"]}
+    joins = joined(state, made, drag, ("payload", "accelerometer_bias", "gyro_bias"))
+    assert joins is not None
+    assert set(joins[1].effects) == {"rotor_drag", "payload"}
+    assert joins[1].effects["payload"]["mass_kg"] == pytest.approx(0.2, rel=0.05)
+    assert joined(state, made, drag, ()) is None
+    whole = estimate(state, HIDDEN)
+    assert joined(state, whole, HIDDEN, ("gyro_bias", "motor_lag", "accelerometer_bias", "com_offset")) is None
+
+
+def test_what_joins_must_be_worth_it_on_rows_to_learn_from_and_on_held_out_ones(flown: Split) -> None:
+    state, _ = _drag_named(flown)
+    made = estimate(state, HIDDEN | {"blade_flapping": {"k_flap_nms2_per_rad_m": 0.0}})
+    names = ["blade_flapping", "payload", "rotor_drag"]
+    assert min(worth_of(state, made, names, "payload")) > 1.0  # a sixth of the weight
+    assert max(worth_of(state, made, names, "blade_flapping")) < CLEARLY
+
+
+def test_what_a_name_may_have_stood_for_is_its_class_and_what_the_same_manoeuvre_splits_from_it() -> None:
+    wind = Found("steady_wind", {}, -20.0, 0.1, 1e-9, ("vortex_ring",))
+    open_ = confused_with([wind])
+    assert {"accelerometer_bias", "constant_force", "vortex_ring"} <= open_
+    assert not {"steady_wind", "payload", "motor_lag"} & open_
+
+
+@pytest.mark.parametrize(
+    ("named", "closed_to"),
+    [("com_offset", "rotor_fault"), ("thrust_scale", "payload"), ("motor_lag", "transport_delay")],
+)
+def test_beside_a_poor_model_no_two_of_a_class_are_named(named: str, closed_to: str) -> None:
+    assert poorly_told([named]) == {closed_to}
+
+
 def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_below(flown: Split) -> None:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
@@ -120,3 +169,50 @@ def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles
             seen = np.isfinite(shown)
             assert np.array_equal(shown[seen], anew[seen])
     assert np.array_equal(bench.residual(vehicle)[0], first[0], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "plant", "form"),
+    [
+        pytest.param("one:transport_delay", 100005, "jsbsim", "csv", marks=pytest.mark.jsbsim),  # looks like a lag
+        ("one:inertia", 100004, "native", "mcap"),  # a mass and a thrust scale together do the same
+        ("one:slung_load", 100003, "native", "mcap"),  # its weight looks like a payload's at first
+    ],
+)
+def test_of_explanations_that_look_alike_the_true_one_is_named_alone(
+    kind: str, seed: int, plant: str, form: str, tmp_path: Path
+) -> None:
+    case = make(kind, seed, plant=plant)
+    log, _, _ = write(case, tmp_path, "case", form)
+    said = analyse([log], case.believed)
+    assert [found.name for found in said.found] == [kind.removeprefix("one:")]
+    assert not said.unexplained.significant
+    assert said.gap.closed == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
+    nothing = Found("payload", {"mass_kg": Estimate(0.0, -0.001, -0.004, 0.002)}, -50.0, 0.1, 1e-9)
+    some = Found(
+        "com_offset",
+        {"x_m": Estimate(0.0, 1e-3, 9e-4, 1.1e-3), "y_m": Estimate(0.0, 0.0, -1e-4, 1e-4)},
+        -50.0,
+        0.1,
+        1e-9,
+    )
+    rope = Found(
+        "slung_load",
+        {"mass_kg": Estimate(0.0, 0.1, 0.09, 0.11), "length_m": Estimate(np.nan, 1.0, 0.9, 1.1)},
+        -50.0,
+        0.1,
+        1e-9,
+    )
+    assert vanished([nothing, some, rope]) == ("payload",)
+
+
+def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) -> None:
+    case = make("outside:jet", 90003)  # beside a constant force a twelfth of what it explains would depend on the place
+    log, _, _ = write(case, tmp_path, "jet")
+    said = analyse([log], case.believed)
+    assert said.found == ()
+    assert said.unexplained.significant
+    assert "position" in said.unexplained.depends_on
