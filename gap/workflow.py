@@ -71,7 +71,8 @@ def analyse(
     naming = _still_open(_nothing_left(naming, gap), gap)
     rest = naming.unexplained
     if naming.found and rest.significant and not rest.depends_on:
-        naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, 1.0 - _closed_power(gap))))
+        open_ = 1.0 - (_closed_power(gap) if gap.closed is None else gap.closed)
+        naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, open_)))
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)

@@ -64,7 +64,8 @@ def _parameter(found: Found, name: str, value: Estimate) -> str:
     before = "not there" if not math.isfinite(value.before) else words.number(value.before)
     spread = "" if whole else escape(words.interval(value))
     return (
-        f'<tr><td>{escape(name)}</td><td class="value">{shown} {escape(unit)}</td><td>{spread}</td>'
+        f'<tr><td class="name">{escape(name)}</td><td class="value">{shown} {escape(unit)}</td>'
+        f'<td class="spread">{spread}</td>'
         f'<td class="note">was {before}</td><td class="range">{"" if whole else _range_svg(value)}</td></tr>'
     )
 
@@ -124,12 +125,16 @@ def regimes(rows: tuple[RegimeRow, ...], noise: np.ndarray | None) -> str:
             share = min(100.0, 45.0 * math.log10(max(before / floor, 1.0)))
             style = f"background:color-mix(in srgb, var(--before) {share:.0f}%, var(--grid))"
             style += ";color:var(--card)" if share > 55.0 else ""
-            left = f"{after / floor:.1f}" if math.isfinite(after) else "–"
-            cells.append(f'<td style="{style}">{before / floor:.1f} → {left}</td>')
+            left = _times(after / floor) if math.isfinite(after) else "–"
+            cells.append(f'<td style="{style}">{_times(before / floor)} → {left}</td>')
         name = escape(row.regime.replace("_", " "))
         out.append(f"<tr><th>{name} <span>{row.seconds:.0f} s</span></th>{''.join(cells)}</tr>")
     head = "".join(f"<th>{name}</th>" for name in _SHORT[: len(SIGNALS)])
     return f'<table class="heat"><thead><tr><th></th>{head}</tr></thead><tbody>{"".join(out)}</tbody></table>'
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0f}" if ratio >= 100.0 else f"{ratio:.1f}"
 
 
 def shown(report: GapReport) -> str:

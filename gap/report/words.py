@@ -29,6 +29,8 @@ _PLAIN = {
     "accelerometer_bias": "an accelerometer bias",
     "attitude_misalignment": "an attitude misalignment",
 }
+_IN_FULL = 2
+"""Effects that the sentence gives with intervals and classes."""
 
 
 def effect(name: str) -> str:
@@ -70,7 +72,7 @@ def _width(value: Estimate) -> float:
 def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> str:
     """What was found, how sure, and what would settle the rest."""
     if found:
-        parts = [_found(found), _closed(gap), *_rest(unexplained), *_doubt(found)]
+        parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained), *_doubt(found)]
     elif unexplained.significant:
         parts = ["Something is missing that no effect of the table explains", *_depends(unexplained)]
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
@@ -81,20 +83,36 @@ def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> st
 
 
 def _found(found: tuple[Found, ...]) -> str:
-    named = []
-    for each in found:
-        shown = [parameter(each, name) for name in each.parameters]
-        others = [effect(name) for name in each.indistinguishable_from]
-        alternative = f" or {' or '.join(others)}, which these logs can't tell apart" if others else ""
-        named.append(f"{effect(each.name)} ({', '.join(shown)}){alternative}")
+    """One or two effects with all that is known of them, more by their sizes alone: the page has the rest below."""
+    named = [_in_full(each) if len(found) <= _IN_FULL else _in_short(each) for each in found]
     text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
-    return f"The model lacks {text}"
+    twins = any(each.indistinguishable_from for each in found) and len(found) > _IN_FULL
+    return f"The model lacks {text}" + (" (what stands after an or these logs can't tell apart)" if twins else "")
 
 
-def _closed(gap: Gap) -> str:
+def _in_full(found: Found) -> str:
+    shown = [parameter(found, name) for name in found.parameters]
+    others = [effect(name) for name in found.indistinguishable_from]
+    alternative = f" or {' or '.join(others)}, which these logs can't tell apart" if others else ""
+    return f"{effect(found.name)} ({', '.join(shown)}){alternative}"
+
+
+def _in_short(found: Found) -> str:
+    specs = {p.name: p for p in EFFECT_SPECS[found.name].params}
+    units = list(dict.fromkeys(unit(specs[name].unit) for name in found.parameters if name in specs))
+    values = ", ".join(
+        f"{e.estimate:.0f}" if name in specs and specs[name].integer else number(e.estimate, _width(e))
+        for name, e in found.parameters.items()
+    )
+    others = found.indistinguishable_from
+    more = f" or {effect(others[0])}" + (f" or {len(others) - 1} more" if len(others) > 1 else "") if others else ""
+    return f"{effect(found.name)} {values} {units[0] if len(units) == 1 else ''}".rstrip() + more
+
+
+def _closed(gap: Gap, count: int) -> str:
     if gap.closed is None:
         return ""
-    return f"with it {percent(gap.closed)} of the gap on data not used before is closed"
+    return f"with {'it' if count == 1 else 'them'} {percent(gap.closed)} of the gap on data not used before is closed"
 
 
 def _rest(unexplained: Unexplained) -> list[str]:

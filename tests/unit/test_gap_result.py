@@ -68,6 +68,19 @@ def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> 
     assert "to settle which: fly a circle" in twin
 
 
+def test_many_effects_are_said_by_their_sizes_alone() -> None:
+    many = (
+        found("payload", ("thrust_scale", "thrust_curve"), mass_kg=(0.2, 0.1, 0.3)),
+        found("linear_drag", ("rotor_drag",), d_x_kgps=(0.3, 0.29, 0.31), d_y_kgps=(0.4, 0.39, 0.41)),
+        found("rotor_fault", rotor=(3.0, 3.0, 3.0), effectiveness=(0.85, 0.84, 0.86)),
+    )
+    assert words.sentence(many, GAP, NOTHING) == (
+        "The model lacks a payload 0.20 kg or a thrust scale or 1 more, linear drag 0.300, 0.400 kg/s or rotor drag "
+        "and a weak rotor 3, 0.850 (what stands after an or these logs can't tell apart); with them 98 % of the gap on "
+        "data not used before is closed; to settle which: fly a circle."
+    )
+
+
 def test_nothing_is_invented_where_nothing_is_found() -> None:
     assert "agree within the noise" in words.sentence((), GAP, NOTHING)
     rest = words.sentence((), GAP, Unexplained(True, ("position",), 0.8))
