@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.gap import GapOptions, find_gap
+from benchmarks.gap_recorded import ROWS, lateral, run
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from gap.check import check
@@ -105,6 +106,26 @@ def test_a_hard_landing_is_no_flight(recorded: Path) -> None:
     felt = np.linalg.norm(samples.accel_frd_mps2, axis=1)
     assert felt.max() > 50.0
     assert felt[samples.valid].max() < 23.7
+
+
+def test_the_figure_8_has_the_drag_that_others_measured_and_closes_its_side_force(recorded: Path) -> None:
+    """0.37 to 0.42 1/s is what other tools fit to this flight; the firmware compensates the battery."""
+    row = next(row for row in ROWS if row.key == "figure 8")
+    result = run(row, recorded)
+    found = {each.name: each for each in result.found}
+    drag = [found["linear_drag"].parameters[f"d_{axis}_kgps"].estimate / own("crazyflie-2.1").mass_kg for axis in "xy"]
+    assert min(drag) >= 0.37
+    assert max(drag) <= 0.42
+    assert not {"battery_sag", "rotor_fault", "steady_wind"} & set(found)
+    assert float(lateral(result).removesuffix(" %")) >= 75.0
+
+
+def test_a_fast_circle_names_the_shifted_mass_that_a_bent_thrust_curve_stood_for(recorded: Path) -> None:
+    row = next(row for row in ROWS if row.key == "circle fast")
+    result = run(row, recorded)
+    assert {each.name for each in result.found} == {"thrust_scale", "rotor_drag", "com_offset"}
+    assert result.gap.closed is not None
+    assert result.gap.closed > 0.85  # another flight; half of it was open without the mass
 
 
 def test_a_clipped_propeller_is_named_with_its_class_and_nothing_beside(recorded: Path, tmp_path: Path) -> None:
