@@ -93,11 +93,8 @@ def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bo
 
 def vanished(found: Sequence[Found]) -> tuple[str, ...]:
     """Named effects of which refinement has left nothing: every interval holds what the vehicle's file has."""
-    return tuple(
-        f.name
-        for f in found
-        if all(e.low <= e.before <= e.high for e in f.parameters.values() if math.isfinite(e.before) and e.low < e.high)
-    )
+    told = {f.name: [e for e in f.parameters.values() if math.isfinite(e.before) and e.low < e.high] for f in found}
+    return tuple(name for name, each in told.items() if each and all(e.low <= e.before <= e.high for e in each))
 
 
 def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:

@@ -153,7 +153,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     gone = vanished(naming.found)
     if gone:
         left = named.without(gone, "nothing of it is left once all are refined")
-        named = replace(left, unexplained=named.unexplained)  # nothing is missing for it
+        named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
         naming, moved = _refined(vehicle, named, of)
     gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
     if gone:

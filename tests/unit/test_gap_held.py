@@ -206,7 +206,8 @@ def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
         0.1,
         1e-9,
     )
-    assert vanished([nothing, some, rope]) == ("payload",)
+    fixed = Found("inertia", {"scale_x": Estimate(np.nan, 1.2, 1.1, 1.3)}, -50.0, 0.1, 1e-9)  # nothing to compare with
+    assert vanished([nothing, some, rope, fixed]) == ("payload",)
 
 
 def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) -> None:
