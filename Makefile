@@ -56,7 +56,7 @@ fly: $(BIN)/.installed
 	$(BIN)/flightstack fly
 
 test: $(BIN)/.installed-dev
-	@$(BIN)/python -m app.compiled >/dev/null 2>&1 & compiling=$$!; \
+	@$(BIN)/python -m flightstack.cli.compiled >/dev/null 2>&1 & compiling=$$!; \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports; checked=$$?; \
 	  wait $$compiling; exit $$checked
 	$(BIN)/python -m pytest -n 2 --dist loadfile

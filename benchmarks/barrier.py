@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from app import files
 from flightstack.barrier import viability
 from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.condition import Setting
@@ -21,6 +20,7 @@ from flightstack.barrier.growing import VERTICAL
 from flightstack.barrier.records import Authority, Response
 from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
+from flightstack.cli import files
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Model
 from flightstack.types import Learned, changed

@@ -15,24 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from app import files
-from app.barrier_score import FALLBACKS, WatchedCertifier
-from app.certified import counted_mps2, plant_of, vertical
-from app.certify import VERTICAL, ExplorationPlanner, prepare_certify
-from app.flight import TICK_MS, FlyOptions, Setup, SimulatedFlight, warm_up_all
-from app.preparation import Prepared
-from app.track import Tape
 from benchmarks.barrier_cases import FLIGHT_S, Adversary, Draw, draw
+from flightstack.cli import files
+from flightstack.cli.barrier_score import FALLBACKS, WatchedCertifier
+from flightstack.cli.certified import counted_mps2, plant_of, vertical
+from flightstack.cli.certify import VERTICAL, ExplorationPlanner, prepare_certify
+from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, SimulatedFlight, warm_up_all
+from flightstack.cli.preparation import Prepared
+from flightstack.cli.track import Tape
 from flightstack.explore import Explorer
 from flightstack.mission import Mission
 from flightstack.seams import NoFilter
 from flightstack.stack import Stack
 from flightstack.types import TickRecord
 from flightstack.vehicle import vehicle_to_toml
+from flightstack_sim.shell import ONBOARD
 from mavlink_bridge.decide import CompanionConfig
 from mavlink_bridge.link import MAX_DATAGRAM
 from mavlink_bridge.pace import undisturbed
-from sim.shell import ONBOARD
 
 _LIMIT_S = 120.0
 _ROUND_TRIP_MAX_S = 0.1

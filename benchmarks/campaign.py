@@ -73,7 +73,7 @@ def runs_in(journal: Path) -> tuple[float, list[str]]:
 
 def run_all(jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, processes: int) -> None:
     """Run what the journal does not hold yet; each result is a line of it, and at the end the run is one."""
-    from app.files import versions
+    from flightstack.cli.files import versions
 
     done = held_in(journal)
     left = [job for job in jobs if job not in done]
@@ -138,7 +138,7 @@ def main(campaign: Campaign) -> int:
     if options.report_only:
         results = json.loads(stored.read_text(encoding="utf-8"))
     else:
-        from app.compiled import ensure_compiled
+        from flightstack.cli.compiled import ensure_compiled
 
         ensure_compiled(print)
         journal = ROOT / "runs" / f"{kind}.jsonl"

@@ -15,10 +15,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.flight import FlyOptions, SimulatedFlight, fly, prepare
-from logs.writer import FlightLog
-from sim.faults import FAULTS
-from sim.link_faults import LINK_FAULTS
+from flightstack.cli.flight import FlyOptions, SimulatedFlight, fly, prepare
+from flightstack_logs.writer import FlightLog
+from flightstack_sim.faults import FAULTS
+from flightstack_sim.link_faults import LINK_FAULTS
 
 LIMIT_S = 60.0
 _LINK = {row.name for row in LINK_FAULTS}

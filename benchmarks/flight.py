@@ -42,7 +42,7 @@ FLIGHTS = (
 
 def lockstep(seeds: int, plants: set[str]) -> list[dict[str, Any]]:
     """Every scenario with both grades of sensors, over the seeds."""
-    from app.flight import FlyOptions, fly
+    from flightstack.cli.flight import FlyOptions, fly
 
     rows = []
     for scenario, learning, plant in FLIGHTS:
@@ -82,8 +82,8 @@ def print_lockstep(row: dict[str, Any]) -> None:
 
 def realtime(seconds: float, port: int = 14_640) -> dict[str, Any]:
     """Lateness of `offboard` against `sim` in another process; the track lasts `seconds`."""
-    cli = [sys.executable, "-m", "app.cli"]
-    environment = {**os.environ, "PYTHONPATH": str(campaign.ROOT)}
+    cli = [sys.executable, "-m", "flightstack.cli.main"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with tempfile.TemporaryDirectory() as folder:
         result_file = Path(folder) / "result.json"
         sim = subprocess.Popen(
@@ -108,7 +108,7 @@ def realtime(seconds: float, port: int = 14_640) -> dict[str, Any]:
 
 def spin_lateness(samples: int = 2_000) -> dict[str, float]:
     """What this machine allows: the same pacing with nothing to do."""
-    from app.result import percentiles
+    from flightstack.cli.result import percentiles
     from mavlink_bridge.pace import Pace
 
     pace = Pace(1_000.0)

@@ -56,8 +56,8 @@ def jobs_of(quick: bool, first_seed: int) -> list[Job]:
     """
     most = counts(quick)
     plants, own = ["native"], set[str]()
-    if importlib.util.find_spec("sim.jsbsim") and importlib.util.find_spec("jsbsim"):
-        from sim.jsbsim.aircraft import REFUSED
+    if importlib.util.find_spec("flightstack_sim.jsbsim") and importlib.util.find_spec("jsbsim"):
+        from flightstack_sim.jsbsim.aircraft import REFUSED
 
         plants.append("jsbsim")
         own = {f"one:{effect}" for effect in REFUSED}
@@ -82,9 +82,9 @@ def run(job: Job) -> Row:
 
 
 def _run(plant: str, kind: str, form: str, seed: int, folder: Path) -> Row:
-    from app.files import load_vehicle, versions
-    from app.gap import GapOptions, find_gap
     from benchmarks.gap_cases import make, write
+    from flightstack.cli.files import load_vehicle, versions
+    from flightstack.cli.gap import GapOptions, find_gap
 
     log, vehicle, sealed = write(make(kind, seed, plant=plant), folder, "case", form)
     began = time.perf_counter()

@@ -35,7 +35,7 @@ from benchmarks.gap_flights import (
 from benchmarks.gap_mcap import write_mcap
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml, with_effects
-from sim.plant import Plant
+from flightstack_sim.plant import Plant
 
 HEADER = (
     "time_s,pos_n_m,pos_e_m,pos_d_m,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z,rate_x_radps,rate_y_radps,"
@@ -94,7 +94,7 @@ def make(kind: str, seed: int, *, plant: str = "native") -> Case:
 
 def other_plant(truth: Vehicle, seed: int) -> Plant:
     """The truth on JSBSim: other equations, other integrators, other code."""
-    from sim.jsbsim.plant import JsbsimPlant
+    from flightstack_sim.jsbsim.plant import JsbsimPlant
 
     made: Plant = JsbsimPlant(truth, seed=seed, dt_us=DT_US)
     return made

@@ -17,8 +17,8 @@ from flightstack.frames import quat_multiply
 from flightstack.jit import njit
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from sim.effects import turbulence
-from sim.layout import (
+from flightstack_sim.effects import turbulence
+from flightstack_sim.layout import (
     D_GAIN,
     D_INERTIA,
     EVALUATED,
@@ -34,8 +34,8 @@ from sim.layout import (
     S_VOLTAGE,
     p_effect,
 )
-from sim.plant import NativePlant, Plant
-from sim.rigid_body import step_row
+from flightstack_sim.plant import NativePlant, Plant
+from flightstack_sim.rigid_body import step_row
 
 DT_US = 1000
 _NORTH = p_effect("constant_force", "north_n")

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
-from gap.simulate import value
 
 Row = dict[str, Any]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.types import F64
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
 
 _MOTORS_HZ = 100.0
 _SLOW_S = 1.0

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import campaign
+from flightstack.gap.result import GapResult
+from flightstack.gap.workflow import analyse
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
-from gap.result import GapResult
-from gap.workflow import analyse
 
 VEHICLES = Path(__file__).parent / "vehicles"
 _BEGIN, _END = "<!-- recorded: begin -->", "<!-- recorded: end -->"
@@ -178,7 +178,7 @@ def main() -> int:
             lines.append(line(row, data))
             print(lines[-1], flush=True)
     if not options.row:
-        from app.files import versions
+        from flightstack.cli.files import versions
 
         page = campaign.ROOT / "docs" / "gap.md"
         text = page.read_text("utf-8")

@@ -256,7 +256,7 @@ def fly(row: Row, seed: int) -> dict[str, F64]:
 
 def line(row: Row) -> tuple[bool, str]:
     """Whether the row is as it must be, and its line of the table."""
-    from gap.workflow import analyse
+    from flightstack.gap.workflow import analyse
 
     vehicle, _ = believed(row)
     with tempfile.TemporaryDirectory() as folder:
@@ -289,7 +289,7 @@ def main() -> int:
             print(text, flush=True)
     print(f"{good} of {len(rows)} as they must be")
     if not options.row:
-        from app.files import versions
+        from flightstack.cli.files import versions
 
         page = campaign.ROOT / "docs" / "gap.md"
         before, after = page.read_text("utf-8").split(_BEGIN)[0], page.read_text("utf-8").split(_END)[1]

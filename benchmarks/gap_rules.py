@@ -24,7 +24,7 @@ _FILES = (
     "flightstack/effect_specs.py",
     *sorted(
         path.relative_to(_ROOT).as_posix()
-        for path in (_ROOT / "gap").rglob("*.py")
+        for path in (_ROOT / "flightstack" / "gap").rglob("*.py")
         if "report" not in path.relative_to(_ROOT).parts
     ),
 )

@@ -58,7 +58,7 @@ def long_flight(duration_s: int, folder: Path) -> tuple[Path, Path]:
     """Log of a flight of our own, and the vehicle file that it believed."""
     out = folder / f"flight-{duration_s}"
     _flightstack("fly", "rotor-drag", "--duration", str(duration_s), "--out", str(out))
-    return out / "flight.mcap", campaign.ROOT / "vehicles" / "quad-x.toml"
+    return out / "flight.mcap", campaign.ROOT / "flightstack/data/vehicles" / "quad-x.toml"
 
 
 def spent(log: Path, vehicle: Path, out: Path) -> Spent:
@@ -102,7 +102,7 @@ def main() -> int:
             lines.append(row(name, Path(folder)))
             print(lines[-1], flush=True)
     if not options.row:
-        from app.files import versions
+        from flightstack.cli.files import versions
 
         page = campaign.ROOT / "docs" / "gap.md"
         text = page.read_text("utf-8")

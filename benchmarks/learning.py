@@ -37,7 +37,7 @@ def run(job: Job) -> Any:
     kind, name, pilot, seed = job
     try:
         if kind == "study":
-            from app.reproduce.inputs import Study, study
+            from flightstack_paper.inputs import Study, study
 
             return study(Study(world=name, seed=seed))
         from benchmarks.learning_flights import fly_scored

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from app.calibration import TimedLearner
-from app.flight import FlyOptions, Setup, SimulatedFlight, prepare
-from app.result import percentiles
-from app.track import Track, fly_track
 from benchmarks.learning_cases import CASES, PILOTS, Flight, Pilot
 from benchmarks.learning_change import change_summary
 from benchmarks.oracle import Oracle
 from flightstack.calibration import BOUND_SIGMAS
+from flightstack.cli.calibration import TimedLearner
+from flightstack.cli.flight import FlyOptions, Setup, SimulatedFlight, prepare
+from flightstack.cli.result import percentiles
+from flightstack.cli.track import Track, fly_track
 from flightstack.control.feedback import FlatnessController
 from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import F64, Learned
-from sim.plant import NativePlant
+from flightstack_sim.plant import NativePlant
 
 TRACE_HZ = 10
 _TICKS_PER_TRACE = 250 // TRACE_HZ

@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.reproduce.inputs import WORLDS
 from benchmarks.learning_bars import COVERAGE_BAR
 from benchmarks.learning_cases import CASES, PILOTS, SCHEDULED
 from benchmarks.learning_stats import covered, of, values
 from benchmarks.learning_timing import PAPER_S
+from flightstack_paper.inputs import WORLDS
 
 _COLOURS = {"learning": "#0b6e4f", "none": "#b3261e", "exact": "#555555", "state-gp": "#b06c00"}
 _OTHER = "#3b6ea8"

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from app.reproduce.inputs import WORLDS
 from benchmarks import learning_words as text
 from benchmarks.learning_bars import Bar, bars, inputs_ratio, spread
 from benchmarks.learning_cases import CASES, FIRST_SEED, FIXED, PILOTS, SCHEDULED
 from benchmarks.learning_stats import covered, of, paired, shares, values
+from flightstack_paper.inputs import WORLDS
 
 _COMPARED = ("paper-tracking", "rotor-drag", "low-pass", "steady-wind", "px4-sih", "payload-drop")
 _OTHERS = ("figure8", "hover", "right-model", "paper-tracking-gps", "rotor-drag-gps")

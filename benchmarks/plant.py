@@ -29,7 +29,7 @@ import numpy as np
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from sim.plant import BatchPlant, NativePlant
+from flightstack_sim.plant import BatchPlant, NativePlant
 
 ROOT = Path(__file__).resolve().parent.parent
 DT_S = 1e-3
@@ -88,7 +88,7 @@ def best_rate(run: Callable[[], int], seconds: float) -> float:
 
 def ours(seconds: float) -> Iterator[Row]:
     """The native plant: a call a step, a compiled loop, a batch; with no effect set and with all of them."""
-    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     plain = parse_vehicle(text, "quad-x.toml")
     for vehicle, label in ((plain, "no effect on"), (with_effects(plain, ALL_EFFECTS), "all effects on")):
         yield Row("flightstack", f"one vehicle, a call a step, {label}", best_rate(_calls(vehicle), seconds), "RK4")
@@ -187,11 +187,11 @@ def jsbsim(seconds: float) -> Iterator[Row]:
         return 2000
 
     yield Row("JSBSim", "one vehicle, a call a step", best_rate(run, seconds), "its default integrators")
-    for path in sorted((ROOT / "vehicles").glob("*.toml")):
+    for path in sorted((ROOT / "flightstack/data/vehicles").glob("*.toml")):
         vehicle = parse_vehicle(path.read_text(), path.name)
         yield Row("JSBSim plant", f"{path.stem}, a call a step", best_rate(_jsbsim_plant(vehicle), seconds), IN_THE_AIR)
     moved_by_air = ("rotor_drag", "translational_lift")
-    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     vehicle = with_effects(parse_vehicle(text, "quad-x.toml"), {name: ALL_EFFECTS[name] for name in moved_by_air})
     what = "quad-x, rotor drag and lift, a call a step"
     yield Row("JSBSim plant", what, best_rate(_jsbsim_plant(vehicle), seconds), IN_THE_AIR)
@@ -199,7 +199,7 @@ def jsbsim(seconds: float) -> Iterator[Row]:
 
 def _jsbsim_plant(vehicle: Vehicle) -> Callable[[], int]:
     """Our plant on JSBSim: commands in, a frame, all that a `Plant` shows out."""
-    from sim.jsbsim.plant import JsbsimPlant
+    from flightstack_sim.jsbsim.plant import JsbsimPlant
 
     plant = JsbsimPlant(vehicle, seed=0)
     plant.place(pos_ned_m=(0.0, 0.0, -50.0), motor_u=COMMAND.tolist())

@@ -23,21 +23,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app import files
-from app.flight import FlyOptions, fly
-from app.result import FlightResult
+from flightstack.cli import files
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.result import FlightResult
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
-from logs.reader import read
-from sim.autopilot.flight_control import FlightControl, airframe_params
-from sim.autopilot.setpoint import OFF, ControlKind, ControlSetpoint
-from sim.grade import EstimateGrade, Grade, ImuGrade, load_grade
-from sim.jsbsim.earth import STILL, TURNING, Earth
-from sim.jsbsim.plant import JsbsimPlant
-from sim.layout import S_RING
-from sim.plant import NativePlant
-from sim.sensors import Sensors
-from sim.simulated_vehicle import SimulatedVehicle
+from flightstack_logs.reader import read
+from flightstack_sim.autopilot.flight_control import FlightControl, airframe_params
+from flightstack_sim.autopilot.setpoint import OFF, ControlKind, ControlSetpoint
+from flightstack_sim.grade import EstimateGrade, Grade, ImuGrade, load_grade
+from flightstack_sim.jsbsim.earth import STILL, TURNING, Earth
+from flightstack_sim.jsbsim.plant import JsbsimPlant
+from flightstack_sim.layout import S_RING
+from flightstack_sim.plant import NativePlant
+from flightstack_sim.sensors import Sensors
+from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
 SECONDS = 10
 DT_S = 1e-3
@@ -246,7 +246,7 @@ class Pair:
 def flights() -> dict[str, dict[str, Any]]:
     """Label -> what `fly` is asked for: every scenario, and some with JSBSim's own F450."""
     asked: dict[str, dict[str, Any]] = {name: {"scenario": name} for name in files.shipped_names("scenarios")}
-    square = Path(files.__file__).parents[1] / "scenarios" / "waypoints" / "square.toml"
+    square = Path(files.__file__).parents[1] / "data" / "scenarios" / "waypoints" / "square.toml"
     asked["waypoints square"] = {"scenario": "waypoints", "waypoints": str(square)}
     for name in ("hover", "figure8", "paper-tracking", "paper-barrier"):
         asked[f"{name}, f450"] = {"scenario": name, "vehicle": "f450"}

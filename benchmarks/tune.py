@@ -44,8 +44,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from app import controllers, files
-from app.closed_loop import fly
+from flightstack.cli import controllers, files
+from flightstack.cli.closed_loop import fly
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.gains import GAINS, Group, Tuned, gains_to_toml
 from flightstack.control.pid import PidGains
@@ -265,7 +265,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=SEARCHED, default=SEARCHED, help="these tables only")
     parser.add_argument("--evaluations", type=int, default=EVALUATIONS)
-    parser.add_argument("--out", type=Path, default=ROOT / "controllers" / "gains.toml")
+    parser.add_argument("--out", type=Path, default=ROOT / "flightstack/data/controllers" / "gains.toml")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     tuned: dict[str, Tuned] = dict(controllers.load_gains())

@@ -1,77 +1,168 @@
-"""Compiled hot loops: numba with a cache that can't go stale.
+"""Compiled hot loops: numba with a cache that is keyed by content, so that it can't go stale.
 
-Numba keys its on-disk cache by the decorated function's own file only, so editing a *called* function in another
-file would leave the caller's old machine code in use.  Here the cache folder's name carries a hash over every
-source file that uses this module: any edit starts a fresh folder.
+Numba keys its on-disk cache by the decorated function's own file only: after an edit of a *called* function in another
+file the caller's old machine code would stay in use.  Here a function's cache folder is named by a hash over its
+module's source and all project sources that this module imports, directly or not.  An edit recompiles what depends on
+it and nothing else, and checkouts, branches and installed copies of the same sources share their compiled code.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
+import os
+import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import caching
 from numba.core import config as _numba_config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_ROOT = Path(__file__).resolve().parent.parent
-_KEEP_FOLDERS = 8
-_KEEP_S = 86_400.0
+_PACKAGES = ("flightstack", "flightstack_sim", "flightstack_logs", "mavlink_bridge", "flightstack_paper", "benchmarks")
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n#]*)|import\s+([\w., ]+))", re.MULTILINE)
+_KEEP_S = 7 * 86_400.0  # a folder that no process has used for so long is deleted
 
 
-def _source_hash() -> str:
-    """Hash of all compiled sources of the project, in a stable order."""
+@cache
+def _package_folder(package: str) -> Path | None:
+    """Where a package of the project lies, without importing it."""
+    if package not in _PACKAGES:
+        return None
+    if package == "flightstack":
+        return Path(__file__).resolve().parent
+    spec = importlib.util.find_spec(package)
+    places = spec.submodule_search_locations if spec is not None else None
+    return Path(next(iter(places))).resolve() if places else None
+
+
+@cache
+def _source_file(module: str) -> Path | None:
+    """The source of a module of the project by its dotted name; None for any other name."""
+    package, *rest = module.split(".")
+    folder = _package_folder(package)
+    if folder is None:
+        return None
+    for path in (folder.joinpath(*rest, "__init__.py"), folder.joinpath(*rest).with_suffix(".py") if rest else None):
+        if path is not None and path.is_file():
+            return path
+    return None
+
+
+@cache
+def _digest_and_imports(module: str) -> tuple[bytes, frozenset[str]]:
+    """SHA-256 of a module's source, and the project's modules that it names in import statements."""
+    path = _source_file(module)
+    assert path is not None
+    source = path.read_bytes()
+    return hashlib.sha256(source).digest(), frozenset(_named_modules(source.decode("utf-8")))
+
+
+def _named_modules(source: str) -> Iterator[str]:
+    for parent, names, plain in _IMPORT.findall(source):
+        found = [parent, *(f"{parent}.{name}" for name in re.findall(r"\w+", names))] if parent else plain.split(",")
+        for name in found:
+            parts = name.strip().split(".")
+            for length in range(1, len(parts) + 1):  # a package's __init__ runs before its module
+                if _source_file(".".join(parts[:length])) is not None:
+                    yield ".".join(parts[:length])
+
+
+@cache
+def _closure_key(module: str) -> str:
+    """Hash over a module and everything of the project that it imports, directly or not."""
+    seen, todo = set[str](), [module]
+    while todo:
+        name = todo.pop()
+        if name not in seen:
+            seen.add(name)
+            todo.extend(_digest_and_imports(name)[1] - seen)
     digest = hashlib.sha256(numba.__version__.encode())
-    for package in ("flightstack", "sim", "gap", "benchmarks"):
-        for path in sorted((_ROOT / package).rglob("*.py")):
-            text = path.read_bytes()
-            if b"flightstack.jit" in text:
-                digest.update(path.relative_to(_ROOT).as_posix().encode())
-                digest.update(text)
-    return digest.hexdigest()[:16]
+    for name in sorted(seen):
+        digest.update(name.encode() + b"\0" + _digest_and_imports(name)[0])
+    return digest.hexdigest()[:20]
 
 
-def _make_cache_folder() -> Path:
-    """The folder for this state of the sources, made if need be; old ones are dropped."""
-    name = f"numba-{_source_hash()}"
-    for base in (Path.home() / ".cache" / "flightstack", Path(tempfile.gettempdir()) / "flightstack-cache"):
-        folder = base / name
+class _ContentLocator(caching._CacheLocator):  # type: ignore[misc]
+    """Tells numba where the compiled code of a function of this project is kept; leaves all others to numba."""
+
+    def __init__(self, py_func: Any) -> None:
+        self._key = _closure_key(py_func.__module__)
+        self._line = py_func.__code__.co_firstlineno
+        self._folder = cache_folder() / f"code-{self._key}"
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> _ContentLocator | None:
+        source = _source_file(py_func.__module__)
+        if source is None or source != Path(py_file).resolve():
+            return None
+        locator = cls(py_func)
         try:
-            fresh = not folder.is_dir()
+            fresh = not locator._folder.is_dir()
+            locator.ensure_cache_path()
+            os.utime(locator._folder)
+        except OSError:
+            return None
+        if fresh:
+            _drop_unused_folders(cache_folder())
+        return locator
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._key
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+@cache
+def cache_folder() -> Path:
+    """Where compiled functions are kept: NUMBA_CACHE_DIR, else the user's cache, else a temporary folder."""
+    given = _numba_config.CACHE_DIR
+    candidates = (Path.home() / ".cache" / "flightstack", Path(tempfile.gettempdir()) / "flightstack-cache")
+    for folder in (Path(given),) if given else candidates:
+        try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except OSError:
             continue
-        if fresh:
-            _drop_old_folders(base)
         return folder
     return Path(tempfile.mkdtemp(prefix="flightstack-numba-"))
 
 
-def _drop_old_folders(base: Path) -> None:
+@cache
+def sources_key() -> str:
+    """Hash over every source of the installed packages that may hold compiled code."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for package in ("flightstack", "flightstack_sim"):
+        folder = _package_folder(package)
+        for path in sorted(folder.rglob("*.py")) if folder else ():
+            text = path.read_bytes()
+            if b"flightstack.jit" in text:
+                digest.update(path.relative_to(folder).as_posix().encode() + text)  # type: ignore[arg-type]
+    return digest.hexdigest()[:20]
+
+
+def _drop_unused_folders(base: Path) -> None:
     try:
-        folders = sorted(base.glob("numba-*"), key=lambda path: path.stat().st_mtime, reverse=True)
-        for old in folders[_KEEP_FOLDERS:]:
-            if time.time() - old.stat().st_mtime > _KEEP_S:
-                shutil.rmtree(old, ignore_errors=True)
+        for folder in base.glob("code-*"):
+            if time.time() - folder.stat().st_mtime > _KEEP_S:
+                shutil.rmtree(folder, ignore_errors=True)
     except OSError:  # another process tidies at the same time: its business
         return
 
 
-if not _numba_config.CACHE_DIR:  # a user's own NUMBA_CACHE_DIR wins
-    _numba_config.CACHE_DIR = str(_make_cache_folder())
-
-
-def cache_folder() -> Path:
-    """Where compiled functions of this state of the sources are kept."""
-    return Path(_numba_config.CACHE_DIR)
+caching.CacheImpl._locator_classes.insert(0, _ContentLocator)
 
 
 def njit(function: F) -> F:

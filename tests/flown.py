@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from flightstack.gap.records import Flight, Signal
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
-from gap.records import Flight, Signal
-from logs.turn import conjugate, multiply
+from flightstack_logs.turn import conjugate, multiply
 
 HEADER = (
     "time_s,pos_n_m,pos_e_m,pos_d_m,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z,rate_x_radps,rate_y_radps,"

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
-from gap.records import Samples
-from sim.plant import BatchPlant
+from flightstack_sim.plant import BatchPlant
 
 _G = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 TICK_S = 0.004

@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.frames import quat_from_euler
+from flightstack.gap.records import Samples
 from flightstack.model import thrust_to_norm
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from gap.records import Samples
-from sim.autopilot.attitude_control import AttitudeControl
-from sim.autopilot.params import Params
-from sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
-from sim.fused import FusedRun
-from sim.grade import load_grade
-from sim.layout import S_POS, S_RATE
-from sim.plant import NativePlant
-from sim.sensors import Sensors
+from flightstack_sim.autopilot.attitude_control import AttitudeControl
+from flightstack_sim.autopilot.params import Params
+from flightstack_sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
+from flightstack_sim.fused import FusedRun
+from flightstack_sim.grade import load_grade
+from flightstack_sim.layout import S_POS, S_RATE
+from flightstack_sim.plant import NativePlant
+from flightstack_sim.sensors import Sensors
 
-VEHICLES = Path(__file__).resolve().parent.parent / "vehicles"
+VEHICLES = Path(__file__).resolve().parent.parent / "flightstack/data/vehicles"
 Reference = Callable[[float], tuple[F64, F64, F64, float]]
 """Time -> position (NED), velocity, acceleration, yaw."""
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from flightstack.gap.name import Naming, name
+from flightstack.gap.records import Samples
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from gap.name import Naming, name
-from gap.records import Samples
 from tests.gap_batch import fly
 
 HIDDEN: dict[str, dict[str, float]] = {
@@ -48,7 +48,7 @@ def believed() -> Vehicle:
 
     It differs from axis to axis, else a wind and a constant force would be the same thing.
     """
-    path = Path(__file__).resolve().parents[1] / "vehicles" / "quad-x.toml"
+    path = Path(__file__).resolve().parents[1] / "flightstack/data/vehicles" / "quad-x.toml"
     plain = parse_vehicle(path.read_text("utf-8"), "quad-x.toml")
     return with_effects(plain, {"linear_drag": {"d_x_kgps": 0.5, "d_y_kgps": 0.2, "d_z_kgps": 0.3}})
 

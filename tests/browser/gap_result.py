@@ -4,8 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from gap.records import REGIMES, SIGNALS, Estimate, Figures, Finding, Found, Gap, Offset, Rejected, Unexplained, Where
-from gap.report import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
+from flightstack.gap.records import (
+    REGIMES,
+    SIGNALS,
+    Estimate,
+    Figures,
+    Finding,
+    Found,
+    Gap,
+    Offset,
+    Rejected,
+    Unexplained,
+    Where,
+)
+from flightstack.gap.report import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
 
 HOSTILE = "</script><script>window.onerror('injected')</script><img src=x onerror=alert(1)>"
 

@@ -6,7 +6,17 @@ import numpy as np
 from certified import certificate
 
 from flightstack.region import Region as SafeRegion
-from logs.report import Barrier, FlightEvent, FlightReport, Learning, Outcome, Phase, Region, Samples, Timing
+from flightstack_logs.report import (
+    Barrier,
+    FlightEvent,
+    FlightReport,
+    Learning,
+    Outcome,
+    Phase,
+    Region,
+    Samples,
+    Timing,
+)
 
 HOSTILE = "</script><script>window.onerror('injected')</script><img src=x onerror=alert(1)>"
 

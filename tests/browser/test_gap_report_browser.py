@@ -9,8 +9,8 @@ import pytest
 from gap_result import HOSTILE, gap_result
 from test_report_browser import CHROMIUM, opened
 
-from gap.records import Figures, Gap, Unexplained
-from gap.report import GapReport, write_report
+from flightstack.gap.records import Figures, Gap, Unexplained
+from flightstack.gap.report import GapReport, write_report
 
 pytestmark = [
     pytest.mark.browser,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from report_flight import circle_flight
 
-from logs.report import FlightReport, Outcome, Samples, write_report
+from flightstack_logs.report import FlightReport, Outcome, Samples, write_report
 
 CHROMIUM = Path("/usr/bin/chromium")
 PANELS = 24

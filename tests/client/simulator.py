@@ -9,13 +9,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 HOST = "127.0.0.1"
 SPEED = 4
 SIM_ENDS_AFTER_S = 600.0
 """Of simulated time: the simulator ends by itself should nobody stop it."""
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYTHONUNBUFFERED": "1"}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
 
 
 def free_ports() -> tuple[int, int]:
@@ -37,7 +36,7 @@ def free_ports() -> tuple[int, int]:
 @contextmanager
 def simulator(port: int, gcs_port: int, *, speed: float = SPEED) -> Iterator[None]:
     """Up and running inside."""
-    command = [sys.executable, "-m", "app.cli", "sim", "--port", port, "--gcs-port", gcs_port]
+    command = [sys.executable, "-m", "flightstack.cli.main", "sim", "--port", port, "--gcs-port", gcs_port]
     command += ["--speed", speed, "--duration", SIM_ENDS_AFTER_S]
     with subprocess.Popen(
         [str(word) for word in command],

@@ -20,13 +20,13 @@ import pymavlink.dialects.v20 as dialects
 import pytest
 
 from flightstack.vehicle import parse_vehicle
+from flightstack_sim.grade import load_grade
+from flightstack_sim.server import Server
+from flightstack_sim.simulated_vehicle import simulated_vehicle
 from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row
 from mavlink_bridge.layout import EXTENSIONS, LACKING
 from mavlink_bridge.link import Link
-from sim.grade import load_grade
-from sim.server import Server
-from sim.simulated_vehicle import simulated_vehicle
 
 pytestmark = pytest.mark.client
 
@@ -51,7 +51,7 @@ class Told(Link):
 
 def _flight() -> list[tuple[Any, bytes]]:
     """Everything that was sent on both links in a flight: boot, questions, take-off, orbit, failsafe, landing."""
-    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
+    vehicle = parse_vehicle((ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
     server = Server(simulated_vehicle(vehicle, vehicle, load_grade("gps"), seed=1))
     told = [Told(server.link(0)), Told(server.link(1))]
     client = Link(245, 190)

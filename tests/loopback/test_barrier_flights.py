@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from certified import for_the_papers_path, write
 
-from app.files import load_vehicle
-from app.flight import FlyOptions, fly
-from app.result import FlightResult
 from flightstack.barrier.file import parse_certificate
-from logs.reader import Log, read
-from logs.topics import CERTIFICATE, FINAL_CERTIFICATE
+from flightstack.cli.files import load_vehicle
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.result import FlightResult
+from flightstack_logs.reader import Log, read
+from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE
 
 
 def _fly(folder: Path, scenario: str, *, completes: bool = True, **options: object) -> tuple[FlightResult, Log]:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.certify import CertifyResult, certify
-from app.cli import main
-from app.flight import FlyOptions
 from flightstack.certificate_check import check
+from flightstack.cli.certify import CertifyResult, certify
+from flightstack.cli.flight import FlyOptions
+from flightstack.cli.main import main
 from flightstack.explore import ExploreConfig
-from logs.reader import Log, read
+from flightstack_logs.reader import Log, read
 
 SHORT = ExploreConfig(axes=(2,), rounds_max=3)
 
@@ -91,7 +91,7 @@ def test_the_page_lies_beside_the_flights_own(flown: tuple[CertifyResult, Log]) 
 def test_knowledge_that_leaves_no_authority_is_refused_before_take_off(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (Path(__file__).resolve().parents[2] / "scenarios" / "paper-barrier.toml").read_text()
+    text = (Path(__file__).resolve().parents[2] / "flightstack/data/scenarios" / "paper-barrier.toml").read_text()
     scenario = tmp_path / "heavy.toml"
     scenario.write_text(text.replace("mass_ratio = [0.8, 1.5]", "mass_ratio = [0.8, 1.6]"))
     with pytest.raises(SystemExit) as done:

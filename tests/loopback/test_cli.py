@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from app import cli
-from app.controllers import CONTROLLERS
-from logs.reader import read
+from flightstack.cli import main as cli
+from flightstack.cli.controllers import CONTROLLERS
+from flightstack_logs.reader import read
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -36,8 +36,8 @@ def _run(*arguments: object) -> int:
 
 
 def _start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "app.cli", *(str(argument) for argument in arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "flightstack.cli.main", *(str(argument) for argument in arguments)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(
         command, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -180,7 +180,7 @@ def test_every_verb_has_help(verb: tuple[str, ...], capsys: pytest.CaptureFixtur
 
 
 def _vehicle(tmp_path: Path, old: str, new: str) -> Path:
-    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     assert old in text
     path = tmp_path / "bad.toml"
     path.write_text(text.replace(old, new, 1))
@@ -250,7 +250,7 @@ def _assert_one_error_line(capsys: pytest.CaptureFixture[str], code: int, named:
 
 
 def test_a_scenario_with_a_typo_names_the_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (ROOT / "scenarios" / "paper-tracking.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "paper-tracking.toml").read_text()
     path = tmp_path / "mine.toml"
     path.write_text(text.replace("mass_ratio", "mass_ration"))
     _assert_one_error_line(capsys, _run("fly", path, "--out", tmp_path / "out"), "mass_ration")

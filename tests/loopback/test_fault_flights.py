@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from app.flight import FlyOptions, fly
 from benchmarks.faults import fly_fault
+from flightstack.cli.flight import FlyOptions, fly
 from mavlink_bridge.handshake import State
 
 CYCLE_S = 0.1
@@ -115,7 +115,7 @@ def test_the_same_seed_flies_the_same_bad_link_bit_for_bit(tmp_path: Path) -> No
 def test_an_unknown_fault_is_one_line_and_code_2(tmp_path: Path) -> None:
     for verb in (["fly", "hover", "--out", str(tmp_path)], ["sim", "--duration", "1"]):
         done = subprocess.run(
-            [sys.executable, "-m", "app.cli", *verb, "--fault", "meteorite"],
+            [sys.executable, "-m", "flightstack.cli.main", *verb, "--fault", "meteorite"],
             capture_output=True,
             text=True,
             check=False,
@@ -127,7 +127,7 @@ def test_an_unknown_fault_is_one_line_and_code_2(tmp_path: Path) -> None:
 
 
 def test_a_flight_with_a_fault_fails_and_says_so_in_its_log(tmp_path: Path) -> None:
-    from logs.reader import read
+    from flightstack_logs.reader import read
 
     options = FlyOptions(scenario="hover", fault="setpoint-loss@1", out=tmp_path)
     result = fly(options, stop_requested=lambda: "")

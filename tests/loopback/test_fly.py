@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import files, preparation
-from app.controllers import load_gains
-from app.flight import FlyOptions, fly
-from app.result import FlightResult
+from flightstack.cli import files, preparation
+from flightstack.cli.controllers import load_gains
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.result import FlightResult
 from flightstack.control.feedback import FlatnessController
 from flightstack.control.gains import FlatnessGains
 from flightstack.seams import NoLearner
 from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
-from logs.reader import Log, read
+from flightstack_logs.reader import Log, read
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
 
@@ -132,7 +132,7 @@ def test_coverage_is_scored_on_the_truth_and_what_is_learned_is_used_and_logged(
     """A hover with 1.4 times the mass: the claim of z is right, of y too, of x always ten sigma beside."""
     monkeypatch.setattr(preparation, "build", lambda name, model, limits, learning: (
         FlatnessController(model, limits=limits), Claims()))  # fmt: skip
-    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
     (tmp_path / "heavy.toml").write_text(text + "\n[truth]\nmass_ratio = 1.4\n")
     result, log = _fly(tmp_path, str(tmp_path / "heavy.toml"), duration_s=4.0)
     assert result.passed, result.failure()
@@ -151,7 +151,7 @@ def test_coverage_is_scored_on_the_truth_and_what_is_learned_is_used_and_logged(
 
 
 def test_a_payload_taken_up_in_flight_is_noticed_and_said_in_the_log(tmp_path: Path) -> None:
-    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
     text = text[: text.index("[[checks]]")] + (
         '[[events]]\ntime_s = 2.0\neffect = "payload"\nvalues = { mass_kg = 0.4 }\n'
     )
@@ -182,7 +182,7 @@ def test_ctrl_c_lands_and_closes_the_log(tmp_path: Path) -> None:
 
 def test_a_timed_event_changes_the_truth_in_flight_and_is_in_the_log(tmp_path: Path) -> None:
     """0.3 kg more from 2 s on: the true thrust that carries the vehicle grows by their weight."""
-    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
     text = text[: text.index("[[checks]]")] + (
         '[[events]]\ntime_s = 2.0\neffect = "payload"\nvalues = { mass_kg = 0.3 }\n'
     )
@@ -211,7 +211,7 @@ COMPILED_IN_FLIGHT = """
 import gc, sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
-from app import flight
+from flightstack.cli import flight
 
 def known():
     ours = [item for item in gc.get_objects() if isinstance(item, Dispatcher)]

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import files
-from app.flight import FlyOptions, fly
-from app.gap import GapOptions, find_gap
+from flightstack.cli import files
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.gap import GapOptions, find_gap
+from flightstack.gap.result import GapResult
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml, with_effects
-from gap.result import GapResult
-from logs.reader import read
-from logs.turn import conjugate, multiply, rotation_vector
+from flightstack_logs.reader import read
+from flightstack_logs.turn import conjugate, multiply, rotation_vector
 
 QUAD = files.load_vehicle("quad-x")[0]
 SECONDS = 16.0

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.certify import ExplorationPlanner, prepare_certify
-from app.flight import FlyOptions, fly, fly_setup
-from app.result import FlightResult
+from flightstack.cli.certify import ExplorationPlanner, prepare_certify
+from flightstack.cli.flight import FlyOptions, fly, fly_setup
+from flightstack.cli.result import FlightResult
 from flightstack.explore import ExploreConfig, Explorer
-from logs.reader import Log, read
+from flightstack_logs.reader import Log, read
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim
@@ -82,7 +82,7 @@ def test_sim_alone_flies_jsbsim_too(tmp_path: Path) -> None:
     """`flightstack sim --plant jsbsim` comes up and simulates."""
     result = tmp_path / "sim.json"
     command = [
-        sys.executable, "-m", "app.cli", "sim", "--plant", "jsbsim", "--duration", "1", "--speed", "10",
+        sys.executable, "-m", "flightstack.cli.main", "sim", "--plant", "jsbsim", "--duration", "1", "--speed", "10",
         "--port", "47110", "--gcs-port", "47111", "--json", str(result),
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)

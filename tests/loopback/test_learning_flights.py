@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.flight import FlyOptions, fly
-from app.result import FlightResult
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.result import FlightResult
 from flightstack.types import F64
-from logs.reader import Log, read
+from flightstack_logs.reader import Log, read
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,7 +24,7 @@ def _fly(folder: Path, scenario: str, **options: object) -> tuple[FlightResult, 
 
 def _with_events(folder: Path, name: str, *events: str) -> str:
     """A shipped scenario with these events instead of its own; the path of its file."""
-    text = (ROOT / "scenarios" / f"{name}.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / f"{name}.toml").read_text()
     kept = text[: min(text.find(part) for part in ("[[events]]", "[[checks]]", "\0") if part in text + "\0")]
     path = folder / f"{name}-events.toml"
     path.write_text(kept + "\n" + "\n".join(f"[[events]]\n{event}" for event in events) + "\n")

@@ -23,7 +23,7 @@ import pytest
 from hil_peer import HOST, Peer, euler
 
 ROOT = Path(__file__).resolve().parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
 GIVE_UP_S = 60.0
 
 
@@ -35,7 +35,7 @@ def _free_port() -> int:
 
 @contextmanager
 def _simulator(port: int, *more: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "app.cli", "sim", "--px4-hil", "--hil-port", str(port), *more]
+    command = [sys.executable, "-m", "flightstack.cli.main", "sim", "--px4-hil", "--hil-port", str(port), *more]
     with subprocess.Popen(
         command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as sim:  # fmt: skip
@@ -194,7 +194,7 @@ def test_a_busy_port_and_a_fault_are_one_line_and_code_2() -> None:
         port = str(other.getsockname()[1])
         for more in (["--hil-port", port], ["--hil-port", str(_free_port()), "--fault", "gcs-loss"]):
             done = subprocess.run(
-                [sys.executable, "-m", "app.cli", "sim", "--px4-hil", *more],
+                [sys.executable, "-m", "flightstack.cli.main", "sim", "--px4-hil", *more],
                 env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=GIVE_UP_S,
             )  # fmt: skip
             assert done.returncode == 2

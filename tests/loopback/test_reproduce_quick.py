@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.cli import main
-from app.reproduce.run import ReproduceOptions, plants_of
-from app.reproduce.tracking import Flight, fly
-from app.reproduce.work import Bench
+from flightstack.cli.main import main
+from flightstack_paper.run import ReproduceOptions, plants_of
+from flightstack_paper.tracking import Flight, fly
+from flightstack_paper.work import Bench
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -109,7 +109,7 @@ def test_the_same_command_takes_up_what_is_there_and_writes_the_same(
     def none(*_: object) -> None:
         raise AssertionError("a part was computed again")
 
-    monkeypatch.setattr("app.reproduce.run.ProcessPoolExecutor", none)
+    monkeypatch.setattr("flightstack_paper.run.ProcessPoolExecutor", none)
     with pytest.raises(SystemExit) as done:
         main(["reproduce", "--quick", "--out", str(out)])
     assert done.value.code == 0

@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.flight import FlyOptions, SimulatedFlight, prepare
+from flightstack.cli.flight import FlyOptions, SimulatedFlight, prepare
 from flightstack.types import TickRecord
-from logs.reader import read
-from logs.writer import FlightLog
+from flightstack_logs.reader import read
+from flightstack_logs.writer import FlightLog
+from flightstack_sim.shell import ONBOARD
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from sim.shell import ONBOARD
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = (1.0, 4.0, 3.0)
@@ -203,9 +203,9 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:
     def little_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
 
-    command = [sys.executable, "-m", "app.cli", "fly", "hover", "--duration", "5"]
+    command = [sys.executable, "-m", "flightstack.cli.main", "fly", "hover", "--duration", "5"]
     command += ["--out", str(tmp_path), "--json", str(tmp_path / "r.json")]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, preexec_fn=little_room
     )

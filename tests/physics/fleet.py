@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from sim.plant import NativePlant
+from flightstack_sim.plant import NativePlant
 
-FOLDER = Path(__file__).resolve().parents[2] / "vehicles"
+FOLDER = Path(__file__).resolve().parents[2] / "flightstack/data/vehicles"
 QUAD = parse_vehicle((FOLDER / "quad-x.toml").read_text(), "quad-x.toml")
 HIGH = np.array([0.0, 0.0, -1000.0])
 """Far from the ground."""

@@ -6,9 +6,9 @@ import numpy as np
 from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
 from flightstack.vehicle import with_effects
-from sim.layout import S_FORCE, S_RING, p_effect
-from sim.parameters import derive_rows, parameter_row
-from sim.plant import BatchPlant, NativePlant, evaluate_rows
+from flightstack_sim.layout import S_FORCE, S_RING, p_effect
+from flightstack_sim.parameters import derive_rows, parameter_row
+from flightstack_sim.plant import BatchPlant, NativePlant, evaluate_rows
 
 
 def test_each_of_a_batch_of_random_vehicles_flies_bit_for_bit_as_alone() -> None:

@@ -11,14 +11,14 @@ import pytest
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, scaled, with_effects
-from sim.autopilot.params import ParamResult
-from sim.autopilot.setpoint import HOLD, LAND, NAN, OFF, ControlKind, ControlSetpoint
-from sim.grade import EstimateGrade, Grade, ImuGrade, load_grade
-from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
+from flightstack_sim.autopilot.params import ParamResult
+from flightstack_sim.autopilot.setpoint import HOLD, LAND, NAN, OFF, ControlKind, ControlSetpoint
+from flightstack_sim.grade import EstimateGrade, Grade, ImuGrade, load_grade
+from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from tests.recorded_px4 import latest, read_flight
 
 ZERO = (0.0, 0.0, 0.0)
-VEHICLES = Path(__file__).parents[2] / "vehicles"
+VEHICLES = Path(__file__).parents[2] / "flightstack/data/vehicles"
 G = 9.80665
 
 

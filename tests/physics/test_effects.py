@@ -13,9 +13,9 @@ from scipy.integrate import quad as quadrature
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64, InputError
 from flightstack.vehicle import with_effects
-from sim.effects import EFFECTS, turbulence
-from sim.layout import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
-from sim.plant import NativePlant
+from flightstack_sim.effects import EFFECTS, turbulence
+from flightstack_sim.layout import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
+from flightstack_sim.plant import NativePlant
 
 SENSORS = ("accelerometer_bias", "gyro_bias", "attitude_misalignment")
 OFF = np.zeros(4)

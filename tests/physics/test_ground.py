@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from sim.plant import NativePlant
+from flightstack_sim.plant import NativePlant
 
 OFF = np.zeros(4)
 

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from sim.jsbsim import aircraft
-from sim.jsbsim.plant import JsbsimPlant
+from flightstack_sim.jsbsim import aircraft
+from flightstack_sim.jsbsim.plant import JsbsimPlant
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim

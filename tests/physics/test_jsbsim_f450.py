@@ -12,7 +12,7 @@ from fleet import FOLDER
 
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, scaled, with_effects
-from sim.jsbsim.plant import JsbsimPlant
+from flightstack_sim.jsbsim.plant import JsbsimPlant
 
 jsbsim = pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 

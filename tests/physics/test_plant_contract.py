@@ -10,8 +10,8 @@ from fleet import QUAD, TYPICAL, quad
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import InputError
-from sim.jsbsim.aircraft import REFUSED
-from sim.plant import PLANTS, Plant, make_plant
+from flightstack_sim.jsbsim.aircraft import REFUSED
+from flightstack_sim.plant import PLANTS, Plant, make_plant
 
 ARRAYS = (
     "pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "accel_bias_frd_mps2",
@@ -130,6 +130,6 @@ def test_a_time_step_or_a_plant_that_is_not_known_is_refused(name: str) -> None:
 
 
 def test_the_command_line_offers_the_plants_that_there_are() -> None:
-    from app.cli import PlantName
+    from flightstack.cli.main import PlantName
 
     assert [plant.value for plant in PlantName] == list(PLANTS)

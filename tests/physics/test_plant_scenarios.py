@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from app import closed_loop, files
+from flightstack.cli import closed_loop, files
 from flightstack.types import F64
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
-from sim.layout import S_VOLTAGE
-from sim.plant import NativePlant
+from flightstack_sim.layout import S_VOLTAGE
+from flightstack_sim.plant import NativePlant
 
 OFF = np.zeros(4)
 

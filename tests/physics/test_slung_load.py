@@ -10,8 +10,8 @@ from fleet import QUAD, quad, without_thrust_or_ground
 from oracle import G
 
 from flightstack.types import F64
-from sim.layout import S_LOAD_DIR, S_LOAD_RATE
-from sim.plant import NativePlant
+from flightstack_sim.layout import S_LOAD_DIR, S_LOAD_RATE
+from flightstack_sim.plant import NativePlant
 
 OFF = np.zeros(4)
 LENGTH = 0.8

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.flight import FlyOptions, SimulatedFlight, prepare
+from flightstack.cli.flight import FlyOptions, SimulatedFlight, prepare
 from flightstack.vehicle import parse_vehicle
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
+from flightstack_sim.grade import load_grade
+from flightstack_sim.server import Server
+from flightstack_sim.simulated_vehicle import simulated_vehicle
 from mavlink_bridge import messages as m
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from sim.grade import load_grade
-from sim.server import Server
-from sim.simulated_vehicle import simulated_vehicle
 from tests.hostile import good_frames, hostile, malformed
 
 NUMBER = int(os.environ.get("FLIGHTSTACK_FUZZ", "100000"))
@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def _server() -> Server:
-    vehicle = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
+    vehicle = parse_vehicle((ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text(), "quad-x.toml")
     server = Server(simulated_vehicle(vehicle, vehicle, load_grade("mocap"), seed=1))
     server.advance(5000)
     return server
@@ -139,7 +139,7 @@ def test_the_companion_raises_nothing_whatever_the_vehicle_itself_says(
 
 def test_every_stream_can_be_built_from_a_state_that_is_no_number() -> None:
     """A plant that has blown up is told as it is, never by an exception."""
-    from sim.streams import STREAMS, build_once
+    from flightstack_sim.streams import STREAMS, build_once
 
     server = _server()
     server.vehicle.sensors.state[:] = math.nan

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app import files
+from flightstack.cli import files
+from flightstack.gap.check import check
+from flightstack.gap.read import flight
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from gap.check import check
-from gap.read import flight
 from tests.flown import flown, write_csv
 from tests.ulog_bytes import px4_flight
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sim.autopilot import modes, notices
-from sim.autopilot.commander import (
+from flightstack_sim.autopilot import modes, notices
+from flightstack_sim.autopilot.commander import (
     ACCEPTED,
     NEVER,
     Answer,
@@ -16,7 +16,7 @@ from sim.autopilot.commander import (
     Request,
     Sender,
 )
-from sim.autopilot.params import ParamResult, Params
+from flightstack_sim.autopilot.params import ParamResult, Params
 
 ME = Sender(0, 245, 190)
 TICK_US = 4_000

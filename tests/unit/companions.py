@@ -19,7 +19,7 @@ from mavlink_bridge.link import Link, Signing
 
 ROOT = Path(__file__).resolve().parents[2]
 HOVER_S = 60.0
-VEHICLE = parse_vehicle((ROOT / "vehicles" / "quad-x.toml").read_text(), "quad-x")
+VEHICLE = parse_vehicle((ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text(), "quad-x")
 MODEL = Model.from_vehicle(VEHICLE)
 
 
@@ -46,7 +46,8 @@ class Notes:
 def build(
     *, arm: bool = True, dry_run: bool = False, duration_s: float = 1.0, signing: Signing | None = None
 ) -> tuple[Companion, Notes]:
-    scenario = parse_scenario((ROOT / "scenarios" / "hover.toml").read_text(), "hover").with_duration(duration_s)
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
+    scenario = parse_scenario(text, "hover").with_duration(duration_s)
     notes = Notes()
     config = CompanionConfig(arm=arm, dry_run=dry_run)
     stack = Stack(MODEL, limits=scenario.limits)

@@ -10,7 +10,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
-from logs.topics import Field, Kind, Topic
+from flightstack_logs.topics import Field, Kind, Topic
 
 
 def _value(field: Field, rng: random.Random) -> Any:

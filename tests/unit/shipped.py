@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app import files
+from flightstack.cli import files
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from flightstack.vehicle import Vehicle, parse_vehicle
+from flightstack_sim.grade import load_grade
+from flightstack_sim.server import Server
+from flightstack_sim.simulated_vehicle import simulated_vehicle
+from flightstack_sim.streams import LinkKind
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
-from sim.grade import load_grade
-from sim.server import Server
-from sim.simulated_vehicle import simulated_vehicle
-from sim.streams import LinkKind
 
 ROOT = Path(__file__).resolve().parents[2]
 NAN = math.nan
@@ -32,7 +32,7 @@ MODE, ARM, TAKEOFF, LAND, RETURN = 176, 400, 22, 21, 20
 
 @cache
 def vehicle_file(name: str) -> Vehicle:
-    path = ROOT / "vehicles" / f"{name}.toml"
+    path = ROOT / "flightstack/data/vehicles" / f"{name}.toml"
     return parse_vehicle(path.read_text(), path.name)
 
 

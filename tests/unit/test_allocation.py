@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Rotors
-from sim.autopilot.allocation import allocate, effectiveness, mixer
+from flightstack_sim.autopilot.allocation import allocate, effectiveness, mixer
 from tests.recorded_px4 import read_flight
 
 X_QUAD = Rotors(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.autopilot import arming, modes, notices
-from sim.autopilot.arming import Conditions
+from flightstack_sim.autopilot import arming, modes, notices
+from flightstack_sim.autopilot.arming import Conditions
 
 READY = Conditions(estimate_ready=True, offboard_signal=False)
 STREAMING = Conditions(estimate_ready=True, offboard_signal=True)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
-from sim.autopilot.attitude_control import AttitudeControl, attitude_error, reduced_attitude
-from sim.autopilot.params import Params
+from flightstack_sim.autopilot.attitude_control import AttitudeControl, attitude_error, reduced_attitude
+from flightstack_sim.autopilot.params import Params
 
 
 def quaternion(rotation: Rotation) -> F64:

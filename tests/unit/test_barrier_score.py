@@ -13,8 +13,9 @@ from certified import CENTRE, certificate, says
 from log_samples import tick_record
 from shipped import load_vehicle
 
-from app import console
-from app.barrier_score import (
+from flightstack.barrier.records import Certificate
+from flightstack.cli import console
+from flightstack.cli.barrier_score import (
     GivenCertificate,
     RegionScore,
     TimedFilter,
@@ -24,8 +25,7 @@ from app.barrier_score import (
     engaged_from,
     qp_summary,
 )
-from app.result import NO_BARRIER, NO_GP, NO_LOOP, NO_QP, FlightResult
-from flightstack.barrier.records import Certificate
+from flightstack.cli.result import NO_BARRIER, NO_GP, NO_LOOP, NO_QP, FlightResult
 from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.seams import NoFilter

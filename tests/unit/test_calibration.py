@@ -15,7 +15,7 @@ from flightstack.calibration import conformal_check, conformal_quantile, coverag
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import with_effects
-from sim.plant import NativePlant
+from flightstack_sim.plant import NativePlant
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 

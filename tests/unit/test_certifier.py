@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from app.closed_loop import Flight, fly
-from app.workshop import Workshop
 from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, area_of, safe_sets
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import value
+from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.workshop import Workshop
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.region import Region

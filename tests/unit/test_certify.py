@@ -12,23 +12,23 @@ import pytest
 from axis_certificates import axis_of, certificate_of
 from shipped import load_scenario, load_vehicle
 
-from app.barrier_score import WatchedCertifier
-from app.certified import counted_mps2
-from app.certify import CERTIFICATE, ExplorationPlanner, write_certificate
 from flightstack.barrier import viability
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState
 from flightstack.barrier.records import Certificate, Margin
 from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
+from flightstack.cli.barrier_score import WatchedCertifier
+from flightstack.cli.certified import counted_mps2
+from flightstack.cli.certify import CERTIFICATE, ExplorationPlanner, write_certificate
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
 from flightstack.learning.learner import GpLearner, LearnerState, Learnt
 from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
 from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
-from logs.report.certified import Exploration, kernel_outline, outline, render
-from logs.report.plot import Plot, ticks
+from flightstack_logs.report.certified import Exploration, kernel_outline, outline, render
+from flightstack_logs.report.plot import Plot, ticks
 
 SLOW, FAST = Stopping(-0.4, 0.4, 0.2, 0.8, 2.0), Stopping(-0.5, 0.5, 0.2, 1.2, 3.0)
 

@@ -7,8 +7,8 @@ import math
 import pytest
 from commanded import ARM, DISARM, HOLD, ME, OFFBOARD, Flight, in_offboard, ready
 
-from sim.autopilot import modes, notices
-from sim.autopilot.commander import (
+from flightstack_sim.autopilot import modes, notices
+from flightstack_sim.autopilot.commander import (
     ACCEPTED,
     COMMAND_ARM,
     COMMAND_LAND,
@@ -21,7 +21,7 @@ from sim.autopilot.commander import (
     ModeRequest,
     Sender,
 )
-from sim.autopilot.failsafe import Action
+from flightstack_sim.autopilot.failsafe import Action
 
 
 @pytest.fixture

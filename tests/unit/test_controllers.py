@@ -10,8 +10,8 @@ import pytest
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from app.closed_loop import Flight, fly
-from app.controllers import CONTROLLERS, build, load_gains, stack_maker
+from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.controllers import CONTROLLERS, build, load_gains, stack_maker
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.indi import IndiController
 from flightstack.control.observer import FILTER, DisturbanceObserver, ObserverGains, observe

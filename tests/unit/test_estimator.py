@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
-from sim.estimator import EstimatorModel
-from sim.grade import EstimateGrade, load_grade
+from flightstack_sim.estimator import EstimatorModel
+from flightstack_sim.grade import EstimateGrade, load_grade
 
 DT_S = 0.004
 UNIT = np.array([1.0, 0.0, 0.0, 0.0])

@@ -10,8 +10,8 @@ from __future__ import annotations
 import pytest
 from commanded import ARM, DISARM, HOLD, ME, OFFBOARD, Flight, in_offboard, ready
 
-from sim.autopilot import modes
-from sim.autopilot.commander import ACCEPTED, TEMPORARILY_REJECTED, ModeRequest
+from flightstack_sim.autopilot import modes
+from flightstack_sim.autopilot.commander import ACCEPTED, TEMPORARILY_REJECTED, ModeRequest
 
 
 @pytest.fixture

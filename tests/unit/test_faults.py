@@ -60,7 +60,7 @@ def test_the_documented_service_never_arms_and_is_never_restarted_in_flight() ->
 
 
 def test_the_documented_commands_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
-    from app import cli
+    from flightstack.cli import main as cli
 
     with pytest.raises(SystemExit):
         cli.main(["offboard", "--help"])

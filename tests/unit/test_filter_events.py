@@ -14,18 +14,18 @@ from log_samples import proto_class, tick_record
 from mcap.reader import make_reader
 from shipped import load_scenario, load_vehicle
 
-from app.barrier_score import GivenCertificate, WatchedCertifier
-from app.recorder import FilterEvents, LogObserver, certified_region, certified_words
-from app.workshop import Workshop
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.shapes import Quadratic
+from flightstack.cli.barrier_score import GivenCertificate, WatchedCertifier
+from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region, certified_words
+from flightstack.cli.workshop import Workshop
 from flightstack.frames import ned_to_enu
 from flightstack.model import Model
 from flightstack.types import Filtered, TickRecord, changed
-from logs.reader import Log, read
-from logs.threaded import ThreadedLog
-from logs.topics import FINAL_CERTIFICATE
-from logs.writer import FlightLog
+from flightstack_logs.reader import Log, read
+from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.topics import FINAL_CERTIFICATE
+from flightstack_logs.writer import FlightLog
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 

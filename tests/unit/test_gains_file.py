@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import pytest
 from shipped import ROOT
 
-from app.controllers import CONTROLLERS, load_gains
+from flightstack.cli.controllers import CONTROLLERS, load_gains
 from flightstack.control.gains import GAINS, FlatnessGains, Tuned, gains_to_toml, parse_gains
 from flightstack.types import InputError
 
-PATH = ROOT / "controllers" / "gains.toml"
+PATH = ROOT / "flightstack/data/controllers" / "gains.toml"
 TEXT = PATH.read_text(encoding="utf-8")
 
 
@@ -71,9 +71,3 @@ def test_a_missing_table_is_named() -> None:
     start = TEXT.index("[px4]")
     with pytest.raises(InputError, match=r"x: the table \[px4\] is missing"):
         parse_gains(TEXT[:start], "x")
-
-
-def test_the_file_is_part_of_the_wheel() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    assert included["controllers"] == "app/controllers"

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
-from app.cli import main
+from flightstack.cli.main import main
+from flightstack.gap.check import check
+from flightstack.gap.read import flight
 from flightstack.types import F64
 from flightstack.vehicle import vehicle_to_toml
-from gap.check import check
-from gap.read import flight
 from tests.flown import HEADER
 from tests.gap_batch import fly
 
@@ -160,7 +160,7 @@ def test_without_motors_sensor_effects_can_still_be_named(tmp_path: Path) -> Non
     bias = (0.02, -0.03, 0.01)
     rows[:, COLUMNS.index("rate_x_radps") :][:, :3] += bias
     (tmp_path / "log.csv").write_bytes(csv(rows, ",".join(np.delete(COLUMNS, MOTORS))))
-    from app.gap import GapOptions, find_gap
+    from flightstack.cli.gap import GapOptions, find_gap
 
     result = find_gap(
         GapOptions(logs=(tmp_path / "log.csv",), vehicle="quad-x", out=tmp_path / "out", kinematics_only=True)

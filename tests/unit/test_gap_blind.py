@@ -36,7 +36,7 @@ from benchmarks.gap_tables import write as write_tables
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, with_effects
-from sim.plant import NativePlant
+from flightstack_sim.plant import NativePlant
 
 QUAD = load_vehicle("quad-x")
 NOTHING = np.zeros(X_SIZE)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
+from flightstack.gap.check import check
+from flightstack.gap.checks.offsets import find_offsets
+from flightstack.gap.records import Checked, Flight, Samples, Signal
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from gap.check import check
-from gap.checks.offsets import find_offsets
-from gap.records import Checked, Flight, Samples, Signal
-from logs.turn import conjugate, multiply, rotate_inverse
+from flightstack_logs.turn import conjugate, multiply, rotate_inverse
 from tests.flown import NOISE, flown, late, with_signal
 
 ENU = np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])
@@ -360,7 +360,7 @@ def test_what_a_log_lacks_is_derived_and_said() -> None:
 
 def test_an_attitude_turned_against_the_gyro_does_not_pass_for_late_stamps() -> None:
     """Five degrees of roll and eight of yaw between them: a sensor effect, and none of the clock."""
-    from logs.turn import euler_to_quaternion
+    from flightstack_logs.turn import euler_to_quaternion
 
     turn = euler_to_quaternion(np.radians([[5.0, 0.0, 8.0]]))
     checked = check(_quaternion(lambda q: multiply(q, turn))(flight()), vehicle())

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.gap.compare import expected_noise, figures, noise_floor, residual, rollout_starts, sensor_noise
+from flightstack.gap.fusion import crossovers
+from flightstack.gap.records import Samples
+from flightstack.gap.rollouts import rollout, rollouts
+from flightstack.gap.run import Run, params_row
+from flightstack.gap.track import track
 from flightstack.types import F64
-from gap.compare import expected_noise, figures, noise_floor, residual, rollout_starts, sensor_noise
-from gap.fusion import crossovers
-from gap.records import Samples
-from gap.rollouts import rollout, rollouts
-from gap.run import Run, params_row
-from gap.track import track
-from logs.turn import rotate, rotate_inverse, turned
-from sim.plant import NativePlant
+from flightstack_logs.turn import rotate, rotate_inverse, turned
+from flightstack_sim.plant import NativePlant
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 ACCEL, GYRO = 0.08, 0.01

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_cases import make, write
+from flightstack.gap import pooled
+from flightstack.gap.classes import confused_with, poorly_told
+from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
+from flightstack.gap.naming.bench import simulator_bench
+from flightstack.gap.naming.design import linearise
+from flightstack.gap.naming.estimate import Estimates, estimate
+from flightstack.gap.naming.held_rows import gain
+from flightstack.gap.naming.joining import joined
+from flightstack.gap.naming.metric import metric_of
+from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.trifles import CLEARLY, trifles, worth_of
+from flightstack.gap.pooled import Split
+from flightstack.gap.records import Estimate, Figures, Found, Gap
+from flightstack.gap.simulate import disagreement
+from flightstack.gap.workflow import analyse
 from flightstack.vehicle import Vehicle
-from gap import pooled
-from gap.classes import confused_with, poorly_told
-from gap.held import doubtful, far_from_noise, proxies, slope, vanished
-from gap.naming.bench import simulator_bench
-from gap.naming.design import linearise
-from gap.naming.estimate import Estimates, estimate
-from gap.naming.held_rows import gain
-from gap.naming.joining import joined
-from gap.naming.metric import metric_of
-from gap.naming.search import Search
-from gap.naming.trifles import CLEARLY, trifles, worth_of
-from gap.pooled import Split
-from gap.records import Estimate, Figures, Found, Gap
-from gap.simulate import disagreement
-from gap.workflow import analyse
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 HIDDEN = {"payload": {"mass_kg": 0.2}, "rotor_drag": {"k_d_kg_per_rad": 2e-4}}

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.gap import voltage
+from flightstack.gap.checks import contact, stopped
+from flightstack.gap.naming.candidates import at_end, plausible
+from flightstack.gap.records import Samples, Signal
+from flightstack.gap.simulate import untold
 from flightstack.types import F64
-from gap import voltage
-from gap.checks import contact, stopped
-from gap.naming.candidates import at_end, plausible
-from gap.records import Samples, Signal
-from gap.simulate import untold
 from tests.gap_flights import as_samples, fly, quad, wander
 
 CUT_S = 0.4

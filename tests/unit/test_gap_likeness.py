@@ -7,9 +7,9 @@ import pytest
 from shipped import load_vehicle
 
 from benchmarks import gap_draw
+from flightstack.gap.likeness import other_vehicle
+from flightstack.gap.records import Estimate, Found
 from flightstack.vehicle import Vehicle, with_effects
-from gap.likeness import other_vehicle
-from gap.records import Estimate, Found
 
 Effects = dict[str, dict[str, float]]
 BODY = ("payload", "thrust_scale", "inertia", "motor_lag")

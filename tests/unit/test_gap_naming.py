@@ -14,17 +14,17 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
+from flightstack.gap.naming import whitening
+from flightstack.gap.naming.candidates import candidates, negligible
+from flightstack.gap.naming.estimate import estimate
+from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
+from flightstack.gap.naming.search import LEAST_EVIDENCE, bounded_step, members, search
+from flightstack.gap.naming.whitening import Mask
+from flightstack.gap.simulate import Knob, value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle
-from gap.naming import whitening
-from gap.naming.candidates import candidates, negligible
-from gap.naming.estimate import estimate
-from gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
-from gap.naming.search import LEAST_EVIDENCE, bounded_step, members, search
-from gap.naming.whitening import Mask
-from gap.simulate import Knob, value
 
-_QUAD = Path(__file__).resolve().parents[2] / "vehicles" / "quad-x.toml"
+_QUAD = Path(__file__).resolve().parents[2] / "flightstack/data/vehicles" / "quad-x.toml"
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,14 @@ import pytest
 from log_samples import sample_record
 from shipped import load_vehicle
 
+from flightstack.gap.read import column_map, flight, rotor_order
+from flightstack.gap.sources.ulog import linearised
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from gap.read import column_map, flight, rotor_order
-from gap.sources.ulog import linearised
-from logs.columns import parse_columns
-from logs.reader import read
-from logs.topics import TOPICS
-from logs.writer import FlightLog
+from flightstack_logs.columns import parse_columns
+from flightstack_logs.reader import read
+from flightstack_logs.topics import TOPICS
+from flightstack_logs.writer import FlightLog
 from tests.flown import HEADER, flown, write_csv
 
 
@@ -116,7 +116,7 @@ def test_a_foreign_csv_is_read_through_a_map_of_its_columns(tmp_path: Path, vehi
 
 
 def test_roll_pitch_and_yaw_are_an_attitude_too() -> None:
-    from logs.columns import apply
+    from flightstack_logs.columns import apply
 
     text = 'schema = "flightstack.columns/1"\nattitude = { columns = ["a", "b", "c"], order = "rpy", unit = "deg" }'
     table = {"a": np.array([0.0, 90.0]), "b": np.array([0.0, 0.0]), "c": np.array([180.0, 0.0])}

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.gap import GapOptions, find_gap
 from benchmarks.gap_recorded import ROWS, lateral, run
+from flightstack.cli.gap import GapOptions, find_gap
+from flightstack.gap.check import check
+from flightstack.gap.compare import figures, noise_floor, residual
+from flightstack.gap.read import flight
+from flightstack.gap.records import Samples
+from flightstack.gap.refine import refine
+from flightstack.gap.track import track
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from gap.check import check
-from gap.compare import figures, noise_floor, residual
-from gap.read import flight
-from gap.records import Samples
-from gap.refine import refine
-from gap.track import track
 
 VEHICLES = Path(__file__).resolve().parents[2] / "benchmarks" / "vehicles"
 DRAG = 1.75e-4

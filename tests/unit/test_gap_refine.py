@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.gap.add import companion, vehicle_file
+from flightstack.gap.records import Samples
+from flightstack.gap.refine import refine
+from flightstack.gap.track import track
+from flightstack.gap.verify import reflight, whiteness
 from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle
-from gap.add import companion, vehicle_file
-from gap.records import Samples
-from gap.refine import refine
-from gap.track import track
-from gap.verify import reflight, whiteness
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 HIDDEN = {

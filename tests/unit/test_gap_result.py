@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
-from app.cli import main
-from gap.name import Naming
-from gap.pooled import GUARD_S, split
-from gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
-from gap.report import words
-from gap.result import closed
-from gap.workflow import _nothing_left
+from flightstack.cli.main import main
+from flightstack.gap.name import Naming
+from flightstack.gap.pooled import GUARD_S, split
+from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
+from flightstack.gap.report import words
+from flightstack.gap.result import closed
+from flightstack.gap.workflow import _nothing_left
 
 QUAD = load_vehicle("quad-x")
 NOTHING = Unexplained(False)

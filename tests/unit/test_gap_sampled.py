@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gap.records import Samples
-from gap.sampled import sampling_floor, timing_s
+from flightstack.gap.records import Samples
+from flightstack.gap.sampled import sampling_floor, timing_s
 from tests.gap_flights import as_samples, fly, quad, wander
 
 HZ, SWING, MEAN = 3.0, 0.05, 0.45

@@ -10,12 +10,10 @@ from scipy.integrate import solve_ivp
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.frames import quat_from_euler, quat_to_matrix
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack.vehicle import Vehicle
-from gap.records import Samples
-from gap.run import Run, params_row
-from gap.scales import natural_scale
-from gap.simulate import (
+from flightstack.gap.records import Samples
+from flightstack.gap.run import Run, params_row
+from flightstack.gap.scales import natural_scale
+from flightstack.gap.simulate import (
     Knob,
     knobs,
     predict,
@@ -26,7 +24,9 @@ from gap.simulate import (
     value,
     with_value,
 )
-from gap.track import track
+from flightstack.gap.track import track
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.vehicle import Vehicle
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 G = STANDARD_GRAVITY_MPS2

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_cases import make, write
-from gap.voltage import quiet
-from gap.workflow import analyse
+from flightstack.gap.voltage import quiet
+from flightstack.gap.workflow import analyse
 
 DT_S, STD_V = 0.008, 0.02
 

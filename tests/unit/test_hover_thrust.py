@@ -10,13 +10,13 @@ from station import vehicle_file
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import scaled, with_effects
-from sim.autopilot.hover_thrust import HoverThrust
-from sim.autopilot.params import Params
-from sim.autopilot.position_control import PositionControl
-from sim.autopilot.rate_control import hover_command
-from sim.autopilot.setpoint import LAND, ControlKind, ControlSetpoint
-from sim.grade import load_grade
-from sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
+from flightstack_sim.autopilot.hover_thrust import HoverThrust
+from flightstack_sim.autopilot.params import Params
+from flightstack_sim.autopilot.position_control import PositionControl
+from flightstack_sim.autopilot.rate_control import hover_command
+from flightstack_sim.autopilot.setpoint import LAND, ControlKind, ControlSetpoint
+from flightstack_sim.grade import load_grade
+from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 
 DT_S = 0.008
 UP = ControlSetpoint(ControlKind.TAKEOFF, pos_ned_m=(math.nan, math.nan, -3.0))

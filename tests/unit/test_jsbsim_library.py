@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from shipped import ROOT, load_vehicle
 
-from app.cli import main
-from app.flight import FlyOptions, prepare
+from flightstack.cli.flight import FlyOptions, prepare
+from flightstack.cli.main import main
 from flightstack.types import InputError
 from flightstack.vehicle import vehicle_to_toml, with_effects
-from sim.jsbsim import aircraft
-from sim.jsbsim.library import Fdm, library
-from sim.jsbsim.plant import JsbsimPlant
+from flightstack_sim.jsbsim import aircraft
+from flightstack_sim.jsbsim.library import Fdm, library
+from flightstack_sim.jsbsim.plant import JsbsimPlant
 
 jsbsim = pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 
@@ -153,7 +153,7 @@ def test_fly_refuses_a_hidden_slung_load_before_it_flies(tmp_path: Path, capsys:
 
 
 def test_an_event_that_jsbsim_cannot_follow_is_refused_before_the_flight(tmp_path: Path) -> None:
-    text = (ROOT / "scenarios" / "hover.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
     scenario = tmp_path / "late.toml"
     event = '\n[[events]]\ntime_s = 2.0\neffect = "slung_load"\nvalues = { mass_kg = 0.2, length_m = 1.0 }\n'
     scenario.write_text(text + event)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.autopilot.land_detector import LandDetector
-from sim.autopilot.params import Params
+from flightstack_sim.autopilot.land_detector import LandDetector
+from flightstack_sim.autopilot.params import Params
 from tests.recorded_px4 import latest, read_flight
 
 NAN = math.nan

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from app.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import Flight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.model import Limits, Model

@@ -11,11 +11,11 @@ import pytest
 from log_samples import Truth, tick_record
 
 from flightstack.types import InputError
-from logs.reader import read
-from logs.threaded import ThreadedLog
-from logs.writer import FlightLog, Recorder
+from flightstack_logs.reader import read
+from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.writer import FlightLog, Recorder
 
-PYTHONPATH = os.pathsep.join(str(Path(__file__).parents[k]) for k in (0, 2))
+PYTHONPATH = os.pathsep.join([str(Path(__file__).parent), *sys.path])
 
 
 def run(code: str, path: Path) -> subprocess.CompletedProcess[str]:
@@ -28,7 +28,7 @@ def run(code: str, path: Path) -> subprocess.CompletedProcess[str]:
 KILLED = """
 import os, signal
 from log_samples import Truth, tick_record
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
 log = FlightLog.open(PATH, metadata={"run": {"seed": "7"}})
 for k in range(MESSAGES // 3):
     log.mavlink("rx", k * 4000, bytes(60))
@@ -53,7 +53,7 @@ def test_a_killed_process_leaves_a_log_with_nearly_everything(tmp_path: Path, me
 
 FILE_TOO_LARGE = """
 import resource
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
 log = FlightLog.open(PATH, metadata={"run": {"seed": "7"}})
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 import random
@@ -79,7 +79,7 @@ def test_a_file_that_may_not_grow_ends_with_its_last_whole_chunk_and_the_program
 
 INTERRUPTED = """
 import signal
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
 log = FlightLog.open(PATH, metadata={})
 written = 0
 interrupts = 0
@@ -199,7 +199,7 @@ def test_a_folder_without_permission_or_space_is_found_before_the_flight(tmp_pat
     code = """
 import resource
 from flightstack.types import InputError
-from logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog
 resource.setrlimit(resource.RLIMIT_FSIZE, (50, 50))
 try:
     FlightLog.open(PATH, metadata={"run": {"seed": "7" * 200}})

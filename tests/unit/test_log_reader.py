@@ -13,12 +13,12 @@ from mcap.writer import CompressionType, Writer
 from rich.console import Console
 
 from flightstack.types import InputError
-from logs.encoder import make_encoder
-from logs.info import info, render
-from logs.reader import Log, read
-from logs.topics import TOPICS, Attachment, Field, Kind, Topic
-from logs.wire import descriptor
-from logs.writer import FlightLog
+from flightstack_logs.encoder import make_encoder
+from flightstack_logs.info import info, render
+from flightstack_logs.reader import Log, read
+from flightstack_logs.topics import TOPICS, Attachment, Field, Kind, Topic
+from flightstack_logs.wire import descriptor
+from flightstack_logs.writer import FlightLog
 
 VEHICLE = Attachment("vehicle.toml", "application/toml", b"name = 'x'\n")
 

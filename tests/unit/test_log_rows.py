@@ -10,8 +10,8 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
 from flightstack.types import FlatOutput, changed
-from logs.reader import read
-from logs.writer import FlightLog
+from flightstack_logs.reader import read
+from flightstack_logs.writer import FlightLog
 
 
 def test_every_named_part_of_a_tick_reads_back_from_compressed_chunks(tmp_path: Path) -> None:

@@ -21,11 +21,11 @@ from mcap.records import Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from flightstack.types import InputError
-from logs.scene import Region, Scene
-from logs.topics import TOPICS, Attachment, Kind
-from logs.writer import CHUNK_BYTES, FLUSH_PERIOD_US, FlightLog
+from flightstack_logs.scene import Region, Scene
+from flightstack_logs.topics import TOPICS, Attachment, Kind
+from flightstack_logs.writer import CHUNK_BYTES, FLUSH_PERIOD_US, FlightLog
 
-PYTHONPATH = os.pathsep.join(str(Path(__file__).parents[k]) for k in (0, 2))
+PYTHONPATH = os.pathsep.join([str(Path(__file__).parent), *sys.path])
 RUN = {"run": {"seed": "7", "commit": "abc"}}
 VEHICLE = Attachment("vehicle.toml", "application/toml", b"name = 'x'\n")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.autopilot import modes
+from flightstack_sim.autopilot import modes
 
 # (custom_mode, standard_mode, properties, name) in the order in which PX4 1.18 lists them
 AVAILABLE = [

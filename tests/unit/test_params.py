@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flightstack.types import InputError
-from sim.autopilot.params import PARAMS, ParamResult, Params, ParamType, find
+from flightstack_sim.autopilot.params import PARAMS, ParamResult, Params, ParamType, find
 from tests.recorded_px4 import read_flight
 
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
-from sim.autopilot.params import Params
-from sim.autopilot.position_control import PositionControl
+from flightstack_sim.autopilot.params import Params
+from flightstack_sim.autopilot.position_control import PositionControl
 
 G = 9.80665
 NAN = math.nan

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from shipped import ROOT, load_vehicle
 
-from app.calibration import TimedLearner
-from app.controllers import CONTROLLERS
-from app.flight import FlyOptions
-from app.offboard import OffboardOptions
-from app.preparation import Prepared, prepare_flight
+from flightstack.cli.calibration import TimedLearner
+from flightstack.cli.controllers import CONTROLLERS
+from flightstack.cli.flight import FlyOptions
+from flightstack.cli.offboard import OffboardOptions
+from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.learning.learner import GpLearner
 from flightstack.learning.priors import Prior, default_priors
 from flightstack.learning.stored import Stored, to_json, vehicle_hash
@@ -70,7 +70,7 @@ def test_stored_hyper_parameters_are_what_the_learner_begins_with_and_are_in_the
 
 def test_hyper_parameters_of_another_vehicle_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
-    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     other.write_text(text.replace("mass_kg = 1.2", "mass_kg = 1.3", 1))
     with pytest.raises(InputError, match=r"learned\.json"):
         prepared(learned=stored_file(tmp_path), vehicle=str(other))

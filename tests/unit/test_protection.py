@@ -11,14 +11,14 @@ import pytest
 from certified import certificate, write
 from shipped import ROOT, load_vehicle
 
-from app.barrier_score import TimedFilter
-from app.flight import FlyOptions
-from app.offboard import OffboardOptions
-from app.preparation import Prepared, prepare_flight
 from flightstack.barrier.file import certificate_to_json, parse_certificate
 from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Budget
+from flightstack.cli.barrier_score import TimedFilter
+from flightstack.cli.flight import FlyOptions
+from flightstack.cli.offboard import OffboardOptions
+from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.safety_filter import BarrierFilter
 from flightstack.types import InputError
 
@@ -166,7 +166,7 @@ def test_the_certifier_counts_on_the_scenarios_knowledge_and_on_the_sensors_that
 
 
 def test_a_vehicle_that_can_hardly_lift_itself_is_refused_before_take_off(tmp_path: Path) -> None:
-    text = (ROOT / "scenarios" / "paper-tracking.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "paper-tracking.toml").read_text()
     path = tmp_path / "heavy.toml"
     path.write_text(text.replace("mass_ratio = [0.8, 1.5]", "mass_ratio = [0.8, 1.6]"))
     assert "0.05 g is needed" in refused(scenario=str(path))
@@ -178,7 +178,7 @@ def test_a_vehicle_that_can_hardly_lift_itself_is_refused_before_take_off(tmp_pa
 
 def test_a_certificate_of_another_vehicle_is_refused_by_its_hash(tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
-    text = (ROOT / "vehicles" / "quad-x.toml").read_text()
+    text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     other.write_text(text.replace("mass_kg = 1.2", "mass_kg = 1.3", 1))
     said = refused(certificate=file_of(tmp_path), vehicle=str(other))
     assert "mine.json" in said

@@ -10,9 +10,9 @@ import pytest
 from station import ONBOARD, Station
 from tlog import Heard, recording
 
+from flightstack_sim import builders
+from flightstack_sim.autopilot.params import find
 from mavlink_bridge import messages as m
-from sim import builders
-from sim.autopilot.params import find
 
 GROUND_US = 63_000_000
 """Until then the recorded vehicle stood on the ground; later the recorded setpoints answer to another flight."""

@@ -39,7 +39,8 @@ class Flown(NamedTuple):
 
 
 def _play(path: Path, *, arm: bool, systems: tuple[int, ...] = (PX4,)) -> Flown:
-    scenario = parse_scenario((ROOT / "scenarios" / "hover.toml").read_text(), "hover").with_duration(200.0)
+    text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
+    scenario = parse_scenario(text, "hover").with_duration(200.0)
     notes = Notes()
     # The recorded client flew wild and asked for streams at 50 and 100 Hz: the guard would end a flight of ours.
     limits = Limits(tilt_abort_rad=np.pi, attitude_age_max_us=60_000, imu_age_max_us=60_000, position_age_max_us=60_000)

@@ -12,9 +12,9 @@ from scipy import signal
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
-from sim.autopilot.flight_control import airframe_params
-from sim.autopilot.params import Params
-from sim.autopilot.rate_control import (
+from flightstack_sim.autopilot.flight_control import airframe_params
+from flightstack_sim.autopilot.params import Params
+from flightstack_sim.autopilot.rate_control import (
     LOOP_GAIN_MAX,
     RateControl,
     angular_acceleration_per_torque,
@@ -25,7 +25,7 @@ from sim.autopilot.rate_control import (
 )
 from tests.recorded_px4 import latest, read_flight
 
-VEHICLES = Path(__file__).parents[2] / "vehicles"
+VEHICLES = Path(__file__).parents[2] / "flightstack/data/vehicles"
 GAINS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.reader import Log, read
-from logs.report import (
+from flightstack_logs.reader import Log, read
+from flightstack_logs.report import (
     CheckResult,
     FlightEvent,
     FlightReport,
@@ -32,12 +32,12 @@ from logs.report import (
     words,
     write_report,
 )
-from logs.topics import TOPICS, Attachment, Field
-from logs.writer import FlightLog
+from flightstack_logs.topics import TOPICS, Attachment, Field
+from flightstack_logs.writer import FlightLog
 
 ROOT = Path(__file__).parents[2]
-VEHICLE = (ROOT / "vehicles" / "quad-x.toml").read_bytes()
-SCENARIO = (ROOT / "scenarios" / "paper-tracking.toml").read_bytes()
+VEHICLE = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_bytes()
+SCENARIO = (ROOT / "flightstack/data/scenarios" / "paper-tracking.toml").read_bytes()
 START_US = 7_000_000
 TAKEOFF_S, TRACK_S, LAND_S = 3.0, 6.0, 26.0
 RESULT = {

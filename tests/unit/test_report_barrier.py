@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from certified import certificate, says
 
-from app.result import NO_BARRIER, NO_QP
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import MARGINS
 from flightstack.barrier.shapes import Quadratic, Stopping, value
+from flightstack.cli.result import NO_BARRIER, NO_QP
 from flightstack.types import Filtered
-from logs.reader import Log, read
-from logs.report import FlightReport, Outcome, barrier, from_log, outcome_from_result
-from logs.report.page import render_report
-from logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg, ticks
-from logs.topics import CERTIFICATE, FINAL_CERTIFICATE, TOPICS, Attachment
-from logs.writer import FlightLog
+from flightstack_logs.reader import Log, read
+from flightstack_logs.report import FlightReport, Outcome, barrier, from_log, outcome_from_result
+from flightstack_logs.report.page import render_report
+from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg, ticks
+from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, TOPICS, Attachment
+from flightstack_logs.writer import FlightLog
 
 ROOT = Path(__file__).parents[2]
-SCENARIO = (ROOT / "scenarios" / "paper-tracking.toml").read_text()
+SCENARIO = (ROOT / "flightstack/data/scenarios" / "paper-tracking.toml").read_text()
 START = np.array([5.0, 6.0, 7.0])
 
 

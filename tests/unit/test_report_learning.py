@@ -12,20 +12,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.result import NO_GP
+from flightstack.cli.result import NO_GP
 from flightstack.model import Model
 from flightstack.types import STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import parse_vehicle
-from logs.reader import Log, read
-from logs.report import FlightEvent, FlightReport, Outcome, Samples, from_log, learning, outcome_from_result, signals
-from logs.report.flight import LearnerOutcome, Learning
-from logs.report.page import render_report
-from logs.report.panel import Panel
-from logs.topics import TOPICS, Attachment
-from logs.writer import FlightLog
+from flightstack_logs.reader import Log, read
+from flightstack_logs.report import (
+    FlightEvent,
+    FlightReport,
+    Outcome,
+    Samples,
+    from_log,
+    learning,
+    outcome_from_result,
+    signals,
+)
+from flightstack_logs.report.flight import LearnerOutcome, Learning
+from flightstack_logs.report.page import render_report
+from flightstack_logs.report.panel import Panel
+from flightstack_logs.topics import TOPICS, Attachment
+from flightstack_logs.writer import FlightLog
 
 ROOT = Path(__file__).parents[2]
-VEHICLE = (ROOT / "vehicles" / "quad-x.toml").read_text()
+VEHICLE = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
 MODEL = Model.from_vehicle(parse_vehicle(VEHICLE, "quad-x"))
 NO_ERROR = Panel("error-distance", "Tracking error", "m", 3, ())
 HEAVY = 0.4 * STANDARD_GRAVITY_MPS2

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.report import Samples, samples, signals
-from logs.report.histogram import counts, edges_us, lateness_svg
-from logs.report.page import safe_json
+from flightstack_logs.report import Samples, samples, signals
+from flightstack_logs.report.histogram import counts, edges_us, lateness_svg
+from flightstack_logs.report.page import safe_json
 
 
 def signal(t: object, values: object) -> Samples:

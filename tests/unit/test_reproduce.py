@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.cli import main
-from app.console import show_reproduced
-from app.reproduce.figures import FIGURES
-from app.reproduce.page import markdown, page
-from app.reproduce.parts import Parts, sources_hash
-from app.reproduce.plan import Part, parts_of
-from app.reproduce.rows import Row, Table, table
-from app.reproduce.run import ReproduceOptions, ReproduceResult, reproduce
+from flightstack.cli.main import main
+from flightstack_paper.figures import FIGURES
+from flightstack_paper.page import markdown, page
+from flightstack_paper.parts import Parts, sources_hash
+from flightstack_paper.plan import Part, parts_of
+from flightstack_paper.rows import Row, Table, table
+from flightstack_paper.run import ReproduceOptions, ReproduceResult, reproduce
+from flightstack_paper.verb import show_reproduced
 
 CONTRACT = {
     "ex1-lyapunov-area", "ex1-barrier-area", "ex1-ratio", "tracking-rmse-ratio", "gp-step-ms-max",
@@ -65,12 +65,12 @@ def test_every_source_counts_in_the_key(tmp_path: Path) -> None:
     (tmp_path / "app").mkdir()
     code = tmp_path / "app" / "a.py"
     code.write_text("x = 1")
-    before = sources_hash(tmp_path, ("app",))
-    assert before == sources_hash(tmp_path, ("app",))
+    before = sources_hash([tmp_path / "app"])
+    assert before == sources_hash([tmp_path / "app"])
     code.write_text("x = 2")
-    assert sources_hash(tmp_path, ("app",)) != before
+    assert sources_hash([tmp_path / "app"]) != before
     code.rename(tmp_path / "app" / "b.py")
-    assert sources_hash(tmp_path, ("app",)) not in (before, "")
+    assert sources_hash([tmp_path / "app"]) not in (before, "")
 
 
 @pytest.mark.parametrize("place", ["file/out", "/proc/none/out"])
@@ -79,7 +79,7 @@ def test_a_folder_that_cannot_be_written_is_one_line_before_anything_is_computed
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr("app.reproduce.run._compute", lambda *_: pytest.fail("it began to compute"))
+    monkeypatch.setattr("flightstack_paper.run._compute", lambda *_: pytest.fail("it began to compute"))
     with pytest.raises(SystemExit) as done:
         main(["reproduce", "--quick", "--out", place])
     assert done.value.code == 2
@@ -120,7 +120,9 @@ def test_a_run_that_is_stopped_writes_no_report_and_goes_on_where_it_was(
     found["result"]["ratio"] = 99.0  # what the second run takes up, it does not compute
     kept.write_text(json.dumps(found))
     seen: dict[str, dict[str, Any]] = {}
-    monkeypatch.setattr("app.reproduce.run._write", lambda options, plants, results, head, failed: seen.update(results))
+    monkeypatch.setattr(
+        "flightstack_paper.run._write", lambda options, plants, results, head, failed: seen.update(results)
+    )
     reproduce(options, parts_wanted=_some)
     assert set(seen) == {"first", *(f"t{i}" for i in range(3))}
     assert seen["first"]["ratio"] == 99.0
@@ -131,7 +133,9 @@ def test_a_part_that_fails_is_told_is_not_kept_and_costs_the_others_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: dict[str, dict[str, Any]] = {}
-    monkeypatch.setattr("app.reproduce.run._write", lambda options, plants, results, head, failed: seen.update(results))
+    monkeypatch.setattr(
+        "flightstack_paper.run._write", lambda options, plants, results, head, failed: seen.update(results)
+    )
     reproduce(ReproduceOptions(out=tmp_path, quick=True), parts_wanted=_wrong)
     assert seen["first"]["ratio"] == pytest.approx(1.672, abs=1e-3)
     assert "no" in seen["wrong"]["failed"]

@@ -10,12 +10,12 @@ import pytest
 from scipy.special import erf
 from shipped import load_scenario
 
-from app.reproduce import theory
-from app.reproduce.exploration import density
-from app.reproduce.rows_example import _NAMES
 from flightstack.barrier.published import constant
 from flightstack.barrier.sampling import Claim, Samples, crossed
 from flightstack.frames import quat_from_euler, quat_to_matrix
+from flightstack_paper import theory
+from flightstack_paper.exploration import density
+from flightstack_paper.rows_example import _NAMES
 
 G = 9.81
 

@@ -13,15 +13,15 @@ import pytest
 from log_samples import tick_record
 from shipped import load_vehicle
 
-from app import console
-from app.calibration import TimedLearner, gp_summary
-from app.recorder import LearnerEvents
-from app.result import NO_GP, NO_LOOP, FlightResult, judge, percentiles
+from flightstack.cli import console
+from flightstack.cli.calibration import TimedLearner, gp_summary
+from flightstack.cli.recorder import LearnerEvents
+from flightstack.cli.result import NO_GP, NO_LOOP, FlightResult, judge, percentiles
 from flightstack.model import Model
 from flightstack.scenario import Check
 from flightstack.seams import NoLearner
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, changed
-from sim.plant import Truth
+from flightstack_sim.plant import Truth
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

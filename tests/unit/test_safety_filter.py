@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from lagging_plant import G, Plant, authority, certificate, crossed
 from shipped import load_scenario, load_vehicle
 
-from app.closed_loop import fly
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.records import Authority, Budget, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Stopping, value
+from flightstack.cli.closed_loop import fly
 from flightstack.control.feedback import FlatnessController
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model

@@ -25,7 +25,9 @@ position_m = [0, 0, -1]
 """
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "scenarios").glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "flightstack/data/scenarios").glob("*.toml")), ids=lambda path: path.stem
+)
 def test_every_shipped_scenario_parses_and_is_named_like_its_file(path) -> None:  # type: ignore[no-untyped-def]
     scenario = parse_scenario(path.read_text(), path.name)
     assert scenario.name == path.stem
@@ -171,7 +173,7 @@ def test_another_duration_is_checked_too() -> None:
 
 
 def test_waypoints_become_a_scenario_that_flies_through_them() -> None:
-    text = (ROOT / "scenarios" / "waypoints" / "square.toml").read_text()
+    text = (ROOT / "flightstack/data/scenarios" / "waypoints" / "square.toml").read_text()
     scenario = waypoints_scenario(parse_waypoints(text, "square.toml"), "square.toml")
     assert scenario.duration_s == 12.0
     np.testing.assert_allclose(scenario.trajectory.at(6.0).pos_ned_m, [2.0, 2.0, -2.0], atol=1e-9)

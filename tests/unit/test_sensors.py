@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64, InputError
-from sim.grade import FixGrade, Grade, ImuGrade, load_grade, parse_grade
-from sim.sensors import FIELD_NED_GAUSS, HOME_ALTITUDE_M, Sensors
+from flightstack_sim.grade import FixGrade, Grade, ImuGrade, load_grade, parse_grade
+from flightstack_sim.sensors import FIELD_NED_GAUSS, HOME_ALTITUDE_M, Sensors
 
 ZERO = (0.0, 0.0, 0.0)
 

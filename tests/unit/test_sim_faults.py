@@ -9,9 +9,9 @@ import pytest
 from station import ROOT, Station, airborne
 
 from flightstack.types import InputError
+from flightstack_sim.faults import DEFAULT_TIME_S, FAULTS, Injector, parse_faults
+from flightstack_sim.link_faults import REORDER_DELAY_US, BadLink, LinkQuality
 from mavlink_bridge import messages as m
-from sim.faults import DEFAULT_TIME_S, FAULTS, Injector, parse_faults
-from sim.link_faults import REORDER_DELAY_US, BadLink, LinkQuality
 
 _BY_NAME = {spec.name: spec for spec in FAULTS}
 NUMBER = 20_000

@@ -10,12 +10,12 @@ from station import vehicle_file
 
 from flightstack.types import F64
 from flightstack.vehicle import with_effects
-from sim.autopilot.flight_control import FlightControl, airframe_params
-from sim.autopilot.setpoint import HOLD, LAND, OFF, ControlKind, ControlSetpoint
-from sim.grade import load_grade
-from sim.plant import NativePlant, Truth
-from sim.sensors import Sensors
-from sim.simulated_vehicle import SimulatedVehicle
+from flightstack_sim.autopilot.flight_control import FlightControl, airframe_params
+from flightstack_sim.autopilot.setpoint import HOLD, LAND, OFF, ControlKind, ControlSetpoint
+from flightstack_sim.grade import load_grade
+from flightstack_sim.plant import NativePlant, Truth
+from flightstack_sim.sensors import Sensors
+from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
 EFFECTS = {
     "turbulence": {"sigma_mps": 0.5, "length_m": 20.0},

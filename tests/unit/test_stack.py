@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from app.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import Flight, fly
 from flightstack.control.feedback import FeedbackGains, FlatnessController
 from flightstack.frames import quat_from_euler
 from flightstack.model import Limits, Model

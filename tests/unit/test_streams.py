@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import development as dialect
 from station import GCS, ONBOARD, Station, airborne, position_setpoint, rates_setpoint
 
+from flightstack_sim.schedule import STOPPED, Schedule
+from flightstack_sim.streams import STREAMS
 from mavlink_bridge import messages as m
-from sim.schedule import STOPPED, Schedule
-from sim.streams import STREAMS
 
 SECONDS = 24.0
 

@@ -5,8 +5,8 @@ import pytest
 from google.protobuf.descriptor import FieldDescriptor
 from log_samples import proto_class
 
-from logs.topics import LEVELS, SEVERITIES, TOPICS, Kind, Topic, severity_names
-from logs.wire import descriptor, read_varint, varint, walk
+from flightstack_logs.topics import LEVELS, SEVERITIES, TOPICS, Kind, Topic, severity_names
+from flightstack_logs.wire import descriptor, read_varint, varint, walk
 
 TABLES = [topic for topic in TOPICS.values() if topic.kind is Kind.TABLE]
 UNIT_OF_SUFFIX = {

@@ -14,7 +14,7 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle, scaled, vehicle_to_toml, with_effects
 
-VEHICLES = Path(__file__).resolve().parents[2] / "vehicles"
+VEHICLES = Path(__file__).resolve().parents[2] / "flightstack/data/vehicles"
 EXAMPLE = """
 schema = "flightstack.vehicle/1"
 name = "quad-x"

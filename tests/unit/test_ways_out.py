@@ -10,7 +10,7 @@ import pytest
 from companions import MODEL, Flying, build, flying
 from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, STEP_US, FakePx4, exchange
 
-from app.offboard import last_words
+from flightstack.cli.offboard import last_words
 from flightstack.types import InputError
 from mavlink_bridge import messages as m
 from mavlink_bridge.faults import FAULTS

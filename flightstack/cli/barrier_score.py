@@ -1,0 +1,269 @@
+"""The barrier filter of a flight, seen from outside: how long its steps take, what it kept to, and whether it held.
+
+h of the judged region is the scenario's (`Region.value`) where the flight keeps to a region of its scenario, and the
+certificate's (`certified_value`) where it was given a certificate: the least h over its axes at plain position and
+velocity, of the certificate that was in force at the tick.  Neither is the filter's own word.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from flightstack.barrier.certifier import Elsewhere
+from flightstack.barrier.falsify import Witness, marked, prepare
+from flightstack.barrier.growing import GrowthState
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.shapes import piece_at
+from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
+from flightstack.learning.learner import LearnerState
+from flightstack.model import Model
+from flightstack.region import Region
+from flightstack.seams import Certifier, SafetyFilter
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
+from flightstack_logs.report.histogram import counts, edges_us
+
+ENGAGE_H = 0.05
+ENGAGE_US = 500_000
+"""The region counts once h has been at least ENGAGE_H for so long."""
+AS_PUBLISHED = "as-published"
+"""Mode of a certificate that is one ellipsoid over all axes."""
+ENGAGED = SOLVED = 2.0
+"""From this status on the filter has solved its problem."""
+FALLBACKS = (4.0, 5.0)
+"""Statuses of a problem without a solution: infeasible, not solved within the budget."""
+
+
+State = Sequence[float] | F64
+"""Six numbers: position relative to the start, velocity."""
+
+
+class TimedFilter:
+    """A filter whose steps are timed; the core has no clock, and nothing of this goes into the log."""
+
+    def __init__(self, safety_filter: SafetyFilter) -> None:
+        self.enabled = safety_filter.enabled
+        self.solve_ns: list[int] = []
+        """Wall time of each step that solved its problem, since the last `init`."""
+        self._filter = safety_filter
+
+    def init(self, origin_ned_m: F64) -> object:
+        """The filter's own; the steps before it (warming up) are forgotten."""
+        self.solve_ns = []
+        return self._filter.init(origin_ned_m)
+
+    def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
+        """The filter's own."""
+        return self._filter.bend(state, setpoint)
+
+    def adopt(self, state: object, certificate: Certificate) -> object:
+        """The filter's own."""
+        return self._filter.adopt(state, certificate)
+
+    def step(
+        self, state: object, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[object, Command, Filtered]:
+        """The filter's own, timed."""
+        began = time.perf_counter_ns()
+        after = self._filter.step(state, measurement, command, sent, learned)
+        took = time.perf_counter_ns() - began
+        if after[2].status >= SOLVED:
+            self.solve_ns.append(took)
+        return after
+
+
+class GivenCertificate:
+    """A certifier that gives one certificate at the first tick, and watches whether it holds once the filter engages.
+
+    Where it does not (another vehicle, another load or wind than it was learned with), there is no other: it says so.
+    """
+
+    enabled = True
+
+    def __init__(self, certificate: Certificate, model: Model) -> None:
+        self.certificate, self.model = certificate, model
+        prepare()
+
+    def init(self) -> Witness | None:
+        """Not given yet."""
+        return None
+
+    def step(
+        self, state: object, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, Certificate | None]:
+        """The certificate, and, if need be, its end."""
+        if not isinstance(state, Witness):
+            return (state, None) if state else (Witness(), self.certificate)
+        if not filtered.status >= ENGAGED:
+            return state, None
+        reason, _ = state.observe(self.certificate, self.model, measurement, learned)
+        if not reason:
+            return state, None
+        return True, marked(self.certificate, reason, hand_over=True, version=self.certificate.version + 1)
+
+
+class WatchedCertifier:
+    """A certifier whose certificates are kept, for the score and the log.
+
+    `stamp` is added to what they rest on: the vehicle that they are for, which the core does not know.  `elsewhere` is
+    where it has the work done, if it does not do that itself.
+    """
+
+    def __init__(
+        self, certifier: Certifier, stamp: Mapping[str, object] | None = None, elsewhere: Elsewhere | None = None
+    ) -> None:
+        self.enabled, self.elsewhere = certifier.enabled, elsewhere
+        self._stamp = dict(stamp or {})
+        self.adopted: list[Certificate] = []
+        """Since the last `init`, in their order."""
+        self.seen: tuple[object, object, Learned] | None = None
+        """The certifier's state, the learner's and what it said, as of the last tick; None where none was."""
+        self._seeing = True
+        self._certifier = certifier
+
+    def init(self) -> object:
+        """The certifier's own; certificates before it (warming up) are forgotten."""
+        self.adopted, self.seen, self._seeing = [], None, True
+        return self._certifier.init()
+
+    def step(
+        self, state: object, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, Certificate | None]:
+        """The certifier's own."""
+        after, certificate = self._certifier.step(state, learner, measurement, learned, filtered)
+        if self._seeing:
+            self.seen = after, learner, learned
+        if certificate is not None:
+            certificate = self.stamped(certificate)
+            self.adopted.append(certificate)
+        return after, certificate
+
+    def look_away(self) -> None:
+        """From now on `seen` stays as it is: a landing, in which others give the commands, contradicts every bound."""
+        if self.seen is not None and self._seeing:
+            state, learner, learned = self.seen
+            if isinstance(state, GrowthState):
+                state = replace(state, inner=copy(state.inner))
+            if isinstance(learner, LearnerState):
+                learner = learner.evidence()
+            self.seen, self._seeing = (state, learner, learned), False
+
+    def stamped(self, certificate: Certificate) -> Certificate:
+        """The same, made for the vehicle of `stamp`."""
+        return replace(certificate, knowledge={**certificate.knowledge, **self._stamp})
+
+
+def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:
+    """h at a position relative to the start (3,) and a velocity (3,): the least over the certificate's axes.
+
+    As published its axes are the terms of one ellipsoid, h = 1 - sum (1 - h_i).
+    """
+    values = [
+        min(
+            piece_at(row, pos_ned_m[axis.axis] - certificate.centre_ned_m[axis.axis], vel_ned_mps[axis.axis])[0]
+            for row in axis.barrier.rows
+        )
+        for axis in certificate.axes
+    ]
+    return min(values) if certificate.mode != AS_PUBLISHED else 1.0 - sum(1.0 - value for value in values)
+
+
+@dataclass(slots=True)
+class RegionScore:
+    """h of the judged region, tick by tick from take-off to the command to land."""
+
+    region: Region | None
+    """The scenario's; None: that of the certificate in force."""
+    certifier: WatchedCertifier | None = None
+    _t_us: list[int] = field(default_factory=list)
+    _in_force: list[int] = field(default_factory=list)
+    _estimated: list[State] = field(default_factory=list)
+    _true: list[State] = field(default_factory=list)
+
+    @property
+    def of(self) -> str | None:
+        """Which region is judged: scenario, certificate or none."""
+        if self.region is not None:
+            return "scenario"
+        return "certificate" if self.certifier is not None else None
+
+    def add(self, t_us: int, estimated: State, true: State | None = None) -> None:
+        """One tick: position relative to the start and velocity (6,), as estimated and as they were."""
+        if self.of is None:
+            return
+        self._t_us.append(t_us)
+        self._in_force.append(0 if self.certifier is None else len(self.certifier.adopted))
+        self._estimated.append(estimated)
+        if true is not None:
+            self._true.append(true)
+
+    def summary(self) -> dict[str, Any]:
+        """Which region, from when on it counts (s after take-off), the least h then, ticks outside; null if unknown."""
+        start = engaged_from(self._t_us, estimated := self._values(self._estimated))
+        found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
+        found["violations"] = 0 if self._true else None
+        found["left_s"] = None
+        if start is None:
+            return found
+        since_s = (np.array(self._t_us[start:]) - self._t_us[0]) * 1e-6
+        found["engaged_s"] = float(since_s[0])
+        found["min_h_estimate"] = _least(estimated[start:])
+        if self._true:
+            true = self._values(self._true)[start:]
+            outside = np.flatnonzero(true < 0.0)
+            found["min_h_truth"], found["violations"] = _least(true), len(outside)
+            found["left_s"] = float(since_s[outside[0]]) if len(outside) else None
+        return found
+
+    def _values(self, states: Sequence[State]) -> F64:
+        table = np.array(states).reshape(-1, 6)
+        if self.region is not None:
+            return self.region.values(table[:, :3], table[:, 3:])
+        return np.array([self._value(state, count) for state, count in zip(table, self._in_force, strict=True)])
+
+    def _value(self, state: F64, adopted: int) -> float:
+        if self.certifier is None or adopted == 0:
+            return math.nan
+        return certified_value(self.certifier.adopted[adopted - 1], state[:3], state[3:])
+
+
+def engaged_from(t_us: Sequence[int], h: F64) -> int | None:
+    """The first tick at whose end h has been at least ENGAGE_H for ENGAGE_US; None where it never was."""
+    since: int | None = None
+    for i, (now_us, value) in enumerate(zip(t_us, h.tolist(), strict=True)):
+        if not value >= ENGAGE_H:
+            since = None
+        elif since is None:
+            since = now_us
+        if since is not None and now_us - since >= ENGAGE_US:
+            return i
+    return None
+
+
+def _least(values: F64) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if known.size else None
+
+
+def barrier_summary(enabled: bool, region: dict[str, Any], interventions: int) -> dict[str, Any]:
+    """The JSON's `barrier`; all null where no filter flew."""
+    if not enabled:
+        return dict(NO_BARRIER)
+    names = ("min_h_truth", "min_h_estimate", "violations")
+    return {"enabled": True, **{name: region[name] for name in names}, "interventions": interventions}
+
+
+def qp_summary(safety_filter: SafetyFilter, infeasible: int) -> dict[str, Any]:
+    """The JSON's `qp`; `histogram` has the lower edges and the counts of its bins, for the report."""
+    if not safety_filter.enabled:
+        return dict(NO_QP)
+    solve_us = [ns * 1e-3 for ns in safety_filter.solve_ns] if isinstance(safety_filter, TimedFilter) else []
+    edges = edges_us(np.array(solve_us or [0.0]))
+    histogram = {"edges_us": edges.tolist(), "counts": counts(np.array(solve_us), edges)} if solve_us else None
+    return {"solve_us": percentiles(solve_us), "infeasible": infeasible, "histogram": histogram}

@@ -1,0 +1,78 @@
+"""From what came of an exploration to its page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flightstack.cli.certified import counted_mps2, vertical
+from flightstack.types import F64
+from flightstack_logs.reader import read
+from flightstack_logs.report.certified import Exploration, render
+
+if TYPE_CHECKING:
+    from flightstack.cli.certify import CertifyResult
+
+
+def page_of(result: CertifyResult, limit_m: float) -> str:
+    """The page's HTML; `limit_m` is the region's, up and down."""
+    axis = vertical(result.adopted[-1])
+    kernel = None
+    if axis is not None and (counted := counted_mps2(axis))[0] < 0.0 < counted[1]:
+        kernel = (limit_m, *counted)
+    exploration = Exploration(
+        title=f"{result.flight.scenario}: {'as published' if result.as_published else 'certified in flight'}",
+        good=result.passed,
+        words=result.failure() or result.words,
+        figures=figures(result),
+        certificates=tuple(result.adopted),
+        rounds=() if result.state is None else result.state.rounds,
+        path=path_of(result),
+        kernel=kernel,
+        checker=tuple(result.verdict),
+    )
+    return render(exploration)
+
+
+def figures(result: CertifyResult) -> tuple[tuple[str, str, str], ...]:
+    """Label, value and note of each key figure; for the page and the terminal."""
+    found, flight = result.figures, result.flight
+    if found is None:
+        return ()
+    share = "" if not found.area_kernel_m2ps or found.area_m2ps is None else (
+        f"{100.0 * found.area_m2ps / found.area_kernel_m2ps:.0f} % of the kernel's {found.area_kernel_m2ps:.2f}"
+    )  # fmt: skip
+    rounds = 0 if result.state is None else len(result.state.rounds)
+    exits = flight.barrier["violations"]
+    return (
+        ("Certified area", _shown(found.area_m2ps, 3, "m²/s"), share),
+        (
+            "On the worst slice",
+            _shown(found.area_worst_m2ps, 3, "m²/s"),
+            f"at first {_shown(found.area_initial_m2ps, 2)}",
+        ),
+        ("mu", _shown(found.mu_final, 3), f"from {_shown(found.mu_initial, 2)}; physics {_shown(found.mu_physics, 4)}"),
+        ("Rounds", str(rounds), f"{flight.flight_time_s:.0f} s of flight"),
+        ("Exits", "–" if exits is None else str(exits), f"infeasible steps: {flight.qp['infeasible']}"),
+        ("Samples", _whole(found.samples), f"uniform grid: {_whole(found.samples_uniform)}"),
+    )
+
+
+def _shown(value: float | None, digits: int, unit: str = "") -> str:
+    return "–" if value is None else f"{value:.{digits}f} {unit}".strip()
+
+
+def _whole(value: int | None) -> str:
+    return "–" if value is None else str(value)
+
+
+def path_of(result: CertifyResult) -> F64:
+    """(n, 6) the true position relative to the region's centre, and the velocity, while it was explored."""
+    if result.state is None or result.flight.log is None:
+        return np.zeros((0, 6))
+    truth = read(result.flight.log).tables["/truth"]
+    during = (truth.t_us >= result.span_us[0]) & (truth.t_us <= result.span_us[1])
+    return np.concatenate(
+        [truth["pos_ned_m"][during] - result.state.centre_ned_m, truth["vel_ned_mps"][during]], axis=1
+    )

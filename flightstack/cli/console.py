@@ -1,0 +1,225 @@
+"""What a person sees in the terminal: progress while flying, a table at the end, one line when something is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from flightstack.cli.result import FlightResult
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from flightstack.cli.certify import CertifyResult
+    from flightstack.gap.result import GapResult
+
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+output = Console(highlight=False)
+
+
+class OnProgress(Protocol):
+    """Share done (0..1) and what is going on."""
+
+    def __call__(self, share: float, phase: str) -> None:
+        """Show it."""
+
+
+@contextmanager
+def progress(title: str) -> Iterator[OnProgress]:
+    """A progress bar on stderr, only where a person looks at it."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+        task = bars.add_task(title, total=1.0)
+
+        def show(share: float, phase: str) -> None:
+            bars.update(task, completed=share, description=f"{title}: {phase}")
+
+        yield show
+
+
+def say_error(text: str) -> None:
+    """One line on stderr that begins `error:`."""
+    errors.print(f"error: {' '.join(text.split())}", markup=False)
+
+
+def show_result(result: FlightResult) -> None:
+    """The flight's summary."""
+    if result.passed:
+        verdict = "[bold green]completed[/]"
+    else:
+        verdict = f"[bold red]{_not_passed(result)}[/]"
+    table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
+    table.add_column(style="dim")
+    table.add_column()
+    for name, value in _rows(result):
+        table.add_row(name, value)
+    output.print(table)
+    for name, path in (("log", result.log), ("report", result.report)):
+        if path:  # outside the table: a path must never be cut or wrapped
+            output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
+    if result.log_problem:
+        output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
+
+
+def _not_passed(result: FlightResult) -> str:
+    if not result.completed:
+        return "NOT completed"
+    return "completed, but left its region" if result.left_region else "completed, but a check failed"
+
+
+def show_certified(result: CertifyResult) -> None:
+    """An exploration's summary."""
+    from flightstack.cli.certified_page import figures
+
+    good = "[bold green]certified[/]" if not result.as_published else "[bold]done, not robustly certifiable[/]"
+    table = Table(
+        title=f"{result.flight.scenario}: {good if result.passed else '[bold red]NOT certified[/]'}",
+        title_justify="left",
+        show_header=False,
+        box=None,
+    )
+    table.add_column(style="dim")
+    table.add_column()
+    table.add_row("how it ended", escape(result.words))
+    for label, value, note in figures(result):
+        table.add_row(label.lower(), escape(f"{value} ({note})" if note else value))
+    output.print(table)
+    for line in result.verdict:
+        output.print(f" checker {line}", soft_wrap=True, markup=False)
+    for name, path in (("certificate", result.certificate), ("log", result.flight.log), ("report", result.report)):
+        if path:
+            output.print(f" {name:<12}{path}", soft_wrap=True, markup=False)
+
+
+def show_gap(result: GapResult, out: Path) -> None:
+    """The sentence, what was named, and where the files lie."""
+    from flightstack.gap.report import words
+
+    output.print(escape(result.sentence), style="bold", soft_wrap=True)
+    table = Table(show_header=False, box=None)
+    table.add_column(style="dim")
+    table.add_column()
+    for log in result.report.logs:
+        for finding in log.findings:
+            if finding.level != "ok":
+                table.add_row("data", escape(f"{log.name}: {finding.text}"))
+    for found in result.found:
+        shown = ", ".join(words.parameter(found, name) for name in found.parameters)
+        table.add_row("effect", escape(f"{found.name}: {shown}"))
+        if found.indistinguishable_from:
+            table.add_row("", escape(f"or {', '.join(found.indistinguishable_from)}; to split: {found.manoeuvre}"))
+    for label, name, unit in (
+        ("force, one step", "one_step_mps2", "m/s²"),
+        ("turning, one step", "one_step_radps2", "rad/s²"),
+        ("path after 1 s", "rollout_1s_m", "m"),
+    ):
+        before, after, floor = (
+            words.figure(getattr(part, name), unit)
+            for part in (result.gap.before, result.gap.after, result.gap.noise_floor)
+        )
+        table.add_row(label, f"{before} before, {after} after, {floor} of noise")
+    output.print(table)
+    for name in ("gap.json", "vehicle.toml", "report.html"):
+        output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
+
+
+def show_checked(path: str, valid: bool, lines: list[str]) -> None:
+    """What the independent checker said of a file."""
+    for line in lines:
+        output.print(f" {line}", soft_wrap=True, markup=False)
+    output.print(f"{path}: {'valid' if valid else 'NOT valid'}", soft_wrap=True, markup=False)
+
+
+def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
+    if why := result.why:
+        yield "why", why
+    pace = f"{result.wall_time_s:.1f} s, {result.clock_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
+    yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
+    tracking = result.tracking
+    if tracking["rmse_m"] is not None:
+        yield (
+            f"distance from the reference ({'true' if tracking['of'] == 'truth' else 'estimated'} position)",
+            f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
+            f"most {_length(tracking['max_m'])}",
+        )
+    yield "learning", _learning(result.gp)
+    yield "barrier filter", _filter(result)
+    lateness = result.loop["lateness_us"]
+    if lateness["p50"] is not None:
+        yield (
+            "loop",
+            f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
+        )
+        trip = result.link["round_trip_us"]
+        if trip["p50"] is not None:
+            dropped = sum(result.link["dropped"].values())
+            yield (
+                "link",
+                f"round trip {trip['p50'] / 1e3:.1f} ms (p50), {trip['p99'] / 1e3:.1f} ms (p99); "
+                f"{result.link['lost']} messages lost, {dropped} dropped, {result.link['received']} taken",
+            )
+    for check in result.checks:
+        yield "check", f"{'[green]kept[/]' if check['passed'] else '[red]FAILED[/]'}: {check['words']}"
+
+
+def _learning(gp: dict[str, Any]) -> str:
+    """Points, thrust gain, coverage and step time, as far as they are known."""
+    if not gp["enabled"]:
+        return "off"
+    parts = []
+    if gp["points"] is not None:
+        parts.append(f"{gp['points']} points of {gp['fed']} samples")
+    if gp["thrust_gain"] is not None:
+        parts.append(f"thrust {gp['thrust_gain']:.3f} of the believed")
+    if gp["coverage_3sigma"] is not None:
+        parts.append(f"truth within 3 sigma {100 * gp['coverage_3sigma']:.2f} %")
+    if gp["step_us"]["p50"] is not None:
+        parts.append(f"step {gp['step_us']['p50']:.0f} us (p99 {gp['step_us']['p99']:.0f} us)")
+    return ", ".join(parts) or "nothing learned"
+
+
+def _filter(result: FlightResult) -> str:
+    """What the filter was, what it kept to and what it took; or why there was none."""
+    barrier, solve_us = result.barrier, result.qp["solve_us"]
+    if not barrier["enabled"]:
+        return result.protection or "off"
+    parts = [result.protection] if result.protection else []
+    for of, violations in (("truth", barrier["violations"]), ("estimate", None)):
+        least = barrier[f"min_h_{of}"]
+        if least is not None:
+            outside = "" if violations is None else f" ({violations} ticks outside)"
+            parts.append(f"least h of the {of} {least:.3f}{outside}")
+    if not result.region.get("filtered_ticks"):
+        parts.append("nothing was certified in time: it never engaged")
+    parts.append(f"{barrier['interventions']} interventions, {result.qp['infeasible']} infeasible")
+    if solve_us["p50"] is not None:
+        parts.append(f"step {solve_us['p50']:.0f} us (p99 {solve_us['p99']:.0f} us)")
+    return ", ".join(parts)
+
+
+def _length(metres: float | None) -> str:
+    if metres is None:
+        return "-"
+    return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def show_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+    """A plain table."""
+    table = Table(title=title, title_justify="left", box=None)
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(value) for value in row))
+    output.print(table)

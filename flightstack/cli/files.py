@@ -1,0 +1,139 @@
+"""Finding and reading the user's files: vehicles, scenarios, the outputs' places.  Every failure is one clear line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from flightstack.cli.result import FlightResult
+from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle, parse_vehicle
+from flightstack.waypoints import parse_waypoints
+
+_HERE = Path(__file__).resolve().parent
+_DATA = _HERE.parent / "data"
+DEFAULT_VEHICLE = "quad-x"
+
+
+@dataclass(frozen=True, slots=True)
+class TextFile:
+    """A text and where it came from."""
+
+    path: Path
+    text: str
+
+
+def read_text(path: Path) -> TextFile:
+    """A UTF-8 text file; InputError where it can't be read."""
+    try:
+        return TextFile(path, path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file (UTF-8 expected)") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+
+
+def find(kind: str, name: str) -> TextFile:
+    """A name of a shipped file or a path to one's own."""
+    given = Path(name)
+    if given.suffix == ".toml" or os.sep in name:
+        return read_text(given)
+    shipped = _DATA / kind / f"{name}.toml"
+    if shipped.is_file():
+        return read_text(shipped)
+    known = ", ".join(shipped_names(kind))
+    raise InputError(f"no {kind[:-1]} named {name!r}: name a .toml file or one of {known}")
+
+
+def shipped_names(kind: str) -> list[str]:
+    """Names of the shipped `vehicles` or `scenarios`, sorted."""
+    return sorted(path.stem for path in (_DATA / kind).glob("*.toml"))
+
+
+def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
+    """The vehicle of a name or path (None: the default)."""
+    file = find("vehicles", name or DEFAULT_VEHICLE)
+    return parse_vehicle(file.text, str(file.path)), file
+
+
+def load_scenario(name: str, waypoints: str | None = None) -> tuple[Scenario, TextFile]:
+    """The scenario of a name or path; `waypoints` needs its file, no other scenario takes one."""
+    if name == "waypoints":
+        if waypoints is None:
+            raise InputError("scenario waypoints needs a file of waypoints (.toml or .csv)")
+        file = read_text(Path(waypoints))
+        return waypoints_scenario(parse_waypoints(file.text, waypoints), waypoints), file
+    if waypoints is not None:
+        raise InputError(f"scenario {name} takes no file; only `waypoints` does")
+    file = find("scenarios", name)
+    return parse_scenario(file.text, str(file.path)), file
+
+
+def new_run_folder(scenario: str, seed: int | None) -> Path:
+    """A fresh folder below `runs/` of the working directory, named by time, scenario and seed."""
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    name = f"{stamp}-{scenario}" + (f"-seed{seed}" if seed is not None else "")
+    for attempt in range(1000):
+        folder = Path("runs") / (name if attempt == 0 else f"{name}-{attempt + 1}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise InputError(f"{folder}: {error.strerror}; choose a place with --out") from None
+        return folder
+    raise InputError(f"runs/{name}: too many runs of this name; choose a place with --out")
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write a JSON result; InputError where that can't be done."""
+    write_text(path, json.dumps(data, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, its folder too; InputError where that can't be done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; choose another place for the result") from None
+
+
+def write_flight_report(log_path: Path, report_path: Path, result: FlightResult) -> None:
+    """Turn the log into the flight's page; `result.report` says where, or `result.log_problem` why not."""
+    from flightstack_logs.reader import read
+    from flightstack_logs.report import from_log, write_report
+
+    try:
+        result.report = str(report_path)
+        report_path.parent.mkdir(parents=True, exist_ok=True)  # the log may lie elsewhere
+        write_report(from_log(read(log_path), result.as_json()), report_path)
+    except (InputError, OSError) as error:
+        result.report = None
+        result.log_problem = result.log_problem or f"no report: {error}"
+
+
+def versions() -> dict[str, str]:
+    """What this run was made with: package, libraries, git commit (empty outside a checkout)."""
+    names = ("flightstack", "numpy", "scipy", "numba", "pymavlink", "foxglove-sdk", "osqp")
+    return {name: metadata.version(name) for name in names} | {"git_commit": _git_commit()}
+
+
+def _git_commit() -> str:
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(_HERE), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=False,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return answer.stdout.strip() if answer.returncode == 0 else ""

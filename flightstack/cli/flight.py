@@ -1,0 +1,311 @@
+"""`flightstack fly`: simulator and companion in one process, every message through UDP on loopback.
+
+In lockstep the simulator's clock is the only clock: 4 ms are simulated, the datagrams go out, the companion waits for
+just as many, ticks and answers, and the simulator waits for the answers.  No thread sleeps, nothing depends on the
+machine, and the same seed gives the same log.  With `--realtime` the very same loop is paced by absolute deadlines.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from flightstack.cli import files
+from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.recorder import LogObserver
+from flightstack.cli.result import FlightResult, LoopTiming
+from flightstack.cli.score import FlightScore
+from flightstack.scenario import Scenario
+from flightstack.vehicle import Vehicle, vehicle_to_toml
+from flightstack.warmup import warm_up as warm_up_stack
+from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.writer import Recorder
+from flightstack_sim.faults import Fault, parse_faults
+from flightstack_sim.grade import Grade, load_grade
+from flightstack_sim.plant import Truth
+from flightstack_sim.server import Server
+from flightstack_sim.shell import ONBOARD, Shell
+from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
+from flightstack_sim.streams import LinkKind
+from flightstack_sim.warmup import warm_up as warm_up_simulator
+from mavlink_bridge import messages
+from mavlink_bridge.companion import Companion, CompanionConfig, Planner
+from mavlink_bridge.link import MAX_DATAGRAM, Link
+from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.transport.udp import UdpSocket, connected_pair
+
+TICK_MS = 4
+LOCKSTEP_TIMEOUT_S = 2.0
+FLIGHT_TIME_LIMIT_S = 180.0
+"""Simulated time that a flight may take beyond its scenario before it counts as stuck."""
+AFTERMATH_US = 60_000_000
+"""After a fault the simulator goes on for so long after the companion's end, or until the vehicle is disarmed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlyOptions(FlightOptions):
+    """What `fly` was asked for."""
+
+    scenario: str = "paper-tracking"
+    truth: str | None = None
+    sensors: str | None = None
+    seed: int = 0
+    plant: str = "native"
+    realtime: bool = False
+    fault: str | None = None
+    """As on the command line; see sim.faults."""
+
+    @property
+    def in_real_time(self) -> bool:
+        """See ProtectionOptions."""
+        return self.realtime
+
+    @property
+    def as_written(self) -> bool:
+        """The flight is the one that the scenario's checks were written for."""
+        return self.stack_as_written and self.truth is None and self.sensors is None and self.fault is None
+
+    def grade(self, scenario: Scenario) -> str:
+        """Grade of the sensors that fly."""
+        return self.sensors or scenario.sensors
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A flight and the vehicle that flies it."""
+
+    flight: Prepared
+    truth: Vehicle
+    grade: Grade
+    plant: str = "native"
+    faults: tuple[Fault, ...] = ()
+    companion: CompanionConfig = field(default_factory=lambda: CompanionConfig(arm=True))
+
+
+def prepare(options: FlyOptions) -> Setup:
+    """Read and check everything before anything moves; InputError with one line where something is wrong."""
+    faults = parse_faults(options.fault)
+    flight = prepare_flight(options)
+    if options.truth is not None:
+        truth, _ = files.load_vehicle(options.truth)
+    else:
+        truth = flight.scenario.truth_vehicle(flight.believed)
+    sensors = options.grade(flight.scenario)
+    settings = {
+        "truth": truth.name,
+        "seed": str(options.seed),
+        "sensors": sensors,
+        "plant": options.plant,
+        "pace": "realtime" if options.realtime else "lockstep",
+    }
+    if faults:
+        settings["fault"] = options.fault or ""
+    carried = {"truth.toml": vehicle_to_toml(truth)}
+    if options.plant == "jsbsim":
+        from flightstack_sim.jsbsim.trial import try_out
+
+        tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
+        settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
+    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant, faults)
+
+
+def warm_up_all(setup: Setup) -> None:
+    """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
+    messages.prepare()
+    warm_up_stack(setup.flight.stack, setup.flight.scenario)
+    warm_up_simulator(setup.truth, setup.grade, setup.plant)
+
+
+class SimulatedFlight:
+    """One flight in the simulator; `run` flies it to its end."""
+
+    def __init__(self, setup: Setup, options: FlyOptions, log: Recorder, planner: Planner | None = None) -> None:
+        prepared = setup.flight
+        self.scenario = prepared.scenario
+        self._log = log
+        self.vehicle: SimulatedVehicle = simulated_vehicle(
+            prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant
+        )
+        self._ours, self._theirs = connected_pair()
+        server = Server(self.vehicle, links=(LinkKind.ONBOARD,), faults=setup.faults)
+        self.shell = Shell(server, (self._theirs,), options.seed)
+        self.score = FlightScore(prepared, of="truth")
+        observer = LogObserver(
+            log,
+            self.scenario,
+            prepared.believed,
+            truth=True,
+            on_record=self.score.on_record,
+            certifier=prepared.protection.watched,
+        )
+        stack, config = prepared.stack, setup.companion
+        self.companion = Companion(Link(240, 191), stack, self.scenario, observer, config, planner)
+        observer.companion = self.score.companion = self.companion
+        self.faulty = bool(setup.faults)
+        """Whether faults were asked for."""
+        self._events = sorted(self.scenario.events, key=lambda event: event.time_s)
+        self._true_start_ned_m = (0.0, 0.0, 0.0)
+
+    @property
+    def t_us(self) -> int:
+        """Simulated time."""
+        return self.vehicle.t_us
+
+    @property
+    def progress(self) -> float:
+        """Share of the scenario flown, 0..1."""
+        companion = self.companion
+        if companion.mission is None:
+            return 0.0
+        flown = (self.t_us - companion.flight_start_us) * 1e-6
+        return min(1.0, flown / companion.mission.track_end_s)
+
+    def step(self) -> None:
+        """4 ms of both ends."""
+        companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
+        most_bytes = 0 if seam.bad else MAX_DATAGRAM
+        server.advance(TICK_MS)
+        now_us = self.vehicle.plant.t_us
+        if self.faulty:
+            for at_us, words in server.faults.new():
+                log.event(at_us, "fault", words)
+        for data in self._carry(seam.out(ONBOARD, server.datagrams(ONBOARD, most_bytes)), self._theirs, self._ours):
+            log.mavlink("rx", now_us, data)
+            companion.receive_datagram(data, now_us)
+        engaged = companion.flight_start_us
+        companion.step(now_us)
+        answers = companion.link.datagrams_to_send(most_bytes)
+        for data in answers:
+            log.mavlink("tx", now_us, data)
+        for data in seam.into(ONBOARD, self._carry(answers, self._ours, self._theirs)):
+            server.receive(ONBOARD, data)
+        truth = self.vehicle.plant.truth()
+        if engaged != companion.flight_start_us:
+            self._true_start_ned_m = truth.pos_ned_m
+        self._observe(truth, now_us)
+
+    def _carry(self, datagrams: list[bytes], sender: UdpSocket, receiver: UdpSocket) -> list[bytes]:
+        """Send a tick's messages, packed into as few datagrams as hold them, and wait until they are there."""
+        if not datagrams:
+            return datagrams
+        for data in datagrams:
+            sender.send(data)
+        arrived = receiver.receive_exactly(len(datagrams), LOCKSTEP_TIMEOUT_S)
+        if lost := len(datagrams) - len(arrived):
+            self.companion.stop(f"{lost} datagrams were lost on loopback: this machine is too busy to fly")
+        return arrived
+
+    def _observe(self, truth: Truth, now_us: int) -> None:
+        """Log the truth, let timed effects happen, and score while the scenario is tracked."""
+        self._log.truth(now_us, truth)
+        track_s = self.score.track_s(now_us)
+        if track_s is None:
+            return
+        while self._events and self._events[0].time_s <= track_s:
+            event = self._events.pop(0)
+            self.vehicle.plant.set_effect(event.effect, dict(event.values))
+            self._log.event(now_us, "effect", f"{event.effect} is now {dict(event.values)}")
+        self.score.add(track_s, truth.pos_ned_m, self._true_start_ned_m, truth)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._ours.close()
+        self.shell.close()
+
+
+def fly(
+    options: FlyOptions,
+    *,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> FlightResult:
+    """Fly a scenario in the simulator; log and report lie where the result says."""
+    return fly_setup(prepare(options), options, stop_requested=stop_requested, on_progress=on_progress)
+
+
+def fly_setup(
+    setup: Setup,
+    options: FlyOptions,
+    *,
+    planner: Planner | None = None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> FlightResult:
+    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
+    ensure_compiled(lambda text: on_progress(0.0, text))
+    with setup.flight.protection.beside():
+        return _flown(setup, options, planner, stop_requested, on_progress)
+
+
+def _flown(
+    setup: Setup,
+    options: FlyOptions,
+    planner: Planner | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> FlightResult:
+    warm_up_all(setup)
+    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
+    log_path = options.log or out / "flight.mcap"
+    log = setup.flight.open_log(log_path)
+    recorder: Recorder = ThreadedLog(log) if options.realtime else log
+    timing = LoopTiming(250) if options.realtime else None
+    started = time.perf_counter()
+    try:
+        flight = SimulatedFlight(setup, options, recorder, planner)
+        try:
+            with undisturbed():
+                _run(flight, recorder, timing, stop_requested, on_progress)
+        finally:
+            flight.close()
+    finally:
+        recorder.close()
+    wall_s = time.perf_counter() - started
+    result = flight.score.result(
+        log,
+        wall_s=wall_s,
+        clock_s=flight.t_us * 1e-6,
+        timing=timing,
+        completed=flight.companion.completed,
+        checked=options.as_written,
+        seed=options.seed,
+        plant=setup.plant,
+    )
+    files.write_flight_report(log_path, out / "report.html", result)
+    return result
+
+
+def _run(
+    flight: SimulatedFlight,
+    log: Recorder,
+    timing: LoopTiming | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> None:
+    companion = flight.companion
+    pace = Pace(TICK_MS * 1000) if timing is not None else None
+    limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
+    ticks = 0
+    while not companion.done:
+        if pace is not None and timing is not None:
+            lateness_us = pace.wait()
+            timing.lateness_us.append(lateness_us)
+            timing.missed = pace.missed
+        flight.step()
+        if pace is not None:
+            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        ticks += 1
+        if ticks % 25 == 0:
+            if reason := stop_requested():
+                companion.stop(reason)
+            on_progress(flight.progress, companion.phase)
+        if flight.t_us > limit_us:
+            companion.reason = companion.reason or f"stuck in {companion.state.value}: gave up"
+            break
+    for _ in range(50):  # what the last words (Hold) do is in the log too
+        flight.step()
+    end_us = min(limit_us, flight.t_us + AFTERMATH_US) if flight.faulty else 0
+    while flight.t_us < end_us and flight.shell.server.commander.state.armed:  # what the autopilot makes of the fault
+        flight.step()

@@ -1,0 +1,82 @@
+"""`flightstack gap`: the workflow on files: reads logs and vehicle, writes gap.json, vehicle.toml and report.html."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from flightstack.cli import files
+from flightstack.gap.add import vehicle_file
+from flightstack.gap.report import write_report
+from flightstack.gap.result import GapResult, as_json
+from flightstack.types import InputError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GapOptions:
+    """What `gap` was asked for."""
+
+    logs: tuple[Path, ...]
+    vehicle: str
+    out: Path
+    holdout: tuple[Path, ...] = ()
+    columns: Path | str | None = None
+    ground_d_m: float = 0.0
+    kinematics_only: bool = False
+
+
+def find_gap(
+    options: GapOptions, *, on_progress: Callable[[float, str], None] = lambda share, phase: None
+) -> GapResult:
+    """Run the workflow and write its three files into `options.out`; InputError, one line, where that can't be done."""
+    from flightstack.gap.workflow import analyse
+
+    vehicle, file = files.load_vehicle(options.vehicle)
+    for path in (*options.logs, *options.holdout):
+        if not path.is_file():
+            raise InputError(f"log {path}: there is no such file; check the path")
+    _make_folder(options.out)
+    result = analyse(
+        options.logs,
+        vehicle,
+        vehicle_name=str(file.path),
+        holdout=options.holdout,
+        columns=options.columns,
+        ground_d_m=options.ground_d_m,
+        kinematics_only=options.kinematics_only,
+        on_progress=on_progress,
+    )
+    on_progress(0.98, "writing")
+    _write_whole(options.out / "vehicle.toml", _vehicle_file(result))
+    try:
+        write_report(result.report, options.out / "report.html")
+    except OSError as error:
+        raise InputError(f"{options.out}: {error.strerror}; choose another folder with --out") from None
+    files.write_json(options.out / "gap.json.part", as_json(result))
+    (options.out / "gap.json.part").replace(options.out / "gap.json")  # last: it says that all is there
+    return result
+
+
+def _vehicle_file(result: GapResult) -> str:
+    """The corrected vehicle's text, checked to say what was found."""
+    values = {f.name: {name: value.estimate for name, value in f.parameters.items()} for f in result.found}
+    return vehicle_file(result.corrected, values)
+
+
+def _make_folder(out: Path) -> None:
+    """The folder, without what an earlier run says it found."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "gap.json").unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror}; choose another folder with --out") from None
+    if not os.access(out, os.W_OK):
+        raise InputError(f"{out}: can't be written to; choose another folder with --out")
+
+
+def _write_whole(path: Path, text: str) -> None:
+    part = path.with_name(path.name + ".part")
+    files.write_text(part, text)
+    part.replace(path)

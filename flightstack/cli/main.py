@@ -1,0 +1,409 @@
+"""The command line `flightstack`.  Verbs import what they need only when they run."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: a second BLAS thread beside a busy core costs 100 ms
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import inspect
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from flightstack.cli.interrupts import Interrupts
+from flightstack.cli.options import (
+    AsPublishedOption,
+    CertificateOption,
+    ControllerOption,
+    DurationOption,
+    FaultOption,
+    JsonOption,
+    LearnedOption,
+    LogOption,
+    NoFilterOption,
+    NoLearningOption,
+    OutOption,
+    PlantName,
+    PlantOption,
+    ScenarioArgument,
+    SeedOption,
+    Sensors,
+    SensorsOption,
+    SigningKeyOption,
+    TruthOption,
+    VehicleOption,
+    WaypointsArgument,
+)
+from flightstack_paper.verb import reproduce
+
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+_USAGE_ERRORS: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+app = typer.Typer(
+    name="flightstack",
+    help="Offboard flight stack for PX4, its simulator and its logs.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(log_app, name="log")
+
+
+class FlightCommand(TyperCommand):
+    """A verb that flies: its help ends with what its options may name, looked up only then."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Name the controllers."""
+        from flightstack.cli.controllers import CONTROLLERS
+
+        with formatter.section("Controllers"):
+            formatter.write_dl([(name, row.words) for name, row in CONTROLLERS.items()])
+
+
+def _flight_options(
+    vehicle: VehicleOption = None,
+    duration: DurationOption = None,
+    controller: ControllerOption = "flatness",
+    no_learning: NoLearningOption = False,
+    learned: LearnedOption = None,
+    no_filter: NoFilterOption = False,
+    as_published: AsPublishedOption = False,
+    certificate: CertificateOption = None,
+    log: LogOption = None,
+    out: OutOption = None,
+) -> dict[str, Any]:
+    """The options that every verb that flies has, as `FlightOptions` names them."""
+    return {
+        "vehicle": vehicle,
+        "duration_s": duration,
+        "controller": controller,
+        "learning": not no_learning,
+        "learned": learned,
+        "filtering": not no_filter,
+        "as_published": as_published,
+        "certificate": certificate,
+        "log": log,
+        "out": out,
+    }
+
+
+def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None) -> None:
+    """Fly, show, write the JSON, and end with the right code."""
+    from flightstack.cli import console, files
+
+    interrupts = Interrupts()
+    with console.progress(f"flying {options.scenario}") as show:
+        result = fly(options, stop_requested=interrupts.requested, on_progress=show)
+    console.show_result(result)
+    if json_file is not None:
+        files.write_json(json_file, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
+
+
+def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:
+    """Make a function that gives (what flies, its options) a verb, whose options `_flight_options` join as `common`."""
+    own = inspect.signature(verb, eval_str=True).parameters
+    shared = inspect.signature(_flight_options, eval_str=True).parameters
+    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=JsonOption)
+    offered = [option for name, option in own.items() if name != "common"] + [*shared.values(), json]
+
+    @wraps(verb)
+    def run(**given: Any) -> None:
+        json_file = given.pop("json")
+        common = _flight_options(**{name: given.pop(name) for name in shared})
+        _finish_flight(*verb(**given, common=common), json_file)
+
+    run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in offered}
+    return app.command(cls=FlightCommand)(run)
+
+
+@_flies
+def fly(
+    scenario: ScenarioArgument = "paper-tracking",
+    waypoints: WaypointsArgument = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False,
+    plant: PlantOption = PlantName.native,
+    sensors: SensorsOption = None,
+    truth: TruthOption = None,
+    seed: SeedOption = 0,
+    fault: FaultOption = None,
+    *,
+    common: dict[str, Any],
+) -> tuple[Callable[..., Any], Any]:
+    """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
+    from flightstack.cli.flight import FlyOptions
+    from flightstack.cli.flight import fly as run
+
+    return run, FlyOptions(
+        scenario=scenario,
+        waypoints=waypoints,
+        truth=truth,
+        sensors=sensors.value if sensors else None,
+        seed=seed,
+        plant=plant.value,
+        realtime=realtime,
+        fault=fault,
+        **common,
+    )
+
+
+@_flies
+def offboard(
+    connect: Annotated[str, typer.Option(help="udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE:BAUD.")],
+    scenario: Annotated[str, typer.Option(help="A shipped scenario, a .toml file, or `waypoints`.")] = "hover",
+    waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
+    arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
+    signing_key: SigningKeyOption = None,
+    *,
+    common: dict[str, Any],
+) -> tuple[Callable[..., Any], Any]:
+    """Fly a scenario on a PX4: a real one, or `flightstack sim` in another process."""
+    from flightstack.cli.offboard import OffboardOptions
+    from flightstack.cli.offboard import offboard as run
+
+    return run, OffboardOptions(
+        connect=connect,
+        scenario=scenario,
+        waypoints=waypoints,
+        arm=arm,
+        dry_run=dry_run,
+        heartbeat_timeout_s=timeout,
+        signing_key=signing_key,
+        **common,
+    )
+
+
+@app.command()
+def certify(
+    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
+    as_published: Annotated[
+        bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
+    ] = False,
+    vehicle: VehicleOption = None,
+    plant: PlantOption = PlantName.native,
+    truth: TruthOption = None,
+    sensors: SensorsOption = None,
+    seed: SeedOption = 0,
+    duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
+    out: OutOption = None,
+    check: Annotated[
+        Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Learn the largest certified region in flight, or check a certificate."""
+    from flightstack.cli import console, files
+    from flightstack.cli.certify import certify as run
+    from flightstack.cli.certify import check_file
+    from flightstack.cli.flight import FlyOptions
+
+    if check is not None:
+        valid, lines = check_file(check)
+        console.show_checked(str(check), valid, lines)
+        if json is not None:
+            found = {"schema": "flightstack.check/1", "certificate": str(check), "valid": valid, "lines": lines}
+            files.write_json(json, found)
+        raise typer.Exit(OK if valid else FAILED)
+    options = FlyOptions(
+        scenario=scenario,
+        as_published=as_published,
+        vehicle=vehicle,
+        plant=plant.value,
+        truth=truth,
+        sensors=sensors.value if sensors else None,
+        seed=seed,
+        duration_s=duration,
+        out=out,
+    )
+    interrupts = Interrupts()
+    with console.progress(f"certifying {scenario}") as show:
+        result = run(options, stop_requested=interrupts.requested, on_progress=show)
+    console.show_certified(result)
+    if json is not None:
+        files.write_json(json, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
+
+
+@app.command()
+def sim(
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
+    ] = None,
+    plant: PlantOption = PlantName.native,
+    sensors: Annotated[
+        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+    ] = None,
+    seed: SeedOption = 0,
+    port: Annotated[
+        int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
+    ] = 14_540,
+    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
+    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
+    fault: FaultOption = None,
+    px4_hil: Annotated[
+        bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
+    ] = False,
+    hil_port: Annotated[
+        int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
+    ] = 4_560,
+    json: JsonOption = None,
+) -> None:
+    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
+    from flightstack.cli import console, files
+    from flightstack.cli.hil import serve
+    from flightstack.cli.simulate import SimOptions, simulate
+
+    interrupts = Interrupts()
+    options = SimOptions(
+        vehicle, sensors.value if sensors else None, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port
+    )
+    result = (serve if px4_hil else simulate)(
+        options,
+        stop_requested=interrupts.requested,
+        on_ready=lambda text: print(text, flush=True),
+        on_wait=lambda text: print(text, file=sys.stderr, flush=True),
+    )
+    console.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
+    if json is not None:
+        files.write_json(json, result)
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+
+
+@app.command()
+def scenarios(json: JsonOption = None) -> None:
+    """List the shipped scenarios."""
+    from flightstack.cli import console, files
+
+    rows = []
+    for name in files.shipped_names("scenarios"):
+        scenario, _ = files.load_scenario(name)
+        rows.append((name, f"{scenario.duration_s:.3g} s", scenario.sensors, scenario.description))
+    rows.append(("waypoints FILE", "", "mocap", "minimum-snap flight through the waypoints of a file"))
+    console.show_table("scenarios", ("name", "track", "sensors", "what it is"), rows)
+    if json is not None:
+        keys = ("name", "duration", "sensors", "description")
+        listed = [dict(zip(keys, row, strict=True)) for row in rows]
+        files.write_json(json, {"schema": "flightstack.scenarios/1", "scenarios": listed})
+
+
+@app.command()
+def learn(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of flights (.mcap), with or without learning.")],
+    vehicle: Annotated[str | None, typer.Option(help="Believed vehicle (default: the one in the first log).")] = None,
+    out: Annotated[Path, typer.Option(help="File to write, for `--learned`.")] = Path("learned.json"),
+    json: JsonOption = None,
+) -> None:
+    """Fit the learner's hyper-parameters to recorded flights."""
+    from flightstack.cli import console, files
+    from flightstack.cli.learn import learn as run
+
+    stored = run(logs, vehicle, out)
+    console.output.print(f"fitted to {stored.windows} points of vehicle {stored.vehicle}: {out}", soft_wrap=True)
+    if json is not None:
+        hashes = {"vehicle_hash": stored.vehicle_hash, "data_hash": stored.data_hash}
+        result = {"schema": "flightstack.learn/1", "learned": str(out), "vehicle": stored.vehicle}
+        files.write_json(json, result | hashes | {"windows": stored.windows})
+
+
+@app.command()
+def gap(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of flights: .mcap, .ulg, .csv (also .gz), .cfusdlog.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle file whose model is compared: name or .toml file.")],
+    out: Annotated[Path, typer.Option(help="Folder for gap.json, vehicle.toml and report.html.")],
+    holdout: Annotated[
+        list[Path] | None, typer.Option(help="A log kept for the verdict (may be repeated; default: last thirds).")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="TOML that maps a log's columns, units and frames, or a name that comes along.")
+    ] = None,
+    ground_d: Annotated[float, typer.Option("--ground-d", help="Where the ground lies: down coordinate, m.")] = 0.0,
+    kinematics_only: Annotated[
+        bool, typer.Option("--kinematics-only", help="Allow logs without motors: data check and sensor effects.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Find, name, add and verify what the model of a vehicle lacks in logs of its flights."""
+    from flightstack.cli import console, files
+    from flightstack.cli.gap import GapOptions, find_gap
+    from flightstack.gap.result import as_json
+
+    options = GapOptions(
+        logs=tuple(logs),
+        vehicle=vehicle,
+        out=out,
+        holdout=tuple(holdout or ()),
+        columns=columns,
+        ground_d_m=ground_d,
+        kinematics_only=kinematics_only,
+    )
+    with console.progress("gap") as show:
+        result = find_gap(options, on_progress=show)
+    console.show_gap(result, out)
+    if json is not None:
+        files.write_json(json, as_json(result))
+
+
+app.command()(reproduce)
+
+
+@log_app.command("info")
+def log_info(
+    file: Annotated[Path, typer.Argument(help="A log (.mcap).")],
+    json: JsonOption = None,
+) -> None:
+    """Say what is in a log: topics, rates, events, settings, and whether it is whole."""
+    from flightstack.cli import console, files
+    from flightstack_logs.info import info, render
+    from flightstack_logs.reader import read
+
+    summary = info(read(file))
+    console.output.print(render(summary))
+    if json is not None:
+        files.write_json(json, summary.as_json())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: no traceback for the user's mistakes, one line and exit code 2."""
+    from flightstack.types import InputError
+
+    try:
+        code = app(arguments, standalone_mode=False, prog_name="flightstack")
+    except typer.Abort:
+        code = INTERRUPTED
+    except _USAGE_ERRORS as error:
+        print(f"error: {' '.join(error.format_message().split())} (see --help)", file=sys.stderr)
+        code = BAD_INPUT
+    except InputError as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        code = BAD_INPUT
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        code = INTERRUPTED
+    sys.exit(code if isinstance(code, int) else OK)
+
+
+if __name__ == "__main__":
+    main()

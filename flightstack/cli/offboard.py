@@ -1,0 +1,223 @@
+"""`flightstack offboard`: the companion alone, in real time, against any PX4."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from flightstack.cli import files
+from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.recorder import LogObserver
+from flightstack.cli.result import FlightResult, LoopTiming
+from flightstack.cli.score import FlightScore
+from flightstack.types import InputError
+from flightstack.warmup import warm_up
+from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.writer import Recorder
+from mavlink_bridge import messages
+from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.handshake import State
+from mavlink_bridge.link import Link
+from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.signing import Signer
+from mavlink_bridge.transport.address import (
+    Serial,
+    Transport,
+    UdpIn,
+    UdpOut,
+    framing_for,
+    open_address,
+    parse_address,
+)
+from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.key_file import KeyFile
+
+PERIOD_US = 4_000
+_LEAST_PERIOD_US = 500
+_LEAST_BAUD = 500_000
+_LAST_WORDS_S = 0.3
+"""After the end the link stays open for so long, for the last command and its answer."""
+_LAST_WORDS_TIMES = 5
+"""A program that ends without warning says them so often: a link may lose one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OffboardOptions(FlightOptions):
+    """What `offboard` was asked for."""
+
+    connect: str
+    scenario: str = "hover"
+    arm: bool = False
+    dry_run: bool = False
+    heartbeat_timeout_s: float = 10.0
+    signing_key: Path | None = None
+    """File of the key that signs what is sent and without which nothing counts that is received."""
+
+    @property
+    def in_real_time(self) -> bool:
+        """See ProtectionOptions."""
+        return True
+
+    @property
+    def as_written(self) -> bool:
+        """The flight is the one that the scenario's checks were written for."""
+        return self.stack_as_written and not self.dry_run
+
+
+def offboard(
+    options: OffboardOptions,
+    *,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> FlightResult:
+    """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
+    prepared = prepare_flight(options)
+    require_room(parse_address(options.connect))
+    with _key(options.signing_key) as signer:
+        ensure_compiled(lambda text: on_progress(0.0, text))
+        with prepared.protection.beside():
+            messages.prepare()
+            warm_up(prepared.stack, prepared.scenario)
+            return _offboard(options, prepared, signer, stop_requested, on_progress)
+
+
+def _offboard(
+    options: OffboardOptions,
+    prepared: Prepared,
+    signer: Signer | None,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> FlightResult:
+    scenario, stack = prepared.scenario, prepared.stack
+    address = parse_address(options.connect)
+    with closing(open_address(address)) as transport:
+        out = options.out or files.new_run_folder(scenario.name, None)
+        log_path = options.log or out / "flight.mcap"
+        settings = {
+            "connect": options.connect,
+            "arm": str(options.arm),
+            "dry_run": str(options.dry_run),
+            "pace": "realtime",
+            "signing": "off" if signer is None else "on",
+        }
+        log = prepared.with_more(settings).open_log(log_path)
+        recorder = ThreadedLog(log)
+        score = FlightScore(prepared, of="estimate")
+        observer = LogObserver(
+            recorder,
+            scenario,
+            prepared.believed,
+            truth=False,
+            on_record=score.on_record,
+            certifier=prepared.protection.watched,
+        )
+        companion = Companion(
+            Link(240, 191, framing=framing_for(address), signing=signer),
+            stack,
+            scenario,
+            observer,
+            CompanionConfig(arm=options.arm, dry_run=options.dry_run, heartbeat_timeout_s=options.heartbeat_timeout_s),
+        )
+        observer.companion = score.companion = companion
+        timing = LoopTiming(1_000_000 // PERIOD_US)
+        started = time.perf_counter()
+        try:
+            with undisturbed(), last_words(companion, transport):
+                _loop(companion, transport, recorder, timing, stop_requested, on_progress)
+        finally:
+            recorder.close()
+    wall_s = time.perf_counter() - started
+    result = score.result(
+        log,
+        wall_s=wall_s,
+        clock_s=wall_s * companion.view.clock.rate,
+        timing=timing,
+        completed=companion.completed or (options.dry_run and companion.state is State.STREAMING),
+        checked=options.as_written,
+    )
+    files.write_flight_report(log_path, out / "report.html", result)
+    return result
+
+
+def require_room(address: UdpIn | UdpOut | Serial) -> None:
+    """InputError where a serial line is too slow for the streams that a flight needs."""
+    if isinstance(address, Serial) and address.baud < _LEAST_BAUD:
+        raise InputError(
+            f"serial line {address.device} at {address.baud} baud carries {address.baud // 10_000} kB/s, the streams "
+            "need some 50: set it and PX4's port (SER_*_BAUD) to 921600"
+        )
+
+
+@contextmanager
+def _key(path: Path | None) -> Iterator[Signer | None]:
+    """The key, ours alone; InputError where it can't be had."""
+    if path is None:
+        yield None
+        return
+    with closing(KeyFile.open(path)) as key:
+        yield key.signer
+
+
+@contextmanager
+def last_words(companion: Companion, transport: Transport) -> Iterator[None]:
+    """Whatever ends the flight (a bug, a second Ctrl-C): a vehicle that is ours is levelled and given to PX4's Hold."""
+    try:
+        yield
+    except BaseException as error:
+        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        with suppress(Exception):  # the first exception counts, and what can be said is said
+            for _ in range(_LAST_WORDS_TIMES):
+                companion.say_last_words(reason)
+                for data in companion.link.datagrams_to_send():
+                    transport.send(data)
+        raise
+
+
+def _loop(
+    companion: Companion,
+    transport: Transport,
+    log: Recorder,
+    timing: LoopTiming,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
+) -> None:
+    pace = Pace(PERIOD_US)
+    done_at_us = -1
+    ticks = timing_seen = 0
+    while True:
+        lateness_us = pace.wait()
+        now_us = monotonic_us()
+        clock = companion.view.clock
+        for data in transport.receive_all():
+            log.mavlink("rx", clock.vehicle_us(now_us) if clock.synchronised else 0, data)
+            companion.receive_datagram(data, now_us)
+        companion.step(now_us)
+        t_us = clock.vehicle_us(now_us) if clock.synchronised else 0
+        for data in companion.link.datagrams_to_send():
+            log.mavlink("tx", t_us, data)
+            transport.send(data)
+        if companion.state in (State.STREAMING, State.OFFBOARD, State.LANDING):
+            timing.lateness_us.append(lateness_us)
+            timing.missed += pace.missed - timing_seen
+            log.write("/timing", t_us, (float(lateness_us), float(pace.busy_us()), timing.missed))
+        timing_seen = pace.missed
+        ticks += 1
+        if ticks % 25 == 0:
+            pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, clock.rate))
+            if reason := stop_requested():
+                companion.stop(reason)
+            on_progress(_progress(companion, t_us), companion.phase)
+        if companion.done:
+            done_at_us = now_us if done_at_us < 0 else done_at_us
+            if now_us - done_at_us > _LAST_WORDS_S * 1e6:
+                return
+
+
+def _progress(companion: Companion, t_us: int) -> float:
+    if companion.mission is None:
+        return 0.0
+    return min(1.0, (t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)

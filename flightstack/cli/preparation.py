@@ -1,0 +1,161 @@
+"""What every flight is made of: the options that all have, the files that they name, and the stack that flies.
+
+`fly` and `offboard` add what is their own: a simulated vehicle, an address.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flightstack.cli import files
+from flightstack.cli.calibration import TimedLearner
+from flightstack.cli.controllers import build
+from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
+from flightstack.learning.learner import GpLearner, LearnerConfig
+from flightstack.learning.stored import parse_stored
+from flightstack.mission import require_run_up
+from flightstack.model import Model
+from flightstack.scenario import Scenario
+from flightstack.seams import Learner
+from flightstack.stack import Stack
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+from flightstack_logs.topics import CERTIFICATE, Attachment
+from flightstack_logs.writer import FlightLog
+
+DEFAULT_CONTROLLER = "flatness"
+STATE_ONLY_CONTROLLER = "state-gp"
+"""Its learner knows the state alone, as the paper words it: with a wrong mass it claims what physics refutes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightOptions(ProtectionOptions):
+    """What any flight may be asked for; names as given on the command line.  Abstract: each verb has its own."""
+
+    scenario: str
+    waypoints: str | None = None
+    vehicle: str | None = None
+    duration_s: float | None = None
+    controller: str = DEFAULT_CONTROLLER
+    learning: bool = True
+    learned: Path | None = None
+    """File of hyper-parameters to begin with."""
+    log: Path | None = None
+    out: Path | None = None
+
+    @property
+    def stack_as_written(self) -> bool:
+        """Scenario, vehicle and stack are those that the scenario's checks were written for."""
+        given = (self.vehicle, self.duration_s, self.learned)
+        default = self.learning and self.controller == DEFAULT_CONTROLLER and all(value is None for value in given)
+        return default and self.protection_as_written
+
+    def grade(self, scenario: Scenario) -> str:
+        """Grade of the sensors that fly."""
+        return scenario.sensors
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """The files of a flight, read and checked, and the stack built of them."""
+
+    scenario: Scenario
+    believed: Vehicle
+    stack: Stack
+    protection: Protection
+    settings: Mapping[str, str]
+    """What was asked for, for the log."""
+    carried: Mapping[str, str]
+    """Name and text of the files that the log carries."""
+
+    def with_more(self, settings: Mapping[str, str], carried: Mapping[str, str] | None = None) -> Prepared:
+        """The same with what a verb adds."""
+        return replace(self, settings={**self.settings, **settings}, carried={**self.carried, **(carried or {})})
+
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """The files that the log carries, the settings last."""
+        files_of = {**self.carried, "settings.json": json.dumps(dict(self.settings), indent=1)}
+        return tuple(text_file(name, text) for name, text in files_of.items())
+
+    def open_log(self, path: Path) -> FlightLog:
+        """Begin the flight's log."""
+        metadata = {"settings": self.settings, "versions": files.versions()}
+        return FlightLog.open(path, metadata=metadata, attachments=self.attachments, overwrite=True)
+
+
+def prepare_flight(options: FlightOptions) -> Prepared:
+    """Read and check everything before anything moves; InputError with one line where something is wrong."""
+    scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
+    if options.duration_s is not None:
+        scenario = scenario.with_duration(options.duration_s)
+    require_run_up(scenario)
+    believed, vehicle_file = files.load_vehicle(options.vehicle)
+    learned = None if options.learned is None else files.read_text(options.learned)
+    model, name = Model.from_vehicle(believed), controller_name(options)
+    controller, learner = build(name, model, scenario.limits, learning=options.learning)
+    if learned is not None:
+        learner = _learner(learned, name, believed, model, options)
+    protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
+    if protection.given is not None:  # settle inside it first, so that the filter engages before the track begins
+        scenario = replace(scenario, climb_to_m=-protection.given.centre_ned_m[2])
+    settings = {
+        "scenario": scenario.name,
+        "vehicle": believed.name,
+        "controller": name,
+        "learning": "on" if learner.enabled else "off",
+        "filter": protection.words,
+        "duration_s": f"{scenario.duration_s:g}",
+    }
+    carried = {"scenario.toml": scenario_file.text, "vehicle.toml": vehicle_file.text}
+    if learned is not None:
+        settings["learned"] = str(learned.path)
+        carried[f"learned{learned.path.suffix}"] = learned.text
+    if protection.certificate is not None:
+        settings["certificate"] = protection.certificate_from
+        carried[CERTIFICATE] = protection.certificate
+    stack = Stack(
+        model,
+        scenario.limits,
+        controller=controller,
+        learner=TimedLearner(learner) if learner.enabled else learner,
+        certifier=protection.certifier,
+        safety_filter=protection.filter,
+    )
+    return Prepared(scenario, believed, stack, protection, settings, carried)
+
+
+def _knows(controller: str, learner: Learner) -> str:
+    """What the learner knows that a certificate may rest on."""
+    if not isinstance(learner, GpLearner):
+        return NONE
+    return STATE_ONLY if controller == STATE_ONLY_CONTROLLER else FULL
+
+
+def controller_name(options: FlightOptions) -> str:
+    """Name of the controller that flies."""
+    name = options.controller
+    if not options.as_published:
+        return name
+    if name not in (DEFAULT_CONTROLLER, STATE_ONLY_CONTROLLER) or not options.learning or options.learned is not None:
+        raise InputError(
+            f"--as-published flies the paper's controller with a learner, at most with --controller "
+            f"{STATE_ONLY_CONTROLLER}: leave out other controllers, --no-learning and --learned"
+        )
+    return name
+
+
+def _learner(file: files.TextFile, controller: str, believed: Vehicle, model: Model, options: FlightOptions) -> Learner:
+    """The learner that begins with stored hyper-parameters."""
+    if not options.learning or controller != DEFAULT_CONTROLLER:
+        raise InputError(f"--learned {file.path}: goes with --controller {DEFAULT_CONTROLLER} and learning only")
+    priors = parse_stored(file.text, str(file.path), believed).priors
+    return GpLearner(model, LearnerConfig(priors=priors))
+
+
+def text_file(name: str, text: str) -> Attachment:
+    """A text file carried inside the log."""
+    return Attachment(name, f"application/{name.rpartition('.')[2]}", text.encode())

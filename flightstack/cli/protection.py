@@ -1,0 +1,188 @@
+"""What keeps a flight inside its region: the barrier filter and the certifier that options and scenario ask for.
+
+--no-filter       nothing filters
+--as-published    the paper's filter on its h_mu (with --controller state-gp also its learner of the state alone)
+--certificate     the filter under the certificate of a file, whatever the scenario
+otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
+                  has none or where the learner can't certify.  Of an ellipsoid, the paper's experiment up and down, the
+                  vertical axis alone, in a region that grows.  In real time the certifier works in a process of its
+                  own (`workshop`)
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier
+from flightstack.barrier.initial import require_authority
+from flightstack.barrier.margins import GPS, MOCAP
+from flightstack.barrier.published_certifier import PublishedCertifier
+from flightstack.barrier.published_filter import PublishedFilter
+from flightstack.barrier.records import Certificate
+from flightstack.cli import files
+from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from flightstack.cli.workshop import Workshop
+from flightstack.learning.stored import vehicle_hash
+from flightstack.model import Limits, Model
+from flightstack.region import Region
+from flightstack.safety_filter import BarrierFilter
+from flightstack.scenario import Scenario
+from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtectionOptions:
+    """What a flight may be asked for."""
+
+    filtering: bool = True
+    as_published: bool = False
+    certificate: Path | None = None
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether deadlines count: then a certificate, which takes many ticks' time, is made beside the flight."""
+        return False
+
+    @property
+    def protection_as_written(self) -> bool:
+        """As a scenario means it."""
+        return self.filtering and not self.as_published and self.certificate is None
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """Filter and certifier of a flight, and the region that it is judged by."""
+
+    words: str
+    """What protects the flight, or why nothing does; one line."""
+    region: Region | None = None
+    """The scenario's, where the flight is judged by it."""
+    filter: SafetyFilter = field(default_factory=NoFilter)
+    certifier: Certifier = field(default_factory=NoCertifier)
+    certificate: str | None = None
+    """Text of the certificate that it begins with."""
+    certificate_from: str = ""
+    """Where that came from."""
+    given: Certificate | None = None
+    """The same, where there is a filter that keeps to it."""
+    workshop: Workshop | None = None
+    """Where certificates are made, if not in the ticks."""
+
+    def beside(self) -> AbstractContextManager[object]:
+        """What works beside the flight, to be entered for as long as that lasts."""
+        return self.workshop or nullcontext()
+
+    @property
+    def watched(self) -> WatchedCertifier | None:
+        """The certifier whose certificates are kept; None where there is none."""
+        return self.certifier if isinstance(self.certifier, WatchedCertifier) else None
+
+
+def protect(
+    options: ProtectionOptions, scenario: Scenario, believed: Vehicle, model: Model, learner: str, sensors: str
+) -> Protection:
+    """Filter and certifier of a flight; InputError, one line, where the options contradict each other or the file.
+
+    `learner` is one of the LEARNERS below, `sensors` a grade.
+    """
+    if options.as_published and not options.filtering:
+        raise InputError("--as-published flies the published filter: leave out --no-filter")
+    file = None if options.certificate is None else files.read_text(options.certificate)
+    mode = AS_PUBLISHED if options.as_published else SOUND
+    given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
+    region = scenario.region if given is None else None
+    if not options.filtering and given is None:
+        return Protection(_NO_FILTER, region)
+    workshop: Workshop | None = None
+    if given is not None:
+        certifier: Certifier | str = GivenCertificate(given, model)
+    elif options.in_real_time and options.as_published and region is not None:
+        certifier = "what the paper publishes is certified within a tick, for which real time does not wait"
+    else:
+        why_not = _not_online(mode, scenario, learner)
+        workshop = Workshop() if options.in_real_time and not why_not else None
+        certifier = why_not or _online(mode, scenario, model, sensors, workshop)
+    if isinstance(certifier, str):
+        return Protection(f"off: {certifier}", region)
+    stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
+    watched = WatchedCertifier(certifier, stamp, workshop)
+    text, path = ("", "") if file is None else (file.text, str(file.path))
+    if not options.filtering:  # the certificate still says by which region the flight is judged
+        return Protection(_NO_FILTER, region, NoFilter(), watched, text or None, path)
+    made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
+    source = f"certificate {file.path}" if file is not None else "certified in flight"
+    doubt = ", which can't be certified robustly" if options.as_published else ""
+    words = f"{mode}{doubt}, {source}"
+    return Protection(words, region, TimedFilter(made), watched, text or None, path, given, workshop)
+
+
+SOUND = "sound"
+_FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
+"""Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
+FULL, STATE_ONLY, NONE = "full", "state-only", "none"
+"""What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
+_NO_FILTER = "off: --no-filter"
+
+
+def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
+    """Why nothing can be certified in flight; empty where it can."""
+    if scenario.region is None:
+        return "the scenario has no region, and no --certificate was given"
+    if mode == AS_PUBLISHED:
+        return ""
+    if learner == STATE_ONLY:
+        return "a learner of the state alone can't certify (--as-published flies it), and no --certificate was given"
+    if learner == NONE:
+        return "nothing is certified without the learner, and no --certificate was given"
+    return ""
+
+
+def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere: Workshop | None) -> Certifier:
+    """What certifies in flight."""
+    region, limits = scenario.region, scenario.limits
+    assert region is not None
+    if mode == AS_PUBLISHED:
+        return PublishedCertifier(model, limits, region)
+    if scenario.knowledge is not None:
+        require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
+    accuracy = GPS if sensors == "gps" else MOCAP
+    if region.kind == "ellipsoid":
+        vertical = replace(VERTICAL, accuracy=accuracy)
+        return GrowingCertifier(
+            model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
+        )
+    config = CertifierConfig(accuracy=accuracy, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
+
+
+def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:
+    """The certificate of a file, made for this vehicle, this mode and no more thrust than the flight allows."""
+    certificate = parse_certificate(file.text, str(file.path))
+    if certificate.mode != mode:
+        need = "with" if certificate.mode == AS_PUBLISHED else "without"
+        raise InputError(f"{file.path}: a certificate of mode {certificate.mode}: fly it {need} --as-published")
+    if certificate.knowledge.get("vehicle_hash") != vehicle_hash(believed):
+        name = certificate.knowledge.get("vehicle")
+        of = f"for vehicle {name!r} with" if name else "for"
+        raise InputError(
+            f"{file.path}: made {of} another vehicle file than {believed.name!r}; "
+            "name the one that it was made for with --vehicle, or certify this one: `flightstack certify`"
+        )
+    budget, greatest_mps2 = certificate.budget, model.thrust_range_n(limits)[1] / model.mass_kg
+    if budget.thrust_max_mps2 > greatest_mps2 * (1.0 + 1e-9):
+        raise InputError(
+            f"{file.path}: counts on {budget.thrust_max_mps2:.2f} m/s^2 of thrust, this flight allows "
+            f"{greatest_mps2:.2f}; raise the scenario's limits.thrust_max_weights"
+        )
+    if budget.tilt_max_rad > limits.tilt_max_rad + 1e-9:
+        raise InputError(
+            f"{file.path}: counts on {budget.tilt_max_rad:.2f} rad of tilt, this flight allows "
+            f"{limits.tilt_max_rad:.2f}; raise the scenario's limits.tilt_max_rad"
+        )
+    return certificate

@@ -1,0 +1,255 @@
+"""From the companion's observations to the log: which message becomes which topic, and what a person is told."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from flightstack.barrier.records import AXES, Certificate
+from flightstack.calibration import STAGES
+from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
+from flightstack.scenario import Scenario
+from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
+from flightstack.vehicle import Vehicle
+from flightstack_logs.scene import Region, Scene
+from flightstack_logs.topics import FILTER_STATUS
+from flightstack_logs.writer import Recorder
+from mavlink_bridge import messages as m
+from mavlink_bridge.companion import Companion
+
+_TOPIC_OF: dict[type, str] = {
+    m.AttitudeQuaternion: "/vehicle/attitude",
+    m.LocalPositionNed: "/vehicle/local_position",
+    m.HighresImu: "/vehicle/imu",
+    m.ServoOutputRaw: "/vehicle/motors",
+    m.SysStatus: "/vehicle/battery",
+}
+_LOCATION_PERIOD_US = 200_000
+"""GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
+_STAGE_PERIOD_US = 100_000
+_SURPRISING_TICKS = 8
+"""Ticks over which the error is averaged that says on which axis a change lies."""
+
+
+class LearnerEvents:
+    """Tells each new stage of the learner and each sudden change that it noticed, once.
+
+    A stage that comes and goes is told at most every 0.1 s.
+    """
+
+    def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
+        self._tell = tell
+        self._stage = self._changes = 0.0
+        self._stage_due_us = 0
+        self._recent: deque[F64] = deque(maxlen=_SURPRISING_TICKS)
+
+    def on_learned(self, t_us: int, learned: Learned) -> None:
+        """What is known at one tick."""
+        stage = learned.stage
+        if stage < 0.0:
+            return
+        changes = learned.changes
+        self._recent.append(learned.row)
+        if stage != self._stage and t_us >= self._stage_due_us:
+            self._stage, self._stage_due_us = stage, t_us + _STAGE_PERIOD_US
+            self._tell(t_us, "learner", f"learner: {STAGES[int(stage)]}", "info")
+        if changes > self._changes:
+            self._tell(t_us, "learner", f"learner: sudden change noticed{self._where(learned)}", "warning")
+        self._changes = changes
+
+    def _where(self, learned: Learned) -> str:
+        """The body axis along which the last samples surprised most, and the learner's own measure of it."""
+        recent = np.array(self._recent)
+        errors = recent[:, Learned.target_frd_mps2.place] - recent[:, Learned.residual_frd_mps2.place]
+        errors = errors[np.isfinite(errors).all(axis=1)]
+        sigma = recent[0, Learned.sigma_frd_mps2.place]  # from before the bound was widened
+        words = ""
+        if len(errors):
+            words = f" on {'xyz'[int(np.argmax(np.abs(errors.mean(axis=0) / sigma)))]}"
+        return words + (f" ({learned.surprise:.1f} sigma)" if np.isfinite(learned.surprise) else "")
+
+
+class FilterEvents:
+    """Tells what the barrier filter came to: engaged, its first change, each fallback and its end, each certificate.
+
+    A status that comes and goes is told at most every 0.1 s, changes of the command only once: they are in /filter.
+    """
+
+    def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
+        self._tell = tell
+        self._status = _UNENGAGED
+        self._changed = False
+        self._due_us = 0
+
+    def on_filtered(self, t_us: int, filtered: Filtered) -> None:
+        """What the filter did at one tick."""
+        status = filtered.status
+        if status < 0.0:
+            return
+        if filtered.intervened == 1.0 and not self._changed and status < _FALLBACK:
+            self._changed = True
+            self._say(t_us, f"first change: wanted {_vector(filtered.wanted_acc_ned_mps2)}, sent "
+                      f"{_vector(filtered.safe_acc_ned_mps2)} m/s^2 at h {filtered.h:.3f}")  # fmt: skip
+        kind = _kind(status)
+        if kind == _kind(self._status) or t_us < self._due_us:
+            return
+        before, self._status, self._due_us = _kind(self._status), status, t_us + _STAGE_PERIOD_US
+        at = f"h {filtered.h:.3f}, at the state {filtered.h_state:.3f}"
+        if status >= _FALLBACK:
+            margins = _vector(filtered.margins_ned_ps)
+            self._say(t_us, f"fallback: {FILTER_STATUS[int(status)]} ({at}, margins {margins} 1/s)", "warning")
+        elif kind > _UNENGAGED:
+            self._say(t_us, f"{'engaged' if before <= _UNENGAGED else 'solves again'} ({at})")
+        else:
+            self._say(t_us, f"{FILTER_STATUS[int(status)]} ({at})")
+
+    def on_certificate(self, t_us: int, certificate: Certificate) -> None:
+        """The filter keeps to another certificate from this tick on."""
+        falsified = certificate.knowledge.get("falsified")
+        if falsified:
+            self._say(t_us, f"certificate falsified: {falsified}", "warning")
+        self._say(t_us, f"certificate {certificate.version}: {certified_words(certificate)}")
+
+    def on_lost(self, t_us: int, why: str) -> None:
+        """Who makes certificates is gone."""
+        self._say(t_us, f"certifies nothing more ({why}); what is in force stays", "warning")
+
+    def _say(self, t_us: int, text: str, severity: str = "info") -> None:
+        self._tell(t_us, "filter", f"filter: {text}", severity)
+
+
+_UNENGAGED, _FALLBACK = 1.0, 4.0
+
+
+def _kind(status: float) -> float:
+    """Passed and changed are one."""
+    return 2.0 if status == 3.0 else status
+
+
+def _vector(values: F64) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in values) + ")"
+
+
+def certified_words(certificate: Certificate) -> str:
+    """Its axes: how far and how fast, and the area in (position, velocity)."""
+    parts = []
+    for axis in certificate.axes:
+        low, high, slowest, fastest = axis.barrier.box
+        parts.append(
+            f"{AXES[axis.axis]} {low:.2f} to {high:.2f} m, {slowest:.2f} to {fastest:.2f} m/s, "
+            f"{axis.barrier.area_m2ps:.2f} m^2/s"
+        )
+    return "; ".join(parts)
+
+
+class LogObserver:
+    """The companion's observer: everything goes to the log, and each tick to `on_record`.
+
+    `companion` is set once it exists; `truth` says whether the true vehicle is in the log too.
+    """
+
+    def __init__(
+        self,
+        log: Recorder,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        *,
+        truth: bool,
+        on_record: Callable[[TickRecord], None] | None = None,
+        certifier: WatchedCertifier | None = None,
+    ) -> None:
+        self.companion: Companion | None = None
+        self._log = log
+        self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
+        self._on_record = on_record
+        self._learner_events = LearnerEvents(log.event)
+        self._filter_events = FilterEvents(log.event)
+        self._certifier = certifier
+        self._certificates, self._lost = 0, False
+        self._placed = False
+        self._location_due_us = 0
+
+    def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
+        """A transition, a change of mode or phase, a text of the vehicle."""
+        self._log.event(t_us, name, text, severity)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
+        if not self._placed and self.companion is not None and self.companion.mission is not None:
+            self._placed = True
+            scene = scene_of(self._scenario, self._vehicle, self.companion.start_ned_m, truth=self._truth)
+            self._log.scene(record.t_us, scene)
+        self._on_certificates(record.t_us)
+        self._log.tick(record)
+        self._learner_events.on_learned(record.t_us, record.learned)
+        self._filter_events.on_filtered(record.t_us, record.filtered)
+        if self._on_record is not None:
+            self._on_record(record)
+
+    def _on_certificates(self, t_us: int) -> None:
+        """Each new certificate: told, shown in the 3-D view and kept for the log's end."""
+        certifier, companion = self._certifier, self.companion
+        if certifier is None or companion is None:
+            return
+        if not self._lost and certifier.elsewhere is not None and certifier.elsewhere.lost:
+            self._lost = True
+            self._filter_events.on_lost(t_us, certifier.elsewhere.lost)
+        if len(certifier.adopted) == self._certificates:
+            return
+        self._certificates = len(certifier.adopted)
+        certificate = certifier.adopted[-1]
+        self._filter_events.on_certificate(t_us, certificate)
+        self._log.certified(t_us, certified_region(certificate, companion.start_ned_m))
+        self._log.certificate(t_us, certificate)
+
+    def on_message(self, t_us: int, message: object) -> None:
+        """A message of the vehicle, as a table."""
+        topic = _TOPIC_OF.get(type(message))
+        if topic is not None:
+            self._log.write(topic, t_us, message)
+        elif isinstance(message, m.Statustext):
+            self._log.statustext(t_us, message.severity, message.text)
+        elif isinstance(message, m.Heartbeat) and self.companion is not None:
+            view = self.companion.view
+            self._log.write("/vehicle/status", t_us, (view.mode_name, view.armed, view.on_ground))
+        elif isinstance(message, m.GlobalPositionInt):
+            if t_us >= self._location_due_us:
+                self._location_due_us = t_us + _LOCATION_PERIOD_US
+                self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
+
+
+def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
+    """The positions that a certificate allows: a box, as published an ellipsoid.
+
+    Along an axis that it says nothing of it reaches `_OPEN_M` each way.
+    """
+    spans = {axis.axis: axis.barrier.box[:2] for axis in certificate.axes}
+    low, high = (np.array([spans.get(axis, (-_OPEN_M, _OPEN_M))[side] for axis in range(3)]) for side in (0, 1))
+    north, east, down = (np.asarray(certificate.centre_ned_m) + start_ned_m + 0.5 * (low + high)).tolist()
+    half: Tuple3 = tuple((0.5 * (high - low)).tolist())
+    shape = "ellipsoid" if certificate.mode == AS_PUBLISHED else "box"
+    return Region(shape, (north, east, down), half)
+
+
+_OPEN_M = 2.0
+
+
+def scene_of(scenario: Scenario, vehicle: Vehicle, start_ned_m: F64, *, truth: bool) -> Scene:
+    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, reference."""
+    times = np.arange(0.0, scenario.duration_s, 0.05)
+    path = np.array([scenario.trajectory.at(float(t)).pos_ned_m for t in times]) + start_ned_m
+    region = None
+    if scenario.region is not None:
+        north, east, down = (np.asarray(scenario.region.centre_ned_m) + start_ned_m).tolist()
+        shape = "ellipsoid" if scenario.region.kind == "ellipsoid" else "box"
+        region = Region(shape, (north, east, down), scenario.region.semi_axes_m)
+    return Scene(
+        rotor_position_frd_m=vehicle.rotors.position_m,
+        rotor_radius_m=vehicle.rotors.radius_m,
+        ground_down_m=float(start_ned_m[2]),
+        region=region,
+        reference_ned_m=path,
+        truth=truth,
+    )

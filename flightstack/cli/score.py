@@ -1,0 +1,137 @@
+"""What a flight is judged by, gathered tick by tick while the scenario is tracked, and the result made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from flightstack.cli.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary
+from flightstack.cli.calibration import gp_summary
+from flightstack.cli.preparation import Prepared
+from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
+from flightstack.types import F64, Learned, TickRecord, Tuple3
+from flightstack_logs.writer import FlightLog
+from mavlink_bridge.companion import Companion
+
+if TYPE_CHECKING:
+    from flightstack_sim.plant import Truth
+
+
+class FlightScore:
+    """The score of one flight; `companion` is set once it exists."""
+
+    def __init__(self, prepared: Prepared, *, of: str) -> None:
+        self.prepared = prepared
+        self.tracking = TrackingScore(of)
+        self.companion: Companion | None = None
+        self._record: TickRecord | None = None
+        self._by_estimate = of == "estimate"
+        self._learning = prepared.stack.learner.enabled
+        self._last_learned: Learned | None = None
+        self._learned_rows: list[F64] = []
+        self._truths: list[Truth] = []
+        protection = prepared.protection
+        self.region = RegionScore(protection.region, protection.watched)
+        self._judging = self.region.of is not None
+        self._duration_s = prepared.scenario.duration_s
+        self._filtering = prepared.stack.filter.enabled
+        self._acting = self._interventions = self._infeasible = 0
+
+    def on_record(self, record: TickRecord) -> None:
+        """A tick of the stack; of an estimated flight it is scored at once."""
+        self._record = record
+        if self._learning and record.learned.stage >= 0.0:
+            self._last_learned = record.learned
+        if self._filtering and self.track_s(record.t_us) is not None:
+            self._acting += record.filtered.status >= SOLVED
+            self._interventions += record.filtered.intervened == 1.0
+            self._infeasible += record.filtered.status in FALLBACKS
+        if self._by_estimate and self.companion is not None:
+            self.add(self.track_s(record.t_us), record.measurement.pos_ned_m, self.companion.start_ned_m)
+
+    def track_s(self, t_us: int) -> float | None:
+        """Time since the track began, negative before; None without a mission and from the command to land on."""
+        companion = self.companion
+        if companion is None or companion.mission is None or companion.land_command_us >= 0:
+            return None
+        return (t_us - companion.flight_start_us) * 1e-6 - companion.mission.track_start_s
+
+    def add(self, track_s: float | None, pos_ned_m: Place, start_ned_m: Place, truth: Truth | None = None) -> None:
+        """Score the last tick: position, and where the flight began, in one frame; tracking on the track only."""
+        record, companion = self._record, self.companion
+        if record is None or companion is None or track_s is None:
+            return
+        if self._judging:
+            estimate = record.measurement
+            state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
+            true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
+            self.region.add(record.t_us, state, true)
+        if not 0.0 <= track_s <= self._duration_s:
+            return
+        self.tracking.add((pos_ned_m, start_ned_m), (record.reference.pos_ned_m, companion.start_ned_m))
+        if self._learning:
+            self._learned_rows.append(record.learned.row)
+            if truth is not None:
+                self._truths.append(truth)
+
+    def result(
+        self,
+        log: FlightLog,
+        *,
+        wall_s: float,
+        clock_s: float,
+        timing: LoopTiming | None,
+        completed: bool,
+        checked: bool,
+        seed: int | None = None,
+        plant: str | None = None,
+    ) -> FlightResult:
+        """The flight's result; with `checked` it is held against the scenario's checks."""
+        companion, prepared = self.companion, self.prepared
+        assert companion is not None
+        flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
+        stack, region = prepared.stack, self.region.summary()
+        region["filtered_ticks"] = self._acting if self._filtering else None
+        result = FlightResult(
+            scenario=prepared.scenario.name,
+            seed=seed,
+            log=str(log.path),
+            completed=completed,
+            reason=companion.reason,
+            flight_time_s=flown_us * 1e-6,
+            wall_time_s=wall_s,
+            clock_time_s=clock_s,
+            plant=plant,
+            controller=prepared.settings["controller"],
+            tracking=self.tracking.summary(),
+            gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
+            loop=timing.summary() if timing is not None else NO_LOOP,
+            barrier=barrier_summary(self._filtering, region, self._interventions),
+            qp=qp_summary(stack.filter, self._infeasible),
+            region=region,
+            link=link_summary(companion),
+            protection=prepared.protection.words,
+            log_problem=log.failed or "",
+        )
+        if checked:
+            result.checks = [judge(check, result.as_json()) for check in prepared.scenario.checks]
+        return result
+
+
+def link_summary(companion: Companion) -> dict[str, object]:
+    """The JSON's `link`."""
+    stats = companion.link.stats.as_dict()
+    reasons = ("bad_crc", "bad_length", "bad_signature", "unsigned", "replayed", "unknown_id", "not_finite")
+    return {
+        "round_trip_us": percentiles(companion.view.round_trips_us),
+        "received": stats["received"],
+        "lost": stats["lost"],
+        "dropped": {name: stats[name] for name in reasons if stats[name]},
+        "signed": companion.link.signing,
+    }
+
+
+def _relative(position_ned_m: Place, start_ned_m: Place) -> Tuple3:
+    """A position seen from where the flight began."""
+    north, east, down = position_ned_m if isinstance(position_ned_m, tuple) else position_ned_m.tolist()
+    start_n, start_e, start_d = start_ned_m if isinstance(start_ned_m, tuple) else start_ned_m.tolist()
+    return north - start_n, east - start_e, down - start_d

@@ -1,0 +1,130 @@
+"""The data check: what a log is worth, before any physics is fitted to it.
+
+It refuses what can't be used, mends what can be mended and says so, finds by how much each topic's stamps are late,
+and hands on the flying part on one grid.  No vehicle parameter is used for any of it but to tell whether the motors
+hold the vehicle up and whether its rotors are the log's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from flightstack.gap.checks import contact, conventions, quality, stopped
+from flightstack.gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
+from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
+from flightstack.gap.checks.rotors import judge_vehicle, moves
+from flightstack.gap.checks.samples import flying_span, make_samples
+from flightstack.gap.checks.say import ok, refused, warning
+from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal
+from flightstack.vehicle import Vehicle
+
+_PX4 = "PX4: SDLOG_MODE 0, SDLOG_PROFILE 25"
+
+
+_MISSED = {
+    "q_ned_frd": "attitude: drag and wind can't be told",
+    "rate_frd_radps": "body rates: they come from the attitude",
+    "accel_frd_mps2": "accelerometer: specific force comes from velocity and attitude",
+    "vel_ned_mps": "velocity: it comes from the position",
+    "pos_ned_m": "position: no ground effect",
+}
+
+
+def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinematics_only: bool = False) -> Checked:
+    """Check one flight against the vehicle file.
+
+    `ground_d_m`: where the ground lies (down, m).  `kinematics_only`: a log without motor commands is no refusal.
+    A refused log has no samples and at least one finding of level refused that says what to record instead.
+    """
+    signals, findings = settle_clocks(flight.signals, flight.kind)
+    findings += _lacking(signals, kinematics_only)
+    if _is_refused(findings):
+        return Checked(flight, None, tuple(findings), ())
+    signals, more = quality.settle_battery(signals, vehicle)
+    findings += more
+    signals, more = quality.settle_motors(signals)
+    findings += more
+    if _is_refused(findings):
+        return Checked(flight, None, tuple(findings), ())
+    span = flying_span(signals, vehicle, ground_d_m)
+    if span is None:
+        findings.append(_not_flying())
+        return Checked(flight, None, tuple(findings), ())
+    signals, more = conventions.settle(signals, span)
+    findings += [*more, *judge_rates(signals, span)]
+    offsets = find_offsets(signals, span)
+    findings += [_late(each) for each in offsets if is_certain(each)]
+    signals = shifted(signals, offsets)
+    read = replace(flight, signals=signals)
+    ground_d_m = _ground(read, span, ground_d_m, findings)
+    samples = make_samples(flight.name, signals, vehicle, ground_d_m)
+    if samples is None:
+        findings.append(_not_flying())
+        return Checked(read, None, tuple(findings), offsets)
+    samples, more = contact.leave_out(samples, vehicle, contact.standing_m(signals, vehicle, span, ground_d_m))
+    findings += more
+    samples, more = stopped.leave_out(samples, vehicle)
+    findings += more
+    if "motor" in signals:
+        if not moves(samples):
+            findings.append(refused("flight", f"the motors never move: this is not a flight. Record one ({_PX4})"))
+        else:
+            findings += judge_vehicle(samples, vehicle)
+    seconds = float(np.sum(samples.valid)) * samples.dt_s
+    if seconds < LEAST_S:
+        findings.append(refused("flight", f"only {seconds:.3g} s in the air; it takes {LEAST_S:.0f}, better a minute"))
+    elif seconds < SHORT_S:
+        findings.append(warning("flight", f"only {seconds:.3g} s in the air; little can be told apart"))
+    else:
+        findings.append(ok("flight", f"{seconds:.1f} s in the air"))
+    findings += quality.judge_quality(samples, signals)
+    findings += quality.judge_consistency(signals, span, offsets)
+    return Checked(read, None if _is_refused(findings) else samples, tuple(findings), offsets)
+
+
+def _is_refused(findings: list[Finding]) -> bool:
+    return any(each.level == "refused" for each in findings)
+
+
+def _not_flying() -> Finding:
+    text = "no part of the log is a flight: landed, or motors too weak to hold the vehicle. Record 30 s in the air"
+    return refused("flight", f"{text} ({_PX4})")
+
+
+def _late(each: Offset) -> Finding:
+    word = "late" if each.offset_s > 0.0 else "early"
+    low, size, high = sorted(1e3 * abs(value) for value in (each.low_s, each.offset_s, each.high_s))
+    return warning("offset", f"{each.signal}: stamps {size:.1f} ms {word} ({low:.1f} to {high:.1f}); put right")
+
+
+def _lacking(signals: Mapping[str, Signal], kinematics_only: bool) -> list[Finding]:
+    """What can't be done without."""
+    out = []
+    if not {"vel_ned_mps", "pos_ned_m", "accel_frd_mps2", "acc_ned_mps2"} & signals.keys():
+        text = f"holds neither velocity nor acceleration; record position and IMU ({_PX4})"
+        out.append(refused("signals", text))
+    if "motor" not in signals:
+        text = f"holds no motor commands; record them ({_PX4}), or use --kinematics-only"
+        out.append(Finding("motors", "warning" if kinematics_only else "refused", text))
+    out += [warning("signals", f"holds no {what}") for name, what in _MISSED.items() if name not in signals]
+    return out
+
+
+def _ground(flight: Flight, span: tuple[float, float], ground_d_m: float, findings: list[Finding]) -> float:
+    """Where an autopilot's own frame has the ground: at its position while it stood before take-off."""
+    if flight.kind not in ("mcap", "ulog") or ground_d_m or not {"landed", "pos_ned_m"} <= flight.signals.keys():
+        return ground_d_m
+    position = flight.signals["pos_ned_m"]
+    landed = flight.signals["landed"]
+    at = np.clip(np.searchsorted(landed.t_s, position.t_s, side="right") - 1, 0, len(landed.t_s) - 1)
+    stood = (landed.value[at] > 0.5) & (position.t_s < span[0]) & (position.t_s > span[0] - 10.0)
+    if stood.sum() < 10:
+        return ground_d_m
+    down = float(np.median(position.value[stood, 2]))
+    if abs(down) > 0.05:
+        findings.append(ok("ground", f"the ground lies at {down:.2f} m down, where the vehicle stood before take-off"))
+        return down
+    return ground_d_m

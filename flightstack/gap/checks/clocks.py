@@ -1,0 +1,119 @@
+"""Stamps: units of time, mixed clocks, gaps, repeated samples, rates, length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from flightstack.gap.checks.grid import period_s
+from flightstack.gap.checks.say import refused, warning
+from flightstack.gap.records import Finding, Signal
+from flightstack.types import F64
+
+SLOW = ("battery_v", "landed", "height_m")
+"""Signals that may come as rarely as they like."""
+LEAST_S = 5.0
+SHORT_S = 15.0
+LEAST_HZ = 20.0
+GOOD_HZ = 75.0
+_PX4 = "for PX4 record with SDLOG_PROFILE 25 (default, system identification, high rate)"
+_HELD = 0.02
+_TIME_UNITS = {"ms": (0.9, 90.0, 1e-3), "us": (400.0, 90e3, 1e-6), "ns": (4e5, 90e6, 1e-9)}
+"""Unit -> period that it would show as seconds, from, to; its size."""
+
+
+def settle_clocks(signals: Mapping[str, Signal], kind: str) -> tuple[dict[str, Signal], list[Finding]]:
+    """The signals with stamps in seconds and without repeated samples; refusals where their clocks don't meet."""
+    findings: list[Finding] = []
+    out = _time_unit(signals, kind, findings)
+    out = {name: _fresh(name, each, findings) for name, each in out.items()}
+    _mixed(out, findings)
+    return out, findings
+
+
+def _time_unit(signals: Mapping[str, Signal], kind: str, findings: list[Finding]) -> dict[str, Signal]:
+    """A CSV whose rows are minutes apart has its time in another unit."""
+    fast = [period_s(each) for name, each in signals.items() if name not in SLOW and len(each.t_s) > 8]
+    if kind != "csv" or not fast:
+        return dict(signals)
+    for unit, (low, high, size) in _TIME_UNITS.items():
+        if low < min(fast) < high:
+            findings.append(warning("units", f"time: was in {unit}; turned into seconds"))
+            return {name: Signal(each.t_s * size, each.value, each.source) for name, each in signals.items()}
+    return dict(signals)
+
+
+def _fresh(name: str, each: Signal, findings: list[Finding]) -> Signal:
+    """Without the rows that only repeat the one before: a slower topic held in the rows of a faster log."""
+    if name in SLOW or name == "motor" or len(each.t_s) < 50:
+        return each
+    value = each.value.reshape(len(each.t_s), -1)
+    fresh = np.concatenate([[True], np.any(value[1:] != value[:-1], axis=1)])
+    share = 1.0 - float(np.mean(fresh))
+    still = _longest_run(~fresh) / len(fresh)
+    if share - still < _HELD or fresh.sum() < 20:
+        return each
+    findings.append(warning("rate", f"{name}: {100 * share:.0f} % of its rows only repeat the row before; left out"))
+    return Signal(each.t_s[fresh], each.value[fresh], each.source)
+
+
+def _longest_run(flags: np.ndarray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def _mixed(signals: Mapping[str, Signal], findings: list[Finding]) -> None:
+    """Topics that share no time, or one topic whose stamps jump by more than all the rest of it lasts."""
+    fast = {name: each for name, each in signals.items() if name not in SLOW and len(each.t_s) > 3}
+    if signals and not fast:
+        findings.append(refused("clock", "holds three rows or fewer that have a time of their own: too short, or its "
+                                "clock stands still. Record 30 s in the air"))  # fmt: skip
+    for name, each in fast.items():
+        steps = np.diff(each.t_s)
+        usual = float(np.median(steps)) * len(steps)
+        if float(steps.max()) > max(60.0, 3.0 * usual):
+            findings.append(refused("clock", f"{name}: its stamps jump by {steps.max():.3g} s; the log mixes clocks. "
+                                    "Stamp every row by one clock"))  # fmt: skip
+            return
+    if len(fast) > 1:
+        begin = max(fast, key=lambda name: fast[name].t_s[0])
+        end = min(fast, key=lambda name: fast[name].t_s[-1])
+        if fast[begin].t_s[0] >= fast[end].t_s[-1]:
+            findings.append(refused("clock", f"{begin} begins after {end} has ended: they are stamped by different "
+                                    "clocks. Stamp all topics by one clock"))  # fmt: skip
+
+
+def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> list[Finding]:
+    """Whether topics are fast and whole enough."""
+    findings: list[Finding] = []
+    for name in ("motor", "rate_frd_radps", "q_ned_frd", "accel_frd_mps2", "vel_ned_mps"):
+        if name not in signals or len(signals[name].t_s) < 4:
+            continue
+        rate = 1.0 / period_s(signals[name])
+        needed = name == "motor" or (name == "q_ned_frd" and "rate_frd_radps" not in signals) or (
+            name == "vel_ned_mps" and "accel_frd_mps2" not in signals)  # fmt: skip
+        if rate < LEAST_HZ and needed:
+            findings.append(refused("rate", f"{name}: {rate:.3g} Hz is too slow; it takes at least {LEAST_HZ:.0f}, "
+                                    f"better 100 to 250 Hz: {_PX4}"))  # fmt: skip
+        elif rate < GOOD_HZ and name in ("motor", "rate_frd_radps", "accel_frd_mps2"):
+            what = "the samples may be aliased" if name != "motor" else "lag and delay can hardly be told"
+            findings.append(warning("rate", f"{name}: {rate:.3g} Hz; {what}. At 100 to 250 Hz they aren't: {_PX4}"))
+        _gaps(name, signals[name], span_s, findings)
+    return findings
+
+
+def _gaps(name: str, each: Signal, span_s: tuple[float, float], findings: list[Finding]) -> None:
+    inside: F64 = each.t_s[(each.t_s >= span_s[0]) & (each.t_s <= span_s[1])]
+    steps = np.diff(inside)
+    if not len(steps):
+        return
+    lost = steps[steps > 3.5 * period_s(each)]
+    if len(lost):
+        findings.append(
+            Finding(
+                "gaps",
+                "warning",
+                f"{name}: {len(lost)} gaps, {lost.sum():.3g} s in all, the longest {lost.max():.3g} s",
+            )
+        )

@@ -1,0 +1,65 @@
+"""Ground contact: what the ground does to a vehicle that touches it is no gap of its model; it is left out.
+
+A motion capture's origin of the body may lie above the feet: where the vehicle stands before and after its flight,
+the log itself shows how high.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from flightstack.gap.checks.flying import LEAST_THRUST, rotor_thrust
+from flightstack.gap.records import Finding, Samples, Signal
+from flightstack.vehicle import Vehicle
+
+CLEAR_M = 0.03
+"""Least distance of the lowest rotor from the ground."""
+AROUND_S = 0.25
+"""What is left out before and after a contact: the low-pass carries it there."""
+_FEWEST_S = 0.1
+_STANDING_S = 0.5
+
+
+def standing_m(signals: Mapping[str, Signal], vehicle: Vehicle, span: tuple[float, float], ground_d_m: float) -> float:
+    """Height of the body's origin over ground while the vehicle stands on it, rotors idle, before or after its flight.
+
+    0 where the log doesn't show it, or shows more than the vehicle's own width: that is a table, or a hand.
+    """
+    if not {"pos_ned_m", "motor"} <= signals.keys():
+        return 0.0
+    position, motor = signals["pos_ned_m"], signals["motor"]
+    commands = np.stack([np.interp(position.t_s, motor.t_s, column) for column in motor.value.T], axis=1)
+    idle = rotor_thrust(vehicle, commands).sum(axis=1) < LEAST_THRUST * vehicle.weight_n
+    width = 2.0 * float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)) + vehicle.rotors.radius_m)
+    lowest = 0.0
+    for away in (position.t_s < span[0], position.t_s > span[1]):
+        stands = idle & away
+        if stands.any() and np.ptp(position.t_s[stands]) > _STANDING_S:
+            height = ground_d_m - float(np.median(position.value[stands, 2]))
+            if 0.0 < height < width:
+                lowest = min(lowest, height) if lowest else height
+    return lowest
+
+
+def leave_out(samples: Samples, vehicle: Vehicle, stands_m: float = 0.0) -> tuple[Samples, list[Finding]]:
+    """The samples without those in which a rotor is at the ground, and a word on it where there are any.
+
+    `stands_m`: of `standing_m`.
+    """
+    x, y = vehicle.rotors.position_m[:, 0], vehicle.rotors.position_m[:, 1]
+    w, i, j, k = samples.q_ned_frd.T
+    down_x, down_y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
+    lowest = samples.height_m - np.max(np.outer(down_x, x) + np.outer(down_y, y), axis=1)
+    touching = samples.valid & (lowest < stands_m + CLEAR_M)
+    if not touching.any():
+        return samples, []
+    reach = max(1, round(AROUND_S / samples.dt_s))
+    near = np.convolve(touching, np.ones(2 * reach + 1), mode="same") > 0.5
+    seconds = float(np.sum(samples.valid & near)) * samples.dt_s
+    kept = replace(samples, valid=samples.valid & ~near)
+    if seconds < _FEWEST_S:
+        return kept, []
+    return kept, [Finding("ground", "ok", f"{seconds:.1f} s at the ground were left out")]

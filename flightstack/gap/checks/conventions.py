@@ -1,0 +1,328 @@
+"""Units, frames and quaternion conventions, told by what the signals say of one another.
+
+The attitude's turning must be the gyro's; the velocity's change must be the accelerometer's specific force, turned by
+the attitude, plus gravity; the position's change must be the velocity.  Every usual convention of each signal is
+tried; the one at hand is kept unless another makes the signals agree far better.  Correlations are taken at the best of
+a range of time shifts, so that stamps may be late.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
+from flightstack.gap.checks.say import warning
+from flightstack.gap.records import Finding, Signal
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack_logs.turn import body_to_frd, multiply, rotate, world_to_ned
+
+GRID_S = 0.04
+_SHIFT_S = 0.4
+_LONGEST_S = 120.0
+_LOW_HZ, _HIGH_HZ = 0.15, 4.0
+_MARGIN = 0.12
+"""By so much must the sum of correlations grow before a convention is changed."""
+_NEARLY, _SHARE = 0.03, 0.2
+"""Or by so much, where less than this share is then left to perfect agreement."""
+_CHANCE = 0.45
+"""Greatest correlation, over shifts and conventions, that two noises of some seconds may have."""
+_GOOD = 0.15
+"""So near to perfect no other convention is tried."""
+_WORLDS = ("ned", "enu", "nwu")
+_VECTORS = (*_WORLDS, "neu")
+"""North, east, up is no right-handed frame, but vectors are logged so."""
+_TURNS = {"ned": (1.0, 0.0, 0.0, 0.0), "nwu": (0.0, 1.0, 0.0, 0.0), "enu": (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)}
+_SPEED_UNITS = {"mm/s": 1e3, "cm/s": 1e2, "km/h": 3.6, "ft/s": 1.0 / 0.3048, "knots": 1.0 / 0.514444}
+_LENGTH_UNITS = {"mm": 1e3, "cm": 1e2, "ft": 1.0 / 0.3048, "km": 1e-3}
+_ANGULAR_UNITS = {"deg/s": 180.0 / np.pi, "mrad/s": 1e3, "rpm": 30.0 / np.pi}
+
+
+@dataclass(frozen=True, slots=True)
+class _Convention:
+    """One way to read the attitude."""
+
+    order: str = "wxyz"
+    inverse: bool = False
+    body: str = "frd"
+    world: str = "ned"
+
+    @property
+    def changes(self) -> int:
+        return sum((self.order != "wxyz", self.inverse, self.body != "frd", self.world != "ned"))
+
+    def said(self) -> str:
+        words = []
+        if self.order != "wxyz":
+            words.append("scalar last")
+        if self.inverse:
+            words.append("world to body")
+        if self.body != "frd":
+            words.append("body " + self.body.upper())
+        if self.world != "ned":
+            words.append("world " + self.world.upper())
+        return ", ".join(words)
+
+    def read(self, raw: F64) -> F64:
+        q = raw[:, [3, 0, 1, 2]] if self.order == "xyzw" else raw.copy()
+        if self.inverse:
+            q = q * np.array([1.0, -1.0, -1.0, -1.0])
+        if self.body == "flu":
+            q = multiply(q, np.array([[0.0, 1.0, 0.0, 0.0]]))
+        return q if self.world == "ned" else multiply(np.array([_TURNS[self.world]]), q)
+
+
+_CONVENTIONS = tuple(
+    _Convention(*each) for each in itertools.product(("wxyz", "xyzw"), (False, True), ("frd", "flu"), _WORLDS)
+)
+
+
+def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[dict[str, Signal], list[Finding]]:
+    """The signals in SI, NED and FRD with what had to be changed; the flying part is within `span_s`."""
+    out = dict(signals)
+    findings: list[Finding] = []
+    _accelerometer(out, span_s, findings)
+    middle = 0.5 * (span_s[0] + span_s[1])
+    half = 0.5 * min(span_s[1] - span_s[0], _LONGEST_S)
+    seen = motion(out, (middle - half, middle + half), GRID_S)
+    if seen is None:
+        return out, findings
+    seen = _attitude(out, seen, findings)
+    seen = _velocity_unit(out, seen, findings)
+    _position(out, seen, findings)
+    return out, findings
+
+
+def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings: list[Finding]) -> None:
+    """In the air the mean specific force is one g, along body -z."""
+    signal = out.get("accel_frd_mps2")
+    if signal is None:
+        return
+    inside = (signal.t_s >= span_s[0]) & (signal.t_s <= span_s[1])
+    if not inside.any():
+        return
+    value = signal.value
+    mean = float(np.median(np.linalg.norm(value[inside], axis=1)))
+    for unit, factor in (("g", 1.0), ("mg", 1e3), ("cm/s^2", 1e2 * STANDARD_GRAVITY_MPS2)):
+        if 0.7 * factor < mean < 1.4 * factor:
+            scale = STANDARD_GRAVITY_MPS2 / factor
+            value = value * scale
+            findings.append(warning("units", f"accelerometer: was in {unit}; turned into m/s^2"))
+            mean *= scale
+    if float(np.median(value[inside][:, 2])) > 0.5 * mean:
+        value = body_to_frd(value, "flu")
+        findings.append(warning("frames", "accelerometer: was in FLU (z up); turned into FRD"))
+    out["accel_frd_mps2"] = Signal(signal.t_s, value, signal.source)
+
+
+def correlation(a: F64, b: F64, dt_s: float) -> tuple[float, float, float]:
+    """(greatest correlation over shifts within 0.4 s, slope of a on b there, the shift by which b is late, s)."""
+    most = min(int(_SHIFT_S / dt_s), len(a) // 4)
+    size = 1 << int(np.ceil(np.log2(len(a) + most + 1)))
+    product = np.fft.irfft((np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0))).sum(axis=1), size)
+    shifted = np.concatenate([product[-most:], product[: most + 1]])
+    power_a, power_b = float(np.sum(a * a)), float(np.sum(b * b))
+    if power_a <= 0.0 or power_b <= 0.0:
+        return 0.0, 0.0, 0.0
+    best = int(np.argmax(shifted))
+    return float(shifted[best]) / np.sqrt(power_a * power_b), float(shifted[best]) / power_b, (best - most) * dt_s
+
+
+def agreement(a: F64, b: F64, dt_s: float) -> float:
+    """Correlation as far as it is none that noise has by chance: else nothing."""
+    found = correlation(a, b, dt_s)[0]
+    return found if found > _CHANCE else 0.0
+
+
+def _limited(values: F64, dt_s: float) -> F64:
+    return band(values, dt_s, _LOW_HZ, _HIGH_HZ)
+
+
+def _is_better(new: float, kept: float, perfect: float = 1.0) -> bool:
+    """Whether one sum of correlations is beyond doubt better than another."""
+    gain = new - kept
+    return gain > _MARGIN or (gain > _NEARLY and perfect - new < _SHARE * (perfect - kept))
+
+
+def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
+    """Settle attitude, gyro frame and unit, and velocity frame together."""
+    if "q_ned_frd" not in seen:
+        _rates_alone(out, seen, findings)
+        return seen
+    kept = _Convention()
+    known = _Known(seen)
+    scores = {kept: _score(kept, known)}
+    if scores[kept][0] < _parts(seen) - _GOOD:
+        scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
+    # worlds that all signals share are alike but for rounding: then the usual one
+    best = max(scores, key=lambda each: round(scores[each][0] - 0.01 * each.changes, 6))
+    chosen = best if _is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
+    _, gyro_frame, velocity_frame = scores[chosen]
+    columns = dict(seen.columns)
+    if chosen != kept:
+        findings.append(warning("quaternion", f"attitude: was {chosen.said()}; turned into FRD to NED, scalar first"))
+        old = out["q_ned_frd"]
+        out["q_ned_frd"] = Signal(old.t_s, chosen.read(old.value), old.source)
+        columns["q_ned_frd"] = chosen.read(columns["q_ned_frd"])
+    if gyro_frame == "flu":
+        _turn(out, columns, "rate_frd_radps", lambda v: body_to_frd(v, "flu"))
+        findings.append(warning("frames", "gyro: was in FLU; turned into FRD"))
+    if velocity_frame in ("enu", "nwu", "neu"):
+        _turn(out, columns, "vel_ned_mps", lambda v: world_to_ned(v, velocity_frame))
+        findings.append(warning("frames", f"velocity: was {velocity_frame.upper()}; turned into NED"))
+    elif velocity_frame in ("frd", "flu"):
+        _velocity_from_body(out, columns, velocity_frame)
+        findings.append(
+            warning("frames", f"velocity: was in the body frame ({velocity_frame.upper()}); turned into NED")
+        )
+    seen = Motion(seen.t_s, seen.dt_s, columns, seen.known)
+    return _rates_unit(out, seen, findings)
+
+
+def _parts(seen: Motion) -> int:
+    """The greatest sum that `_score` can give."""
+    force = "accel_frd_mps2" in seen
+    return ("rate_frd_radps" in seen) + force + (force and "vel_ned_mps" in seen)
+
+
+class _Known:
+    """What the scores of several conventions share: the measured sides, band-limited once."""
+
+    def __init__(self, seen: Motion) -> None:
+        dt_s = seen.dt_s
+        self.seen = seen
+        self.gyro = {}
+        if "rate_frd_radps" in seen:
+            self.gyro = {f: _limited(body_to_frd(seen["rate_frd_radps"], f), dt_s) for f in ("frd", "flu")}
+        self.change = {}
+        if "vel_ned_mps" in seen:
+            change = _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s)
+            self.change = {frame: world_to_ned(change, frame) for frame in _VECTORS}
+        self.turns: dict[_Convention, tuple[float, str]] = {}
+
+    def turning(self, each: _Convention, q: F64) -> tuple[float, str]:
+        """(agreement of gyro and attitude, the gyro's frame); the world's frame makes no difference."""
+        key = replace(each, world="ned")
+        if key not in self.turns and self.gyro:
+            dt_s = self.seen.dt_s
+            turned = _limited(rates_of(q, dt_s), dt_s)
+            given = {frame: agreement(turned, gyro, dt_s) for frame, gyro in self.gyro.items()}
+            frame = "flu" if _is_better(given["flu"], given["frd"]) else "frd"
+            self.turns[key] = (given[frame] - (0.02 if frame == "flu" else 0.0), frame)
+        return self.turns.get(key, (0.0, "frd"))
+
+
+def _score(each: _Convention, known: _Known) -> tuple[float, str, str]:
+    """(how well the signals agree, the gyro's frame, the velocity's frame) when the attitude is read this way."""
+    seen, dt_s = known.seen, known.seen.dt_s
+    q = each.read(seen["q_ned_frd"])
+    total, gyro_frame = known.turning(each, q)
+    velocity_frame = "ned"
+    if "accel_frd_mps2" not in seen:
+        return total, gyro_frame, velocity_frame
+    world = rotate(q, seen["accel_frd_mps2"])
+    total += max(-1.0, -float(world[:, 2].mean()) / STANDARD_GRAVITY_MPS2)
+    if known.change:
+        felt = _limited(world + G_NED, dt_s)
+        given = {frame: agreement(change, felt, dt_s) for frame, change in known.change.items()}
+        for frame in ("frd", "flu"):
+            value = rotate(q, body_to_frd(seen["vel_ned_mps"], frame))
+            given[frame] = agreement(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)
+        best = max(given, key=lambda frame: given[frame])
+        velocity_frame = best if _is_better(given[best], given["ned"]) else "ned"
+        total += given[velocity_frame] - (0.02 if velocity_frame != "ned" else 0.0)
+    return total, gyro_frame, velocity_frame
+
+
+def _turn(out: dict[str, Signal], columns: dict[str, F64], name: str, turn: Callable[[F64], F64]) -> None:
+    old = out[name]
+    out[name] = Signal(old.t_s, turn(old.value), old.source)
+    columns[name] = turn(columns[name])
+
+
+def _velocity_from_body(out: dict[str, Signal], columns: dict[str, F64], frame: str) -> None:
+    from flightstack.gap.checks.grid import attitude_on_grid
+
+    old = out["vel_ned_mps"]
+    q, good = attitude_on_grid(out["q_ned_frd"], old.t_s)
+    value = rotate(q, body_to_frd(old.value, frame))
+    out["vel_ned_mps"] = Signal(old.t_s[good], value[good], old.source)
+    columns["vel_ned_mps"] = rotate(columns["q_ned_frd"], body_to_frd(columns["vel_ned_mps"], frame))
+
+
+def _unit_of(slope: float, units: Mapping[str, float]) -> str | None:
+    """The unit whose size explains that a should be b times `slope`, within 15 %."""
+    if slope <= 0.0:
+        return None
+    distance = {unit: abs(float(np.log(slope * size))) for unit, size in units.items()}
+    best = min(distance, key=lambda unit: distance[unit])
+    return best if distance[best] < 0.15 else None
+
+
+def _rates_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
+    if "rate_frd_radps" not in seen:
+        return seen
+    dt_s = seen.dt_s
+    agree, slope, _ = correlation(
+        _limited(rates_of(seen["q_ned_frd"], dt_s), dt_s), _limited(seen["rate_frd_radps"], dt_s), dt_s
+    )
+    unit = _unit_of(slope, _ANGULAR_UNITS) if agree > 0.5 else None
+    if unit is None:
+        return seen
+    columns = dict(seen.columns)
+    _turn(out, columns, "rate_frd_radps", lambda v: v / _ANGULAR_UNITS[unit])
+    findings.append(warning("units", f"gyro: was in {unit}; turned into rad/s"))
+    return Motion(seen.t_s, dt_s, columns, seen.known)
+
+
+def _rates_alone(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> None:
+    """Without an attitude only the size can tell: no vehicle turns at 15 rad/s all the time."""
+    if "rate_frd_radps" not in seen:
+        return
+    if float(np.median(np.abs(seen["rate_frd_radps"]).max(axis=1))) > 15.0:
+        _turn(out, dict(seen.columns), "rate_frd_radps", lambda v: v / _ANGULAR_UNITS["deg/s"])
+        findings.append(warning("units", "gyro: was in deg/s, by its size; turned into rad/s"))
+
+
+def _velocity_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
+    """By the accelerometer and the attitude; the time's unit was settled before."""
+    if not {"vel_ned_mps", "accel_frd_mps2", "q_ned_frd"} <= seen.columns.keys():
+        return seen
+    dt_s = seen.dt_s
+    felt = _limited(rotate(seen["q_ned_frd"], seen["accel_frd_mps2"]) + G_NED, dt_s)
+    agree, slope, _ = correlation(felt, _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s), dt_s)
+    unit = _unit_of(slope, _SPEED_UNITS) if agree > 0.6 else None
+    if unit is None:
+        return seen
+    columns = dict(seen.columns)
+    _turn(out, columns, "vel_ned_mps", lambda v: v / _SPEED_UNITS[unit])
+    findings.append(warning("units", f"velocity: was in {unit}; turned into m/s"))
+    return Motion(seen.t_s, dt_s, columns, seen.known)
+
+
+def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> None:
+    """Frame and unit of the position, by the velocity."""
+    if not {"pos_ned_m", "vel_ned_mps"} <= seen.columns.keys():
+        return
+    dt_s = seen.dt_s
+    velocity = _limited(seen["vel_ned_mps"], dt_s)
+    given = {
+        frame: correlation(
+            velocity, _limited(np.gradient(world_to_ned(seen["pos_ned_m"], frame), dt_s, axis=0), dt_s), dt_s
+        )
+        for frame in _VECTORS
+    }
+    agreed = {frame: each[0] if each[0] > _CHANCE else 0.0 for frame, each in given.items()}
+    best = max(agreed, key=lambda frame: agreed[frame])
+    if _is_better(agreed[best], agreed["ned"]):
+        _turn(out, dict(seen.columns), "pos_ned_m", lambda v: world_to_ned(v, best))
+        findings.append(warning("frames", f"position: was {best.upper()}; turned into NED"))
+    else:
+        best = "ned"
+    unit = _unit_of(given[best][1], _LENGTH_UNITS) if given[best][0] > 0.6 else None
+    if unit is not None:
+        _turn(out, dict(seen.columns), "pos_ned_m", lambda v: v / _LENGTH_UNITS[unit])
+        findings.append(warning("units", f"position: was in {unit}; turned into m"))

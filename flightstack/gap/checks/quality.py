@@ -1,0 +1,155 @@
+"""How good the samples are: saturation, clipping, aliasing, battery, and what the signals say of one another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from flightstack.gap.checks.grid import period_s
+from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
+from flightstack.gap.checks.rotors import felt_gravity
+from flightstack.gap.checks.say import refused, warning
+from flightstack.gap.records import Finding, Offset, Samples, Signal
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import rotate
+
+_FULL, _STOPPED = 0.995, 0.005
+_OFTEN = 0.02
+_CLIPPED = 0.001
+_RAW_HZ = 50.0
+_DISAGREE = 0.6
+_CELL_V = (2.8, 4.5)
+_BEYOND = 0.05
+_MOTOR_UNITS = {
+    "pulse widths of 1000 to 2000 us": (790.0, 2300.0, 1000.0, 2000.0),
+    "in percent": (-1.0, 101.0, 0.0, 100.0),
+    "16-bit numbers": (-1.0, 65536.0, 0.0, 65535.0),
+}
+"""Name -> least, greatest value that it takes, value at command 0, at command 1."""
+
+
+def settle_battery(signals: Mapping[str, Signal], vehicle: Vehicle) -> tuple[dict[str, Signal], list[Finding]]:
+    """Voltages ten, a hundred or a thousand times too large are put right, by the file's battery or by any cell's."""
+    out = dict(signals)
+    signal = out.get("battery_v")
+    if signal is None:
+        return out, []
+    volts = float(np.median(signal.value))
+    if vehicle.battery is not None:
+        low, high = 0.6 * vehicle.battery.empty_v, 1.4 * vehicle.battery.full_v
+    else:
+        low, high = _CELL_V[0], 14 * _CELL_V[1]
+    if low <= volts <= high:
+        return out, []
+    for factor in (1e-3, 0.1, 10.0, 1e-2, 1e3):
+        if low <= volts * factor <= high:
+            out["battery_v"] = Signal(signal.t_s, signal.value * factor, signal.source)
+            text = f"battery: {volts:.4g} V can't be; taken for {volts * factor:.4g} V"
+            return out, [warning("units", text)]
+    del out["battery_v"]
+    return out, [warning("battery", f"battery: {volts:.4g} V can't be this vehicle's; not used")]
+
+
+def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:
+    """Commands that are no numbers from 0 to 1 are put right where their range says what they are, else refused."""
+    out = dict(signals)
+    signal = out.get("motor")
+    if signal is None or not len(signal.t_s):
+        return out, []
+    low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
+    if low > -_BEYOND and high < 1.0 + _BEYOND:
+        out["motor"] = Signal(signal.t_s, np.clip(signal.value, 0.0, 1.0), signal.source)
+        return out, []
+    for name, (least, most, zero, full) in _MOTOR_UNITS.items():
+        if least <= low and high <= most:
+            command = np.clip((signal.value - zero) / (full - zero), 0.0, 1.0)
+            out["motor"] = Signal(signal.t_s, command, signal.source)
+            return out, [warning("units", f"motors: were {name}; turned into commands 0 to 1")]
+    text = f"motor commands from {low:.4g} to {high:.4g} are no commands 0 to 1; say their range with --columns FILE"
+    return out, [refused("motors", text)]
+
+
+def judge_quality(samples: Samples, signals: Mapping[str, Signal]) -> list[Finding]:
+    """Warnings on the flying part."""
+    findings = _saturation(samples)
+    span = (float(samples.t_s[0]), float(samples.t_s[-1]))
+    for name in ("accel_frd_mps2", "rate_frd_radps"):
+        if name in signals:
+            findings += _clipping(name, signals[name], span)
+            if 1.0 / period_s(signals[name]) < _RAW_HZ:
+                findings.append(warning("aliasing", f"{name}: sampled so rarely that vibration folds into it; "
+                                        "not to be trusted above a few Hz"))  # fmt: skip
+    felt = felt_gravity(samples)
+    if np.isfinite(felt) and not 0.7 < felt < 1.6 and "accel_frd_mps2" in signals:
+        findings.append(refused("gravity", f"the accelerometer's mean is {felt:.2f} g: this is no flight, or its "
+                                "unit is none that is known; give the specific force in m/s^2"))  # fmt: skip
+    elif np.isfinite(felt) and not 0.97 < felt < 1.15 and "accel_frd_mps2" in signals:
+        findings.append(
+            Finding(
+                "gravity",
+                "warning",
+                f"the accelerometer's mean is {felt:.3f} g; a flight that keeps its height has 1.0",
+            )
+        )
+    return findings
+
+
+def _saturation(samples: Samples) -> list[Finding]:
+    motor = samples.motor[samples.valid]
+    if not np.isfinite(motor).all() or not len(motor):
+        return []
+    out = []
+    for word, share in (("full", np.mean(motor >= _FULL, axis=0)), ("stopped", np.mean(motor <= _STOPPED, axis=0))):
+        if share.max() > _OFTEN:
+            each = ", ".join(f"{100 * value:.0f}" for value in share)
+            out.append(warning("saturation", f"motors are at {word} command in {each} % of the time"))
+    return out
+
+
+def _clipping(name: str, signal: Signal, span: tuple[float, float]) -> list[Finding]:
+    """A sensor at its limit shows the same greatest value again and again."""
+    value = signal.value[(signal.t_s >= span[0]) & (signal.t_s <= span[1])]
+    for axis, column in zip("xyz", value.T, strict=True):
+        if np.ptp(column) <= 0.0:
+            continue
+        for edge in (column.max(), column.min()):
+            share = float(np.mean(column == edge))
+            if share > _CLIPPED and share * len(column) >= 5:
+                return [warning("clipping", f"{name}: {axis} stands at {edge:.4g} in {100 * share:.1f} % of the time: "
+                                "the sensor is at its limit")]  # fmt: skip
+    return []
+
+
+def judge_consistency(
+    signals: Mapping[str, Signal], span_s: tuple[float, float], offsets: tuple[Offset, ...]
+) -> list[Finding]:
+    """How well the signals agree once all is put right."""
+    seen = motion(
+        signals,
+        span_s,
+        1.0 / float(np.clip(2.0 * min((rate_hz(s) for s in signals.values()), default=50.0), 50.0, 100.0)),
+    )
+    if seen is None:
+        return []
+    dt_s, out = seen.dt_s, []
+    if {"q_ned_frd", "rate_frd_radps"} <= seen.columns.keys():
+        out.append(
+            _agreement("gyro and attitude", rates_of(seen["q_ned_frd"], dt_s), seen["rate_frd_radps"], dt_s, "rad/s")
+        )
+    if {"q_ned_frd", "accel_frd_mps2", "vel_ned_mps"} <= seen.columns.keys():
+        felt = integrated(rotate(seen["q_ned_frd"], seen["accel_frd_mps2"]) + G_NED, dt_s)
+        out.append(_agreement("velocity, specific force and attitude", felt, seen["vel_ned_mps"], dt_s, "m/s"))
+    if {"pos_ned_m", "vel_ned_mps"} <= seen.columns.keys():
+        out.append(
+            _agreement("position and velocity", integrated(seen["vel_ned_mps"], dt_s), seen["pos_ned_m"], dt_s, "m")
+        )
+    return out
+
+
+def _agreement(what: str, a: F64, b: F64, dt_s: float, unit: str) -> Finding:
+    a, b = band(a, dt_s, 0.2, 4.0), band(b, dt_s, 0.2, 4.0)
+    rest, size = float(np.sqrt(np.mean((a - b) ** 2))), float(np.sqrt(np.mean(b * b)))
+    text = f"{what} agree to {rest:.3g} {unit} of {size:.3g} {unit} rms (0.2 to 4 Hz)"
+    return Finding("consistency", "ok" if rest < _DISAGREE * size else "warning", text)

@@ -1,0 +1,118 @@
+"""Classes of effects that this log can't tell apart, and the manoeuvre that would split them.
+
+Two effects are alike on a log when exchanging one for the other, everything else fitted again, costs less than the
+evidence can bear; nothing is taken from a list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flightstack.gap.naming.evidence import fit_subsets, score
+from flightstack.gap.naming.search import ALIKE, Fit, Search, fit_subset, members
+from flightstack.gap.records import Found, Samples
+from flightstack.gap.track import track
+
+_ALIKE_SHARE = 0.002
+"""Share of what the effect explains that a good model may miss anyway."""
+_TRIED = 4
+
+
+def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
+    """Effects that would explain the flights as well in this one's place, closest first."""
+    point = state.point
+    base = [m for m in members(point.candidates, best.effects) if point.candidates[m].effect != effect]
+    barred = state.barred | set(best.effects)
+    others = [m for m, c in enumerate(point.candidates) if c.effect not in barred]
+    gram = point.gram()
+    subsets = [tuple(sorted((*base, m))) for m in others]
+    fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
+    explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
+    bearable = ALIKE + _ALIKE_SHARE * explained
+    count = len(point.candidates)
+    scored = sorted(
+        (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)
+        for i, s in enumerate(fitted[1:])
+        if np.isfinite(s.gain)
+    )
+    found: dict[str, float] = {}
+    for value, i in scored[:_TRIED]:
+        if value > best.score + 3.0 * bearable + 0.05 * explained:
+            break
+        name = point.candidates[others[i]].effect
+        fit = fit_subset(state, fitted[1 + i])
+        if fit.score - best.score < bearable:
+            found[name] = min(found.get(name, np.inf), fit.score)
+    return tuple(sorted(found, key=lambda name: found[name]))
+
+
+_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"), ("payload", "thrust_scale"))
+"""How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
+shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust; a
+mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
+
+
+def poorly_told(effects: Collection[str]) -> set[str]:
+    """What beside a poor model can't be told from one of these."""
+    return {e for pair in _POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
+
+
+def beside_a_poor_model(found: Found) -> Found:
+    """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
+    for effects in _POORLY_TOLD:
+        if found.name in effects:
+            twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
+            return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
+    return found
+
+
+def confused_with(gone: Collection[Found]) -> set[str]:
+    """What these names may have stood for: their twins, and what a manoeuvre is told for that splits them."""
+    names = {f.name for f in gone}
+    groups = (group for group, _ in _SPLITS if group & names)
+    return {twin for f in gone for twin in f.indistinguishable_from}.union(*groups) - names
+
+
+def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
+    """The named effects of these flights: without a gyro their classes are those of a poor model."""
+    gyro = any("rate_frd_radps" not in track(s).missing for s in flights)
+    return found if gyro else tuple(beside_a_poor_model(f) for f in found)
+
+
+def splitting_manoeuvre(effects: tuple[str, ...]) -> str:
+    """What to fly so that these effects part."""
+    for group, text in _SPLITS:
+        if set(effects) <= group or len(group & set(effects)) >= 2:
+            return text
+    return "rate doublets on all axes, a thrust chirp and a fast run on two opposite headings"
+
+
+_SPLITS: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"motor_lag", "transport_delay", "inertia"}),
+        "rate doublets and a thrust chirp up to 8 Hz, motors and gyro logged at 250 Hz",
+    ),
+    (
+        frozenset({"steady_wind", "constant_force", "accelerometer_bias", "attitude_misalignment", "com_offset"}),
+        "the same line at two speeds to and fro, then hover while turning by half a turn",
+    ),
+    (
+        frozenset({"linear_drag", "rotor_drag", "parasitic_drag", "induced_inflow"}),
+        "straight runs at three airspeeds, and the same speed in hard turns (the rotors' speed must change)",
+    ),
+    (
+        frozenset({"payload", "thrust_scale", "battery_sag", "thrust_curve", "constant_force", "rotor_fault"}),
+        "rate doublets and a thrust chirp: torques tell thrust from mass; repeat with a fresh and an empty battery",
+    ),
+    (
+        frozenset({"ground_effect", "thrust_scale", "payload", "vortex_ring"}),
+        "low passes at half, one and two rotor diameters over the ground, and a steady descent",
+    ),
+    (
+        frozenset({"com_offset", "rotor_fault", "blade_flapping"}),
+        "climb hard and hover by turns: a shifted mass turns with the thrust, a weak rotor yaws as well",
+    ),
+)

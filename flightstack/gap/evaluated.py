@@ -1,0 +1,90 @@
+"""The simulator's forces and torques at measured states, of many vehicles at once; and many short simulations.
+
+Compiled loops round the plant's own functions, nothing else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.jit import njit_called
+from flightstack.types import F64
+from flightstack_sim.effects import battery_sag
+from flightstack_sim.layout import (
+    E_FORCE,
+    EVALUATED,
+    INTEGRATED,
+    P_EMPTY_V,
+    P_FULL_V,
+    S_COMMAND,
+    S_FORCE,
+    S_LOAD_DIR,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_RING,
+    S_VEL,
+    S_VOLTAGE,
+)
+from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
+
+
+@njit_called
+def evaluate_at(params: F64, pos: F64, vel: F64, q: F64, rate: F64, u: F64, load: F64, voltage: F64, out: F64) -> None:
+    """Specific force and angular acceleration (N, 6, M) into `out`, of M parameter rows at the same N states.
+
+    pos, vel, rate (N, 3), q (N, 4), motors' u (N, 4), load (N, 6) as in the state row, voltage (N,).
+    """
+    row = np.zeros(S_RING)
+    dy = np.empty(EVALUATED)
+    for n in range(out.shape[0]):
+        for j in range(3):
+            row[S_POS + j], row[S_VEL + j], row[S_RATE + j] = pos[n, j], vel[n, j], rate[n, j]
+        for j in range(4):
+            row[S_Q + j] = q[n, j]
+        for j in range(6):
+            row[S_LOAD_DIR + j] = load[n, j]
+        now = (u[n, 0], u[n, 1], u[n, 2], u[n, 3])
+        for m in range(out.shape[2]):
+            p = params[m]
+            speeds, wind = rotor_speeds(p, now), air_velocity(p, row)
+            evaluate(p, row[:INTEGRATED], speeds, wind, battery_sag.factor(p, voltage[n]), dy)
+            for j in range(3):
+                out[n, j, m] = dy[E_FORCE + j]
+                out[n, 3 + j, m] = dy[S_RATE + j]
+
+
+@njit_called
+def run_windows(
+    state: F64,
+    params: F64,
+    start: NDArray[np.int64],
+    driven: NDArray[np.int64],
+    commands: F64,
+    voltage: F64,
+    every: int,
+    shown: F64,
+    force: F64,
+) -> None:
+    """Simulate R rows freely from their states: what they show (R, n + 1, S_LOAD_DIR) and mean specific forces.
+
+    Row i starts at sample start[i] and is driven by commands[driven[i]] (N * every, 4) and voltage[driven[i]] (N,);
+    force (R, n + 1, 3) is the mean since the sample before, 0 at the start.
+    """
+    work = np.empty((3, EVALUATED))
+    for i in range(state.shape[0]):
+        row, p, c = state[i], params[i], driven[i]
+        for j in range(S_LOAD_DIR):
+            shown[i, 0, j] = row[j]
+        for k in range(shown.shape[1] - 1):
+            at = start[i] + k
+            row[S_VOLTAGE] = p[P_FULL_V] = p[P_EMPTY_V] = voltage[c, at]
+            for step in range(at * every, (at + 1) * every):
+                for j in range(4):
+                    row[S_COMMAND + j] = commands[c, step, j]
+                step_row(p, row, work)
+                for j in range(3):
+                    force[i, k + 1, j] += row[S_FORCE + j] / every
+            for j in range(S_LOAD_DIR):
+                shown[i, k + 1, j] = row[j]

@@ -1,0 +1,174 @@
+"""What the page shows beside the result itself: the waterfall's steps, regimes, curves over time, data quality."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap import pooled
+from flightstack.gap.add import companion
+from flightstack.gap.compare import residual, sensor_noise
+from flightstack.gap.identify import Identifiable
+from flightstack.gap.locate import regimes
+from flightstack.gap.name import Naming
+from flightstack.gap.pooled import Mask, Split
+from flightstack.gap.records import REGIMES, SIGNALS, Checked, Gap
+from flightstack.gap.report.record import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
+from flightstack.gap.simulate import predict
+from flightstack.gap.track import track
+from flightstack.gap.verify import reflight, whiteness
+from flightstack.types import F64, InputError
+from flightstack.vehicle import Vehicle, with_effects
+
+_LEAST_REGIME_S = 0.5
+_COLUMNS = len(SIGNALS)
+
+
+def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence[Checked], sentence: str) -> GapReport:
+    """Everything the page shows; `logs` in the order of the split's flights."""
+    drawn = _drawn_first(of)
+    takes, learner = _companion(vehicle, naming)
+    return GapReport(
+        sentence=sentence,
+        vehicle=vehicle.name,
+        gap=gap,
+        found=naming.found,
+        rejected=naming.rejected,
+        unexplained=naming.unexplained,
+        where=naming.where,
+        steps=_steps(vehicle, naming, of, gap),
+        regimes=_regimes(vehicle, naming.vehicle, of),
+        shown=_shown(naming.identifiable),
+        traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
+        logs=tuple(_quality(checked) for checked in logs),
+        checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
+        takes=takes,
+        learner=learner,
+    )
+
+
+def _drawn_first(of: Split) -> list[int]:
+    """The flight that holds most of what is held out."""
+    return [int(np.argmax([int(mask.sum()) for mask in of.holdout]))]
+
+
+def _steps(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Step, ...]:
+    """The held-out figures with one effect after the other, each at its final values."""
+    steps = [Step("", gap.before)]
+    now = vehicle
+    for found in naming.found:
+        now = with_effects(now, {found.name: naming.vehicle.effects[found.name]})
+        last = found is naming.found[-1]
+        steps.append(Step(found.name, gap.after if last else pooled.figures(now, of)))
+    return tuple(steps)
+
+
+def _regimes(before: Vehicle, after: Vehicle, of: Split) -> tuple[RegimeRow, ...]:
+    """Rms by regime and channel over all that was flown."""
+    was = [residual(before, samples).y[:, :_COLUMNS] for samples in of.flights]
+    now = [residual(after, samples).y[:, :_COLUMNS] for samples in of.flights]
+    masks = [regimes(samples) for samples in of.flights]
+    rows = []
+    for regime in REGIMES:
+        chosen = [m[regime] & s.valid for m, s in zip(masks, of.flights, strict=True)]
+        seconds = sum(float(m.sum()) * s.dt_s for m, s in zip(chosen, of.flights, strict=True))
+        if seconds >= _LEAST_REGIME_S:
+            rows.append(RegimeRow(regime, seconds, _rms(was, chosen), _rms(now, chosen)))
+    return tuple(rows)
+
+
+def _rms(values: list[F64], masks: list[Mask]) -> F64:
+    rows = np.concatenate([y[m] for y, m in zip(values, masks, strict=True)])
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    total = np.where(known, rows, 0.0) ** 2
+    return np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan)
+
+
+def _trace(before: Vehicle, after: Vehicle, of: Split, k: int) -> Trace:
+    """One flight's channels as the figures see them."""
+    samples = of.flights[k]
+    flight = track(samples)
+    measured, was, now = (
+        flight.lowpass(x)[:, :_COLUMNS] for x in (flight.measured, predict(before, samples), predict(after, samples))
+    )
+    measured = np.where(flight.usable[:, None], measured, np.nan)
+    t_s = samples.t_s - samples.t_s[0]
+    noise = sensor_noise(samples)[:_COLUMNS]
+    return Trace(samples.name, t_s, measured, was, now, noise, _spans(t_s, of.holdout[k]))
+
+
+def _spans(t_s: F64, mask: Mask) -> tuple[tuple[float, float], ...]:
+    """First and last time of each stretch of a mask; stretches less than a second apart are one."""
+    edges = np.diff(np.concatenate([[0], mask.astype(int), [0]]))
+    spans: list[list[float]] = []
+    for start, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True):
+        if spans and t_s[start] - spans[-1][1] < 1.0:
+            spans[-1][1] = float(t_s[end])
+        else:
+            spans.append([float(t_s[start]), float(t_s[end])])
+    return tuple((start, end) for start, end in spans)
+
+
+def _quality(checked: Checked) -> LogQuality:
+    samples = checked.samples
+    seconds = 0.0 if samples is None else float(samples.valid.sum()) * samples.dt_s
+    flight = checked.flight
+    return LogQuality(flight.name, flight.kind, seconds, checked.findings, checked.offsets, flight.notes)
+
+
+def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
+    """One line an effect: the worst seen of its parameters decides."""
+    lines = []
+    for effect in dict.fromkeys(row.effect for row in rows):
+        mine = [row for row in rows if row.effect == effect]
+        worst = max(mine, key=lambda row: row.smallest / row.matters if row.matters > 0.0 else np.inf)
+        units = {p.name: p.unit for p in EFFECT_SPECS[effect].params}
+        level = "shown" if all(row.shown for row in mine) else "weak" if any(row.shown for row in mine) else "hidden"
+        if np.isfinite(worst.smallest):
+            words = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()
+        else:
+            words = f"nothing of {worst.parameter}"
+        alike = next((row.like for row in mine if row.like), "")
+        words += f"; hard to tell from {alike.replace('_', ' ')}" if alike else ""
+        lines.append(Shown(effect, level, words, "" if level == "shown" else worst.manoeuvre))
+    order = {"shown": 0, "weak": 1, "hidden": 2}
+    return tuple(sorted(lines, key=lambda line: order[line.level]))
+
+
+def _whiteness(corrected: Vehicle, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+    """Whether what is left on held-out data is noise."""
+    tested = whiteness(corrected, of.flights[k], of.holdout[k])
+    if not tested:
+        return ()
+    coloured = [each.signal.replace("_", " ") for each in tested if not each.white]
+    text = f"white in {len(tested) - len(coloured)} of {len(tested)} channels"
+    return (("what is left", f"{text}; not in {', '.join(coloured)}" if coloured else text),)
+
+
+def _flown_again(vehicle: Vehicle, naming: Naming, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+    """The logged path flown once more in the simulator, with the model as it was and with the corrected one."""
+    if not naming.found:
+        return ()
+    runs = reflight(vehicle, [vehicle, naming.vehicle], of.flights[k], of.holdout[k])
+    if not runs:
+        return ()
+    was, now = runs
+    return (
+        ("flown again", f"{now.seconds:.0f} s of the logged path, closed loop, by the simulated autopilot"),
+        ("leans off by", f"{np.degrees(was.lean_rad):.2f}° → {np.degrees(now.lean_rad):.2f}°"),
+        ("mean command off by", f"{100.0 * was.collective:.2f} % → {100.0 * now.collective:.2f} %"),
+    )
+
+
+def _companion(vehicle: Vehicle, naming: Naming) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What the companion's model takes of the correction, and which found effects it leaves to its learner."""
+    try:
+        made = companion(vehicle, naming.vehicle)
+    except InputError as error:
+        return (f"nothing: {error}",), ()
+    names = {found.name for found in naming.found}
+    takes = tuple(f"{t.name} {t.before:.4g} → {t.after:.4g} {t.unit}".strip() for t in made.takes)
+    return takes, tuple(name for name in made.left_to_learner if name in names)

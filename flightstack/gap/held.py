@@ -1,0 +1,135 @@
+"""Whether a named effect does on data not used before what it did where it was learned.
+
+Without the effect, the held-out disagreement is what the effect makes there and what is left anyway.  If the
+effect is really there and of the size that was found, the slope of the one against the other is 1 wherever one looks; a
+proxy's slope falls away, and what grows with time shows a slope beyond 1 on what was flown last.  The slope's error is
+of the sandwich kind over seconds, so that a slow remainder is not taken for many errors.
+
+Where a model leaves much more than noise, an effect may only trim what the model lacks: one is taken back if its size
+changes from stretch to stretch, or if it stands at the end of what is plausible for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.compare import residual
+from flightstack.gap.naming.candidates import at_end
+from flightstack.gap.pooled import Split
+from flightstack.gap.records import Found, Gap
+from flightstack.gap.simulate import with_value
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+_BLOCK_S = 1.0
+_FEWEST_BLOCKS = 4
+_SURE = 2.0
+"""Standard errors by which a slope must miss what is allowed."""
+_LEAST = 0.5
+"""Slope below which less than nothing of the effect's own share is closed."""
+_NOT_NOISE = 0.9
+"""Share of what a model leaves, in mean square, that is not the noise floor's: from there it lacks something."""
+_FICKLE_P = 1e-4 / len(EFFECT_SPECS)
+"""Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
+_LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
+"""What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Slope of the held-out disagreement against what effects make of it, and its standard error."""
+
+    value: float
+    error: float
+
+    def holds(self, *, beside: bool) -> bool:
+        """Whether the effects do what they did; `beside`: something that nothing explains is there as well."""
+        low, high = (_LEAST_BESIDE, _MOST_BESIDE) if beside else (_LEAST, np.inf)
+        return self.value + _SURE * self.error >= low and self.value - _SURE * self.error <= high
+
+
+def slope(without: Vehicle, corrected: Vehicle, of: Split) -> Slope:
+    """Of the held-out residual of `without` against what `corrected` makes of it; 1 +- 0 where that can't be said."""
+    shares: list[F64] = []
+    pairs = []
+    for samples, mask in zip(of.flights, of.holdout, strict=True):
+        if not mask.any():
+            continue
+        was, now = residual(without, samples).y[mask], residual(corrected, samples).y[mask]
+        pairs.append((np.nan_to_num(was), np.nan_to_num(now), max(1, round(_BLOCK_S / samples.dt_s))))
+    if not pairs:
+        return Slope(1.0, 0.0)
+    left = np.sqrt(np.mean(np.concatenate([now for _, now, _ in pairs]) ** 2, axis=0))
+    weight = np.where(left > 0.0, 1.0 / np.maximum(left, 1e-12), 0.0)
+    for was, now, size in pairs:
+        made, rest = (was - now) * weight, now * weight
+        rows = np.stack([np.sum(made * rest, axis=1), np.sum(made * made, axis=1)], axis=1)
+        count = len(rows) // size
+        shares.append(rows[: count * size].reshape(count, size, 2).sum(axis=1))
+    blocks = np.concatenate(shares)
+    power = float(blocks[:, 1].sum())
+    if len(blocks) < _FEWEST_BLOCKS or power <= 0.0:
+        return Slope(1.0, 0.0)
+    off = float(blocks[:, 0].sum()) / power
+    scatter = blocks[:, 0] - off * blocks[:, 1]
+    return Slope(1.0 + off, float(np.sqrt(np.sum(scatter**2))) / power)
+
+
+def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bool) -> tuple[str, ...]:
+    """Named effects that don't hold on data not used before; all of them where they don't hold together."""
+    whole = corrected(believed, found)
+    if not slope(believed, whole, of).holds(beside=beside):
+        return tuple(each.name for each in found)
+    if len(found) == 1:
+        return ()
+    others = {each.name: corrected(believed, [f for f in found if f is not each]) for each in found}
+    return tuple(name for name, without in others.items() if not slope(without, whole, of).holds(beside=beside))
+
+
+def vanished(found: Sequence[Found]) -> tuple[str, ...]:
+    """Named effects of which refinement has left nothing: every interval holds what the vehicle's file has."""
+    told = {f.name: [e for e in f.parameters.values() if math.isfinite(e.before) and e.low < e.high] for f in found}
+    return tuple(name for name, each in told.items() if each and all(e.low <= e.before <= e.high for e in each))
+
+
+def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
+    """The vehicle with these effects at their estimates."""
+    vehicle = believed
+    for each in found:
+        vehicle = with_value(vehicle, each.name, {p: e.estimate for p, e in each.parameters.items()})
+    return vehicle
+
+
+def far_from_noise(gap: Gap) -> bool:
+    """Whether what the model leaves of force or torque is hardly the sensors' noise any more."""
+    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
+    known = [(now, least) for now, least in pairs if now is not None and least is not None]
+    return any(least**2 < (1.0 - _NOT_NOISE) * now**2 for now, least in known)
+
+
+def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:
+    """Named effects that, far from the noise, stand for something else.
+
+    Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
+    of its being the same), and a wind that blows up or down more than along: no steady wind goes through the ground.
+    """
+    ends = on_edge(believed, found)
+    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < _FICKLE_P or _upright(f))
+
+
+def _upright(found: Found) -> bool:
+    """Whether it is a wind steeper than half a right angle."""
+    if found.name != "steady_wind":
+        return False
+    north, east, down = (found.parameters[f"{axis}_mps"].estimate for axis in ("north", "east", "down"))
+    return abs(down) > math.hypot(north, east)
+
+
+def on_edge(believed: Vehicle, found: Sequence[Found]) -> tuple[str, ...]:
+    """Effects with a parameter at the end of its range."""
+    return tuple(f.name for f in found if any(at_end(believed, f.name, p, e.estimate) for p, e in f.parameters.items()))

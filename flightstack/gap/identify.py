@@ -1,0 +1,93 @@
+"""The identifiability map: which effects could this log have shown, how small, and what to fly for the others.
+
+The Fisher information of the whitened columns against the noise of these flights, with every other candidate a little
+there and the commands' timing unknown, bounds what any unbiased estimator can do (Cramer and Rao).  Nothing of it
+needs the effect to be present.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.gap.naming.design import Linearised
+from flightstack.gap.scales import natural_scale
+
+_DETECTABLE = 5.0
+"""Standard deviations that an effect must stand out by to be named."""
+_ALIKE = 0.95
+
+MANOEUVRES: dict[str, str] = {
+    "payload": "a thrust chirp, and rate doublets for the torque channel",
+    "thrust_scale": "a thrust chirp, and rate doublets for the torque channel",
+    "thrust_curve": "hard climbs and fast descents: thrust from a third to all of it",
+    "rotor_fault": "hover, then rate doublets on all axes",
+    "com_offset": "climb hard and hover by turns",
+    "inertia": "rate doublets on all three axes",
+    "motor_lag": "rate doublets and a thrust chirp up to 8 Hz, logged at 250 Hz",
+    "transport_delay": "rate doublets and a thrust chirp up to 8 Hz, logged at 250 Hz",
+    "battery_sag": "the same manoeuvres on a fresh and on an empty battery, with the voltage in the log",
+    "linear_drag": "straight runs at 2 to 6 m/s, forwards, sideways and climbing",
+    "angular_damping": "rate doublets on all three axes, and a long turn",
+    "rotor_drag": "straight runs at 2 to 6 m/s and the same in hard turns",
+    "induced_inflow": "climbs and descents at 2 to 4 m/s",
+    "parasitic_drag": "straight runs as fast as it goes, forwards, sideways and climbing",
+    "translational_lift": "level runs at 4 to 8 m/s",
+    "blade_flapping": "straight runs at 3 to 6 m/s on two opposite headings",
+    "rotor_gyroscopic": "roll and pitch doublets while yawing",
+    "ground_effect": "passes at half, one and two rotor diameters over the ground",
+    "vortex_ring": "straight descents at the speed of the rotors' own wake (3 to 6 m/s)",
+    "steady_wind": "the same speed on two opposite headings for 10 s, by a vehicle whose drag is known",
+    "constant_force": "hover while turning by half a turn, then the same line to and fro",
+    "turbulence": "a minute of hover in it, by a vehicle whose drag is known",
+    "slung_load": "quick starts and stops, then hover for three swings",
+    "accelerometer_bias": "half a minute with velocity and attitude in the log",
+    "gyro_bias": "half a minute with attitude in the log",
+    "attitude_misalignment": "hover, then rate doublets, with velocity and attitude in the log",
+}
+"""What shows each effect best."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiable:
+    """One parameter of one effect against one set of flights."""
+
+    effect: str
+    parameter: str
+    smallest: float
+    """Smallest change that these flights could have shown, in the parameter's unit; inf: none."""
+    matters: float
+    """A change that moves the motion by some percent."""
+    shown: bool
+    """Whether a change that matters would have been seen."""
+    like: str
+    """The effect whose columns come closest, "" where none is near."""
+    cosine: float
+    """How close: 1 is the same."""
+    manoeuvre: str
+    """What would show it better."""
+
+
+def identify(point: Linearised) -> tuple[Identifiable, ...]:
+    """The map at one design, in table order; of an effect in several variants the best seen one."""
+    gram = point.gram()
+    size = np.sqrt(np.maximum(np.diag(gram.k), 1e-300))
+    cosine = np.abs(gram.k / np.outer(size, size))
+    found: dict[tuple[str, str], Identifiable] = {}
+    for i, slot in enumerate(point.slots):
+        effect = point.candidates[slot.candidate].effect
+        informed = gram.k[i, i] * natural_scale(point.vehicle, effect, slot.parameter) ** 2 > 1e-6
+        smallest = _DETECTABLE / float(size[i]) if informed else float("inf")
+        matters = natural_scale(point.vehicle, effect, slot.parameter)
+        others = [j for j, s in enumerate(point.slots) if point.candidates[s.candidate].effect != effect]
+        nearest = max(others, key=lambda j: cosine[i, j]) if informed else -1
+        near = float(cosine[i, nearest]) if informed else 0.0
+        like = point.candidates[point.slots[nearest].candidate].effect if near > _ALIKE else ""
+        row = Identifiable(
+            effect, slot.parameter, smallest, matters, smallest < 2.0 * matters, like, near, MANOEUVRES[effect]
+        )
+        key = (effect, slot.parameter)
+        if key not in found or row.smallest < found[key].smallest:
+            found[key] = row
+    return tuple(found.values())

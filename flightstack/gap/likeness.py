@@ -1,0 +1,48 @@
+"""Whether what was named makes the file's vehicle another one.
+
+An effect of the table changes one thing of a vehicle.  Another vehicle differs in all that its body and motors are:
+thrust for its mass, moments of inertia, how fast its rotors answer.  Each may be far off alone (a file's thrust was
+measured badly, a load was taped on), and then it is named; only all together are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from flightstack.gap.records import Found
+from flightstack.gap.simulate import value
+from flightstack.vehicle import Vehicle
+
+_LIFT, _TURN, _ANSWER = math.log(1.25), math.log(1.5), math.log(3.0)
+"""Logarithms of the factors by which one effect changes thrust for its mass, inertia and lag on a vehicle that is
+still the file's: such a change counts one."""
+_LEAST = 0.6
+"""Of these, what thrust and inertia must each be off by."""
+_MANY = 4.0
+"""And all of them together."""
+_BIG = 2.5
+"""Enough where all moments of inertia are off to the same side by `_TURN`, and something is left unexplained."""
+
+
+def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found], *, unexplained: bool) -> str:
+    """How the log's vehicle differs, in words, where it can't be the file's; else empty."""
+    names = {each.name for each in found}
+    if "inertia" not in names or not names & {"payload", "thrust_scale"}:
+        return ""
+    lift = _factor(believed, corrected, "thrust_scale", "scale") * believed.total_mass_kg / corrected.total_mass_kg
+    turns = [_factor(believed, corrected, "inertia", f"scale_{axis}") for axis in "xyz"]
+    answer = _factor(believed, corrected, "motor_lag", "time_constant_s")
+    off_lift = abs(math.log(lift)) / _LIFT
+    off_turns = [math.log(turn) / _TURN for turn in turns]
+    off_turn = max(map(abs, off_turns))
+    total = off_lift + off_turn + abs(math.log(answer)) / _ANSWER
+    larger = min(off_turns) > 1.0 or max(off_turns) < -1.0
+    if min(off_lift, off_turn) < _LEAST or not (total >= _MANY or (total >= _BIG and larger and unexplained)):
+        return ""
+    said = ", ".join(f"{turn:.2g}" for turn in turns)
+    return f"thrust for its mass is {lift:.2g}, inertia {said} and motor lag {answer:.2g} times the file's"
+
+
+def _factor(believed: Vehicle, corrected: Vehicle, effect: str, parameter: str) -> float:
+    return value(corrected, effect, parameter) / value(believed, effect, parameter)

@@ -1,0 +1,134 @@
+"""The flights as a bench (`gap.naming.design.Bench`): residuals and columns through the simulator, thinned out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flightstack.gap import voltage
+from flightstack.gap.compare import residual
+from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
+from flightstack.gap.naming.whitening import Mask
+from flightstack.gap.records import Samples
+from flightstack.gap.sampled import timing_s
+from flightstack.gap.simulate import Knob, disagreement, evaluated_every, predict, sensitivities, timing
+from flightstack.gap.track import track
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+_GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
+_GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
+"""Of those gains, one standard deviation for each second between samples."""
+_FOLDED = ((0, 1, 2), (3,), (4,), (5,))
+"""Channels of each part of the commands' noise."""
+_ROWS_PER_CUTOFF = 2.5
+"""Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
+_MOST_KNOWN = 64
+_MOST_ROWS = 12_000
+"""Of all flights together, four minutes at 50 a second: of longer logs fewer are taken.
+
+What is true of every row is true of every second one; only intervals get wider, and these rows are enough to name.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatorBench:
+    """Several flights at their own rates, each thinned to what its low-pass leaves."""
+
+    flights: tuple[Samples, ...]
+    calm: tuple[Samples, ...]
+    """The same with smooth commands (`gap.naming.inputs`)."""
+    every: tuple[int, ...]
+    """Samples for each row, by flight."""
+    fit: list[Mask]
+    holdout: list[Mask]
+    mute: frozenset[str] = frozenset()
+    """Effects that none of the flights can show beside what the vehicle's model lacks."""
+    _known: dict[int, tuple[Vehicle, list[F64]]] = field(default_factory=dict, repr=False)
+    """By the vehicle's identity: a search comes back to its fits again and again."""
+
+    def residual(self, vehicle: Vehicle) -> list[F64]:
+        """Measured minus simulated (N, 12) of each flight, NaN where it can't be had; not to be written to."""
+        if id(vehicle) not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                del self._known[next(iter(self._known))]
+            self._known[id(vehicle)] = (vehicle, self._residual(vehicle))  # kept, so that its number stays its own
+        return self._known[id(vehicle)][1]
+
+    def _residual(self, vehicle: Vehicle) -> list[F64]:
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            flight = track(s)
+            y = disagreement(vehicle, s)[0][::k].copy()
+            y[~flight.usable[::k]] = np.nan
+            y.flags.writeable = False
+            out.append(y)
+        return out
+
+    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+        """Derivatives of the simulated (N, 12, K) of each flight; 0 of what it can't show."""
+        out = []
+        for s, k in zip(self.flights, self.every, strict=True):
+            shown = sensitivities(vehicle, s, knobs, k)
+            shown[:, :, [i for i, knob in enumerate(knobs) if knob.effect in self.mute]] = 0.0
+            out.append(shown)
+        return out
+
+    def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
+        """Columns (N, 12, K) of what no log tells, how large each may be, and whether it is fitted (K,).
+
+        When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
+        loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
+        unsteadiness is folded in by sampling, for the force and for each torque: the change if none were real.
+        """
+        columns = []
+        for s, calm, k in zip(self.flights, self.calm, self.every, strict=True):
+            late = timing(vehicle, s)[::k, :, None]
+            base = predict(vehicle, s)
+            change = track(s).lowpass(predict(vehicle, calm) - base)[::k]
+            bent = track(s).lowpass(predict(vehicle, with_sharp_commands(s)) - base)[::k, :, None]
+            folded = np.zeros((*change.shape, len(_FOLDED)))
+            for j, channels in enumerate(_FOLDED):
+                folded[:, channels, j] = change[:, channels]
+            gains = np.nan_to_num(sensitivities(vehicle, s, _GAINS, k))
+            gains[:, 3:, 0] = 0.0
+            columns.append(np.concatenate([late, bent, folded, gains], axis=2))
+        period = float(np.mean([s.dt_s for s in self.flights]))
+        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
+        fitted = np.arange(len(sizes)) > 0  # when commands acted is the delay itself
+        return columns, np.array(sizes), fitted
+
+    def rate(self, flight: int) -> float:
+        """Rows a second of one flight."""
+        return 1.0 / (self.flights[flight].dt_s * self.every[flight])
+
+
+def simulator_bench(
+    vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
+) -> SimulatorBench:
+    """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
+    every = _every(flights)
+    off = [residual(vehicle, s).y[:, 2] for s in flights]
+    lift = [float(np.sqrt(np.mean(y[np.isfinite(y)] ** 2))) if np.isfinite(y).any() else 0.0 for y in off]
+    speaks = any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True))
+    return SimulatorBench(
+        tuple(flights),
+        tuple(with_smooth_commands(s, vehicle) for s in flights),
+        every,
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
+        [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
+        frozenset() if speaks else frozenset({"battery_sag"}),
+    )
+
+
+def _every(flights: Sequence[Samples]) -> tuple[int, ...]:
+    """Samples for each row, by flight: whole multiples of the samples for which columns are evaluated once."""
+    every = []
+    for s in flights:
+        most = max(1, int(1.0 / (_ROWS_PER_CUTOFF * track(s).cutoff_hz * s.dt_s)))
+        every.append(most - most % min(evaluated_every(s), most))
+    rows = sum(len(s.t_s) // k for s, k in zip(flights, every, strict=True))
+    fewer = max(1, -(-rows // _MOST_ROWS))
+    return tuple(k * fewer for k in every)

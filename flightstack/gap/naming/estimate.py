@@ -1,0 +1,242 @@
+"""The estimates: coefficients of the named effects by the noise alone, their intervals, and how constant they are.
+
+Selection leaves a little of everything in the model (`gap.naming.evidence`); an estimate does not.  The covariance is
+the sandwich of the whitened fit: what colour is left in the scores makes it wider (Newey and West, Econometrica 1987).
+The rows are white by what some fifty candidates together leave, and these take most of the slow noise with them; a
+kernel of half a second finds too little of that again.  So the noise that the named effects alone leave is modelled,
+and the intervals are never narrower than it makes them (prewhitening: Andrews and Monahan, Econometrica 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.special import chdtrc
+
+from flightstack.gap.naming.candidates import fitted, negligible
+from flightstack.gap.naming.design import Layout, layout_of
+from flightstack.gap.naming.search import Search, bounded_step
+from flightstack.gap.naming.whitening import Mask
+from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+_STEPS = 4
+_STILL = 0.05
+"""Standard deviations that another step would move."""
+_SEGMENTS = 6
+_ALLOWED_SPREAD = 0.1
+"""Share by which a coefficient of a good model may differ from segment to segment."""
+_BAND_S = 0.5
+"""Correlation that whitening may have left."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimates:
+    """Parameters of the named effects at the least squares of the noise alone."""
+
+    vehicle: Vehicle
+    slots: tuple[tuple[str, str], ...]
+    """(effect, parameter) of each."""
+    values: F64
+    covariance: F64
+    spread: F64
+    """(n,) greatest ratio between segments that see the parameter, as a p-value of its being constant."""
+    x: F64
+    """(R, n) whitened columns at `vehicle`."""
+    rows: F64
+    """(R,) whitened residual at `vehicle`."""
+
+
+def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estimates:
+    """Fit these effects (in the search's whitened rows to learn from) by the noise alone."""
+    vehicle = state.start
+    for effect, values in effects.items():
+        vehicle = with_value(vehicle, effect, values)
+    layout, chosen = state.point.layout, state.point.fit_rows()
+    slots = tuple((e, p) for e in effects for p in fitted(vehicle, e, vehicle.effects[e]).parameters)
+    rows = layout.stack(state.bench.residual(vehicle))
+    x = np.zeros((len(rows), 0))
+    for _ in range(_STEPS if slots else 0):
+        raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
+        x = layout.stack([np.nan_to_num(values) for values in raw])
+        step = _step(state, vehicle, slots, x, rows, chosen)
+        moved = vehicle
+        now = np.array([value(vehicle, e, p) for e, p in slots])
+        for (e, p), v in zip(slots, now + step, strict=True):
+            moved = with_value(moved, e, {p: _clipped(vehicle, e, p, v)})
+        fresh = layout.stack(state.bench.residual(moved))
+        still = float(np.max(np.abs(step) / np.sqrt(np.maximum(np.diag(_covariance(state, x, rows, chosen)), 1e-300))))
+        vehicle, rows = moved, fresh
+        if still < _STILL:
+            break
+    left = layout_of(state.bench, state.bench.residual(vehicle), coloured=True) if slots else layout
+    free = _without_nuisance(state, rows, chosen)
+    covariance = _covariance(state, x, free, chosen, left)
+    now = np.array([value(vehicle, e, p) for e, p in slots])
+    spread = _constancy(state, vehicle, slots, x, free, chosen)
+    return Estimates(vehicle, slots, now, covariance, spread, x, rows)
+
+
+def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
+    spec = next(p for p in fitted(vehicle, effect, vehicle.effects[effect]).parameters if p == parameter)
+    row = fitted(vehicle, effect, vehicle.effects[effect]).spec(spec)
+    return float(np.clip(v, row.minimum, row.maximum))
+
+
+def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, F64]:
+    specs = [fitted(vehicle, e, vehicle.effects[e]).spec(p) for e, p in slots]
+    now = np.array([value(vehicle, e, p) for e, p in slots])
+    return np.array([s.minimum for s in specs]) - now, np.array([s.maximum for s in specs]) - now
+
+
+def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask) -> F64:
+    low, high = _bounds(vehicle, slots)
+    nuisance, size = _fitted_nuisance(state)
+    both = np.hstack([x, nuisance])[chosen]
+    k = both.T @ both + np.diag(np.concatenate([np.zeros(len(slots)), 1.0 / size**2]))
+    b = both.T @ rows[chosen]
+    # the nuisance is solved for and left out again
+    n = len(slots)
+    shift = k[:n, n:] @ np.linalg.inv(k[n:, n:])
+    return bounded_step(k[:n, :n] - shift @ k[n:, :n], b[:n] - shift @ b[n:], low, high)[0]
+
+
+def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
+    told = state.point.nuisance_fitted
+    return state.point.nuisance[:, told], state.point.nuisance_size[told]
+
+
+def _without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
+    """(R,) residual at the estimate less what the nuisance makes of it."""
+    nuisance, size = _fitted_nuisance(state)
+    mine = nuisance[chosen]
+    return np.asarray(rows - nuisance @ np.linalg.solve(mine.T @ mine + np.diag(1.0 / size**2), mine.T @ rows[chosen]))
+
+
+def _covariance(state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None) -> F64:
+    """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966).
+
+    `left`: whose noise the rows have; without it they are taken as they are.
+    """
+    count = x.shape[1]
+    if count == 0:
+        return np.zeros((0, 0))
+    nuisance, size = _fitted_nuisance(state)
+    both = np.hstack([x, nuisance])
+    prior = np.concatenate([np.zeros(count), 1.0 / size**2])
+    covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
+    told = state.point.nuisance_fitted
+    other, scale = state.point.nuisance[:, ~told], state.point.nuisance_size[~told]
+    gram = both[chosen].T @ both[chosen] + np.diag(prior)
+    shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
+    return np.asarray(covariance + shift @ shift.T)
+
+
+def _inverse(gram: F64) -> F64:
+    """Of a normal matrix with columns of very different size, some of them nothing."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size))
+
+
+def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64, left: Layout | None) -> F64:
+    """Sandwich over time: scores of all channels at one time belong together, neighbours by Bartlett weights."""
+    layout = state.point.layout
+    xs, e = x[chosen], rows[chosen]
+    gram = xs.T @ xs + np.diag(prior)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = _inverse(gram)
+    scores = xs * e[:, None]
+    middle = np.diag(prior)
+    for flight in np.unique(layout.flight[chosen]):
+        mine = layout.flight[chosen] == flight
+        at = layout.at[chosen][mine]
+        series = np.zeros((int(at.max()) + 1, xs.shape[1]))
+        np.add.at(series, at, scores[mine])
+        lags = max(1, round(_BAND_S * state.bench.rate(int(flight))))
+        middle += series.T @ series
+        for k in range(1, min(lags, len(series) - 1) + 1):
+            cross = series[k:].T @ series[:-k]
+            middle += (1.0 - k / (lags + 1.0)) * (cross + cross.T)
+    sandwich = inverse @ middle @ inverse
+    # never narrower than the noise would make it; what the flights don't see at all has no variance here
+    seen = (np.diag(sandwich) > 0.0) & (size > 1e-100)
+    least = np.diag(inverse)
+    if left is not None:
+        least = np.maximum(least, np.diag(inverse @ (_coloured(layout, left, xs, chosen) + np.diag(prior)) @ inverse))
+    root = np.sqrt(np.maximum(1.0, least / np.where(seen, np.diag(sandwich), 1.0))) * seen
+    return np.asarray(sandwich * np.outer(root, root))
+
+
+def _coloured(layout: Layout, left: Layout, x: F64, chosen: Mask) -> F64:
+    """(n, n) covariance of the scores of columns (R, n) where the noise is what `left` says, channel by channel.
+
+    Rows whitened by one model of noise of the other are that noise through one filter and the other's inverse: the
+    scores' covariance is that of the columns passed backwards through the same.
+    """
+    total = np.zeros((x.shape[1], x.shape[1]))
+    for f, channels in enumerate(layout.whiteners):
+        for c, whitener in enumerate(channels):
+            mine, noise = (layout.flight[chosen] == f) & (layout.channel[chosen] == c), left.whiteners[f][c]
+            if not mine.any() or not noise.usable:
+                continue
+            series = np.zeros((len(layout.ok[f]), x.shape[1]))
+            series[layout.at[chosen][mine]] = x[mine]
+            passed = lfilter(whitener.taps * (noise.sigma / whitener.sigma), noise.stable_taps, series[::-1], axis=0)
+            total += passed.T @ passed
+    return total
+
+
+def segments(state: Search, chosen: Mask) -> NDArray[np.int64]:
+    """(R,) segment number of each row to learn from, others -1: flights cut into stretches of equal length."""
+    layout = state.point.layout
+    number = np.full(len(layout.at), -1)
+    flights = np.unique(layout.flight)
+    each = max(1, round(_SEGMENTS / len(flights)))
+    count = 0
+    for flight in flights:
+        mine = chosen & (layout.flight == flight)
+        if not mine.any():
+            continue
+        edges = np.quantile(layout.at[mine], np.linspace(0.0, 1.0, each + 1)[1:-1])
+        number[mine] = count + np.searchsorted(edges, layout.at[mine])
+        count += each
+    return number
+
+
+def _constancy(
+    state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
+) -> F64:
+    """P-value of each parameter being the same in all segments, small differences allowed."""
+    if not slots:
+        return np.empty(0)
+    number = segments(state, chosen)
+    now = np.array([value(vehicle, e, p) for e, p in slots])
+    origin = np.array([_origin(state.start, e, p, v) for (e, p), v in zip(slots, now, strict=True)])
+    slack = np.array([negligible(vehicle, e, p) for e, p in slots])
+    allowed = (_ALLOWED_SPREAD * (now - origin)) ** 2 + slack**2
+    estimates, variances = [], []
+    for k in range(number.max() + 1):
+        mine = number == k
+        if mine.sum() < 10 * len(slots):
+            continue
+        g = x[mine].T @ x[mine] + np.diag(1e-2 / np.maximum(allowed, 1e-300))
+        inverse = np.linalg.inv(g)
+        estimates.append(inverse @ (x[mine].T @ rows[mine]))
+        variances.append(2.0 * np.diag(inverse))
+    if len(estimates) < 2:
+        return np.ones(len(slots))
+    theta, var = np.array(estimates), np.array(variances) + allowed
+    weight = 1.0 / var
+    mean = (weight * theta).sum(axis=0) / weight.sum(axis=0)
+    q = (weight * (theta - mean) ** 2).sum(axis=0)
+    return np.asarray(chdtrc(len(estimates) - 1, q))
+
+
+def _origin(start: Vehicle, effect: str, parameter: str, now: float) -> float:
+    origin = value(start, effect, parameter)
+    return origin if np.isfinite(origin) else now

@@ -1,0 +1,43 @@
+"""How whitened rows are measured: chi-square in which every candidate may be there at a negligible size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.gap.naming.design import Linearised
+from flightstack.gap.naming.whitening import Mask
+from flightstack.types import F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Metric:
+    """Chi-square with every candidate a little there: r' (I + X T X')^-1 r over the rows to learn from."""
+
+    rows: Mask
+    x: F64
+    inner: F64
+    """(T^-1 + X'X)^-1."""
+
+    def chi2(self, r: F64) -> float:
+        """Of whitened rows (R,)."""
+        mine = r[self.rows]
+        shown = self.x.T @ mine
+        return float(mine @ mine - shown @ self.inner @ shown)
+
+    def normal(self, x: F64, r: F64) -> tuple[F64, F64]:
+        """K (k, k) and b (k,) of columns (R, k) against rows (R,)."""
+        mine, data = x[self.rows], r[self.rows]
+        cross = self.x.T @ mine
+        k = mine.T @ mine - cross.T @ self.inner @ cross
+        return k, mine.T @ data - cross.T @ (self.inner @ (self.x.T @ data))
+
+
+def metric_of(point: Linearised) -> Metric:
+    """The metric at a point."""
+    rows = point.fit_rows()
+    x = np.hstack([point.x[rows], point.nuisance[rows]])
+    t = 1.0 / np.concatenate([point.negligible, point.nuisance_size])
+    inner = np.linalg.inv((x.T @ x) / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
+    return Metric(rows, x, inner)

@@ -1,0 +1,374 @@
+"""The search: which subset of the candidates explains the flights best, each judged where it really is.
+
+All subsets of up to three are scored on columns at the vehicle as given; the best of each size are then fitted in
+earnest, residual and columns taken anew at every step (Gauss-Newton).  Round the best of those the columns are taken
+anew as well, and its neighbours tried (one member less, up to two more or others), until none is better.  A greedy
+search would take a proxy first and never let go of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.naming.candidates import Candidate, at_end, fitted
+from flightstack.gap.naming.design import Bench, Linearised, linearise
+from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
+from flightstack.gap.naming.metric import Metric, metric_of
+from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+MOST = 3
+LEAST_EVIDENCE = 15.0
+"""Fall of the score from which an effect is named."""
+ALIKE = 10.0
+"""Difference of scores below which one of two explanations is not preferred."""
+_SHORTLIST = {1: 4, 2: 4, 3: 3}
+_MARGIN = 12.0
+"""Difference of scores that the error of a straight line may well make."""
+_NEAR = 0.3
+"""And the share of the whole gain that it may make far from where the columns were taken."""
+_NEIGHBOURS = 6
+_ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
+"""To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
+_STUCK = 6.0
+_ROUNDS = 3
+_STEPS = 4
+_CHORDS = 2
+"""Steps with the same columns."""
+_CONVERGED = 0.1
+"""Chi-square that another step would gain."""
+_HALVINGS = 3
+_ROPES_M = np.geomspace(0.2, 4.0, 14)
+_NEAR_ROPES = (0.88, 1.0, 1.14)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One subset, fitted in earnest."""
+
+    effects: Mapping[str, Mapping[str, float]]
+    """Effect -> all its parameters, as they stand in `vehicle`."""
+    vehicle: Vehicle
+    rows: F64
+    """(R,) whitened residual at `vehicle`."""
+    chi2: float
+    used: int
+    """Coefficients fitted."""
+    score: float
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """State of one search: where the columns are, and all that has been fitted."""
+
+    bench: Bench
+    start: Vehicle
+    point: Linearised
+    metric: Metric
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    """By candidate keys."""
+    barred: set[str] = field(default_factory=set)
+    """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
+    rope_m: float = 0.0
+    """Length of the rope that was best with the present columns, 0 before any was looked for."""
+
+    @property
+    def best(self) -> Fit:
+        """The fit with the least score, of those that stand at no end of what is plausible."""
+        return self.fits[self.best_key]
+
+    @property
+    def best_key(self) -> frozenset[str]:
+        """By which it is kept.  What adds less than a name needs is not followed: the noise's model decides on that.
+
+        Of other explanations that are as good the one with the fewest names is preferred.
+        """
+        fair = {
+            key: fit.score
+            for key, fit in self.fits.items()
+            if not self.barred & set(fit.effects) and not strained(self.start, fit)
+        }
+        best = min(fair, key=lambda key: fair[key])
+        as_good = [k for k in fair if fair[k] < fair[best] + (LEAST_EVIDENCE if k <= best else ALIKE)]
+        fewest = min(len(key) for key in as_good)
+        as_good = [key for key in as_good if key <= best or len(key) == fewest]
+        return min(as_good, key=lambda key: (len(key), fair[key]))
+
+
+def strained(start: Vehicle, fit: Fit) -> set[str]:
+    """Its effects that stand at an end of what is plausible."""
+    return {e for e, values in fit.effects.items() if any(at_end(start, e, p, x) for p, x in values.items())}
+
+
+def _bar(state: Search) -> bool:
+    """Bar what is strained in the fit that else were the best; whether there was any."""
+    fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
+    at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
+    state.barred |= at_ends
+    return bool(at_ends)
+
+
+def search(bench: Bench, start: Vehicle) -> Search:
+    """The subsets worth a look, fitted; `start` is the vehicle as its file has it."""
+    point = linearise(bench, start, start)
+    state = Search(bench, start, point, metric_of(point))
+    _fit_all(state, [nothing(len(point.slots))])
+    subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
+    scored = _scored(state, subsets)
+    _fit_all(state, _shortlist(scored))
+    while _bar(state):
+        _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
+    _swap(state)
+    for _ in range(_ROUNDS):
+        best = state.best
+        if best.vehicle is state.point.vehicle:
+            break
+        move_to(state, best.vehicle)
+        _fit_all(state, _neighbours(state))
+        while _bar(state):
+            _fit_all(state, _neighbours(state))
+        _swap(state)
+    return state
+
+
+def _allowed(state: Search, members: Sequence[int]) -> bool:
+    return not state.barred & {state.point.candidates[m].effect for m in members}
+
+
+def move_to(state: Search, vehicle: Vehicle) -> None:
+    """Take all columns and the noise anew at this vehicle and measure all fits by the new metric."""
+    state.point = linearise(state.bench, vehicle, state.start)
+    state.metric = metric_of(state.point)
+    state.rope_m = 0.0
+    for key, fit in state.fits.items():
+        rows = state.point.layout.stack(state.bench.residual(fit.vehicle))
+        state.fits[key] = judged_fit(state, fit.effects, fit.vehicle, rows, fit.used)
+
+
+def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
+    """The best of each size, and of those only what comes near the best of all: columns taken elsewhere err."""
+    best, floor = scored[0]
+    margin = _MARGIN + _NEAR * floor.gain
+    return [
+        s
+        for size, count in _SHORTLIST.items()
+        for rank, (value_, s) in enumerate([item for item in scored if len(item[1].members) == size][:count])
+        if rank < 1 or value_ < best + margin
+    ]
+
+
+def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[float, Subset]]:
+    """Subsets with their scores on the columns as they are, best first."""
+    point = state.point
+    gram = point.gram()
+    count = len(point.candidates)
+    found = fit_subsets(gram, subsets, point.columns, point.low, point.high)
+    gain, used = np.array([s.gain for s in found]), np.array([s.used for s in found])
+    sizes = np.array([len(s.members) for s in found])
+    values = np.asarray(gram.c + score(gain, used, sizes, gram.rows, count))
+    return [(float(values[i]), found[i]) for i in np.argsort(values, kind="stable") if np.isfinite(values[i])]
+
+
+def _neighbours(state: Search) -> list[Subset]:
+    """Subsets one member less and up to two more than the best, where they come near it."""
+    point, effects = state.point, state.best.effects
+    inside = members(point.candidates, effects)
+    outside = [m for m, c in enumerate(point.candidates) if c.effect not in effects and _allowed(state, (m,))]
+    kept = [inside] + [tuple(m for m in inside if m != gone) for gone in inside]
+    subsets = {
+        tuple(sorted(base + more))
+        for base in kept
+        for size in range(3)
+        for more in combinations(outside, size)
+        if len({point.candidates[m].effect for m in more}) == size
+    }
+    scored = _scored(state, sorted(subsets))
+    best = state.best.score
+    found = []
+    for value_, s in scored:
+        # more on top of the best is told well by these columns, something else in its place is not
+        near = best - 0.5 * LEAST_EVIDENCE if set(inside) <= set(s.members) else best + _MARGIN
+        if value_ < min(near, _beaten(state, s)):
+            found.append(s)
+    return found[:_NEIGHBOURS]
+
+
+def _swap(state: Search) -> None:
+    """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
+    effects, start = state.best.effects, state.start
+    for (old, was), (new, now) in (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE)):
+        if old not in effects or new in effects or new in state.barred:
+            continue
+        size = effects[old][was] - value(start, old, was) + value(start, new, now)
+        if size <= value(start, new, now):  # sooner than the file says: no delay is negative
+            continue
+        swapped = {e: values for e, values in effects.items() if e != old} | {new: {now: size}}
+        vehicle = start
+        for effect, values in swapped.items():
+            vehicle = with_value(vehicle, effect, values)
+        group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
+        _keep(state, group, _fit_from(state, group, vehicle))
+
+
+def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
+    """The candidate of each of these effects, of several (faults of other rotors) the one that is most like it."""
+    off = {
+        m: sum(abs(x - effects[c.effect][name]) for name, x in c.variant.items())
+        for m, c in enumerate(group)
+        if c.effect in effects
+    }
+    nearest = {effect: min((m for m in off if group[m].effect == effect), key=lambda m: off[m]) for effect in effects}
+    return tuple(sorted(nearest.values()))
+
+
+def _beaten(state: Search, subset: Subset) -> float:
+    """Score below which a subset is fitted: what it had, if it was stuck far from where the columns now point to."""
+    fit = state.fits.get(_key([state.point.candidates[m] for m in subset.members]))
+    return np.inf if fit is None else fit.score - _STUCK
+
+
+def _key(group: Sequence[Candidate]) -> frozenset[str]:
+    """What tells fits apart: the effects and the whole numbers held, not where a free parameter started."""
+    return frozenset(_label(c) for c in group)
+
+
+def _label(candidate: Candidate) -> str:
+    whole = {p.name for p in EFFECT_SPECS[candidate.effect].params if p.integer}
+    return candidate.effect + "".join(f":{k}={v:g}" for k, v in candidate.variant.items() if k in whole)
+
+
+def _fit_all(state: Search, subsets: Iterable[Subset]) -> None:
+    for subset in subsets:
+        _keep(state, [state.point.candidates[m] for m in subset.members], fit_subset(state, subset))
+
+
+def _keep(state: Search, group: Sequence[Candidate], fit: Fit) -> None:
+    key = _key(group)
+    if key not in state.fits or fit.score < state.fits[key].score:
+        state.fits[key] = fit
+
+
+def fit_subset(state: Search, subset: Subset) -> Fit:
+    """The subset fitted from where the columns point to."""
+    group = [state.point.candidates[m] for m in subset.members]
+    vehicle = _stepped(state, subset)
+    if any(c.effect == "slung_load" for c in group):
+        vehicle = _swung(state, vehicle)
+    return _fit_from(state, group, vehicle)
+
+
+def _fit_from(state: Search, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
+    """Gauss-Newton from this vehicle; columns are taken anew while they still promise something else."""
+    layout, metric = state.point.layout, state.metric
+    rows = layout.stack(state.bench.residual(vehicle))
+    chi2, used = metric.chi2(rows), 0
+    for _ in range(_STEPS if group else 0):
+        slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
+        raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
+        x = layout.stack([np.nan_to_num(values) for values in raw])
+        before = chi2
+        for _ in range(_CHORDS):
+            now = np.array([value(vehicle, c.effect, p) for c, p in slots])
+            low = np.array([c.spec(p).minimum for c, p in slots]) - now
+            high = np.array([c.spec(p).maximum for c, p in slots]) - now
+            k, b = metric.normal(x, rows)
+            step, used = bounded_step(k, b, low, high)
+            if 2.0 * float(b @ step) - float(step @ k @ step) < _CONVERGED:
+                break
+            moved, new_rows, new_chi2 = _best_on_the_way(state, vehicle, slots, now, step, chi2)
+            if new_chi2 >= chi2:
+                break
+            vehicle, rows, chi2 = moved, new_rows, new_chi2
+        if before - chi2 < 10.0 * _CONVERGED:
+            break
+    effects = {c.effect: dict(vehicle.effects[c.effect]) for c in group}
+    return judged_fit(state, effects, vehicle, rows, used)
+
+
+def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
+    """The vehicle with the rope on which the load swings best: too long or too short by a quarter it swings otherwise.
+
+    Which rope that is hardly depends on what else is missing, so all are tried once for each set of columns.
+    """
+    best, least = vehicle, np.inf
+    now = value(vehicle, "slung_load", "length_m")
+    near = [state.rope_m * share for share in _NEAR_ROPES]
+    for length in (now, *(near if state.rope_m > 0.0 else _ROPES_M)):
+        tried = with_value(vehicle, "slung_load", {"length_m": float(length)})
+        chi2 = state.metric.chi2(state.point.layout.stack(state.bench.residual(tried)))
+        if chi2 < least:
+            best, least, state.rope_m = tried, chi2, float(length)
+    return best
+
+
+def _stepped(state: Search, subset: Subset) -> Vehicle:
+    """The start vehicle with the subset's own coefficients."""
+    point = state.point
+    vehicle = state.start
+    for m in subset.members:
+        candidate = point.candidates[m]
+        values = candidate.values(point.vehicle)
+        for i in point.columns[m]:
+            slot = point.slots[i]
+            moved = slot.origin + float(subset.theta[i])
+            values[slot.parameter] = float(np.clip(moved, slot.minimum, slot.maximum))
+        vehicle = with_value(vehicle, candidate.effect, values)
+    return vehicle
+
+
+def judged_fit(
+    state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int
+) -> Fit:
+    """A fit with its chi-square and score by the present metric."""
+    chi2 = state.metric.chi2(rows)
+    points = float(state.metric.rows.sum())
+    price = score(0.0, used, len(effects), points, len(state.point.candidates))
+    return Fit(effects, vehicle, rows, chi2, used, chi2 + float(price))
+
+
+def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:
+    """The step that gains most within the bounds, and how many coefficients it could move.
+
+    Active set: what leaves its range is put on the edge and the others are solved again.
+    """
+    size = np.sqrt(np.maximum(np.diag(k), 0.0))
+    active = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    movable = active.copy()
+    step = np.zeros(len(b))
+    for _ in range(len(b) + 1):
+        if not active.any():
+            break
+        at = np.flatnonzero(active)
+        rest = b[at] - k[np.ix_(at, ~active)] @ step[~active]
+        scaled = k[np.ix_(at, at)] / np.outer(size[at], size[at]) + 1e-9 * np.eye(len(at))
+        step[at] = np.linalg.solve(scaled, rest / size[at]) / size[at]
+        beyond = active & ((step < low) | (step > high))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
+        active &= ~beyond
+    return step, int(movable.sum())
+
+
+def _best_on_the_way(
+    state: Search, vehicle: Vehicle, slots: list[tuple[Candidate, str]], now: F64, step: F64, chi2: float
+) -> tuple[Vehicle, F64, float]:
+    share = 1.0
+    tried = (vehicle, np.empty(0), np.inf)
+    for _ in range(_HALVINGS):
+        moved = vehicle
+        for (c, p), v in zip(slots, now + share * step, strict=True):
+            spec = c.spec(p)
+            moved = with_value(moved, c.effect, {p: float(np.clip(v, spec.minimum, spec.maximum))})
+        rows = state.point.layout.stack(state.bench.residual(moved))
+        tried = (moved, rows, state.metric.chi2(rows))
+        if tried[2] < chi2:
+            break
+        share *= 0.4
+    return tried

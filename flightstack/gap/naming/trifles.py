@@ -1,0 +1,137 @@
+"""Which of the named effects only trim what a poor model lacks: judged on rows that nothing was learned from.
+
+Far from the noise everything that bends a curve helps a little.  An effect of the vehicle makes what is left on
+held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
+may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
+torques) counts little, or in the rows as they are, where fast disagreement counts little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.gap.naming.design import Layout, layout_of
+from flightstack.gap.naming.estimate import Estimates
+from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.whitening import Mask
+from flightstack.gap.remainder import GROUPS
+from flightstack.gap.simulate import Knob, value
+from flightstack.types import F64
+
+CLEARLY = 1.1**2 - 1.0
+"""Share by which a group's mean square must rise without an effect: a tenth of the rms."""
+_SURE = 2.0
+"""Standard errors, over blocks of a second, by which it must rise."""
+_FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """Rows of one kind: `x` (R, n) columns, `whole` (R,) the disagreement with no effect at all."""
+
+    layout: Layout
+    x: F64
+    whole: F64
+    rate: F64
+    """(flights,) rows a second."""
+
+    @property
+    def learned(self) -> Mask:
+        """(R,) rows to learn from."""
+        return self.layout.keep & ~self.layout.held
+
+    @property
+    def judged(self) -> Mask:
+        """(R,) rows that nothing is learned from."""
+        return self.layout.keep & self.layout.held
+
+    def left(self, mine: list[int], fit: Mask) -> F64:
+        """(R,) what these columns leave, fitted on these rows."""
+        x = self.x[:, mine]
+        size = np.maximum(np.linalg.norm(x[fit], axis=0), 1e-300)
+        theta = np.linalg.lstsq(x[fit] / size, self.whole[fit], rcond=1e-9)[0] / size
+        return np.asarray(self.whole - x @ theta)
+
+    def left_across(self, mine: list[int]) -> F64:
+        """(R,) what these columns leave of each quarter of the rows to learn from, fitted on the other three."""
+        at, out = np.flatnonzero(self.learned), self.whole.copy()
+        quarter = np.zeros(len(self.whole), dtype=np.int64)
+        when = self.layout.flight[at] * 1e9 + self.layout.at[at]
+        quarter[at] = np.searchsorted(np.quantile(when, (0.25, 0.5, 0.75)), when)
+        for k in range(4):
+            own = self.learned & (quarter == k)
+            out[own] = self.left(mine, self.learned & ~own)[own]
+        return out
+
+    def worth(self, base: F64, without: F64, judged: Mask) -> float:
+        """Greatest rise of a group's mean square over these rows that is sure, relative."""
+        best = 0.0
+        for channels in GROUPS.values():
+            mine = judged & np.isin(self.layout.channel, channels)
+            if not mine.any():
+                continue
+            blocks = self._seconds(mine, without[mine] ** 2 - base[mine] ** 2)
+            risen = float(blocks.sum())
+            if len(blocks) >= _FEWEST_BLOCKS and risen > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
+                best = max(best, risen / max(float(np.sum(base[mine] ** 2)), 1e-300))
+        return best
+
+    def _seconds(self, mine: Mask, change: F64) -> F64:
+        """Sums of these rows' changes over each second of each flight."""
+        flight = self.layout.flight[mine]
+        second = (self.layout.at[mine] / self.rate[flight]).astype(np.int64)
+        _, block = np.unique(np.stack([flight, second]), axis=1, return_inverse=True)
+        return np.asarray(np.bincount(block.ravel(), weights=change), dtype=np.float64)
+
+
+def trifles(state: Search, made: Estimates, effects: Sequence[str]) -> tuple[str, ...]:
+    """Of these effects, all in `made`, those that are taken back; () where nothing is held out."""
+    if not np.any(state.point.layout.keep & state.point.layout.held):
+        return ()
+    views = _views(state, made)
+    left, gone = list(effects), list[str]()
+    while len(left) > 1:
+        worth = {effect: max(_worth(view, made, left, effect) for view in views) for effect in left}
+        weakest = min(worth, key=lambda effect: worth[effect])
+        if worth[weakest] >= CLEARLY:
+            break
+        gone.append(weakest)
+        left.remove(weakest)
+    return tuple(gone)
+
+
+def worth_of(state: Search, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
+    """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
+    views = _views(state, made)
+    base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
+    across = (view.worth(view.left_across(base), view.left_across(less), view.learned) for view in views)
+    return max(across), max(_worth(view, made, effects, effect) for view in views)
+
+
+def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> float:
+    base, less = (
+        view.left(_columns(made, kept), view.learned) for kept in (effects, [e for e in effects if e != gone])
+    )
+    return view.worth(base, less, view.judged)
+
+
+def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
+    return [i for i, (effect, _) in enumerate(made.slots) if effect in effects]
+
+
+def _views(state: Search, made: Estimates) -> tuple[_View, _View]:
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    moved = np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
+    bench, coloured = state.bench, state.point.layout
+    rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
+    rows = bench.residual(made.vehicle)
+    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [Knob(e, p) for e, p in made.slots])]
+    plain = layout_of(bench, rows, coloured=False)
+    x = plain.stack(raw)
+    return (
+        _View(coloured, made.x, made.rows + made.x @ moved, rate),
+        _View(plain, x, plain.stack(rows) + x @ moved, rate),
+    )

@@ -1,0 +1,95 @@
+"""Figures over several flights: what each flight shows, weighted by how much of it was looked at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.gap import compare
+from flightstack.gap.records import Figures, Samples
+from flightstack.gap.sampled import sampling_floor
+from flightstack.vehicle import Vehicle
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """The flights and what of each is learned from and judged by."""
+
+    flights: tuple[Samples, ...]
+    fit: tuple[Mask, ...]
+    """(N,) by flight."""
+    holdout: tuple[Mask, ...]
+    """(N,) by flight, at least 2 s away from `fit`."""
+
+
+GUARD_S = 2.0
+_HELD_SHARE = 1.0 / 3.0
+
+
+def split(flights: Sequence[Samples], kept: Sequence[Samples]) -> Split:
+    """Flights to learn from and flights that were kept; without any kept, the last third of what each one flew."""
+    if kept:
+        whole = [np.array(s.valid) for s in (*flights, *kept)]
+        chosen = [k < len(flights) for k in range(len(whole))]
+        fit = tuple(m & c for m, c in zip(whole, chosen, strict=True))
+        return Split((*flights, *kept), fit, tuple(m & ~f for m, f in zip(whole, fit, strict=True)))
+    parts = [_last_third(s) for s in flights]
+    return Split(tuple(flights), tuple(fit for fit, _ in parts), tuple(held for _, held in parts))
+
+
+def _last_third(samples: Samples) -> tuple[Mask, Mask]:
+    rows = np.flatnonzero(samples.valid)
+    if not len(rows):
+        nothing = np.zeros(len(samples.t_s), np.bool_)
+        return nothing, nothing
+    first, last = float(samples.t_s[rows[0]]), float(samples.t_s[rows[-1]])
+    begin = last - _HELD_SHARE * (last - first)
+    return samples.valid & (samples.t_s < begin - GUARD_S), samples.valid & (samples.t_s >= begin)
+
+
+def figures(vehicle: Vehicle, of: Split) -> Figures:
+    """The held-out figures of the simulator of this vehicle."""
+    return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))
+
+
+def noise_floor(vehicle: Vehicle, of: Split, after: Figures) -> Figures:
+    """The held-out figures of a simulator without any error: the sensors' noise, and what sampling hides of commands.
+
+    How much sampling hides is known as an upper bound only (a log may hold every command): what is left in `after`
+    is counted as that up to the bound, never more.
+    """
+    sensors = _pooled(of, lambda samples, mask: compare.noise_floor(vehicle, samples, mask))
+    hidden = _pooled(of, lambda samples, mask: Figures(*sampling_floor(vehicle, samples, mask), None))
+    return replace(
+        sensors,
+        one_step_mps2=_with(sensors.one_step_mps2, hidden.one_step_mps2, after.one_step_mps2),
+        one_step_radps2=_with(sensors.one_step_radps2, hidden.one_step_radps2, after.one_step_radps2),
+    )
+
+
+def _with(sensors: float | None, hidden: float | None, after: float | None) -> float | None:
+    if sensors is None or hidden is None or after is None:
+        return sensors
+    return min(math.hypot(sensors, hidden), max(sensors, after))
+
+
+def _pooled(of: Split, figures_of: Callable[[Samples, Mask], Figures]) -> Figures:
+    rows = [
+        (int(mask.sum()), figures_of(samples, mask))
+        for samples, mask in zip(of.flights, of.holdout, strict=True)
+        if mask.any()
+    ]
+    return Figures(*(_rms([(n, getattr(f, field.name)) for n, f in rows]) for field in fields(Figures)))
+
+
+def _rms(rows: list[tuple[int, float | None]]) -> float | None:
+    known = [(n, value) for n, value in rows if value is not None and math.isfinite(value)]
+    if not known:
+        return None
+    return math.sqrt(sum(n * value * value for n, value in known) / sum(n for n, _ in known))

@@ -1,0 +1,176 @@
+"""The result in words: the one sentence, the verdict, parameters with their intervals."""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.records import Estimate, Figures, Found, Gap, Unexplained
+
+_PLAIN = {
+    "thrust_scale": "a thrust scale",
+    "thrust_curve": "another thrust curve",
+    "rotor_fault": "a weak rotor",
+    "com_offset": "a shifted centre of mass",
+    "inertia": "another inertia",
+    "motor_lag": "another motor lag",
+    "transport_delay": "a transport delay",
+    "linear_drag": "linear drag",
+    "angular_damping": "angular damping",
+    "rotor_drag": "rotor drag",
+    "induced_inflow": "induced inflow",
+    "parasitic_drag": "parasitic drag",
+    "translational_lift": "translational lift",
+    "blade_flapping": "blade flapping",
+    "rotor_gyroscopic": "gyroscopic torque of the rotors",
+    "ground_effect": "ground effect",
+    "turbulence": "turbulence",
+    "battery_sag": "battery sag",
+    "accelerometer_bias": "an accelerometer bias",
+    "attitude_misalignment": "an attitude misalignment",
+}
+_IN_FULL = 2
+"""Effects that the sentence gives with intervals and classes."""
+
+
+def effect(name: str) -> str:
+    """An effect as one says it."""
+    return _PLAIN.get(name, f"a {name.replace('_', ' ')}")
+
+
+def number(value: float, like: float | None = None) -> str:
+    """Four digits, or as many decimals as an interval of width `like` deserves."""
+    if 0.0 < abs(value) < 1e-3:
+        return f"{value:.2e}".replace("e-0", "e-").replace("-", "−")
+    if like is not None and like > 0.0 and math.isfinite(like):
+        decimals = max(0, min(5, 1 - math.floor(math.log10(like))))
+        return f"{value:.{decimals}f}".replace("-", "−")
+    return f"{value:.4g}".replace("-", "−")
+
+
+def parameter(found: Found, name: str) -> str:
+    """`mass_kg 0.216 kg (0.210 to 0.222)`, the unit from the effect's table."""
+    value = found.parameters[name]
+    spec = next((p for p in EFFECT_SPECS[found.name].params if p.name == name), None)
+    shown = f" {unit(spec.unit)}" if spec is not None and spec.unit else ""
+    if spec is not None and spec.integer:
+        return f"{name} {value.estimate:.0f}"
+    return f"{name} {number(value.estimate, _width(value))}{shown} ({interval(value)})"
+
+
+def interval(value: Estimate) -> str:
+    """`0.210 to 0.222`."""
+    if not (math.isfinite(value.low) and math.isfinite(value.high)):
+        return "interval unknown"
+    return f"{number(value.low, _width(value))} to {number(value.high, _width(value))}"
+
+
+def _width(value: Estimate) -> float:
+    return value.high - value.low
+
+
+def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> str:
+    """What was found, how sure, and what would settle the rest."""
+    if found:
+        parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained), *_doubt(found)]
+    elif unexplained.significant:
+        parts = ["Something is missing that no effect of the table explains", *_depends(unexplained)]
+    elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
+        parts = ["The logs can't be compared with the simulation: only the data check was made"]
+    else:
+        parts = ["Model and measurement agree within the noise: nothing to name"]
+    return "; ".join(part for part in parts if part) + "."
+
+
+def _found(found: tuple[Found, ...]) -> str:
+    """One or two effects with all that is known of them, more by their sizes alone: the page has the rest below."""
+    named = [_in_full(each) if len(found) <= _IN_FULL else _in_short(each) for each in found]
+    text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+    twins = any(each.indistinguishable_from for each in found) and len(found) > _IN_FULL
+    return f"The model lacks {text}" + (" (what stands after an or these logs can't tell apart)" if twins else "")
+
+
+def _in_full(found: Found) -> str:
+    shown = [parameter(found, name) for name in found.parameters]
+    others = [effect(name) for name in found.indistinguishable_from]
+    alternative = f" or {' or '.join(others)}, which these logs can't tell apart" if others else ""
+    return f"{effect(found.name)} ({', '.join(shown)}){alternative}"
+
+
+def _in_short(found: Found) -> str:
+    specs = {p.name: p for p in EFFECT_SPECS[found.name].params}
+    units = list(dict.fromkeys(unit(specs[name].unit) for name in found.parameters if name in specs))
+    values = ", ".join(
+        f"{e.estimate:.0f}" if name in specs and specs[name].integer else number(e.estimate, _width(e))
+        for name, e in found.parameters.items()
+    )
+    others = found.indistinguishable_from
+    more = f" or {effect(others[0])}" + (f" or {len(others) - 1} more" if len(others) > 1 else "") if others else ""
+    return f"{effect(found.name)} {values} {units[0] if len(units) == 1 else ''}".rstrip() + more
+
+
+def _closed(gap: Gap, count: int) -> str:
+    if gap.closed is None:
+        return ""
+    return f"with {'it' if count == 1 else 'them'} {percent(gap.closed)} of the gap on data not used before is closed"
+
+
+def _rest(unexplained: Unexplained) -> list[str]:
+    if not unexplained.significant:
+        return []
+    return [f"{percent(unexplained.fraction)} of the gap is left that no effect explains", *_depends(unexplained)]
+
+
+def _depends(unexplained: Unexplained) -> list[str]:
+    if not unexplained.depends_on:
+        return []
+    return [f"it depends on {' and '.join(unexplained.depends_on)}"]
+
+
+def _doubt(found: tuple[Found, ...]) -> list[str]:
+    return [f"to settle which: {each.manoeuvre}" for each in found if each.indistinguishable_from and each.manoeuvre][
+        :1
+    ]
+
+
+def percent(share: float) -> str:
+    """A share in per cent; never 100 where something is left."""
+    value = 100.0 * share
+    if value < 99.5 or share >= 1.0:
+        return f"{value:.0f} %".replace("-", "−")
+    return f"{min(value, 99.9):.1f} %"
+
+
+def held_out(found: Found) -> str:
+    """What data not used before say of an effect."""
+    if math.isnan(found.holdout_gain):
+        return "held-out data hardly hold it and say nothing for or against"
+    return f"explains {percent(found.holdout_gain)} of the held-out gap that can be explained"
+
+
+def verdict(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
+    """The page's state (good, plain, bad) and word."""
+    if unexplained.significant:
+        return "bad", "partly explained" if found else "not explained"
+    if not found:
+        return ("good", "no gap") if gap.before.one_step_mps2 is not None else ("plain", "data check only")
+    if any(each.indistinguishable_from for each in found):
+        return "plain", "found, with a twin"
+    return "good", "found"
+
+
+def figure(value: float | None, unit: str) -> str:
+    """A figure with its unit, or a dash."""
+    return "–" if value is None else f"{value:.3g} {unit}"
+
+
+def ratio(before: Figures, after: Figures) -> str:
+    """How many times smaller the rollout's error is."""
+    if not before.rollout_1s_m or not after.rollout_1s_m:
+        return ""
+    return f"{before.rollout_1s_m / after.rollout_1s_m:.1f} times smaller"
+
+
+def unit(text: str) -> str:
+    """A unit as printed: m/s^2 as m/s²."""
+    return text.replace("^2", "²")

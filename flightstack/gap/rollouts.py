@@ -1,0 +1,143 @@
+"""Many short simulations at once, each from a measured state, all driven by the logged commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.gap.evaluated import run_windows
+from flightstack.gap.records import Samples
+from flightstack.gap.run import Run, first_command, later, params_row, true_attitude
+from flightstack.gap.track import Track, track
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import multiply, rotate_inverse
+from flightstack_sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
+from flightstack_sim.layout import (
+    D_DELAY_STEPS,
+    P_RESISTANCE,
+    S_CHARGE,
+    S_CURSOR,
+    S_LOAD_DIR,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_RING,
+    S_VEL,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rollout:
+    """S simulations over n samples: (S, n + 1, ...).
+
+    Positions and velocities over ground; attitude, rates and specific force as the sensors would show them.
+    """
+
+    starts: NDArray[np.int64]
+    """(S,) index of the sample where each begins."""
+    pos_ned_m: F64
+    vel_ned_mps: F64
+    q_ned_frd: F64
+    rate_frd_radps: F64
+    force_frd_mps2: F64
+    """Mean since the sample before; 0 at the start."""
+
+
+def rollout(vehicle: Vehicle, samples: Samples, starts: Sequence[int] | NDArray[np.int64], horizon_s: float) -> Rollout:
+    """Simulate from the measured state at each of these samples for `horizon_s` (rounded to samples)."""
+    return rollouts([(vehicle, 0.0)], samples, starts, horizon_s)[0]
+
+
+def rollouts(
+    variants: Sequence[tuple[Vehicle, float]],
+    samples: Samples,
+    starts: Sequence[int] | NDArray[np.int64],
+    horizon_s: float,
+) -> list[Rollout]:
+    """`rollout` of several vehicles, each with its commands acting so much later (s), over the same starts at once."""
+    flight = track(samples)
+    at = np.asarray(starts, dtype=np.int64)
+    steps = max(1, round(horizon_s / samples.dt_s))
+    at = at[at + steps < len(samples.t_s)]
+    batch = _Batch(variants, flight, at)
+    shown, force = batch.run(steps)
+    return [
+        _as_shown(batch.params[i * len(at)], at, shown[own], force[own])
+        for i in range(len(variants))
+        if len(at) > 0
+        for own in (slice(i * len(at), (i + 1) * len(at)),)
+    ]
+
+
+def _as_shown(p: F64, at: NDArray[np.int64], state: F64, force: F64) -> Rollout:
+    misalignment = attitude_misalignment.rotation(p)
+    q = multiply(state[:, :, S_Q : S_Q + 4], misalignment)
+    turned = rotate_inverse(misalignment, force)
+    return Rollout(
+        at,
+        state[:, :, S_POS : S_POS + 3],
+        state[:, :, S_VEL : S_VEL + 3],
+        q,
+        state[:, :, S_RATE:S_LOAD_DIR] + gyro_bias.bias(p),
+        turned + accelerometer_bias.bias(p),
+    )
+
+
+class _Batch:
+    """State and parameter rows of V variants times S starts, variant by variant."""
+
+    __slots__ = ("_at", "_commands", "_driven", "_every", "_voltage", "params", "state")
+
+    def __init__(self, variants: Sequence[tuple[Vehicle, float]], flight: Track, at: NDArray[np.int64]) -> None:
+        self._at, self._every = at, flight.every
+        rows = [params_row(vehicle, flight.step_s) for vehicle, _ in variants]
+        entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
+        self.params = np.repeat(np.stack(rows), len(at), axis=0)
+        self.params[:, P_RESISTANCE] = 0.0  # the voltage is the log's
+        self.state = np.zeros((len(self.params), S_RING + 4 * entries))
+        runs: dict[tuple[float, ...], F64] = {}
+        shifted = {0.0: flight}
+        driven: dict[tuple[int, int], int] = {}
+        self._driven: list[int] = []
+        self._voltage: list[F64] = []
+        self._commands: list[F64] = []
+        for i, ((_, late_s), p) in enumerate(zip(variants, rows, strict=True)):
+            if late_s not in shifted:
+                shifted[late_s] = later(flight, late_s)
+            moved = shifted[late_s]
+            own = self.state[i * len(at) : (i + 1) * len(at)]
+            run = Run(p, moved, runs)
+            own[:, :S_RING] = run.states(at)
+            own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
+            own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
+            own[:, S_RING:] = _ring(moved, at, entries)
+            key = (id(moved.commands), id(run.voltage))
+            if key not in driven:
+                driven[key] = len(self._commands)
+                self._voltage.append(run.voltage)
+                self._commands.append(moved.commands)
+            self._driven.append(driven[key])
+        self.state[:, S_CURSOR] = entries - 1
+        self.state[:, S_CHARGE] = 1.0
+
+    def run(self, steps: int) -> tuple[F64, F64]:
+        """What the rows show (V S, steps + 1, S_LOAD_DIR), and their mean specific forces (V S, steps + 1, 3)."""
+        shown = np.empty((len(self.state), steps + 1, S_LOAD_DIR))
+        force = np.zeros((len(self.state), steps + 1, 3))
+        start = np.tile(self._at, len(self._driven))
+        driven = np.repeat(np.array(self._driven, dtype=np.int64), len(self._at))
+        commands, voltage = np.stack(self._commands), np.stack(self._voltage)
+        run_windows(self.state, self.params, start, driven, commands, voltage, self._every, shown, force)
+        return shown, force
+
+
+def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:
+    """(S, 4 * entries) the commands before each start, the newest last."""
+    before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
+    commands = flight.commands[np.maximum(before, 0)]
+    commands[before < 0] = first_command(flight)
+    return np.asarray(commands.reshape(len(at), -1))

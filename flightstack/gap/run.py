@@ -1,0 +1,264 @@
+"""One vehicle run through one flight: rotors, battery and load from its first sample, then its physics at any sample.
+
+Many parameter rows are evaluated at the same states in one compiled call (`gap.evaluated`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.evaluated import evaluate_at
+from flightstack.gap.records import SIGNALS
+from flightstack.gap.rotor_state import load_work, run_battery, run_load, run_rotors
+from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import conjugate, multiply, rotate, rotate_inverse
+from flightstack_sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
+from flightstack_sim.layout import (
+    D_DELAY_STEPS,
+    D_MASS,
+    D_TAU,
+    P_DT,
+    P_FULL_V,
+    P_HAS_BATTERY,
+    PARAMS,
+    S_LOAD_DIR,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_RING,
+    S_THRUST,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+    p_effect,
+)
+from flightstack_sim.parameters import derive, parameter_row
+from flightstack_sim.plant import evaluate_rows, state_rows
+
+_MOST_ROWS_MADE = 256
+_ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
+_MOST_FELT = 2
+_FELT: dict[tuple[int, bytes], tuple[Track, F64]] = {}
+"""Of the last few vehicles: many ropes are tried on each."""
+_ADRIFT_S = 1.0
+"""A log that holds flight this soon began in the air."""
+SENSORS = [
+    p_effect(effect, p.name) for effect, spec in EFFECT_SPECS.items() if spec.kind == "sensor" for p in spec.params
+]
+"""Places of the sensor effects' parameters in a row."""
+
+
+def later(flight: Track, late_s: float) -> Track:
+    """The flight with its commands acting this much later still."""
+    samples = flight.samples
+    return replace(flight, commands=step_commands(samples, flight.every, samples.command_late_s + late_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """Parameter rows with one parameter a little higher and a little lower, and by how much they differ."""
+
+    centre: F64
+    up: F64
+    down: F64
+    width: float
+
+
+def params_row(vehicle: Vehicle, step_s: float) -> F64:
+    """The plant's parameter row (PARAMS,) for a run-through: no ground contact, no gusts, this step."""
+    key = (id(vehicle), step_s)
+    if key not in _ROWS_MADE:
+        p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
+        p[P_DT] = step_s
+        p[turbulence.SIGMA] = 0.0
+        derive(p)
+        if len(_ROWS_MADE) >= _MOST_ROWS_MADE:
+            del _ROWS_MADE[next(iter(_ROWS_MADE))]
+        _ROWS_MADE[key] = (vehicle, p)  # the vehicle is kept, else another could come to have its number
+    return _ROWS_MADE[key][1].copy()
+
+
+class Run:
+    """One vehicle's rotors, battery and load run through one flight: what is remembered at every sample."""
+
+    __slots__ = ("load", "track", "u", "voltage")
+
+    def __init__(self, p: F64, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
+        """`p`: `params_row`; `known`: rotors' states run through before, by what they depend on; taken and kept."""
+        self.track = flight
+        known = {} if known is None else known
+        key = (float(id(flight.commands)), p[D_TAU], p[D_DELAY_STEPS])
+        if key not in known:
+            known[key] = _rotors(p, flight)
+        self.u = known[key]
+        self.load = _load(p, flight, self.u)
+        self.voltage = flight.samples.battery_v
+        if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
+            self._drain(p)
+
+    def _drain(self, p: F64) -> None:
+        """No voltage in the log: the battery runs along, full at the start."""
+        self.voltage = np.full(len(self.u), p[P_FULL_V])
+        state = self.states(slice(None))
+        state[:, S_Q : S_Q + 4], state[:, S_RATE : S_RATE + 3] = self.track.q_ned_frd, self.track.rate_frd_radps
+        evaluate_rows(state, np.broadcast_to(p, (len(state), len(p))).copy())
+        slow = p.copy()
+        slow[P_DT] = self.track.samples.dt_s
+        self.voltage = np.zeros(len(state))
+        run_battery(slow, state[:, S_THRUST : S_THRUST + 4].copy(), state_rows(p[None], dt_us=1000)[0], self.voltage)
+
+    def states(self, at: slice | NDArray[np.int64]) -> F64:
+        """(n, S_RING) state rows at these samples, attitude and rates left to the caller."""
+        flight = self.track
+        u = self.u[at]
+        state = np.zeros((len(u), S_RING))
+        state[:, S_POS : S_POS + 3] = flight.pos_ned_m[at]
+        state[:, S_VEL : S_VEL + 3] = flight.vel_ned_mps[at]
+        state[:, S_LOAD_DIR : S_LOAD_DIR + 6] = self.load[at]
+        state[:, S_U : S_U + 4] = u
+        state[:, S_VOLTAGE] = self.voltage[at]
+        return state
+
+    def moved(self, p: F64) -> F64:
+        """Specific force and angular acceleration (N, 6) of this parameter row at this run's states."""
+        return self._evaluated(p, p[None])[:, :, 0]
+
+    def changes(self, turned: Sequence[Turned]) -> F64:
+        """(N, 6, K) difference quotients as the sensors show them, before the low-pass; all at this run's states."""
+        count = len(turned)
+        rows = np.stack([*(t.up for t in turned), *(t.down for t in turned)])
+        both = self._evaluated(rows[0], rows)
+        out = (both[:, :, :count] - both[:, :, count:]) / np.array([t.width for t in turned])
+        return self._sensed(turned[0].centre, out)
+
+    def _evaluated(self, sensors: F64, rows: F64) -> F64:
+        """(N, 6, M) of M parameter rows, all with the sensors of one."""
+        flight = self.track
+        out = np.empty((len(self.u), 6, len(rows)))
+        rate = flight.rate_frd_radps - gyro_bias.bias(sensors)
+        attitude = np.ascontiguousarray(true_attitude(sensors, flight))
+        voltage = np.ascontiguousarray(self.voltage)
+        evaluate_at(rows, flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, self.u, self.load, voltage, out)
+        return out
+
+    def _sensed(self, p: F64, moved: F64) -> F64:
+        """A motion (N, 6, ...), or a change of it, as the sensors show it but for their biases; in place."""
+        flight = self.track
+        misalignment = attitude_misalignment.rotation(p)[None, :]
+        force, angular = moved[:, 0:3], moved[:, 3:6]
+        if "accel_frd_mps2" in flight.missing:
+            force = _turned_back(misalignment, force)
+        moved[:, 0:3] = simpson(force, flight.side) if flight.averaged[0] else force
+        angular = simpson(angular, flight.side)
+        moved[:, 3:6] = _turned_back(misalignment, angular) if "rate_frd_radps" in flight.missing else angular
+        return moved
+
+    def felt(self, p: F64, moved: F64) -> F64:
+        """A change of motion (N, 6) as the sensors show it, (N, 12)."""
+        out = np.zeros((len(moved), COLUMNS))
+        out[:, : len(SIGNALS)] = self._sensed(p, moved.copy())
+        return out
+
+    def physics(self, p: F64, moved: F64 | None = None) -> F64:
+        """The first six columns of `shown`; `moved`: the motion (N, 6) where it is known."""
+        out = self._sensed(p, self.moved(p) if moved is None else moved.copy())
+        if "accel_frd_mps2" not in self.track.missing:
+            out[:, 0:3] += accelerometer_bias.bias(p)
+        out[:, [c for c in self.track.blind if c < len(SIGNALS)]] = np.nan
+        return out
+
+    def shown(self, p: F64, moved: F64 | None = None) -> F64:
+        """What the sensors would show (N, 12) with these physics and sensor effects at this run's states."""
+        return np.hstack([self.physics(p, moved), kinematics(self.track, p)])
+
+
+def kinematics(flight: Track, p: F64) -> F64:
+    """(N, 6) the columns without physics, as the sensors of this parameter row show them."""
+    out = np.empty((len(flight.q_ned_frd), COLUMNS - len(SIGNALS)))
+    misalignment = attitude_misalignment.rotation(p)[None, :]
+    out[:, 0:3] = rotate(misalignment, flight.turn_frd_radps) + gyro_bias.bias(p)
+    force = rotate_inverse(true_attitude(p, flight), flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2)
+    out[:, 3:6] = force + accelerometer_bias.bias(p)
+    out[:, [c - len(SIGNALS) for c in flight.blind if c >= len(SIGNALS)]] = np.nan
+    return out
+
+
+@lru_cache(maxsize=8)
+def kinematic_rest(flight: Track, sensors: tuple[float, ...]) -> F64:
+    """(N, 6) measured minus `kinematics` through the low-pass: no physics changes it, so it is kept."""
+    p = np.zeros(PARAMS)
+    p[SENSORS] = sensors
+    return flight.lowpass(flight.measured[:, len(SIGNALS) :] - kinematics(flight, p))
+
+
+def _turned_back(q: F64, vectors: F64) -> F64:
+    """R(q)^T of vectors (N, 3, ...) along their second axis."""
+    return np.moveaxis(rotate_inverse(q, np.moveaxis(vectors, 1, -1)), -1, 1)
+
+
+def true_attitude(p: F64, flight: Track) -> F64:
+    """(N, 4) attitude without the misalignment of this parameter row."""
+    if not np.any(p[attitude_misalignment.ROLL : attitude_misalignment.YAW + 1]):
+        return flight.q_ned_frd
+    return multiply(flight.q_ned_frd, conjugate(attitude_misalignment.rotation(p)))
+
+
+def first_command(flight: Track) -> F64:
+    """(4,) what the rotors are taken to have turned at before the first sample: the first second's mean."""
+    return np.asarray(flight.commands[: max(1, round(1.0 / flight.step_s))].mean(axis=0))
+
+
+def _rotors(p: F64, flight: Track) -> F64:
+    """Motors' u (N, 4) at the samples."""
+    row = state_rows(p[None], dt_us=max(1, int(1e6 * flight.step_s)))[0]
+    start = np.clip(first_command(flight), 0.0, 1.0)
+    row[S_RING:] = np.tile(start, (len(row) - S_RING) // 4)
+    row[S_U : S_U + 4] = start
+    out = np.empty((len(flight.samples.t_s), 4))
+    run_rotors(p, flight.commands, flight.every, row, out)
+    return out
+
+
+def _load(p: F64, flight: Track, u: F64) -> F64:
+    """The slung load's direction and its rate (N, 6); hanging at rest at the first sample, where that is no flight."""
+    out = np.zeros((len(flight.samples.t_s), 6))
+    out[:, 2] = 1.0
+    if p[slung_load.MASS] != 0.0:
+        slow = p.copy()
+        slow[P_DT] = flight.samples.dt_s
+        row = np.zeros(S_RING)
+        slung_load.hang(row)
+        adrift = bool(flight.samples.valid[: max(1, round(_ADRIFT_S / flight.samples.dt_s))].any())
+        seen = _felt_of_the_load(p, flight, u, out)
+        run_load(slow, np.ascontiguousarray(flight.acc_ned_mps2), seen, adrift, row, np.zeros((4, load_work())), out)
+    return out
+
+
+def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
+    """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
+    bare = p.copy()
+    bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
+    key = (id(flight), bare.tobytes())
+    if key in _FELT:
+        return _FELT[key][1]
+    out = np.empty((len(u), 6, 1))
+    rate, attitude = flight.rate_frd_radps - gyro_bias.bias(p), np.ascontiguousarray(true_attitude(p, flight))
+    voltage = np.ascontiguousarray(flight.samples.battery_v)
+    evaluate_at(bare[None], flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, u, hanging, voltage, out)
+    force = flight.measured[:, 0:3]
+    if "accel_frd_mps2" not in flight.missing:
+        force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
+    felt = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
+    felt[~flight.samples.valid] = np.nan
+    if len(_FELT) >= _MOST_FELT:
+        del _FELT[next(iter(_FELT))]
+    _FELT[key] = (flight, np.asarray(felt))  # the flight is kept, so its number is its own
+    return _FELT[key][1]

@@ -1,0 +1,65 @@
+"""What the sampling of the motors' commands leaves: a part of the noise floor.
+
+A rate loop faster than the log passes its gyro's noise to the motors; the log keeps one command of several, and what
+the others did shows as a disagreement that no simulator can know.  The white noise on the logged commands tells how
+large they were; the simulator itself says what such noise does to forces and torques, and what commands do that act a
+little beside their stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.gap.records import SIGNALS, Samples
+from flightstack.gap.simulate import predict, timing
+from flightstack.gap.track import track
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+_THIRD = np.sqrt(20.0)  # of the white noise in its third differences
+_MAD = 0.6745
+_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
+"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
+_JUMP = 1.0 / 24.0
+"""Variance of a command's mean between stamps for each squared second difference: a twelfth of a jump's, over two."""
+
+
+def command_noise(samples: Samples) -> F64:
+    """(4,) standard deviation of the white noise on each motor's commands; robust against steps."""
+    motor = samples.motor[samples.valid & np.isfinite(samples.motor).all(axis=1)]
+    if len(motor) < 8:
+        return np.zeros(samples.motor.shape[1])
+    return np.asarray(np.median(np.abs(np.diff(motor, n=3, axis=0)), axis=0) / _MAD / _THIRD)
+
+
+def unknown_commands(samples: Samples) -> F64:
+    """(N, 4) standard deviation of what each motor did round each stamp beyond what the log's commands say."""
+    motor = samples.motor
+    jumps = np.zeros_like(motor)
+    jumps[1:-1] = np.nan_to_num(np.diff(motor, n=2, axis=0))
+    return np.asarray(np.sqrt(np.maximum(command_noise(samples) ** 2, _JUMP * jumps**2)))
+
+
+def timing_s(period_s: float) -> float:
+    """Standard deviation of when commands really acted, beside their stamps, in a log of this period."""
+    return _TIMING_S + _TIMING_SAMPLES * period_s
+
+
+def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Rms of specific force (m/s^2) and angular acceleration (rad/s^2), each of three axes, over the masked samples."""
+    spread = unknown_commands(samples)
+    flight = track(samples)
+    if "motor" in flight.missing:
+        return 0.0, 0.0
+    noise = np.random.default_rng(0).standard_normal(samples.motor.shape) * spread
+    other = replace(samples, motor=np.clip(samples.motor + noise, 0.0, 1.0))
+    change = flight.lowpass(predict(vehicle, other) - predict(vehicle, samples))[:, : len(SIGNALS)]
+    late = timing_s(samples.dt_s) * timing(vehicle, samples)[:, : len(SIGNALS)]
+    used = mask & flight.usable
+    if not used.any():
+        return 0.0, 0.0
+    power = np.nan_to_num(np.mean(change[used] ** 2 + late[used] ** 2, axis=0))
+    return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

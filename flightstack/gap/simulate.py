@@ -1,0 +1,228 @@
+"""The simulator at the measured states: what the sensors would have shown if it were right, and how that depends.
+
+Rotors, load and battery run through the flight from its first sample with the simulator's own code; then one compiled
+call evaluates forces and torques at all samples.  An effect's regressor is the difference of two such predictions:
+there is no second formula of any effect.  Sensor effects change what is shown and the states that the physics is
+evaluated at, never the physics.
+
+Turbulence has no regressor: its mean is nothing, it shows as spectrum only, through `steady_wind`'s columns.
+A steady wind shows through the drag effects that the vehicle has; without one its columns are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
+from flightstack.gap.records import Samples
+from flightstack.gap.run import SENSORS, Run, Turned, kinematic_rest, later, params_row
+from flightstack.gap.scales import natural_scale
+from flightstack.gap.track import COLUMNS, thinned, track
+from flightstack.types import F64
+from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
+from flightstack_sim.layout import p_effect
+from flightstack_sim.parameters import derive
+
+_TOGETHER = 12
+"""Columns taken in one call: a long log's must not fill the memory."""
+_STEP_SHARE = 0.02
+_TIMING_STEP_S = 0.001
+_COARSE_S = 0.0105
+_OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
+"""Effects that change the states that are remembered."""
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "battery_sag": ("battery_v",),
+    "linear_drag": ("vel_ned_mps", "q_ned_frd"),
+    "angular_damping": ("vel_ned_mps", "q_ned_frd"),  # drag at the hubs damps as well: it could not be told from that
+    "rotor_drag": ("vel_ned_mps", "q_ned_frd"),
+    "induced_inflow": ("vel_ned_mps", "q_ned_frd"),
+    "parasitic_drag": ("vel_ned_mps", "q_ned_frd"),
+    "translational_lift": ("vel_ned_mps", "q_ned_frd"),
+    "blade_flapping": ("vel_ned_mps", "q_ned_frd"),
+    "vortex_ring": ("vel_ned_mps", "q_ned_frd"),
+    "steady_wind": ("vel_ned_mps", "q_ned_frd"),
+    "turbulence": ("vel_ned_mps", "q_ned_frd"),
+    "ground_effect": ("height_m",),
+    "constant_force": ("q_ned_frd",),
+    "slung_load": ("q_ned_frd",),
+    "attitude_misalignment": ("q_ned_frd",),
+    "accelerometer_bias": ("accel_frd_mps2", "vel_ned_mps", "q_ned_frd"),
+    "gyro_bias": ("rate_frd_radps", "q_ned_frd"),
+}
+"""Signals without which a log can't show an effect, whatever is flown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """One parameter of one effect, and the values of that effect round which it is turned."""
+
+    effect: str
+    parameter: str
+    at: Mapping[str, float] = field(default_factory=dict)
+    """On top of what the vehicle has of the effect: the faulty rotor's number, a load's length."""
+
+
+def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...]:
+    """All continuous parameters of an effect (a fault's rotor and other whole numbers are choices: give them `at`)."""
+    return tuple(Knob(effect, p.name, dict(at or {})) for p in EFFECT_SPECS[effect].params if not p.integer)
+
+
+def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
+    """Signals that the log lacks and without which it can't show this effect."""
+    missing = track(samples).missing
+    return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
+
+
+_QUICK = ("motor_lag", "transport_delay", "inertia", "angular_damping", "rotor_gyroscopic")
+"""Effects that show only in how soon and how fast a vehicle turns."""
+
+
+def untold(samples: Samples, effect: str) -> bool:
+    """Whether the effect may only stand for how the log's attitude was made.
+
+    An attitude out of the acceleration is the one at which there is no side force: it tells nothing of what blows or
+    drags.  Differentiated twice it tells what tips a vehicle, not how soon: lags and damping are its filter's.
+    """
+    return "q_ned_frd" in samples.derived and (effect in _QUICK or "q_ned_frd" in NEEDS.get(effect, ()))
+
+
+def predict(vehicle: Vehicle, samples: Samples) -> F64:
+    """What the sensors would show if the simulator were right, (N, 12), before the common low-pass.
+
+    Columns 0-2 specific force (m/s^2), 3-5 angular acceleration (rad/s^2), 6-8 body rates as the attitude's derivative
+    says (rad/s), 9-11 specific force as the velocity's derivative says (m/s^2); all body FRD, each as its sensor
+    shows it.  Compare with `gap.track.track(samples).measured`, both through its `lowpass`.
+    """
+    flight = track(samples)
+    p = params_row(vehicle, flight.step_s)
+    return Run(p, flight).shown(p)
+
+
+def disagreement(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
+    """Measured minus what `predict` says: (N, 12) through the common low-pass, and (N, 6) its physics before it.
+
+    Columns that the log can't measure are NaN.
+    """
+    flight = track(samples)
+    p = params_row(vehicle, flight.step_s)
+    raw = flight.measured[:, :6] - Run(p, flight).physics(p)
+    out = np.full((len(raw), COLUMNS), np.nan)
+    sighted = [c for c in range(6) if c not in flight.blind]
+    if sighted:
+        out[:, sighted] = flight.smooth(raw[:, sighted])
+    out[:, 6:] = kinematic_rest(flight, tuple(p[SENSORS].tolist()))
+    return out, raw
+
+
+def sensitivity(
+    vehicle: Vehicle, samples: Samples, effect: str, parameter: str, at: Mapping[str, float] | None = None
+) -> F64:
+    """d predict / d parameter, (N, 12), through the common low-pass; see `sensitivities`."""
+    return sensitivities(vehicle, samples, [Knob(effect, parameter, at or {})])[:, :, 0]
+
+
+def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], every: int = 1) -> F64:
+    """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
+
+    Central differences through the simulator, one-sided where the range ends.  Columns that the log can't measure are
+    NaN; an effect that the log can't show (`unseen`) is 0 everywhere.  Where few rows are asked for, a fast log is not
+    evaluated at each of its samples: the low-pass leaves nothing between them.
+    """
+    flight = track(samples)
+    count = len(range(0, len(samples.t_s), every))
+    out = np.zeros((count, COLUMNS, len(columns)))
+    fewer = evaluated_every(samples) if every % evaluated_every(samples) == 0 else 1
+    if fewer > 1:
+        flight, every = thinned(flight, fewer), every // fewer
+    row = params_row(vehicle, flight.step_s)
+    base = Run(row, flight)
+    turned = [_turned(vehicle, row, knob) for knob in columns]
+    seen = [k for k, knob in enumerate(columns) if not flight.missing & set(NEEDS.get(knob.effect, ()))]
+    shared = [k for k in seen if columns[k].effect not in _OWN_RUN and not _is_sensor(columns[k])]
+    for begin in range(0, len(shared), _TOGETHER):
+        part = shared[begin : begin + _TOGETHER]
+        out[:, :6, part] = flight.smooth(base.changes([turned[k] for k in part]))[::every]
+    for k in seen:
+        if k not in shared:
+            out[:, :, k] = flight.lowpass(_difference(base, turned[k], columns[k]))[::every]
+    for column in flight.blind:
+        out[:, column, seen] = np.nan
+    return out
+
+
+def evaluated_every(samples: Samples) -> int:
+    """Samples of a fast log for which columns need be evaluated once only."""
+    return max(1, int(_COARSE_S / samples.dt_s))
+
+
+def timing(vehicle: Vehicle, samples: Samples) -> F64:
+    """d predict / d (commands act later), (N, 12) per second, through the common low-pass.
+
+    A nuisance, no effect: commands of a loop faster than the log are known to about half a sample in time.
+    """
+    flight = track(samples)
+    p = params_row(vehicle, flight.step_s)
+    shown = [Run(p, later(flight, change_s)).shown(p) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
+    return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
+
+
+def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
+    """A parameter as the vehicle has it: the effect's, else its null value, else the vehicle's own; NaN where none."""
+    spec = _spec(effect, parameter)
+    given = vehicle.effects.get(effect, {}).get(parameter, spec.null)
+    if given is not None:
+        return float(given)
+    own = {"thrust_model_factor": vehicle.rotors.thrust_model_factor, "time_constant_s": vehicle.rotors.time_constant_s}
+    return own.get(parameter, float("nan"))
+
+
+def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Vehicle:
+    """The vehicle with some of an effect's parameters changed, the others kept; what flies keeps some mass."""
+    changed = {**vehicle.effects.get(effect, {}), **values}
+    if effect == "payload":
+        changed["mass_kg"] = _carried(vehicle, changed["mass_kg"])
+    return with_effects(vehicle, {effect: changed})
+
+
+def _carried(vehicle: Vehicle, mass_kg: float) -> float:
+    """A payload that leaves some mass."""
+    return max(mass_kg, (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
+
+
+def _spec(effect: str, parameter: str) -> ParamSpec:
+    return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+
+
+def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
+    """`row`: the vehicle's own."""
+    now = knob.at.get(knob.parameter, value(vehicle, knob.effect, knob.parameter))
+    spec = _spec(knob.effect, knob.parameter)
+    step = _STEP_SHARE * natural_scale(vehicle, knob.effect, knob.parameter)
+    high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
+    centre, up, down = row.copy(), row.copy(), row.copy()
+    for p, more in ((centre, {}), (up, {knob.parameter: high}), (down, {knob.parameter: low})):
+        for name, x in {**knob.at, **more}.items():
+            p[p_effect(knob.effect, name)] = _carried(vehicle, x) if knob.effect == "payload" else x
+        derive(p)
+    return Turned(centre, up, down, high - low)
+
+
+def _is_sensor(knob: Knob) -> bool:
+    return EFFECT_SPECS[knob.effect].kind == "sensor"
+
+
+def _difference(base: Run, turned: Turned, knob: Knob) -> F64:
+    """Difference quotient of what is shown, (N, 12), before the low-pass, of what no other parameter goes along with.
+
+    Sensor effects change the states that the physics is evaluated at, lags and a load's swing are states of their own.
+    """
+    up, down = turned.up, turned.down
+    if _is_sensor(knob):
+        same = base.moved(turned.centre) if knob.effect == "accelerometer_bias" else None
+        return (base.shown(up, same) - base.shown(down, same)) / turned.width
+    moved = [Run(p, base.track).moved(p) for p in (up, down)]
+    return base.felt(turned.centre, (moved[0] - moved[1]) / turned.width)

@@ -1,0 +1,75 @@
+"""The battery's voltage without its sensor's noise, and whether a flight can show what it does to thrust."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from flightstack.gap.checks.noise import white_noise
+from flightstack.gap.records import Samples
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+_SPAN = 0.05
+"""Share of itself, spanned beside what follows the motors' commands, from which on a voltage always tells."""
+_SQUARE = 2.0
+"""Thrust goes with the square of the voltage, and more is no battery's doing."""
+_FROM, _TO = 5.0, 95.0
+"""Percentiles, between which a steady fall does nine tenths of its way."""
+_FEWEST = 10
+_SLOW_HZ = 0.5
+"""Below, a battery's voltage goes its own way; above, it follows the power that the rotors draw."""
+_LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08)
+"""Of that power behind the commands: the rotors'."""
+_ALL_NOISE = 1.2
+"""Times the white noise that a voltage without its noise may differ from the measured one."""
+
+
+def quiet(battery_v: F64, motor: F64, dt_s: float) -> F64:
+    """(N,) the voltage less its sensor's noise, which would pass through a sag for noise of the thrust.
+
+    What is slow is kept; what is fast is what follows the power drawn, commands cubed and lagged.  Where that is not
+    all but the white noise (steps of a coarse sensor, another load), the voltage is left as it is measured.
+    """
+    noise = float(white_noise(battery_v[:, None])[0]) if len(battery_v) > _FEWEST else 0.0
+    if not (noise > 0.0 and np.isfinite(battery_v).all() and np.isfinite(motor).all()):
+        return battery_v
+    low = butter(2, _SLOW_HZ, fs=1.0 / dt_s, output="sos")
+    slow = sosfiltfilt(low, battery_v)
+    power, best, least = np.mean(motor**3, axis=1), battery_v, _ALL_NOISE * noise
+    for lag_s in _LAGS_S:
+        keep = np.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
+        drawn = lfilter([1.0 - keep], [1.0, -keep], power, zi=[keep * power[0]])[0]
+        fast = drawn - sosfiltfilt(low, drawn)
+        share = float(fast @ (battery_v - slow)) / max(float(fast @ fast), 1e-300)
+        made = slow + share * fast
+        off = float(np.std(battery_v - made))
+        if off < least:
+            best, least = made, off
+    return best
+
+
+def own_span(samples: Samples) -> float:
+    """Share of itself by which the voltage moves apart from the motors' commands.
+
+    Under load a battery sags by its resistance, and a loop that holds the height raises its commands as the voltage
+    falls: both ways voltage and command say the same, and what the one does to thrust is a matter of the other's
+    curve.  What a straight line and a parabola in the mean command leave of the voltage is its own.
+    """
+    chosen = samples.valid & (samples.battery_v > 0.0) & np.isfinite(samples.motor).all(axis=1)
+    if chosen.sum() < _FEWEST:
+        return 0.0
+    volts, motor = samples.battery_v[chosen], samples.motor[chosen]
+    x = np.stack([np.ones(len(volts)), motor.mean(axis=1), np.mean(motor**2, axis=1)], axis=1)
+    own = volts - x @ np.linalg.lstsq(x, volts, rcond=None)[0]
+    spread = np.percentile(own, _TO) - np.percentile(own, _FROM)
+    return float(spread / np.median(volts) / (0.01 * (_TO - _FROM)))
+
+
+def tells(samples: Samples, lift_off_mps2: float) -> bool:
+    """Whether the voltage moves enough by itself.
+
+    `lift_off_mps2`: rms by which the model is off along body z.  Where that is more than so small a movement could
+    ever do, what goes with the voltage goes with something else.
+    """
+    own = own_span(samples)
+    return own >= _SPAN or (own > 0.0 and lift_off_mps2 <= _SQUARE * own * STANDARD_GRAVITY_MPS2)

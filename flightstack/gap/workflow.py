@@ -1,0 +1,230 @@
+"""The gap workflow: read -> check -> compare -> locate -> name -> add -> verify -> report, on files of logs.
+
+Every step is a file of this package; here is only their order and what passes between them.  What is not usable is
+refused with a reason (`InputError`); what the flights can't show is said, not guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap import gather, pooled
+from flightstack.gap.check import check
+from flightstack.gap.classes import confused_with
+from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
+from flightstack.gap.likeness import other_vehicle
+from flightstack.gap.name import Naming, name
+from flightstack.gap.pooled import Split
+from flightstack.gap.read import flight
+from flightstack.gap.records import Checked, Found, Gap, Samples, Unexplained
+from flightstack.gap.refine import refine
+from flightstack.gap.report.words import sentence
+from flightstack.gap.result import GAP_FROM, GapResult, closed
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+
+OnProgress = Callable[[float, str], None]
+_WORSE = 1.1
+"""Times the held-out figure before, from which a correction is taken back."""
+_LEAST_CLOSED = 0.5
+"""Share of the held-out gap's power below which nothing is named beside something that nothing explains."""
+
+_MOSTLY_CLOSED = 0.9
+"""Share of the held-out gap below which something is left that the names don't explain."""
+
+
+def analyse(
+    logs: Sequence[Path],
+    vehicle: Vehicle,
+    *,
+    vehicle_name: str = "",
+    holdout: Sequence[Path] = (),
+    columns: Path | str | None = None,
+    ground_d_m: float = 0.0,
+    kinematics_only: bool = False,
+    on_progress: OnProgress = lambda share, phase: None,
+) -> GapResult:
+    """Find what the vehicle's model lacks in these logs; InputError, one line, where they can't be used.
+
+    `holdout` are logs kept for the verdict; without any, the last third of each flight is.  `kinematics_only` allows
+    logs without motor commands: then only sensor effects can be named.
+    """
+    checked, kept = _checked(logs, holdout, vehicle, columns, ground_d_m, kinematics_only, on_progress)
+    of = pooled.split([_usable(c) for c in checked], [_usable(c) for c in kept])
+    if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
+        raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
+    on_progress(0.2, "naming")
+    naming = name(vehicle, of.flights, of.fit, of.holdout)
+    naming, of, gap = _judged(vehicle, naming, of, on_progress)
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
+        naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
+        gap = _verdict(vehicle, naming, of)
+    unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
+    if unlike:
+        raise InputError(
+            f"log {logs[0]}: this log does not look like {vehicle_name or vehicle.name}: {unlike}; name the file of "
+            "the vehicle that flew"
+        )
+    naming = _still_open(_nothing_left(naming, gap), gap)
+    rest = naming.unexplained
+    if naming.found and rest.significant and not rest.depends_on:
+        open_ = 1.0 - (_closed_power(gap) if gap.closed is None else gap.closed)
+        naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, open_)))
+    on_progress(0.9, "drawing")
+    words = sentence(naming.found, gap, naming.unexplained)
+    report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
+    return GapResult(
+        tuple(str(path) for path in (*logs, *holdout)),
+        vehicle_name or vehicle.name,
+        naming.where,
+        naming.found,
+        gap,
+        naming.unexplained,
+        naming.rejected,
+        naming.vehicle,
+        report,
+    )
+
+
+def _checked(
+    logs: Sequence[Path],
+    holdout: Sequence[Path],
+    vehicle: Vehicle,
+    columns: Path | str | None,
+    ground_d_m: float,
+    kinematics_only: bool,
+    on_progress: OnProgress,
+) -> tuple[list[Checked], list[Checked]]:
+    """All logs read and checked; every one must be usable."""
+    done: list[Checked] = []
+    count = len(logs) + len(holdout)
+    for k, path in enumerate((*logs, *holdout)):
+        on_progress(0.2 * k / count, f"reading {path.name}")
+        read = flight(path, vehicle, columns)
+        on_progress(0.2 * (k + 0.5) / count, f"checking {path.name}")
+        done.append(check(read, vehicle, ground_d_m=ground_d_m, kinematics_only=kinematics_only))
+        _refuse(path, done[-1])
+    return done[: len(logs)], done[len(logs) :]
+
+
+def _refuse(path: Path, checked: Checked) -> None:
+    """InputError with the check's own reason where a log can't be used."""
+    if checked.samples is None:
+        reasons = [finding.text for finding in checked.findings if finding.level == "refused"]
+        raise InputError(f"log {path}: {reasons[0] if reasons else 'no part of it can be used'}")
+
+
+def _usable(checked: Checked) -> Samples:
+    assert checked.samples is not None  # `_refuse` saw to it
+    return checked.samples
+
+
+def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str] | None = None) -> tuple[Naming, Split]:
+    """The named effects' parameters (or some) by output error through the simulator, and when commands really acted."""
+    used = [k for k, mask in enumerate(of.fit) if mask.any()]
+    flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
+    names = [found.name for found in naming.found] if effects is None else effects
+    refined = refine(vehicle, naming.vehicle, flights, masks, names)
+    if refined is None:
+        return naming, of
+    found = tuple(
+        replace(each, parameters={**each.parameters, **refined.parameters.get(each.name, {})}) for each in naming.found
+    )
+    late = dict(zip(used, refined.late_s, strict=True))
+    moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
+    return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
+
+
+def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
+    """The names that hold on data not used before, refined, and the gap with them.
+
+    Refinement trusts the structure.  Where the model stays far from the noise, only what clearly matters is named,
+    and the naming's own estimates stand but for forces: torques answer what a rate loop does, forces don't.
+    """
+    on_progress(0.6, "refining")
+    if not named.found:
+        moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
+        return named, moved, _verdict(vehicle, named, moved)
+    naming, moved = _refined(vehicle, named, of)
+    on_progress(0.75, "verifying")
+    gone = vanished(naming.found)
+    if gone:
+        left = named.without(gone, "nothing of it is left once all are refined")
+        named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
+        naming, moved = _refined(vehicle, named, of)
+    gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
+    if gone:
+        named = named.without(gone, "does something else on data not used before")
+        naming, moved = _refined(vehicle, named, of)
+    gap = _verdict(vehicle, naming, moved)
+    if not naming.found or not far_from_noise(gap):
+        return naming, moved, gap
+    named = _beside_a_poor_model(vehicle, named)
+    named = named.with_classes_of_a_poor_model()
+    forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
+    named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
+    return named, of, _verdict(vehicle, named, of)
+
+
+def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
+    """What stands for something else or hardly matters is taken back; what the former stood for may join, one by one.
+
+    One beside which any of the names stands for something else does not.
+    """
+    stood: list[Found] = []
+    while gone := (proxy := proxies(vehicle, named.found, named.constant)) or named.trifles():
+        stood += [f for f in named.found if f.name in proxy]
+        named = named.without(gone, "stands for something else, or changes hardly what is left")
+    open_ = confused_with(stood) - {f.name for f in stood}
+    while open_ and named.found and (more := named.joined(open_)) is not None:
+        (new,) = {f.name for f in more.found} - {f.name for f in named.found}
+        open_.remove(new)
+        if not proxies(vehicle, more.found, more.constant):
+            named = more
+    return named
+
+
+def _nothing_left(naming: Naming, gap: Gap) -> Naming:
+    """Where held-out data show no gap and nothing is named, nothing is unexplained either.
+
+    What sampling hides of the commands is in the noise floor only: a remainder that it can make is none.
+    """
+    if naming.found or gap.closed is not None:
+        return naming
+    return replace(naming, unexplained=Unexplained(False))
+
+
+def _still_open(naming: Naming, gap: Gap) -> Naming:
+    """Where the names leave a good part of the held-out gap as it was, something is unexplained.
+
+    It may have acted on held-out data only: a flight that comes near the ground once, in its last third.
+    """
+    if not naming.found or naming.unexplained.significant or gap.closed is None or gap.closed >= _MOSTLY_CLOSED:
+        return naming
+    return naming.with_a_rest(1.0 - gap.closed)
+
+
+def _is_worse(gap: Gap) -> bool:
+    """Whether the corrected model predicts data not used before worse than the model as it was."""
+    pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
+    return any(was is not None and now is not None and now > _WORSE * was for was, now in pairs)
+
+
+def _closed_power(gap: Gap) -> float:
+    """Share of the held-out gap's mean square that is closed, of force or torque, the better; 1 without a gap."""
+    shares = []
+    for figure in ("one_step_mps2", "one_step_radps2"):
+        was, now, least = (getattr(each, figure) for each in (gap.before, gap.after, gap.noise_floor))
+        if was is not None and now is not None and least is not None and was >= GAP_FROM * least:
+            shares.append((was**2 - now**2) / (was**2 - least**2))
+    return max(shares, default=1.0)
+
+
+def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
+    before = pooled.figures(vehicle, of)
+    after = pooled.figures(naming.vehicle, of) if naming.found else before
+    floor = pooled.noise_floor(naming.vehicle, of, after)
+    return Gap(before, after, floor, closed(before, after, floor))

@@ -1,0 +1,204 @@
+"""How a record becomes a message of its TABLE topic: generated source, as `namedtuple` does it.
+
+The form of the messages is that of `logs.wire`: every value has a fixed place.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from flightstack.types import Element, Part
+from flightstack_logs.topics import Field, Topic
+from flightstack_logs.wire import BYTES, SCALARS, varint
+
+Encoder = Callable[[Any], bytes]
+
+
+def _prefix(number: int, field: Field) -> bytes:
+    """Tag (and length) before a field's bytes."""
+    scalar = SCALARS[field.type]
+    if field.size == 0:
+        return varint(number << 3 | scalar.wire)
+    return varint(number << 3 | BYTES) + varint(field.size * struct.calcsize("<" + scalar.code))
+
+
+def _text_field(prefix: bytes, text: str) -> bytes:
+    data = text.encode()
+    return prefix + varint(len(data)) + data
+
+
+def _follow(record: object, path: str) -> object:
+    for name in path.split("."):
+        record = getattr(record, name)
+    return record
+
+
+def _owner(sample: object, owner: str) -> Any:
+    """What `owner` (r, or r.a.b) stands for."""
+    return sample if owner == "r" else _follow(sample, owner[2:])
+
+
+def _is_block(value: object, field: Field) -> bool:
+    """Whether an array's own bytes are the field's bytes."""
+    if not isinstance(value, np.ndarray):
+        return False
+    return bool(value.shape == (field.size,) and value.dtype is _block_dtype(field) and value.flags.c_contiguous)
+
+
+def _block_dtype(field: Field) -> np.dtype[Any]:
+    return np.dtype(SCALARS[field.type].code)
+
+
+def _place_in_row(owner: object, name: str, field: Field) -> slice | None:
+    """Which bytes of its owner's row a field is, if it is a named part of one (`flightstack.types`)."""
+    part = getattr(type(owner), name, None)
+    if isinstance(part, Element) and field.size == 0 and field.type == "double":
+        return slice(8 * part.place, 8 * part.place + 8)
+    if isinstance(part, Part) and part.place.stop - part.place.start == field.size and field.type == "double":
+        return slice(8 * part.place.start, 8 * part.place.stop)
+    return None
+
+
+def _not_a_block(value: np.ndarray) -> bytes:
+    raise TypeError(f"an array of {value.dtype} came where another type came before")
+
+
+class _Source:
+    """Python source of an encoder while it grows: runs of `struct.pack` and bytes that go in as they are.
+
+    Where parts of rows go in, the rows, the runs and what never changes lie side by side in one piece of memory, and
+    the message is gathered from there in one go: a third of what slicing and joining takes.
+    """
+
+    def __init__(self) -> None:
+        self.names: dict[str, Any] = {"join": b"".join, "text": _text_field, "other": _not_a_block}
+        self.size = 0
+        self._parts: list[str] = []
+        self._fills: list[str] = []
+        self._kept: list[tuple[int, bytes]] = []
+        self._index: list[int] = []
+        self._room = 0
+        self._has_blocks = False
+        self._layout = "<"
+        self._arguments: list[str] = []
+        self._fixed = b""
+        self._rows: dict[str, int] = {}
+
+    def constant(self, value: object) -> str:
+        name = f"c{len(self.names)}"
+        self.names[name] = value
+        return name
+
+    def pack(self, layout: str, argument: str) -> None:
+        """One more value, or several (`*...`), for the current run."""
+        self._end_fixed()
+        self._layout += layout
+        self._arguments.append(argument)
+
+    def fixed(self, data: bytes) -> None:
+        """Bytes that are the same in every message."""
+        self._fixed += data
+
+    def part(self, row: str, count: int, place: slice) -> None:
+        """Bytes of a row (of `count` doubles) that is fetched once, whatever number of its parts is used."""
+        self._end_run()
+        if row not in self._rows:
+            start = self._rows[row] = self._take_room(8 * count)
+            self._fills.append(f"memory[{start // 8}:{start // 8 + count}] = {row}")
+        self._index += range(self._rows[row] + place.start, self._rows[row] + place.stop)
+        self._parts.append(f"{row}.tobytes()[{place.start}:{place.stop}]")
+        self.size += place.stop - place.start
+
+    def _take_room(self, size: int) -> int:
+        start, self._room = self._room, self._room + -(-size // 8) * 8
+        return start
+
+    def block(self, value: str, dtype: np.dtype[Any], size: int) -> None:
+        self._end_run()
+        self._has_blocks = True
+        self._parts.append(f"(v if (v := {value}).dtype is {self.constant(dtype)} else other(v))")
+        self.size += size * dtype.itemsize
+
+    def _end_fixed(self) -> None:
+        """What is the same in every message becomes part of the current run."""
+        if self._fixed:
+            self._layout += f"{len(self._fixed)}s"
+            self._arguments.append(self.constant(self._fixed))
+            self._fixed = b""
+
+    def _end_run(self) -> None:
+        if self._fixed and not self._arguments:
+            self._parts.append(self.constant(self._fixed))
+            start = self._take_room(len(self._fixed))
+            self._kept.append((start, self._fixed))
+            self._index += range(start, start + len(self._fixed))
+            self.size += len(self._fixed)
+            self._fixed = b""
+        self._end_fixed()
+        if not self._arguments:
+            return
+        run = struct.Struct(self._layout)
+        arguments, start = ", ".join(self._arguments), self._take_room(run.size)
+        self._parts.append(f"{self.constant(run.pack)}({arguments})")
+        self._fills.append(f"{self.constant(run.pack_into)}(bytes_of, {start}, {arguments})")
+        self._index += range(start, start + run.size)
+        self.size += run.size
+        self._layout, self._arguments = "<", []
+
+    def compile(self, tail: str) -> Encoder:
+        self._end_run()
+        if self._rows and not self._has_blocks:
+            lines = ["def encode(r):", *(f"    {fill}" for fill in self._fills)]
+            lines += [f"    return take(index).tobytes(){tail}"]
+            memory = np.zeros(self._room // 8)
+            held = self.names["bytes_of"] = memory.data.cast("B")
+            for start, data in self._kept:
+                held[start : start + len(data)] = data
+            take = memory.view(np.uint8).take
+            self.names |= {"memory": memory, "take": take, "index": np.array(self._index, dtype=np.intp)}
+        else:
+            parts = f"join(({', '.join(self._parts)},))" if len(self._parts) > 1 else "".join(self._parts) or "b''"
+            lines = ["def encode(r):", f"    data = {parts}", f"    if len(data) != {self.size}:"]
+            lines += ["        raise ValueError('an array is of another length than its field')"]
+            lines += [f"    return data{tail}"]
+        exec("\n".join(lines), self.names)
+        encoder: Encoder = self.names["encode"]
+        return encoder
+
+
+def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encoder:
+    """An encoder for records like `sample`: a plain tuple in field order, or any object with the fields' attributes.
+
+    Generated source, as `namedtuple` does it: every part is fetched in place, three times faster than a loop over the
+    fields.  With `blocks`, arrays of the field's own type and parts of rows go in as they are; the encoder raises where
+    a later record's aren't.  Without, any sequence of the right length will do.
+    """
+    by_place = type(sample) is tuple
+    source = _Source()
+    tail = ""
+    for place, field in enumerate(topic.fields):
+        path = field.path or field.name
+        value = f"r[{place}]" if by_place else f"r.{path}"
+        if field.type == "string":
+            prefix = source.constant(varint((place + 1) << 3 | BYTES))
+            tail += f" + (text({prefix}, {value}) if {value} else b'')"
+            continue
+        source.fixed(_prefix(place + 1, field))
+        code = SCALARS[field.type].code
+        owner, _, name = ("r." + path).rpartition(".")
+        stretch = None
+        if blocks and not by_place:
+            stretch = _place_in_row(_owner(sample, owner), name, field)
+        if stretch is not None:
+            source.part(f"{owner}.row", len(_owner(sample, owner).row), stretch)
+        elif not field.size:
+            source.pack(code, value)
+        elif blocks and not by_place and _is_block(_follow(sample, path), field):
+            source.block(value, _block_dtype(field), field.size)
+        else:
+            source.pack(f"{field.size}{code}", f"*{value}")
+    return source.compile(tail)

@@ -1,0 +1,180 @@
+"""CSV in: this project's header (`time_s,pos_n_m,...`), or any other with a map of its columns.
+
+The log has one table, `flight`, whose columns are signals in SI, NED and FRD; what a row lacks is NaN there.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from flightstack.types import F64, InputError
+from flightstack_logs.columns import SCHEMA, ColumnMap, apply, parse_columns
+from flightstack_logs.tables import About, Log, Table
+
+TABLE = "flight"
+HEADER = (
+    *("time_s", "pos_n_m", "pos_e_m", "pos_d_m", "vel_n_mps", "vel_e_mps", "vel_d_mps", "q_w", "q_x", "q_y", "q_z"),
+    *("rate_x_radps", "rate_y_radps", "rate_z_radps", "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"),
+    *("motor_1", "motor_2", "motor_3", "motor_4", "battery_v"),
+)
+_OWN = f"""
+schema = "{SCHEMA}"
+lenient = true
+time = {{ column = "time_s" }}
+position = {{ columns = ["pos_n_m", "pos_e_m", "pos_d_m"] }}
+velocity = {{ columns = ["vel_n_mps", "vel_e_mps", "vel_d_mps"] }}
+kinematic_acceleration = {{ columns = ["acc_n_mps2", "acc_e_mps2", "acc_d_mps2"] }}
+attitude = {{ columns = ["q_w", "q_x", "q_y", "q_z"] }}
+rates = {{ columns = ["rate_x_radps", "rate_y_radps", "rate_z_radps"] }}
+specific_force = {{ columns = ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"] }}
+motors = {{ columns = ["motor_1", "motor_2", "motor_3", "motor_4"] }}
+battery = {{ columns = ["battery_v"] }}
+landed = {{ columns = ["landed"] }}
+height = {{ columns = ["height_m"] }}
+"""
+UNITS = {"pos_ned_m": "m", "vel_ned_mps": "m/s", "acc_ned_mps2": "m/s^2", "q_ned_frd": "1", "rate_frd_radps": "rad/s",
+         "accel_frd_mps2": "m/s^2", "motor": "1", "battery_v": "V", "height_m": "m", "landed": ""}  # fmt: skip
+_LATEST_S = 4e9
+_MOST_BACK = 50.0
+"""Usual steps that time may go back by, in a few rows that came late."""
+_UNSORTED = 0.01
+"""Share of rows from which a table is merely unsorted."""
+
+
+def is_text_table(data: bytes) -> bool:
+    """Whether the first line is printable text of several fields."""
+    line = data[:65536].splitlines()[0] if data.strip() else b""
+    try:
+        text = line.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return False
+    return text.replace("\t", " ").isprintable() and _separator(text) is not None
+
+
+def _separator(header: str) -> str | None:
+    return max((mark for mark in ",;\t" if mark in header), key=header.count, default=None)
+
+
+def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
+    """The log in `data`; InputError where its columns are not known or it has no rows."""
+    where = f"log {path}"
+    raw, notes = raw_table(data, where)
+    if columns is None:
+        if "time_s" not in raw:
+            raise InputError(f"{where}: is a CSV with other columns than time_s,pos_n_m,...; say what they are with "
+                             "--columns FILE (docs/gap-logs.md)")  # fmt: skip
+        _check_motors(raw, where)
+        columns = parse_columns(_OWN, "header")
+    if columns.time is None or columns.time[0] not in raw:
+        name = columns.time[0] if columns.time else "[time]"
+        raise InputError(f"{where}: has no column {name} for the time; it has {', '.join(list(raw)[:40])}")
+    signals, sources, places = apply(columns, raw, where)
+    if not signals:
+        raise InputError(f"{where}: has none of the columns of a flight beside time_s; it needs at least velocity")
+    t_us, signals, more = _in_time(raw[columns.time[0]] * columns.time[1], signals, where)
+    table = Table(TABLE, t_us, dict(signals), {name: UNITS[name] for name in signals})
+    metadata = {"columns": sources}
+    if places:
+        metadata["places"] = {name: ", ".join(said) for name, said in places.items()}
+    return Log(
+        path=path,
+        kind="csv",
+        complete=True,
+        notes=tuple(notes + more),
+        tables={TABLE: table},
+        messages={},
+        about={TABLE: About("table", "csv", "", "", 0.0)},
+        metadata=metadata,
+        attachments=(),
+        size_bytes=len(data),
+    )
+
+
+def _check_motors(raw: dict[str, F64], where: str) -> None:
+    """All vehicles have four rotors here: more that move, or fewer, are another vehicle's."""
+    motors = [name for name in raw if name.startswith("motor_") and name[6:].isdigit() and np.any(raw[name] > 0.0)]
+    named = [name for name in raw if name.startswith("motor_") and name[6:].isdigit()]
+    if motors and (len(motors) > 4 or len(named) < 4):
+        raise InputError(f"{where}: has {len(motors)} motors, a vehicle file has 4 rotors; name a quadrotor's flight")
+
+
+def raw_table(data: bytes, where: str) -> tuple[dict[str, F64], list[str]]:
+    """Column name -> numbers (NaN where a cell is none) and what was noticed."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("utf-8-sig", "replace")
+    header, _, body = text.partition("\n")
+    separator = _separator(header) or ","
+    names = [name.strip().strip('"') for name in header.split(separator)]
+    named = [name for name in names if name]
+    if len(set(named)) != len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise InputError(f"{where}: has two columns named {twice}; name them apart")
+    if not body.strip():
+        raise InputError(f"{where}: has a header and no rows; nothing was recorded")
+    try:
+        values = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
+        notes: list[str] = []
+    except ValueError:
+        values, notes = _tolerant(body, separator, len(names))
+    if values.shape[1] != len(names):
+        raise InputError(f"{where}: rows have {values.shape[1]} cells, the header {len(names)}; it is damaged")
+    return {name: values[:, place] for place, name in enumerate(names) if name}, notes
+
+
+def _tolerant(body: str, separator: str, width: int) -> tuple[F64, list[str]]:
+    """Cells that are no numbers are NaN; rows that aren't as wide as the header are left out."""
+    rows, left_out, odd = [], 0, 0
+    for line in body.splitlines():
+        if not line.strip():
+            continue
+        cells = line.split(separator)
+        if len(cells) != width:
+            left_out += 1
+            continue
+        row = []
+        for cell in cells:
+            try:
+                row.append(float(cell))
+            except ValueError:
+                row.append(_word(cell))
+                odd += row[-1] != row[-1] and bool(cell.strip())
+        rows.append(row)
+    notes = [f"{left_out} rows are not as wide as the header and were left out"] if left_out else []
+    notes += [f"{odd} cells are no numbers and count as missing"] if odd else []
+    return np.array(rows, np.float64).reshape(len(rows), width), notes
+
+
+def _word(cell: str) -> float:
+    """True and False as numbers; anything else is missing."""
+    return {"true": 1.0, "false": 0.0}.get(cell.strip().strip('"').lower(), float("nan"))
+
+
+def _in_time(t_s: F64, signals: dict[str, F64], where: str) -> tuple[np.ndarray, dict[str, F64], list[str]]:
+    """Rows in ascending order of time, each time once; InputError where there is no time to speak of."""
+    notes = []
+    good = np.isfinite(t_s) & (np.abs(t_s) < _LATEST_S * 1e9)
+    if not good.any():
+        raise InputError(f"{where}: its time column holds no numbers; it needs the time of each row")
+    if not good.all():
+        notes.append(f"{int(np.sum(~good))} rows without a time were left out")
+    kept = np.flatnonzero(good)
+    backwards = int(np.sum(np.diff(t_s[kept]) < 0.0))
+    if backwards:
+        usual = float(np.median(np.abs(np.diff(t_s[kept]))))
+        back = float(-np.min(np.diff(t_s[kept])))
+        if backwards < _UNSORTED * len(kept) and back > _MOST_BACK * usual:
+            raise InputError(f"{where}: its time jumps back by {back:.4g}, {back / max(usual, 1e-12):.0f} rows' worth; "
+                             "it mixes clocks or flights. Name a log of one flight by one clock")  # fmt: skip
+        notes.append(f"time goes backwards {backwards} times; rows were sorted")
+        kept = kept[np.argsort(t_s[kept], kind="stable")]
+    t_us = np.round(np.clip(t_s[kept] * 1e6, -9e18, 9e18)).astype(np.int64)
+    first = np.concatenate([[True], np.diff(t_us) > 0])
+    if not first.all():
+        notes.append(f"{int(np.sum(~first))} rows repeat the time of another and were left out")
+    rows = kept[first]
+    return t_us[first], {name: np.ascontiguousarray(values[rows]) for name, values in signals.items()}, notes

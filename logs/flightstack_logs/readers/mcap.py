@@ -1,0 +1,103 @@
+"""MCAP in: this project's own logs, and others' as far as their schemas are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack_logs.mcap_file import Channel, scan
+from flightstack_logs.tables import About, Log, Messages, Table
+from flightstack_logs.topics import LEVELS
+from flightstack_logs.wire import decode_columns, walk
+
+
+def read_mcap(path: Path, data: bytes) -> Log:
+    """The log in `data`; damage is in its notes."""
+    content = scan(data, str(path))
+    notes = list(content.notes)
+    tables: dict[str, Table] = {}
+    messages: dict[str, Messages] = {}
+    about: dict[str, About] = {}
+    for channel in content.channels.values():
+        if channel.topic in about:
+            notes.append(f"topic {channel.topic}: has a second channel; skipped")
+            continue
+        about[channel.topic] = _about(channel)
+        times, bodies = _in_time(channel)
+        try:
+            columns = _columns(channel, bodies)
+        except (ValueError, KeyError) as error:
+            columns = None
+            notes.append(f"topic {channel.topic}: kept as raw messages, {error}")
+        if columns is None:
+            messages[channel.topic] = Messages(channel.topic, times, bodies)
+        else:
+            tables[channel.topic] = Table(channel.topic, times, columns, _units(channel))
+    return Log(
+        path=path,
+        kind="mcap",
+        complete=content.finished and not content.notes,
+        notes=tuple(notes),
+        tables=tables,
+        messages=messages,
+        about=about,
+        metadata=content.metadata,
+        attachments=tuple(content.attachments),
+        size_bytes=len(data),
+    )
+
+
+def _in_time(channel: Channel) -> tuple[NDArray[np.int64], list[bytes]]:
+    """Log times in microseconds and the messages, in ascending order of time (equal times: as written)."""
+    times = (np.array(channel.times_ns, dtype=np.uint64) // np.uint64(1000)).astype(np.int64)
+    if len(times) < 2 or bool(np.all(times[1:] >= times[:-1])):
+        return times, channel.messages
+    order = np.argsort(times, kind="stable")
+    return times[order], [channel.messages[index] for index in order.tolist()]
+
+
+def _columns(channel: Channel, bodies: list[bytes]) -> dict[str, np.ndarray] | None:
+    """The messages as columns, or None where they are not meant to be."""
+    schema = channel.schema
+    if schema is None or channel.message_encoding != "protobuf" or not bodies:
+        return None
+    if schema.name == "foxglove.Log":
+        return _log_columns(bodies)
+    if schema.name.startswith("flightstack."):
+        return decode_columns(schema.data, schema.name, bodies)
+    return None
+
+
+def _log_columns(bodies: list[bytes]) -> dict[str, np.ndarray]:
+    """Columns level, name, text of `foxglove.Log` messages (level 2, message 3, name 4)."""
+    rows = [dict(walk(body)) for body in bodies]
+    levels = dict(enumerate(LEVELS))
+    return {
+        "level": np.array(
+            [levels.get(level, LEVELS[0]) if isinstance(level := row.get(2, 0), int) else "" for row in rows]
+        ),
+        "name": np.array([_text(row.get(4, b"")) for row in rows]),
+        "text": np.array([_text(row.get(3, b"")) for row in rows]),
+    }
+
+
+def _text(value: int | bytes) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def _about(channel: Channel) -> About:
+    said = channel.metadata
+    try:
+        rate_hz = float(said.get("rate_hz", "0"))
+    except ValueError:
+        rate_hz = 0.0
+    schema = channel.schema.name if channel.schema else channel.message_encoding
+    return About(said.get("kind", ""), schema, said.get("description", ""), said.get("source", ""), rate_hz)
+
+
+def _units(channel: Channel) -> dict[str, str]:
+    """Field -> unit out of the channel's own metadata (`field.NAME` = `unit: meaning`)."""
+    pairs = [(key[6:], value.partition(":")[0]) for key, value in channel.metadata.items() if key.startswith("field.")]
+    return {name: "" if unit == "-" else unit for name, unit in pairs}

@@ -1,0 +1,89 @@
+"""PX4 ULog in (through pyulog): one table for each topic, `NAME` or `NAME_1`, `NAME_2` ... for its further instances.
+
+Elements `q[0]`, `q[1]`, ... become one column `q`.  Parameters as they stood at the start are in `metadata`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flightstack.types import InputError
+from flightstack_logs.readers.ulog_frames import mended
+from flightstack_logs.tables import About, Log, Table
+
+MAGIC = b"ULog\x01\x12\x35"
+
+
+def read_ulog(path: Path, data: bytes) -> Log:
+    """The log in `data`, a damaged one as far as it goes; InputError where nothing can be had."""
+    from pyulog import ULog
+
+    frames = mended(data)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
+            log = ULog(io.BytesIO(frames.data), disable_str_exceptions=True)
+    except Exception as error:  # a parser on damaged bytes: whatever it raises means the same
+        raise InputError(f"log {path}: is a ULog too damaged to read ({_line(error)}); copy it again") from None
+    tables = {}
+    for topic in log.data_list:
+        name = topic.name if topic.multi_id == 0 else f"{topic.name}_{topic.multi_id}"
+        if "timestamp" in topic.data and len(topic.data["timestamp"]):
+            tables[name] = _table(name, topic.data)
+    if not tables:
+        raise InputError(f"log {path}: is a ULog without data; record a flight with SDLOG_MODE 0 and SDLOG_PROFILE 1")
+    notes = [*frames.damage, *_notes(log)]
+    return Log(
+        path=path,
+        kind="ulog",
+        complete=not log.file_corruption and not frames.damage,
+        notes=tuple(notes),
+        tables=tables,
+        messages={},
+        about={name: About("table", "ulog", "", "PX4", 0.0) for name in tables},
+        metadata={
+            "parameters": {name: repr(value) for name, value in log.initial_parameters.items()},
+            "info": {name: str(value) for name, value in log.msg_info_dict.items() if isinstance(value, str | int)},
+        },
+        attachments=(),
+        size_bytes=len(data),
+    )
+
+
+def _line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__} {error}".split())[:120]
+
+
+def _notes(log: Any) -> list[str]:
+    notes = []
+    if log.file_corruption:
+        notes.append("damaged: some messages could not be read")
+    lost_ms = [dropout.duration for dropout in log.dropouts]
+    if lost_ms:
+        notes.append(f"PX4 lost data {len(lost_ms)} times while logging, {sum(lost_ms)} ms in all")
+    return notes
+
+
+def _table(name: str, data: dict[str, Any]) -> Table:
+    """Rows in order of time, without those whose stamp is no time."""
+    stamps = data["timestamp"].astype(np.float64)
+    keep = np.flatnonzero((stamps > 0.0) & (stamps < 2.0**52))
+    order = keep[np.argsort(stamps[keep], kind="stable")]
+    grouped: dict[str, list[np.ndarray]] = {}
+    for column, values in data.items():
+        if column != "timestamp":
+            grouped.setdefault(column.partition("[")[0] if column.endswith("]") else column, []).append(values[order])
+    columns = {
+        column: _typed(parts[0] if len(parts) == 1 else np.stack(parts, -1)) for column, parts in grouped.items()
+    }
+    return Table(name, stamps[order].astype(np.int64), columns, {})
+
+
+def _typed(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind == "b":
+        return values
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)

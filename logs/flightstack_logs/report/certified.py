@@ -1,0 +1,222 @@
+"""The page of an exploration: initial and final regions, the flown path inside, the cover, growth, and the margins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from importlib import resources
+
+import numpy as np
+
+from flightstack.barrier.records import AXES, AxisCertificate, Certificate
+from flightstack.barrier.shapes import Barrier, value
+from flightstack.explore import Round
+from flightstack.types import F64
+from flightstack_logs.report.plot import Plot, padded
+
+_RAYS = 240
+_PATH_POINTS = 4000
+_CELLS_SHOWN = 6000
+_ORDER = (2, 0, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exploration:
+    """What the page shows."""
+
+    title: str
+    good: bool
+    words: str
+    """How it ended, one line."""
+    figures: tuple[tuple[str, str, str], ...]
+    """Label, value, note."""
+    certificates: tuple[Certificate, ...]
+    """In their order, the last one in force."""
+    rounds: tuple[Round, ...]
+    path: F64
+    """(n, 6) flown position relative to the region's centre and velocity, NED."""
+    kernel: tuple[float, float, float] | None
+    """Of the vertical axis' viability kernel: limit (m), least and greatest acceleration (m/s^2)."""
+    checker: tuple[str, ...]
+    """The independent checker's lines."""
+
+
+def render(exploration: Exploration) -> str:
+    """One self-contained HTML page."""
+    style = resources.files("flightstack_logs.report").joinpath("page.css").read_text(encoding="utf-8")
+    last = exploration.certificates[-1]
+    axes = sorted(last.axes, key=lambda axis: _ORDER.index(axis.axis))
+    parts = [
+        f'<section class="panel"><h2>{escape(name)}</h2>{body}</section>'
+        for axis in axes
+        for name, body in (
+            (f"Regions and path, {AXES[axis.axis]}", _regions(exploration, axis)),
+            (f"Cover of the final region, {AXES[axis.axis]}: {len(axis.cells)} cells", _cover(axis)),
+        )
+    ]
+    parts.append(f'<section class="panel"><h2>Growth</h2>{_growth(exploration)}</section>')
+    parts.append(f'<section class="panel"><h2>Bound over the region</h2>{_widths(exploration)}</section>')
+    ledgers = "".join(_ledger(axis) for axis in axes)
+    checker = "".join(f"<li>{escape(line)}</li>" for line in exploration.checker)
+    rounds = "".join(_round(k, row) for k, row in enumerate(exploration.rounds, 1))
+    state, verdict = ("good", "certified") if exploration.good else ("bad", "not certified")
+    figures = "".join(
+        f'<div class="figure"><dt>{escape(label)}</dt><dd>{escape(shown)}</dd><p>{escape(note)}</p></div>'
+        for label, shown, note in exploration.figures
+    )
+    return "".join(
+        [
+            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
+            "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">",
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<meta name="color-scheme" content="light dark">',
+            f"<title>{escape(exploration.title)}</title><style>{style}{_STYLE}</style></head><body>",
+            f'<header class="{state}"><span class="verdict">{verdict}</span>',
+            f'<h1>{escape(exploration.title)}</h1><p class="subtitle">{escape(exploration.words)}</p></header>',
+            f'<dl class="figures">{figures}</dl><main><div class="grid">{"".join(parts)}</div><div class="tables">',
+            f'<section class="panel wide"><h2>Margins <span class="unit">m/s²</span></h2>{ledgers}</section>',
+            '<section class="panel wide"><h2>Rounds</h2><div class="scroll">',
+            f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></div>',
+            f"<h2>The independent checker</h2><ul>{checker}</ul></section></div></main>",
+            "<footer>e: distance from the region's centre, v: its rate; north-east-down, so down is positive.</footer>",
+            "</body></html>\n",
+        ]
+    )
+
+
+_STYLE = """
+.tables > .wide { grid-column: span 6; } .facts td:nth-child(2) { white-space: nowrap; text-align: right; }
+.facts th { width: auto; white-space: nowrap; } .rounds th, .rounds td { overflow-wrap: normal; }
+.plot { width: 100%; height: auto; font-size: 11px; } .plot text { fill: var(--muted); } .plot path { fill: none; }
+.plot .grid { stroke: var(--grid); display: initial; } .plot .first { stroke: var(--two); stroke-width: 2; }
+.plot .between { stroke: var(--three); stroke-width: 0.7; opacity: 0.6; }
+.plot .last { stroke: var(--bad); stroke-width: 2; stroke-dasharray: 6 3; }
+.plot .kernel { stroke: var(--muted); stroke-width: 1; stroke-dasharray: 2 3; }
+.plot .flown { stroke: var(--truth); stroke-width: 1; } .plot .target { stroke: var(--learned); stroke-width: 1.8; }
+.plot .cell { fill: var(--truth); stroke: var(--card); stroke-width: 0.3; }
+.plot .steps { stroke: var(--truth); stroke-width: 2; } .keys .first i { border-color: var(--two); }
+.keys .last i { border-color: var(--bad); border-top-style: dashed; } .keys .flown i { border-color: var(--truth); }
+.keys .kernel i { border-color: var(--muted); border-top-style: dotted; }
+.keys .target i { border-color: var(--learned); }
+.keys .between i { border-color: var(--three); }
+"""
+_ROUNDS_HEAD = "".join(
+    f"<th>{words}</th>" for words in ("Round", "Axis", "Time", "Certificate", "Area", "Bound", "Flown through")
+)
+
+
+def outline(barrier: Barrier) -> F64:
+    """(n, 2) points e, v of the boundary."""
+    e_low, e_high, v_low, v_high = barrier.box
+    e0, v0 = 0.5 * (e_low + e_high), 0.5 * (v_low + v_high)
+    points = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False):
+        de, dv = 0.5 * (e_high - e_low) * float(np.cos(angle)), 0.5 * (v_high - v_low) * float(np.sin(angle))
+        near, far = 0.0, 1.5
+        for _ in range(30):
+            middle = 0.5 * (near + far)
+            near, far = (middle, far) if value(barrier, e0 + middle * de, v0 + middle * dv) >= 0.0 else (near, middle)
+        points.append((e0 + near * de, v0 + near * dv))
+    return np.array(points)
+
+
+def kernel_outline(limit_m: float, u_low_mps2: float, u_high_mps2: float) -> F64:
+    """(n, 2) the viability kernel of |e| <= limit: its parabolas."""
+    e = np.linspace(-limit_m, limit_m, 121)
+    fast = np.sqrt(np.maximum(-2.0 * u_low_mps2 * (limit_m - e), 0.0))
+    slow = -np.sqrt(np.maximum(2.0 * u_high_mps2 * (e + limit_m), 0.0))
+    return np.concatenate([np.stack([e, fast], axis=1), np.stack([e, slow], axis=1)[::-1]])
+
+
+def _axis(certificate: Certificate, number: int) -> AxisCertificate | None:
+    return next((axis for axis in certificate.axes if axis.axis == number), None)
+
+
+def _regions(exploration: Exploration, last: AxisCertificate) -> str:
+    number = last.axis
+    shapes = [axis.barrier for each in exploration.certificates if (axis := _axis(each, number)) is not None]
+    lines = [outline(shape) for shape in _thinned(shapes)]
+    kernel = None if exploration.kernel is None or number != 2 else kernel_outline(*exploration.kernel)
+    path = exploration.path[:: max(1, len(exploration.path) // _PATH_POINTS)][:, [number, 3 + number]]
+    every = np.concatenate([*lines, path, *([] if kernel is None else [kernel])])
+    plot = Plot(
+        padded(every[:, 0]), padded(every[:, 1]), ("e (m)", "v (m/s)"),
+        f"Regions of {AXES[number]} and the flown path",
+    )  # fmt: skip
+    plot.line(path, "flown")
+    for line in lines[1:-1]:
+        plot.line(line, "between", closed=True)
+    if kernel is not None:
+        plot.line(kernel, "kernel", closed=True)
+    plot.line(lines[0], "first", closed=True)
+    plot.line(lines[-1], "last", closed=True)
+    targets = [row.target for row in exploration.rounds if row.axis == number and row.target is not None]
+    plot.marks(np.array(targets).reshape(-1, 2), "target", [f"target {k}" for k in range(1, len(targets) + 1)])
+    names = [("first", "first region"), ("between", "in between"), ("last", "final region"), ("flown", "flown (truth)")]
+    names += [("target", "target")] * bool(targets) + [("kernel", "viability kernel")] * (kernel is not None)
+    keys = "".join(f'<span class="key {role}"><i></i>{words}</span>' for role, words in names)
+    return f'<div class="keys">{keys}</div>{plot.svg()}'
+
+
+def _thinned(shapes: list[Barrier], most: int = 24) -> list[Barrier]:
+    """First and last, and evenly what lies between."""
+    if len(shapes) <= most:
+        return shapes
+    return [shapes[round(k)] for k in np.linspace(0, len(shapes) - 1, most)]
+
+
+def _cover(axis: AxisCertificate) -> str:
+    cells = axis.cells
+    if len(cells) == 0:
+        return '<p class="missing">No cells: nothing covers this region.</p>'
+    shown = cells[:: max(1, len(cells) // _CELLS_SHOWN)]
+    line = outline(axis.barrier)
+    every = np.concatenate([line, cells[:, [0, 2]], cells[:, [1, 3]]])
+    plot = Plot(padded(every[:, 0]), padded(every[:, 1]), ("e (m)", "v (m/s)"), f"Cells of {AXES[axis.axis]}")
+    margin = shown[:, 5]
+    share = 0.15 + 0.75 * np.clip(margin / max(float(margin.max()), 1e-9), 0.0, 1.0)
+    plot.boxes(shown[:, :4], share, "cell")
+    plot.line(line, "last", closed=True)
+    least = f"least margin {float(cells[:, 5].min()):.3g} 1/s"
+    return f'{plot.svg()}<p class="hint">Darker: more margin, up to {float(margin.max()):.2f} 1/s; {least}.</p>'
+
+
+def _growth(exploration: Exploration) -> str:
+    return _steps(exploration, "area_m2ps", "certified area (m²/s)")
+
+
+def _widths(exploration: Exploration) -> str:
+    return _steps(exploration, "width_mps2", "largest bound (m/s²)")
+
+
+def _steps(exploration: Exploration, name: str, label: str) -> str:
+    rows = [(row.t_s, float(getattr(row, name))) for row in exploration.rounds if row.axis == _first_axis(exploration)]
+    if not rows:
+        return '<p class="missing">no round was flown</p>'
+    points = np.array(rows)
+    plot = Plot(padded(points[:, 0]), padded(np.append(points[:, 1], 0.0)), ("time (s)", label), label, height=260.0)
+    plot.line(points, "steps")
+    plot.marks(points, "target", [f"round {k}: {v:.3f}" for k, (_, v) in enumerate(rows, 1)])
+    return plot.svg()
+
+
+def _first_axis(exploration: Exploration) -> int:
+    return exploration.rounds[0].axis if exploration.rounds else 2
+
+
+def _ledger(axis: AxisCertificate) -> str:
+    lines = [(each.name.replace("_", " "), each.mps2, each.because) for each in axis.margins]
+    lines.append(("together", sum(each.mps2 for each in axis.margins), ""))
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th><td>{mps2:.3f}</td><td>{escape(because)}</td></tr>"
+        for name, mps2, because in lines
+    )
+    return f'<h3>{AXES[axis.axis]}</h3><table class="facts">{rows}</table>'
+
+
+def _round(number: int, row: Round) -> str:
+    target = "–" if row.target is None else f"e {row.target[0]:.2f} m, v {row.target[1]:.2f} m/s"
+    return (
+        f"<tr><td>{number}</td><td>{AXES[row.axis]}</td><td>{row.t_s:.1f} s</td><td>{row.version}</td>"
+        f"<td>{row.area_m2ps:.3f}</td><td>{row.width_mps2:.3f}</td><td>{target}</td></tr>"
+    )

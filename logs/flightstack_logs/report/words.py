@@ -1,0 +1,195 @@
+"""The page's sentences and key figures: what happened, in words and numbers with units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flightstack_logs.report import signals
+from flightstack_logs.report.charts import motor_saturation, tracking_error
+from flightstack_logs.report.flight import FlightReport
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One key figure: `state` is good, bad, off or plain."""
+
+    label: str
+    value: str
+    note: str = ""
+    state: str = "plain"
+
+
+def length(metres: float | None) -> str:
+    """A length as people say it: centimetres below a metre."""
+    if metres is None:
+        return "–"
+    return f"{100.0 * metres:.1f} cm" if abs(metres) < 1.0 else f"{metres:.2f} m"
+
+
+def seconds(value: float) -> str:
+    """A duration: seconds, from two minutes on minutes and seconds."""
+    if value < 120.0:
+        return f"{value:.1f} s"
+    return f"{int(value // 60)} min {value % 60:.0f} s"
+
+
+def percent(share: float) -> str:
+    """A share of 1 in per cent; small ones keep a decimal."""
+    if 0.0 < share < 0.001:
+        return "< 0.1 %"
+    return f"{100.0 * share:.1f} %" if 0.0 < share < 0.1 else f"{100.0 * share:.0f} %"
+
+
+def microseconds(value: float | None) -> str:
+    """A time-span in the unit that reads best."""
+    if value is None:
+        return "–"
+    return f"{value:.0f} µs" if abs(value) < 1000.0 else f"{value / 1000.0:.2f} ms"
+
+
+def judged_span(flight: FlightReport) -> tuple[float, float]:
+    """From the end of take-off to the command to land, as far as the phases say it; else everything."""
+    takeoff, landing = flight.phase("takeoff"), flight.phase("landing")
+    start = takeoff.end_s if takeoff is not None else -math.inf
+    end = landing.start_s if landing is not None else math.inf
+    if landing is None and flight.phase("track") is not None:
+        end = max(phase.end_s for phase in flight.phases)
+    return start, end
+
+
+def with_measured_figures(flight: FlightReport) -> FlightReport:
+    """The same flight; tracking figures that its result doesn't state are computed from its signals."""
+    outcome = flight.outcome
+    error = tracking_error(flight)
+    if error is None or outcome.rmse_m is not None:
+        return flight
+    distance = signals.norm(error)
+    start, end = judged_span(flight)
+    start, end = max(start, float(distance.t_s[0])), min(end, float(distance.t_s[-1]))
+    judged = signals.within(distance, start, end)
+    if not np.isfinite(judged).any():
+        return flight
+    outcome = replace(
+        outcome,
+        tracking_of="truth" if flight.truth_ned_m is not None else "estimate",
+        rmse_m=signals.rms(judged),
+        max_m=float(np.nanmax(judged)),
+        rmse_settled_m=signals.rms(signals.within(distance, 0.5 * (start + end), end)),
+        flight_time_s=end - start if outcome.flight_time_s is None else outcome.flight_time_s,
+    )
+    return replace(flight, outcome=outcome)
+
+
+def verdict(flight: FlightReport) -> tuple[str, str]:
+    """(state, word): good "Completed", bad "Failed" or "Check failed", plain "Recorded"."""
+    completed = flight.outcome.completed
+    if completed is None:
+        return "plain", "Recorded"
+    if completed and outcome_left(flight):
+        return "bad", "Left its region"
+    if completed and not all(check.passed for check in flight.outcome.checks):
+        return "bad", "Check failed"
+    return ("good", "Completed") if completed else ("bad", "Failed")
+
+
+def outcome_left(flight: FlightReport) -> bool:
+    """Whether a filter flew and the true state left the region all the same."""
+    return bool(flight.outcome.barrier_enabled and flight.outcome.barrier_violations)
+
+
+def headline(flight: FlightReport) -> str:
+    """What happened, in one sentence."""
+    outcome = flight.outcome
+    name = outcome.scenario
+    time = "" if outcome.flight_time_s is None else seconds(outcome.flight_time_s)
+    if outcome.completed is False:
+        after = f" after {time}" if time else ""
+        why = f": {outcome.reason.rstrip('.')}" if outcome.reason else ""
+        error = "" if outcome.rmse_m is None else f" Tracking error {length(outcome.rmse_m)} rms."
+        return f"{name} failed{after}{why}.{error}"
+    done = "completed" if outcome.completed else "recorded"
+    parts = [f"{name} {done}"]
+    if time:
+        parts.append(f"{time} flown")
+    if outcome.rmse_m is not None:
+        worst = "" if outcome.max_m is None else f" (at most {length(outcome.max_m)})"
+        parts.append(f"tracking error {length(outcome.rmse_m)} rms{worst}")
+    return ", ".join(parts) + "."
+
+
+def figures(flight: FlightReport) -> tuple[Figure, ...]:
+    """The strip of key figures."""
+    outcome = flight.outcome
+    of = f"of the {outcome.tracking_of}" if outcome.tracking_of else ""
+    return (
+        Figure("Tracking error, rms", length(outcome.rmse_m), of),
+        Figure("Largest error", length(outcome.max_m), of),
+        Figure("Settled error, rms", length(outcome.rmse_settled_m), "second half"),
+        _saturation(flight),
+        _speed(flight),
+        _barrier(flight),
+        _learner(flight),
+    )
+
+
+def _saturation(flight: FlightReport) -> Figure:
+    start, end = judged_span(flight)
+    motors = ""
+    if flight.motors is not None:
+        at_limit = signals.within(motor_saturation(flight.motors), start, end)
+        motors = f"a motor at its limit: {percent(float(np.mean(at_limit)))}" if at_limit.size else ""
+    if flight.thrust_saturated is None:
+        return Figure("Thrust at its limit", "–", motors or "not recorded")
+    rows = signals.within(flight.thrust_saturated, start, end)
+    if not rows.size:
+        return Figure("Thrust at its limit", "–", motors)
+    return Figure("Thrust at its limit", percent(float(np.nanmean(rows))), motors or "of the time judged")
+
+
+def _speed(flight: FlightReport) -> Figure:
+    outcome = flight.outcome
+    factor = outcome.realtime_factor
+    if outcome.lockstep is False or (flight.timing is not None and outcome.lockstep is None):
+        timing = flight.timing
+        note = "" if timing is None else f"late {microseconds(timing.p99_us)} p99, missed {count(timing.missed)}"
+        return Figure("Speed", "real time", note)
+    if factor is None:
+        return Figure("Speed", "–", "not recorded")
+    return Figure("Speed", f"{factor:.1f} ×", "real time, in lockstep")
+
+
+def _barrier(flight: FlightReport) -> Figure:
+    outcome = flight.outcome
+    if outcome.barrier_enabled is None:
+        return Figure("Barrier filter", "–", "not recorded")
+    if not outcome.barrier_enabled:
+        return Figure("Barrier filter", "off", "", "off")
+    violations = outcome.barrier_violations
+    state = "plain" if violations is None else "bad" if violations else "good"
+    value = f"{count(violations)} violations"
+    least = "" if outcome.barrier_min_h is None else f"least h {outcome.barrier_min_h:.3f}, "
+    return Figure("Barrier filter", value, f"{least}{count(outcome.barrier_interventions)} interventions", state)
+
+
+def _learner(flight: FlightReport) -> Figure:
+    learner = flight.outcome.learner
+    if learner is None:
+        return Figure("Learner", "–", "not recorded")
+    if not learner.enabled:
+        return Figure("Learner", "off", "", "off")
+    note = "" if learner.coverage is None else f"{share(learner.coverage)} within 3 sigma"
+    return Figure("Learner", f"{count(learner.points)} points", note)
+
+
+def share(value: float) -> str:
+    """A share near 1 in per cent, with as many decimals as it takes not to claim a whole that isn't."""
+    decimals = 1 if value <= 0.999 or value == 1.0 else 2
+    return f"{math.floor(10.0 ** (decimals + 2) * value + 1e-6) / 10.0**decimals:.{decimals}f} %"
+
+
+def count(value: int | None) -> str:
+    """A number, or a dash."""
+    return "–" if value is None else str(value)

@@ -1,0 +1,87 @@
+"""What reading gives: a `Log` of typed tables, whatever kind of file it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack_logs.topics import Attachment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """The messages of one topic as columns."""
+
+    name: str
+    t_us: NDArray[np.int64]
+    """(N,) log time: the vehicle's own clock, microseconds, ascending."""
+    columns: dict[str, np.ndarray]
+    """Field -> (N,) or (N, k); float64, int64, bool or str."""
+    units: dict[str, str]
+    """Field -> unit, as the log says."""
+
+    def __len__(self) -> int:
+        return len(self.t_us)
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return self.columns[column]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Messages:
+    """The messages of one topic as they were logged: raw MAVLink, viewer messages, anything that is no table."""
+
+    name: str
+    t_us: NDArray[np.int64]
+    """(N,) as in `Table`."""
+    data: list[bytes]
+
+    def __len__(self) -> int:
+        return len(self.t_us)
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a log says about one of its topics."""
+
+    kind: str
+    """table, raw, log or view; empty in a log of other origin."""
+    schema: str
+    description: str
+    source: str
+    rate_hz: float
+    """Nominal, 0 where none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Log:
+    """A whole log."""
+
+    path: Path
+    kind: str
+    """Kind of file: mcap, ulog, csv, cfusdlog."""
+    complete: bool
+    """False where the file was cut off or is damaged; `notes` says how."""
+    notes: tuple[str, ...]
+    tables: dict[str, Table]
+    messages: dict[str, Messages]
+    about: dict[str, About]
+    metadata: dict[str, dict[str, str]]
+    attachments: tuple[Attachment, ...]
+    size_bytes: int
+
+    @property
+    def span_us(self) -> tuple[int, int]:
+        """First and last log time; (0, 0) in an empty log."""
+        all_times = [table.t_us for table in self.tables.values()] + [raw.t_us for raw in self.messages.values()]
+        times = [t for t in all_times if len(t)]
+        if not times:
+            return 0, 0
+        return min(int(t[0]) for t in times), max(int(t[-1]) for t in times)
+
+    def attachment(self, name: str) -> bytes | None:
+        """Content of the attachment of that name."""
+        return next((item.data for item in self.attachments if item.name == name), None)

@@ -1,0 +1,135 @@
+"""The log in real time: a thread writes, the loop only appends to a bounded queue and never waits.
+
+Appending to a deque is atomic and wakes nobody, which keeps the cost in the loop at a fraction of a microsecond; the
+thread looks in every 10 ms, while the loop sleeps.  If the disk hangs, log lines are dropped and counted, no setpoint.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from flightstack.barrier.records import Certificate
+from flightstack.types import TickRecord
+from flightstack_logs import scene as viewer
+from flightstack_logs.writer import FlightLog
+
+POLL_S = 0.01
+FLUSH_POLLS = 50
+"""Looks after which the file is flushed even when the vehicle's time stands still: half a second."""
+CAPACITY = 20_000
+"""About six seconds of a flight."""
+
+
+class ThreadedLog:
+    """A `FlightLog` behind a queue; it may only be used through this object until `close` has returned."""
+
+    def __init__(self, log: FlightLog, *, capacity: int = CAPACITY, start: bool = True) -> None:
+        self.log = log
+        self.dropped = 0
+        """Calls that found the queue full."""
+        self._queue: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
+        self._capacity = capacity
+        self._last_t_us = 0
+        self._stop = threading.Event()
+        self._late = False
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        if start:
+            self._thread.start()
+
+    @property
+    def failed(self) -> str | None:
+        """The first thing that went wrong, one line."""
+        if self._late:
+            return f"log {self.log.path}: the disk took too long; {len(self._queue)} lines are not in the log"
+        if self.log.failed is None and self.dropped:
+            return f"log {self.log.path}: the disk was too slow; {self.dropped} lines are not in the log"
+        return self.log.failed
+
+    def _put(self, t_us: int, call: Callable[..., None], *arguments: object) -> None:
+        if self._closed:
+            return
+        if len(self._queue) >= self._capacity:
+            self.dropped += 1
+            return
+        self._last_t_us = t_us
+        self._queue.append((call, arguments))
+
+    def write(self, topic: str, t_us: int, record: object) -> None:
+        """One message of a topic of the table."""
+        self._put(t_us, self.log.write, topic, t_us, record)
+
+    def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
+        """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
+        self._put(t_us, self.log.mavlink, direction, t_us, data)
+
+    def tick(self, record: TickRecord) -> None:
+        """One tick of the stack."""
+        self._put(record.t_us, self.log.tick, record)
+
+    def truth(self, t_us: int, truth: object) -> None:
+        """The simulator's truth."""
+        self._put(t_us, self.log.truth, t_us, truth)
+
+    def event(self, t_us: int, name: str, text: str, severity: str = "info") -> None:
+        """Something that happened."""
+        self._put(t_us, self.log.event, t_us, name, text, severity)
+
+    def statustext(self, t_us: int, severity: int, text: str) -> None:
+        """A line that the vehicle said, with its MAV_SEVERITY."""
+        self._put(t_us, self.log.statustext, t_us, severity, text)
+
+    def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
+        """Where the vehicle is on the map."""
+        self._put(t_us, self.log.location, t_us, latitude_deg, longitude_deg, altitude_m)
+
+    def scene(self, t_us: int, view: viewer.Scene) -> None:
+        """What the 3-D view shows."""
+        self._put(t_us, self.log.scene, t_us, view)
+
+    def certified(self, t_us: int, region: viewer.Region) -> None:
+        """The positions that a new certificate allows, for the 3-D view."""
+        self._put(t_us, self.log.certified, t_us, region)
+
+    def certificate(self, t_us: int, certificate: Certificate) -> None:
+        """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
+        self._put(t_us, self.log.certificate, t_us, certificate)
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """Write what is queued and finish the file, waiting at most so long; again does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stop.set()
+        if self._thread.ident is None:
+            self._finish()
+            return
+        self._thread.join(timeout_s)
+        self._late = self._thread.is_alive()
+
+    def _run(self) -> None:
+        polls = 0
+        while not self._stop.wait(POLL_S):
+            polls += 1
+            self._drain()
+            if polls >= FLUSH_POLLS:
+                polls = 0
+                self.log.flush()
+        self._finish()
+
+    def _drain(self) -> None:
+        queue = self._queue
+        while queue:
+            call, arguments = queue.popleft()
+            call(*arguments)
+
+    def _finish(self) -> None:
+        self._drain()
+        if self.dropped:
+            self.log.event(
+                self._last_t_us, "log", f"the disk was too slow: {self.dropped} lines are missing", "warning"
+            )
+        self.log.close()

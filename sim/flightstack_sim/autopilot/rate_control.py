@@ -1,0 +1,251 @@
+"""Body-rate control with PX4's structure, at 1 kHz, one compiled call a sample down to the motor commands.
+
+    torque = P e + I - D w' + FF w_sp        P, I, D each times K; e = w_sp - w
+
+Gyro: second-order Butterworth low-pass (IMU_GYRO_CUTOFF).  w': its derivative through a first-order low-pass
+(IMU_DGYRO_CUTOFF).  The integrator's step shrinks with the error, i' = I e (1 - (e / 400 deg/s)^2) and nothing beyond;
+it is held while landed, is limited, doesn't grow further into an axis that the allocation couldn't serve, and starts
+at 0 on arming.  Yaw torque passes a first-order low-pass (MC_YAW_TQ_CUTOFF).  Motor commands are thrusts where
+THR_MDL_FAC is 0; above, they are the commands whose curve gives those thrusts.
+
+PX4's gains are tuned for each airframe through K.  Here K follows from the vehicle file: angular acceleration per unit
+of torque alpha and total lag tau (rotors, gyro filter, yaw's low-pass) make a loop s (tau s + 1) + K P alpha, whose
+damping falls with K P alpha tau.  K = min(1, c / (P alpha tau)) leaves PX4's defaults on ordinary vehicles and
+holds back agile ones.  Nobody flies a vehicle that rings: where what really flies answers later than the file says
+(`flown`), K is the greatest that leaves the loop 35 degrees of phase.
+"""
+
+from __future__ import annotations
+
+import math
+from struct import Struct
+
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3
+from flightstack.vehicle import Vehicle
+from flightstack_sim.autopilot.allocation import allocate, effectiveness, mixer
+from flightstack_sim.autopilot.params import Params
+
+AXES = ("ROLLRATE", "PITCHRATE", "YAWRATE")
+INTEGRATOR_LIMITS = ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM")
+LOOP_GAIN_MAX = (1.1, 1.1, 0.6)
+"""Most P K alpha tau of roll, pitch, yaw that the default K allows; yaw has no D to damp it."""
+PHASE_MARGIN_DEG = 35.0
+"""Least of the default K.  A rotor lag of 80 ms leaves PX4's defaults 41 degrees, 20 ms of dead time beside it 15."""
+_FREQUENCIES_RADPS = np.geomspace(0.5, 500.0, 600)
+_INTEGRATOR_FADE_RADPS = math.radians(400.0)
+
+# places in the loop's state
+_RATE_SP, _THRUST_SP, _ARMED, _HOLD_I = 0, 3, 4, 5
+_TARGET = Struct("6d")  # these six in one go, which is several times as fast as one by one
+_FILTER, _RATE, _ACC, _INTEGRAL, _TORQUE, _LOST, _STARTED = 6, 12, 15, 18, 21, 24, 27
+_STATE_SIZE = 28
+# places in its configuration
+_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22, 23
+_CONFIG_SIZE = 24
+# and of all in the loop's one row: state, configuration, motor commands, then the mixer's rows
+_CONFIG = _STATE_SIZE
+_MOTORS = _CONFIG + _CONFIG_SIZE
+_ROTORS = 4
+_MIX = _MOTORS + _ROTORS
+
+
+def butterworth2(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float, float, float]:
+    """(b0, b1, b2, a1, a2) of a second-order Butterworth low-pass (bilinear, prewarped); no filter at 0 Hz."""
+    if cutoff_hz <= 0.0 or cutoff_hz >= 0.5 * sample_hz:
+        return 1.0, 0.0, 0.0, 0.0, 0.0
+    k = math.tan(math.pi * cutoff_hz / sample_hz)
+    norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
+    b0 = k * k * norm
+    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
+
+
+def first_order_alpha(cutoff_hz: float, dt_s: float) -> float:
+    """Weight of the new sample in a first-order low-pass; 1 (no filter) at 0 Hz."""
+    return 1.0 if cutoff_hz <= 0.0 else dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+
+
+def hover_command(vehicle: Vehicle) -> float:
+    """Motor command 0..1 at which the file's rotors carry the file's mass: f u^2 + (1 - f) u = m g / (4 T_max)."""
+    rotors = vehicle.rotors
+    load = vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / (len(rotors.position_m) * rotors.max_thrust_n)
+    f = rotors.thrust_model_factor
+    u = load if f < 1e-9 else (math.sqrt((1.0 - f) ** 2 + 4.0 * f * load) - (1.0 - f)) / (2.0 * f)
+    return min(u, 1.0)
+
+
+def angular_acceleration_per_torque(vehicle: Vehicle) -> F64:
+    """(3,) rad/s^2 per unit of roll, pitch, yaw torque setpoint, linearised at hover."""
+    rotors = vehicle.rotors
+    f = rotors.thrust_model_factor
+    slope_n = rotors.max_thrust_n * (2.0 * f * hover_command(vehicle) + 1.0 - f)
+    moment_nm = np.diag(effectiveness(rotors)[:3] @ mixer(rotors)[:, :3]) * slope_n
+    return moment_nm / np.asarray(vehicle.inertia_kgm2)
+
+
+def default_rate_gains(vehicle: Vehicle, params: Params, flown: Vehicle | None = None) -> dict[str, float]:
+    """MC_*RATE_K for this airframe, as tuned on what is `flown` (see the module's text); by default the airframe."""
+    gyro_hz = params.get("IMU_GYRO_CUTOFF")
+    gyro_s = math.sqrt(2.0) / (2.0 * math.pi * gyro_hz) if gyro_hz > 0.0 else 0.0
+    d_hz = params.get("IMU_DGYRO_CUTOFF")
+    d_s = 1.0 / (2.0 * math.pi * d_hz) if d_hz > 0.0 else 0.0
+    yaw_hz = params.get("MC_YAW_TQ_CUTOFF")
+    effects = (flown or vehicle).effects
+    lag_s = effects.get("motor_lag", {}).get("time_constant_s", vehicle.rotors.time_constant_s)
+    dead_s = effects.get("transport_delay", {}).get("delay_s", 0.0)
+    alpha = angular_acceleration_per_torque(vehicle)
+    gains = {}
+    for axis, name in enumerate(AXES):
+        p, i, d = (params.get(f"MC_{name}_{part}") for part in "PID")
+        yaw_s = 1.0 / (2.0 * math.pi * yaw_hz) if axis == 2 and yaw_hz > 0.0 else 0.0
+        loop = p * float(alpha[axis]) * (vehicle.rotors.time_constant_s + gyro_s + yaw_s)
+        k = max(0.01, min(1.0, LOOP_GAIN_MAX[axis] / loop)) if loop > 0.0 else 1.0
+        lags_s, rate = (lag_s, gyro_s, yaw_s), float(alpha[axis])
+        while k > 0.01 and phase_margin_deg((k * p, k * i, k * d, d_s), rate, lags_s, dead_s) < PHASE_MARGIN_DEG:
+            k *= 0.98
+        gains[f"MC_{name}_K"] = k
+    return gains
+
+
+def phase_margin_deg(gains: tuple[float, float, float, float], alpha: float, lags_s: Tuple3, dead_s: float) -> float:
+    """Of the loop (P + I / s + D s / (1 + s D_s)) alpha e^(-s dead) / (s (1 + s lag) ...), `gains` P, I, D, D_s.
+
+    180 where its gain is below 1 throughout.
+    """
+    p, i, d, d_s = gains
+    s = 1j * _FREQUENCIES_RADPS
+    loop = (p + i / s + d * s / (1.0 + s * d_s)) * alpha / s
+    for lag_s in lags_s:
+        loop = loop / (1.0 + s * lag_s)
+    above = np.flatnonzero(np.abs(loop) >= 1.0)
+    if not above.size:
+        return 180.0
+    at = int(above[-1])
+    return 180.0 + math.degrees(float(np.unwrap(np.angle(loop))[at]) - dead_s * float(_FREQUENCIES_RADPS[at]))
+
+
+class RateControl:
+    """Rate loop and allocation of one vehicle.
+
+    All arrays are parts of one `row`, which compiled code takes, and are updated in place: `rate_frd_radps` (3,) the
+    filtered gyro, `angular_acceleration_frd_radps2` (3,) its filtered derivative, `rate_setpoint_frd_radps` (3,),
+    `torque` (3,) normalised, `integral` (3,), `motor_command` (4,) 0..1.  `thrust_setpoint` is the collective thrust
+    asked for, 0..1.
+    """
+
+    __slots__ = (
+        "_config",
+        "_dt_s",
+        "_target",
+        "angular_acceleration_frd_radps2",
+        "integral",
+        "motor_command",
+        "rate_frd_radps",
+        "rate_setpoint_frd_radps",
+        "row",
+        "thrust_setpoint",
+        "torque",
+    )
+
+    def __init__(self, vehicle: Vehicle, params: Params, dt_s: float = 0.001) -> None:
+        self._dt_s = dt_s
+        mix = mixer(vehicle.rotors)
+        row = self.row = np.zeros(_MIX + mix.size)
+        row[_MIX:] = mix.ravel()
+        self._target = memoryview(row)  # type: ignore[arg-type]
+        self._config = row[_CONFIG:_MOTORS]
+        self.motor_command = row[_MOTORS:_MIX]
+        self.rate_setpoint_frd_radps = row[_RATE_SP : _RATE_SP + 3]
+        self.rate_frd_radps = row[_RATE : _RATE + 3]
+        self.angular_acceleration_frd_radps2 = row[_ACC : _ACC + 3]
+        self.integral = row[_INTEGRAL : _INTEGRAL + 3]
+        self.thrust_setpoint = 0.0
+        self.torque = row[_TORQUE : _TORQUE + 3]
+        self.configure(params)
+
+    def configure(self, params: Params) -> None:
+        """Take gains and cut-offs from the parameters; acts from the next sample."""
+        c = self._config
+        for axis, name in enumerate(AXES):
+            k = params.get(f"MC_{name}_K")
+            c[_P + axis] = k * params.get(f"MC_{name}_P")
+            c[_I + axis] = k * params.get(f"MC_{name}_I")
+            c[_D + axis] = k * params.get(f"MC_{name}_D")
+            c[_FF + axis] = params.get(f"MC_{name}_FF")
+            c[_LIMIT + axis] = params.get(INTEGRATOR_LIMITS[axis])
+        b0, b1, b2, a1, a2 = butterworth2(params.get("IMU_GYRO_CUTOFF"), 1.0 / self._dt_s)
+        c[_B], c[_B + 1], c[_B + 2], c[_A1], c[_A2] = b0, b1, b2, a1, a2
+        c[_ALPHA_D] = first_order_alpha(params.get("IMU_DGYRO_CUTOFF"), self._dt_s)
+        c[_ALPHA_YAW] = first_order_alpha(params.get("MC_YAW_TQ_CUTOFF"), self._dt_s)
+        c[_DT] = self._dt_s
+        c[_CURVE] = params.get("THR_MDL_FAC")
+
+    def set_target(self, rate: tuple[float, float, float], thrust: float, *, armed: bool, hold_integral: bool) -> None:
+        """Rates (rad/s, NaN: the measured rate, so no action of P and I) and collective thrust from now on."""
+        self.thrust_setpoint = thrust
+        p, q, r = rate
+        _TARGET.pack_into(self._target, 0, p, q, r, thrust, armed, hold_integral)
+
+    def step(self, gyro_frd_radps: F64) -> None:
+        """One gyro sample (3,) rad/s -> `motor_command`."""
+        rate_step(gyro_frd_radps, self.row)
+
+
+@njit
+def motors_of(row: F64) -> F64:
+    """The motor commands in a loop's row."""
+    return row[_MOTORS:_MIX]
+
+
+@njit
+def rate_step(gyro: F64, row: F64) -> None:
+    """Filter, PID and allocation of one sample (3,), in place in a loop's row."""
+    s, c, motors, mix = row[:_STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:].reshape(_ROTORS, 4)
+    first = s[_STARTED] == 0.0
+    s[_STARTED] = 1.0
+    armed = s[_ARMED] != 0.0
+    for axis in range(3):
+        z1, z2 = _FILTER + axis, _FILTER + 3 + axis
+        x = gyro[axis]
+        if first:  # as if the first sample had lasted for ever
+            y = x
+            s[z1] = x * (1.0 - c[_B])
+            s[z2] = x * (c[_B + 2] - c[_A2])
+            s[_RATE + axis] = x
+        else:
+            y = c[_B] * x + s[z1]
+            s[z1] = c[_B + 1] * x - c[_A1] * y + s[z2]
+            s[z2] = c[_B + 2] * x - c[_A2] * y
+        raw_acc = (y - s[_RATE + axis]) / c[_DT]
+        s[_ACC + axis] += c[_ALPHA_D] * (raw_acc - s[_ACC + axis])
+        s[_RATE + axis] = y
+    if not armed:
+        for k in range(3):
+            s[_INTEGRAL + k] = 0.0
+            s[_TORQUE + k] = 0.0
+            s[_LOST + k] = 0.0
+        motors[:] = 0.0
+        return
+    for axis in range(3):
+        target = s[_RATE_SP + axis]
+        if math.isnan(target):
+            target = s[_RATE + axis]
+        error = target - s[_RATE + axis]
+        integral = s[_INTEGRAL + axis]
+        torque = c[_P + axis] * error + integral - c[_D + axis] * s[_ACC + axis] + c[_FF + axis] * target
+        if axis == 2:
+            torque = s[_TORQUE + 2] + c[_ALPHA_YAW] * (torque - s[_TORQUE + 2])
+        s[_TORQUE + axis] = torque
+        lost = s[_LOST + axis]
+        if s[_HOLD_I] == 0.0 and not (lost > 1e-9 and error > 0.0) and not (lost < -1e-9 and error < 0.0):
+            fade = error / _INTEGRATOR_FADE_RADPS
+            integral += c[_I + axis] * error * max(0.0, 1.0 - fade * fade) * c[_DT]
+            s[_INTEGRAL + axis] = min(max(integral, -c[_LIMIT + axis]), c[_LIMIT + axis])
+    allocate(mix, s[_TORQUE], s[_TORQUE + 1], s[_TORQUE + 2], s[_THRUST_SP], motors, s[_LOST : _LOST + 3])
+    curve = c[_CURVE]
+    if curve > 1e-6:  # the command u whose curve f u^2 + (1 - f) u is the thrust wanted
+        for i in range(motors.shape[0]):
+            linear = 1.0 - curve
+            motors[i] = (math.sqrt(linear * linear + 4.0 * curve * motors[i]) - linear) / (2.0 * curve)

@@ -1,0 +1,44 @@
+"""The battery: open-circuit voltage falling linearly with charge, and an inner resistance.
+
+The rotors draw their induced power sum T^1.5 / sqrt(2 rho A) over a figure of merit (motors and ESCs included); the
+terminal voltage solves V = OCV - R P / V, and where no such V exists the battery gives all it can, V = OCV / 2.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack_sim.layout import (
+    D_DISK,
+    P_CAPACITY,
+    P_DT,
+    P_EMPTY_V,
+    P_FULL_V,
+    P_HAS_BATTERY,
+    P_RESISTANCE,
+    S_CHARGE,
+    S_THRUST,
+    S_VOLTAGE,
+)
+
+FIGURE_OF_MERIT = 0.6
+
+
+@njit
+def discharge(p: F64, row: F64) -> None:
+    """Take one step's charge out of the battery and set the voltage that the next step sees; 0 V without battery."""
+    if p[P_HAS_BATTERY] == 0.0:
+        row[S_VOLTAGE] = 0.0
+        return
+    power = 0.0
+    for i in range(4):
+        thrust = max(row[S_THRUST + i], 0.0)
+        power += thrust * math.sqrt(thrust / p[D_DISK])
+    power /= FIGURE_OF_MERIT
+    open_circuit = p[P_EMPTY_V] + (p[P_FULL_V] - p[P_EMPTY_V]) * row[S_CHARGE]
+    inside = max(open_circuit * open_circuit - 4.0 * p[P_RESISTANCE] * power, 0.0)
+    voltage = 0.5 * (open_circuit + math.sqrt(inside))
+    row[S_VOLTAGE] = voltage
+    row[S_CHARGE] = max(row[S_CHARGE] - power / voltage * p[P_DT] / p[P_CAPACITY], 0.0)

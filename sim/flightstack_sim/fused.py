@@ -1,0 +1,103 @@
+"""A native plant, its autopilot's rate loop and its sensors in one compiled call for several milliseconds.
+
+It calls the very functions that those call one by one, in the same order, so the flight is the same bit for bit: only
+the way through Python is left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack_sim.autopilot.rate_control import RateControl, motors_of, rate_step
+from flightstack_sim.effects import turbulence
+from flightstack_sim.layout import EVALUATED, S_COMMAND, S_FORCE, S_NORMALS, S_POS, S_Q, S_RATE, S_VEL
+from flightstack_sim.plant import NativePlant
+from flightstack_sim.rigid_body import step_row
+from flightstack_sim.sensors import GYRO, Sensors, sense
+
+
+class FusedRun:
+    """`run(steps)`: rate loop, plant, sensors, `steps` times."""
+
+    __slots__ = ("_plant", "_rate", "_sensors")
+
+    def __init__(self, plant: NativePlant, rate: RateControl, sensors: Sensors) -> None:
+        self._plant = plant
+        self._rate = rate
+        self._sensors = sensors
+
+    def run(self, steps: int) -> None:
+        """At most as many steps as the sensors have before their next estimate, that one included."""
+        plant, rate, sensors = self._plant, self._rate, self._sensors
+        while steps > 0:
+            normals = plant.take_normals(steps)
+            count = min(steps, len(normals)) if len(normals) else steps
+            estimator = sensors.estimator
+            _run(
+                count,
+                rate.row,
+                plant.params_row,
+                plant.state_row,
+                normals,
+                plant.gyro_bias_frd_radps,
+                plant.accel_bias_frd_mps2,
+                plant.misalignment_q,
+                sensors.noise,
+                sensors.noise_row(),
+                sensors.imu,
+                estimator.noise,
+                estimator.noise_row(),
+                estimator.model,
+                estimator.state,
+            )
+            plant.t_us += count * plant.dt_us
+            sensors.sampled(plant, count)
+            steps -= count
+
+
+@njit
+def _run(
+    steps: int,
+    loop: F64,
+    params: F64,
+    row: F64,
+    normals: F64,
+    gyro_bias: F64,
+    accel_bias: F64,
+    misalignment: F64,
+    noise: F64,
+    noise_row: int,
+    imu: F64,
+    estimator_noise: F64,
+    estimator_row: int,
+    model: F64,
+    estimate: F64,
+) -> None:
+    work, motors = np.empty((3, EVALUATED)), motors_of(loop)
+    for k in range(steps):
+        rate_step(imu[GYRO : GYRO + 3], loop)
+        for i in range(4):
+            row[S_COMMAND + i] = motors[i]
+        if normals.shape[0] > 0:
+            for i in range(turbulence.NORMALS):
+                row[S_NORMALS + i] = normals[k, 0, i]
+        step_row(params, row, work)
+        sense(
+            row[S_RATE : S_RATE + 3],
+            row[S_FORCE : S_FORCE + 3],
+            row[S_POS : S_POS + 3],
+            row[S_VEL : S_VEL + 3],
+            row[S_Q : S_Q + 4],
+            gyro_bias,
+            accel_bias,
+            misalignment,
+            noise,
+            noise_row + k,
+            imu,
+            estimator_noise,
+            estimator_row,
+            model,
+            estimate,
+        )

@@ -1,0 +1,68 @@
+"""A JSBSim plant, its autopilot's rate loop and its sensors for several milliseconds, with one compiled call for each.
+
+It calls the very functions that those call one by one, in the same order, so the flight is the same bit for bit: only
+the way through Python is left out.  JSBSim itself can't be called from compiled code.
+"""
+
+from __future__ import annotations
+
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack_sim.autopilot.rate_control import RateControl, rate_step
+from flightstack_sim.jsbsim.plant import E_ACCEL, E_GYRO, E_TURN, JsbsimPlant
+from flightstack_sim.jsbsim.readings import R_FORCE, R_POS, R_Q, R_RATE, R_VEL, read
+from flightstack_sim.sensors import GYRO, Sensors, sense
+
+
+class JsbsimRun:
+    """`run(steps)`: rate loop, plant, sensors, `steps` times."""
+
+    __slots__ = ("_plant", "_rate", "_sensors")
+
+    def __init__(self, plant: JsbsimPlant, rate: RateControl, sensors: Sensors) -> None:
+        self._plant = plant
+        self._rate = rate
+        self._sensors = sensors
+
+    def run(self, steps: int) -> None:
+        """At most as many steps as the sensors have before their next estimate, that one included."""
+        plant, rate, sensors = self._plant, self._rate, self._sensors
+        estimator = sensors.estimator
+        row, estimator_row = sensors.noise_row(), estimator.noise_row()
+        arrays = (
+            rate.row, plant.sensor_errors, sensors.noise, sensors.imu, estimator.noise, estimator.model,
+            estimator.state,
+        )  # fmt: skip
+        rate.step(sensors.gyro_frd_radps)
+        plant.fly(rate.motor_command, _look, [(steps - 1 - k, row + k, estimator_row, *arrays) for k in range(steps)])
+        sensors.sampled(plant, steps)
+
+
+@njit
+def _look(
+    shown: F64, frame: F64, x: float, y: float, z: float, vn: float, ve: float, vd: float, phi: float, theta: float,
+    psi: float, p: float, q: float, r: float, fx: float, fy: float, fz: float, left: int, noise_row: int,
+    estimator_row: int, loop: F64, errors: F64, noise: F64, imu: F64, estimator_noise: F64, model: F64, estimate: F64,
+) -> float:  # fmt: skip
+    """After JSBSim's frame: its numbers, the sensors, and where another step follows its motor commands."""
+    height = read(shown, frame, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz)
+    sense(
+        shown[R_RATE : R_RATE + 3],
+        shown[R_FORCE : R_FORCE + 3],
+        shown[R_POS : R_POS + 3],
+        shown[R_VEL : R_VEL + 3],
+        shown[R_Q : R_Q + 4],
+        errors[E_GYRO : E_GYRO + 3],
+        errors[E_ACCEL : E_ACCEL + 3],
+        errors[E_TURN : E_TURN + 4],
+        noise,
+        noise_row,
+        imu,
+        estimator_noise,
+        estimator_row,
+        model,
+        estimate,
+    )
+    if left > 0:
+        rate_step(imu[GYRO : GYRO + 3], loop)
+    return height

@@ -1,0 +1,298 @@
+"""Six degrees of freedom: the equations that sum what the effects contribute, and their integration.
+
+    pos' = vel      m vel' = m g + R f + f_world      q' = q (x) (0, omega) / 2      I omega' = tau - omega x I omega
+
+The classic Runge-Kutta method of fourth order integrates them; motors (exactly), gusts (exactly), battery and
+friction (both once a step) stand beside it.  The order in which the effects act is in docs/physics.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack_sim import ground
+from flightstack_sim.battery import discharge
+from flightstack_sim.effects import (
+    angular_damping,
+    battery_sag,
+    blade_flapping,
+    constant_force,
+    ground_effect,
+    induced_inflow,
+    linear_drag,
+    parasitic_drag,
+    rotor_drag,
+    rotor_gyroscopic,
+    slung_load,
+    steady_wind,
+    thrust_curve,
+    translational_lift,
+    transport_delay,
+    turbulence,
+    vortex_ring,
+)
+from flightstack_sim.layout import (
+    D_ARM,
+    D_FACTOR,
+    D_GAIN,
+    D_INERTIA,
+    D_LAG_FULL,
+    D_LAG_HALF,
+    D_MASS,
+    D_TAU,
+    E_FORCE,
+    E_NORMAL,
+    E_THRUST,
+    INTEGRATED,
+    P_DT,
+    P_MAX_SPEED,
+    P_MAX_THRUST,
+    P_TORQUE_RATIO,
+    S_ANGULAR,
+    S_FORCE,
+    S_NORMAL,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_THRUST,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+    S_WIND,
+    Vec,
+)
+
+_G = STANDARD_GRAVITY_MPS2
+_STANDING = 1e-9
+"""A motor commanded to 0 stands below this; its lag would go on through ever smaller numbers."""
+Quad = tuple[float, float, float, float]
+
+
+@njit
+def _rotor_thrust(p: F64, rotor: int, curve_n: float, sag: float, hub_air: Vec, height_m: float) -> float:
+    """Thrust (N) of one rotor: static curve, translational lift, then everything that multiplies."""
+    thrust = curve_n + translational_lift.added_thrust(p, curve_n, hub_air)
+    thrust *= p[D_GAIN + rotor] * sag
+    thrust *= ground_effect.factor(p, height_m)
+    return float(thrust * vortex_ring.factor(p, thrust, hub_air[2]))
+
+
+@njit
+def _rotor(
+    p: F64, i: int, height: float, speed: float, sag: float, air: Vec, rate: Vec, down: Vec, out: F64
+) -> tuple[Vec, Vec, float]:
+    """Force (N), torque (N m), both FRD, and angular momentum (N m s) of one rotor; its thrust goes to `out`."""
+    ax, ay, az = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1], p[D_ARM + 3 * i + 2]
+    wx, wy, wz = rate
+    hub_air = (air[0] + wy * az - wz * ay, air[1] + wz * ax - wx * az, air[2] + wx * ay - wy * ax)
+    hub_height = height - (down[0] * ax + down[1] * ay + down[2] * az)
+    thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * speed * speed, sag, hub_air, hub_height)
+    out[E_THRUST + i] = thrust
+    speed *= p[P_MAX_SPEED]
+    fx, fy, fz = rotor_drag.hub_force(p, speed, hub_air)
+    fz += induced_inflow.hub_force(p, speed, hub_air) - thrust
+    flap = blade_flapping.torque(p, speed, hub_air)
+    torque = (
+        ay * fz - az * fy + flap[0],
+        az * fx - ax * fz + flap[1],
+        ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust,
+    )
+    return (fx, fy, fz), torque, rotor_gyroscopic.momentum(p, i, speed)
+
+
+@njit
+def _rotors(p: F64, y: F64, speeds: Quad, sag: float, air: Vec, down: Vec, out: F64) -> tuple[Vec, Vec]:
+    """Force (N) and torque (N m) of the four rotors, FRD; `speeds` are shares of the greatest."""
+    height = -y[S_POS + 2]
+    rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
+    f1, t1, h1 = _rotor(p, 0, height, speeds[0], sag, air, rate, down, out)
+    f2, t2, h2 = _rotor(p, 1, height, speeds[1], sag, air, rate, down, out)
+    f3, t3, h3 = _rotor(p, 2, height, speeds[2], sag, air, rate, down, out)
+    f4, t4, h4 = _rotor(p, 3, height, speeds[3], sag, air, rate, down, out)
+    turn = rotor_gyroscopic.torque(h1 + h2 + h3 + h4, rate[0], rate[1])
+    force = (f1[0] + f2[0] + f3[0] + f4[0], f1[1] + f2[1] + f3[1] + f4[1], f1[2] + f2[2] + f3[2] + f4[2])
+    torque = (
+        t1[0] + t2[0] + t3[0] + t4[0] + turn[0],
+        t1[1] + t2[1] + t3[1] + t4[1] + turn[1],
+        t1[2] + t2[2] + t3[2] + t4[2],
+    )
+    return force, torque
+
+
+@njit
+def rotor_speeds(p: F64, u: Quad) -> Quad:
+    """Speeds of the four rotors as shares of the greatest, after the static curve: their squares are the thrusts'."""
+    f = p[D_FACTOR]
+    return (
+        math.sqrt(thrust_curve.share(u[0], f)),
+        math.sqrt(thrust_curve.share(u[1], f)),
+        math.sqrt(thrust_curve.share(u[2], f)),
+        math.sqrt(thrust_curve.share(u[3], f)),
+    )
+
+
+@njit
+def _to_body(q: F64, v: Vec) -> Vec:
+    """R^T v; `q` is the integrated state, its quaternion at S_Q."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * v[0] + 2.0 * (x * y + w * z) * v[1] + 2.0 * (x * z - w * y) * v[2],
+        2.0 * (x * y - w * z) * v[0] + (1.0 - 2.0 * (x * x + z * z)) * v[1] + 2.0 * (y * z + w * x) * v[2],
+        2.0 * (x * z + w * y) * v[0] + 2.0 * (y * z - w * x) * v[1] + (1.0 - 2.0 * (x * x + y * y)) * v[2],
+    )
+
+
+@njit
+def _to_world(q: F64, v: Vec) -> Vec:
+    """R v."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * v[0] + 2.0 * (x * y - w * z) * v[1] + 2.0 * (x * z + w * y) * v[2],
+        2.0 * (x * y + w * z) * v[0] + (1.0 - 2.0 * (x * x + z * z)) * v[1] + 2.0 * (y * z - w * x) * v[2],
+        2.0 * (x * z - w * y) * v[0] + 2.0 * (y * z + w * x) * v[1] + (1.0 - 2.0 * (x * x + y * y)) * v[2],
+    )
+
+
+@njit
+def _down(q: F64) -> Vec:
+    """The world's down axis in the body."""
+    w, x, y, z = q[S_Q], q[S_Q + 1], q[S_Q + 2], q[S_Q + 3]
+    return (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+
+
+@njit
+def evaluate(p: F64, y: F64, speeds: Quad, wind: Vec, sag: float, dy: F64) -> None:
+    """All forces and torques at one state: its derivative, specific force, thrusts and the ground's push into `dy`.
+
+    `y`: (INTEGRATED,) state; `speeds`: `rotor_speeds`; `wind`: NED, m/s; `sag`: the battery's thrust factor;
+    `dy`: (EVALUATED,).
+    """
+    air = _to_body(y, (y[S_VEL] - wind[0], y[S_VEL + 1] - wind[1], y[S_VEL + 2] - wind[2]))
+    rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
+    down = _down(y)
+    rotor_force, rotor_torque = _rotors(p, y, speeds, sag, air, down, dy)
+    linear, parasitic = linear_drag.force(p, air), parasitic_drag.force(p, air)
+    damping = angular_damping.torque(p, rate)
+    fx = rotor_force[0] + linear[0] + parasitic[0]
+    fy = rotor_force[1] + linear[1] + parasitic[1]
+    fz = rotor_force[2] + linear[2] + parasitic[2]
+    tx, ty, tz = rotor_torque[0] + damping[0], rotor_torque[1] + damping[1], rotor_torque[2] + damping[2]
+    fn, fe, fd = _to_world(y, (fx, fy, fz))
+    constant = constant_force.force(p)
+    fn, fe, fd = fn + constant[0], fe + constant[1], fd + constant[2]
+    dy[E_NORMAL] = 0.0
+    if ground.near(p, y[S_POS + 2]):
+        normal, about_x, about_y, about_z = ground.push(p, y, down)
+        dy[E_NORMAL] = normal
+        fd -= normal
+        tx, ty, tz = tx + about_x, ty + about_y, tz + about_z
+    mass = p[D_MASS]
+    pull = slung_load.pull(p, y, (fn, fe, fd + mass * _G), dy)
+    an, ae, ad = (fn + pull[0]) / mass, (fe + pull[1]) / mass, (fd + pull[2]) / mass
+    dy[E_FORCE], dy[E_FORCE + 1], dy[E_FORCE + 2] = _to_body(y, (an, ae, ad))
+    dy[S_POS], dy[S_POS + 1], dy[S_POS + 2] = y[S_VEL], y[S_VEL + 1], y[S_VEL + 2]
+    dy[S_VEL], dy[S_VEL + 1], dy[S_VEL + 2] = an, ae, ad + _G
+    _turning(p, y, rate, (tx, ty, tz), dy)
+
+
+@njit
+def _turning(p: F64, y: F64, rate: Vec, torque: Vec, dy: F64) -> None:
+    """Kinematics of the quaternion and Euler's equations."""
+    wx, wy, wz = rate
+    q0, q1, q2, q3 = y[S_Q], y[S_Q + 1], y[S_Q + 2], y[S_Q + 3]
+    dy[S_Q] = 0.5 * (-q1 * wx - q2 * wy - q3 * wz)
+    dy[S_Q + 1] = 0.5 * (q0 * wx + q2 * wz - q3 * wy)
+    dy[S_Q + 2] = 0.5 * (q0 * wy + q3 * wx - q1 * wz)
+    dy[S_Q + 3] = 0.5 * (q0 * wz + q1 * wy - q2 * wx)
+    ix, iy, iz = p[D_INERTIA], p[D_INERTIA + 1], p[D_INERTIA + 2]
+    dy[S_RATE] = (torque[0] + (iy - iz) * wy * wz) / ix
+    dy[S_RATE + 1] = (torque[1] + (iz - ix) * wz * wx) / iy
+    dy[S_RATE + 2] = (torque[2] + (ix - iy) * wx * wy) / iz
+
+
+@njit
+def air_velocity(p: F64, row: F64) -> Vec:
+    """Velocity of the air (m/s, NED) at the vehicle, kept in the row's outputs."""
+    steady, gust = steady_wind.velocity(p), turbulence.gust(p, row)
+    wind = (steady[0] + gust[0], steady[1] + gust[1], steady[2] + gust[2])
+    row[S_WIND], row[S_WIND + 1], row[S_WIND + 2] = wind
+    return wind
+
+
+@njit
+def _lagged(target: Quad, now: Quad, left: float) -> Quad:
+    """Motors on their way to `target` when this share of the distance is left."""
+    return (
+        target[0] + (now[0] - target[0]) * left,
+        target[1] + (now[1] - target[1]) * left,
+        target[2] + (now[2] - target[2]) * left,
+        target[3] + (now[3] - target[3]) * left,
+    )
+
+
+@njit
+def _integrate(p: F64, row: F64, start: Quad, middle: Quad, end: Quad, work: F64) -> None:
+    """One Runge-Kutta step of the row; `start`, `middle`, `end`: the rotors' speeds then; `work`: (3, EVALUATED).
+
+    work[2] ends as the step's mean derivative and outputs, work[1] as those at its last stage.
+    """
+    h = p[P_DT]
+    y, dy, mean = work[0], work[1], work[2]
+    wind = air_velocity(p, row)
+    sag = battery_sag.factor(p, row[S_VOLTAGE])
+    for j in range(INTEGRATED):
+        y[j] = row[j]
+    evaluate(p, y, start, wind, sag, dy)
+    for j in range(E_THRUST):
+        mean[j] = dy[j] / 6.0
+    for stage in range(3):
+        reach = 0.5 * h if stage < 2 else h
+        weight = 1.0 / 3.0 if stage < 2 else 1.0 / 6.0
+        for j in range(INTEGRATED):
+            y[j] = row[j] + reach * dy[j]
+        evaluate(p, y, middle if stage < 2 else end, wind, sag, dy)
+        for j in range(E_THRUST):
+            mean[j] += weight * dy[j]
+    for j in range(INTEGRATED):
+        row[j] += h * mean[j]
+
+
+@njit
+def step_row(p: F64, row: F64, work: F64) -> None:
+    """One step of one vehicle, in place; the row's command is held over it, its normals drive the gusts."""
+    transport_delay.push(row)
+    target = (
+        transport_delay.delayed(p, row, 0),
+        transport_delay.delayed(p, row, 1),
+        transport_delay.delayed(p, row, 2),
+        transport_delay.delayed(p, row, 3),
+    )
+    start = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
+    if p[D_TAU] == 0.0:
+        start = target
+    end = _lagged(target, start, p[D_LAG_FULL])
+    turbulence.advance(p, row)
+    middle = _lagged(target, start, p[D_LAG_HALF])
+    _integrate(p, row, rotor_speeds(p, start), rotor_speeds(p, middle), rotor_speeds(p, end), work)
+    dy, mean = work[1], work[2]
+    for j in range(3):
+        row[S_FORCE + j] = mean[E_FORCE + j]
+        row[S_ANGULAR + j] = mean[S_RATE + j]
+    for i in range(4):
+        row[S_THRUST + i] = dy[E_THRUST + i]
+        row[S_U + i] = end[i] if target[i] != 0.0 or end[i] > _STANDING else 0.0
+    row[S_NORMAL] = mean[E_NORMAL]
+    if row[S_NORMAL] > 0.0:
+        ground.stick(p, row, _down(row))
+    _normalise(row)
+    slung_load.constrain(p, row)
+    discharge(p, row)
+
+
+@njit
+def _normalise(row: F64) -> None:
+    w, x, y, z = row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3]
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3] = w / norm, x / norm, y / norm, z / norm

@@ -1,0 +1,319 @@
+"""The simulated vehicle on its MAVLink links, sans-IO: bytes in, milliseconds forward, bytes out.
+
+    server.receive(index, data)            whatever arrived on a link; acts in the next advance()
+    server.advance(4)                      commander, navigator, vehicle, then the streams that are due
+    server.datagrams(index)                what the link has to say
+
+Time is the plant's.  A 4 ms tick is: requests to the commander, mode to setpoint, vehicle, one look at it, streams.
+Nothing raises on what comes in.  Sockets, ports and pacing are the shell's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from flightstack_sim import commands, protocols
+from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
+from flightstack_sim.autopilot.navigator import Navigator
+from flightstack_sim.autopilot.notices import Notice
+from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
+from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
+from flightstack_sim.builders import gps_global_origin
+from flightstack_sim.faults import Fault, Injector
+from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack_sim.protocols import EventMemory, ParameterList
+from flightstack_sim.simulated_vehicle import SimulatedVehicle
+from flightstack_sim.streams import LinkKind, LinkStreams
+from flightstack_sim.view import View
+from mavlink_bridge import messages as m
+from mavlink_bridge.link import Link, Received
+from mavlink_bridge.px4 import TYPE_GCS
+
+SLOW_US: Final = 100_000
+HOME_SET_US: Final = 3_820_000
+"""PX4 sets home this long after boot."""
+UNIX_AT_BOOT_US: Final = 1_767_225_600_000_000
+"""2026-01-01: the simulated wall clock starts there."""
+TEXT_CHUNK: Final = 50
+PARAMS_PER_TICK: Final = 4
+
+
+class _Port:
+    """One MAVLink link and what belongs to it."""
+
+    __slots__ = ("gcs_at_us", "link", "parameters", "streams", "text_id")
+
+    def __init__(self, kind: LinkKind, system: int) -> None:
+        self.link = Link(system, 1)
+        self.streams = LinkStreams(kind)
+        self.parameters = ParameterList()
+        self.gcs_at_us = NEVER
+        self.text_id = 0
+
+
+class Server:
+    """A simulated vehicle that speaks MAVLink like PX4.
+
+    `links`: the kinds of its links, in the order of their indices.  `commander.state` and `vehicle` may be read freely.
+    """
+
+    def __init__(
+        self,
+        vehicle: SimulatedVehicle,
+        *,
+        links: Sequence[LinkKind] = (LinkKind.ONBOARD, LinkKind.GCS),
+        system: int = 1,
+        frame: LocalFrame = PX4_SIH,
+        unix_at_boot_us: int = UNIX_AT_BOOT_US,
+        faults: tuple[Fault, ...] = (),
+    ) -> None:
+        self.vehicle = vehicle
+        self.system = system
+        self.commander = Commander(vehicle.params)
+        self.navigator = Navigator(vehicle.params, frame.altitude_m)
+        self.view = View(vehicle, self.commander.state, self.navigator.state, frame, unix_at_boot_us)
+        self.view.sysid = system
+        self.events = EventMemory()
+        self.faults = Injector(faults)
+        self.deaf_to: frozenset[type[Any]] = frozenset()
+        """Messages that a fault keeps from the autopilot."""
+        self._ports = [_Port(kind, system) for kind in links]
+        self._requests: list[Request] = []
+        self._offboard: ControlSetpoint | None = None
+        self._offboard_at_us = NEVER
+        self._gcs_at_us = NEVER
+        self._breached = False
+        self._next_slow_us = 0
+        self._was_armed = False
+
+    @property
+    def t_us(self) -> int:
+        """Simulated time since boot."""
+        return self.vehicle.plant.t_us
+
+    def link(self, index: int) -> Link:
+        """The protocol side of a link: statistics, and whatever a test wants to see."""
+        return self._ports[index].link
+
+    # --- in ---
+
+    def receive(self, link_index: int, data: bytes) -> None:
+        """Take a datagram of one link."""
+        port = self._ports[link_index]
+        port.link.receive_datagram(data, self.vehicle.plant.t_us)
+        for received in port.link.take_events():
+            kind = type(received.message)
+            handler = _HANDLERS.get(kind)
+            if handler is not None and kind not in self.deaf_to and self._addressed(received.message):
+                handler(self, link_index, received)
+
+    def _addressed(self, message: Any) -> bool:
+        """Whether a message is for us: our system or all, the autopilot or all components."""
+        return getattr(message, "target_system", 0) in (0, self.system) and getattr(message, "target_component", 0) in (
+            0,
+            1,
+        )
+
+    def _on_attitude_target(self, link_index: int, received: Received) -> None:
+        setpoint = from_attitude_target(received.message, self._offboard)
+        if setpoint is not None:
+            self._offboard, self._offboard_at_us = setpoint, received.t_us
+
+    def _on_position_target(self, link_index: int, received: Received) -> None:
+        message, view = received.message, self.view
+        if isinstance(message, m.SetPositionTargetLocalNed):
+            setpoint = from_position_target(message, view.heading_rad)
+        else:
+            setpoint = from_global_target(message, view.frame, view.home_altitude_m)
+        if setpoint is not None:
+            self._offboard, self._offboard_at_us = setpoint, received.t_us
+
+    def _on_heartbeat(self, link_index: int, received: Received) -> None:
+        if received.message.type == TYPE_GCS:
+            port = self._ports[link_index]
+            if not self._has_gcs(port):
+                self.commander.report_again()
+            port.gcs_at_us = self._gcs_at_us = received.t_us
+
+    def _on_command(self, link_index: int, received: Received) -> None:
+        port = self._ports[link_index]
+        sender = Sender(link_index, received.system, received.component)
+        context = commands.Context(self.view, port.streams, sender)
+        message = received.message
+        if isinstance(message, m.CommandLong):
+            commands.handle_long(message, context)
+        elif isinstance(message, m.CommandInt):
+            commands.handle_int(message, context)
+        else:
+            commands.handle_set_mode(message, context)
+        for reply in context.replies:
+            port.link.send(reply)
+        self._requests.extend(context.requests)
+
+    def _on_protocol(self, link_index: int, received: Received) -> None:
+        """Everything that is answered at once on the same link."""
+        port = self._ports[link_index]
+        sender = Sender(link_index, received.system, received.component)
+        message = received.message
+        answer: Any = None
+        if isinstance(message, m.Timesync):
+            answer = protocols.answer_timesync(message, sender, self.view.stamp_us)
+        elif isinstance(message, m.Ping):
+            answer = protocols.answer_ping(message, sender)
+        elif isinstance(message, m.ParamRequestRead):
+            answer = protocols.read_parameter(message, self.vehicle.params, sender)
+        elif isinstance(message, m.ParamRequestList):
+            port.parameters.start()
+        elif isinstance(message, m.SetGpsGlobalOrigin):
+            answer = gps_global_origin(self.view)
+        elif isinstance(message, m.FileTransferProtocol):
+            answer = protocols.answer_file(message, sender)
+        elif isinstance(message, m.RequestEvent):
+            for event in self.events.answer(message, sender):
+                port.link.send(event)
+        else:
+            answer = protocols.answer_mission(message, sender)
+        if answer is not None:
+            port.link.send(answer)
+
+    def _on_parameter_set(self, link_index: int, received: Received) -> None:
+        sender = Sender(link_index, received.system, received.component)
+        answer, for_all = protocols.set_parameter(received.message, self.vehicle.params, sender)
+        for index, port in enumerate(self._ports):
+            if for_all or index == link_index:
+                port.link.send(answer)
+
+    # --- forward ---
+
+    def advance(self, n_ms: int = 4) -> None:
+        """Simulate n_ms milliseconds under what has been received, then queue the streams that are due."""
+        vehicle, view, state = self.vehicle, self.view, self.commander.state
+        now_us = view.t_us
+        if self.faults.faults:
+            self.faults.step(self)
+        landed = vehicle.control.land_detector.landed
+        if self._requests or now_us >= state.next_cycle_us or landed is not state.landed:
+            self._command(landed, now_us)  # between its cycles the commander sleeps unless something happens
+        setpoint, said = self.navigator.step(
+            state.mode,
+            self._offboard,
+            view.pos_ned_m,
+            armed=state.armed,
+            takeoff_altitude_m=state.takeoff_altitude_m,
+            goal=state.goal,
+            now_us=now_us,
+        )
+        if said:
+            self._say(said, now_us)
+        if setpoint is not view.setpoint:
+            view.use(setpoint)
+        vehicle.advance(setpoint, n_ms)
+        view.refresh()
+        if view.t_us >= self._next_slow_us:
+            self._slow()
+        for port in self._ports:
+            port.streams.emit(view, port.link.send)
+            if port.parameters.running:
+                for item in port.parameters.take(vehicle.params, PARAMS_PER_TICK):
+                    port.link.send(item)
+
+    def _command(self, landed: bool, now_us: int) -> None:
+        """The commander's tick."""
+        requests: tuple[Request, ...] = ()
+        if self._requests:
+            requests = tuple(self._requests)
+            self._requests.clear()
+        outputs = self.commander.step(self._inputs(landed, requests), now_us)
+        armed = self.commander.state.armed
+        if armed is not self._was_armed:
+            self._was_armed = armed
+            if armed:
+                self.navigator.set_home(self.view.pos_ned_m, now_us)
+        if outputs.notices or outputs.answers:
+            self._tell(outputs, now_us)
+
+    def _inputs(self, landed: bool, requests: tuple[Request, ...]) -> Inputs:
+        """What the commander looks at; a position setpoint without a position is no signal."""
+        valid, offboard = self.vehicle.sensors.position_valid, self._offboard
+        usable = valid or offboard is None or offboard.kind not in POSITION_KINDS
+        return Inputs(
+            landed,
+            self._offboard_at_us if usable else NEVER,
+            self.navigator.state.takeoff_done,
+            requests,
+            self._gcs_at_us,
+            self.view.battery.remaining,
+            valid,
+            self._breached,
+        )
+
+    def _slow(self) -> None:
+        """What is looked at ten times a second."""
+        view = self.view
+        self._breached = self.navigator.outside_fence(view.pos_ned_m)
+        self._next_slow_us = view.t_us - view.t_us % SLOW_US + SLOW_US
+        view.refresh_slow()
+        if view.t_us >= HOME_SET_US and self.navigator.state.home_ned_m is None:
+            self.navigator.set_home(view.pos_ned_m, view.t_us)
+
+    # --- out ---
+
+    def datagrams(self, link_index: int, max_bytes: int = 0) -> list[bytes]:
+        """What to send on a link now: a datagram per message as PX4 does, or packed to at most `max_bytes`."""
+        return self._ports[link_index].link.datagrams_to_send(max_bytes)
+
+    def _tell(self, outputs: Outputs, now_us: int) -> None:
+        for sender, command, result in outputs.answers:
+            ack = m.CommandAck(command, result, 0, 0, sender.system, sender.component)
+            self._ports[sender.link].link.send(ack)
+        self._say(outputs.notices, now_us)
+
+    def _say(self, notices: Sequence[Notice], now_us: int) -> None:
+        """EVENTs go to every link, texts only to those that hear from a ground station."""
+        for notice in notices:
+            event = None
+            if notice.event_id:
+                event = self.events.add(notice.event_id, notice.log_levels, notice.arguments, now_us)
+                self.view.event_sequence = self.events.sequence
+            for port in self._ports:
+                if notice.text and self._has_gcs(port):
+                    self._send_text(port, notice)
+                if event is not None:
+                    port.link.send(event)
+
+    def _has_gcs(self, port: _Port) -> bool:
+        """Whether a ground station's heartbeat has been seen on the link lately."""
+        return self.t_us - port.gcs_at_us < self.vehicle.params.get("COM_DL_LOSS_T") * 1e6
+
+    @staticmethod
+    def _send_text(port: _Port, notice: Notice) -> None:
+        """A STATUSTEXT in chunks of 50."""
+        port.text_id = port.text_id % 0xFFFF + 1
+        for number in range(0, max(1, len(notice.text)), TEXT_CHUNK):
+            chunk = notice.text[number : number + TEXT_CHUNK]
+            port.link.send(m.Statustext(notice.severity, chunk, port.text_id, number // TEXT_CHUNK))
+
+
+_HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
+    m.SetAttitudeTarget: Server._on_attitude_target,
+    m.SetPositionTargetLocalNed: Server._on_position_target,
+    m.SetPositionTargetGlobalInt: Server._on_position_target,
+    m.Heartbeat: Server._on_heartbeat,
+    m.CommandLong: Server._on_command,
+    m.CommandInt: Server._on_command,
+    m.SetMode: Server._on_command,
+    m.ParamSet: Server._on_parameter_set,
+    m.ParamRequestRead: Server._on_protocol,
+    m.ParamRequestList: Server._on_protocol,
+    m.Timesync: Server._on_protocol,
+    m.Ping: Server._on_protocol,
+    m.FileTransferProtocol: Server._on_protocol,
+    m.SetGpsGlobalOrigin: Server._on_protocol,
+    m.RequestEvent: Server._on_protocol,
+    m.MissionRequestList: Server._on_protocol,
+    m.MissionClearAll: Server._on_protocol,
+    m.MissionCount: Server._on_protocol,
+    m.MissionRequestInt: Server._on_protocol,
+    m.MissionRequest: Server._on_protocol,
+}
