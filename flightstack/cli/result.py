@@ -126,7 +126,8 @@ class FlightResult:
     scenario: str
     seed: int | None
     log: str | None
-    completed: bool
+    completed: bool | None
+    """None where nothing was to be flown (a dry run)."""
     reason: str
     flight_time_s: float
     """From take-off to disarmed, by the vehicle's clock."""
@@ -149,12 +150,16 @@ class FlightResult:
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
     checks: list[dict[str, Any]] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    """What the vehicle said against its file, one line each: the file is refused."""
+    checklist: list[dict[str, Any]] = field(default_factory=list)
+    """Of a dry run: check, ok, said."""
 
     @property
     def passed(self) -> bool:
         """Completed inside its region, with the log whole and every check of the scenario kept."""
-        kept = self.completed and not self.left_region and not self.log_problem
-        return kept and all(check["passed"] for check in self.checks)
+        kept = self.completed is not False and not self.left_region and not self.log_problem
+        return kept and all(check["passed"] for check in self.checks) and all(check["ok"] for check in self.checklist)
 
     @property
     def left_region(self) -> str:
@@ -169,8 +174,10 @@ class FlightResult:
 
     def failure(self) -> str:
         """Why it did not pass, one line; empty where it did."""
-        if not self.completed:
+        if self.completed is False:
             return self.reason or "the flight did not complete"
+        if self.checklist and not self.checklist[-1]["ok"]:
+            return str(self.checklist[-1]["said"])
         if self.left_region:
             return self.left_region
         if self.log_problem:
@@ -206,6 +213,8 @@ class FlightResult:
             "loop": self.loop,
             "link": self.link,
             "checks": self.checks,
+            "checklist": self.checklist,
+            "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
 

@@ -80,7 +80,7 @@ class FlightScore:
         wall_s: float,
         clock_s: float,
         timing: LoopTiming | None,
-        completed: bool,
+        completed: bool | None,
         checked: bool,
         seed: int | None = None,
         plant: str | None = None,
