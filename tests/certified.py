@@ -83,7 +83,7 @@ def for_the_papers_path(scale: float = 1.0, version: int = 5) -> Certificate:
 def unchecked() -> Iterator[None]:
     """Made-up certificates may be flown: the independent checker, which refuses them, is not asked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(protection, "require_checked", lambda file, mode: None)
+        patch.setattr(protection, "require_checked", lambda path: None)
         yield
 
 

@@ -29,11 +29,9 @@ class TextFile:
     text: str
 
 
-def read_text(path: Path, most_bytes: int | None = None) -> TextFile:
-    """A UTF-8 text file; InputError where it can't be read or is larger than `most_bytes`."""
+def read_text(path: Path) -> TextFile:
+    """A UTF-8 text file; InputError where it can't be read."""
     try:
-        if most_bytes is not None and path.stat().st_size > most_bytes:
-            raise InputError(f"{path}: is larger than {most_bytes // 1_000_000} MB: that is no such file")
         return TextFile(path, path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file (UTF-8 expected)") from None

@@ -10,34 +10,21 @@ from pathlib import Path
 
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.records import Certificate
-from flightstack.certificate_check import check
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED
+from flightstack.cli.checking import check_file
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
-MOST_BYTES = 10_000_000
-"""Of a file: what the checker is bounded for; a certificate of all axes takes a tenth of it."""
 
-
-def certificate_text(path: Path) -> files.TextFile:
-    """The file; InputError, one line, where it can't be read or is larger than any certificate."""
-    return files.read_text(path, most_bytes=MOST_BYTES)
-
-
-def require_checked(file: files.TextFile, mode: str) -> None:
-    """InputError, one line, where the independent checker refuses the file.
-
-    What the paper publishes proves nothing that could be verified: with --as-published it flies unchecked.
-    """
-    if mode == AS_PUBLISHED:
-        return
-    verdict = check(file.text)
+def require_checked(path: Path) -> None:
+    """InputError, one line, where the independent checker refuses the file, or comes to no verdict within its limits."""
+    verdict = check_file(path)
     if not verdict.valid:
         raise InputError(
-            f"{file.path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
+            f"{path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
         )
 
 

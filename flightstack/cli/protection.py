@@ -22,8 +22,9 @@ from flightstack.barrier.margins import GPS, MOCAP
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
+from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
-from flightstack.cli.given_certificate import certificate_for, certificate_text, require_checked
+from flightstack.cli.given_certificate import certificate_for, require_checked
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Model
@@ -96,12 +97,11 @@ def protect(
     """
     if options.as_published and not options.filtering:
         raise InputError("--as-published flies the published filter: leave out --no-filter")
-    file = None if options.certificate is None else certificate_text(options.certificate)
     mode = AS_PUBLISHED if options.as_published else SOUND
-    given = None
-    if file is not None:
-        given = certificate_for(file, mode, believed, model, scenario.limits)
-        require_checked(file, mode)
+    if options.certificate is not None and mode == SOUND:  # what is published proves nothing that could be checked
+        require_checked(options.certificate)
+    file = None if options.certificate is None else files.read_text(options.certificate)
+    given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region=region)
