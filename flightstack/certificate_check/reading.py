@@ -82,8 +82,8 @@ def unsealed(text: str) -> dict[str, Any]:
         data = json.loads(text, object_pairs_hook=once, parse_constant=constant)
     except json.JSONDecodeError as error:
         raise Refused(f"not JSON: {error}") from None
-    if not isinstance(data, dict) or data.get("schema") != "flightstack.certificate/1":
-        raise Refused('not a certificate: schema is not "flightstack.certificate/1"')
+    if not isinstance(data, dict) or data.get("schema") != "flightstack.certificate/2":
+        raise Refused('not a certificate: schema is not "flightstack.certificate/2"')
     seal = data.pop("seal", None)
     canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     if seal != hashlib.sha256(canonical.encode()).hexdigest():
