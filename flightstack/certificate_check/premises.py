@@ -64,13 +64,13 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: K
 
 def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: float) -> None:
     certified = {axis["axis"] for axis in axes}
-    speeds = rows(table["speeds_mps"], 2, "premises.speeds_mps")
-    if len(speeds) != 3:
-        raise Refused("premises.speeds_mps must have three rows")
-    for i, (least, greatest) in enumerate(speeds):
+    if not isinstance(table["speeds_mps"], list) or len(table["speeds_mps"]) != len(_AXES):
+        raise Refused("premises.speeds_mps must be three ranges")
+    for i, entry in enumerate(table["speeds_mps"]):
+        least, greatest = _range(entry, f"premises.speeds_mps[{i}]")
         spare = -vel if _AXES[i] in certified else vel
-        _least(float(known.speeds[i, 0]), float(least) - spare, f"premises.speeds_mps[{i}]", "the speeds asked for")
-        _most(float(greatest) + spare, float(known.speeds[i, 1]), f"premises.speeds_mps[{i}]", "the speeds asked for")
+        _least(float(known.speeds[i, 0]), least - spare, f"premises.speeds_mps[{i}]", "the speeds asked for")
+        _most(greatest + spare, float(known.speeds[i, 1]), f"premises.speeds_mps[{i}]", "the speeds asked for")
     _most(number(table["lean"], "premises.lean"), known.box.lean, "premises.lean", "the lean asked for")
     low, high = _range(table["thrust_mps2"], "premises.thrust_mps2")
     _least(known.box.low, low, "premises.thrust_mps2", "the budget")
