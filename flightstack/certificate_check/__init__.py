@@ -27,8 +27,12 @@ from .cells import check_cells
 from .condition import Condition, Piece
 from .intervals import F64, Interval
 from .ledger import check_ledger
+<<<<<<< HEAD
 from .premises import check_premises
 from .reading import Refused, number, numbers, rows, table_of, unsealed
+=======
+from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
+>>>>>>> main
 
 _TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge")
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
@@ -48,19 +52,26 @@ class Verdict:
 
     valid: bool
     lines: list[str] = field(default_factory=list)
+    readable: bool = True
+    """False where it is no certificate file, or larger than any; then there is one line."""
 
 
 def check(text: str) -> Verdict:
-    """Verify a certificate file's text; never raises."""
+    """Verify a certificate file's text; never raises.
+
+    Memory and time are bounded by what `bounds` lets pass; whoever wants a hard limit calls it in a process of its own.
+    """
     verdict = Verdict(False)
     try:
         with np.errstate(all="ignore"):
             _check(text, verdict.lines)
         verdict.valid = True
+    except Unreadable as unreadable:
+        verdict.lines, verdict.readable = [str(unreadable)], False
     except Refused as refused:
         verdict.lines.append(str(refused))
     except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
-        verdict.lines.append(f"not to be read as a certificate: {type(error).__name__}")
+        verdict.lines, verdict.readable = [f"not to be read as a certificate: {type(error).__name__}"], False
     return verdict
 
 

@@ -14,6 +14,7 @@ class Sensors(StrEnum):
 
     mocap = "mocap"
     gps = "gps"
+    px4_sih = "px4-sih"
 
 
 class PlantName(StrEnum):

@@ -151,7 +151,7 @@ def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere
         return PublishedCertifier(model, limits, region)
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
-    accuracy = GPS if sensors == "gps" else MOCAP
+    accuracy = MOCAP if sensors == "mocap" else GPS
     if region.kind == "ellipsoid":
         vertical = replace(VERTICAL, accuracy=accuracy)
         return GrowingCertifier(
