@@ -27,12 +27,8 @@ from .cells import check_cells
 from .condition import Condition, Piece
 from .intervals import F64, Interval
 from .ledger import check_ledger
-<<<<<<< HEAD
 from .premises import check_premises
-from .reading import Refused, number, numbers, rows, table_of, unsealed
-=======
 from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
->>>>>>> main
 
 _TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge")
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
