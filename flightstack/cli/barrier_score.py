@@ -156,7 +156,10 @@ class WatchedCertifier:
 
     def stamped(self, certificate: Certificate) -> Certificate:
         """The same, made for the vehicle of `stamp`."""
-        return replace(certificate, knowledge={**certificate.knowledge, **self._stamp})
+        premises, stamped = certificate.premises, {**certificate.knowledge, **self._stamp}
+        if premises is not None:
+            premises = replace(premises, vehicle_hash=str(stamped.get("vehicle_hash", "")))
+        return replace(certificate, knowledge=stamped, premises=premises)
 
 
 def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:
