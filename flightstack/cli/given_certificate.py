@@ -20,7 +20,7 @@ from flightstack.vehicle import Vehicle
 
 
 def require_checked(path: Path) -> None:
-    """InputError, one line, where the independent checker refuses the file, or comes to no verdict within its limits."""
+    """InputError, one line, where the independent checker refuses the file or comes to no verdict."""
     verdict = check_file(path)
     if not verdict.valid:
         raise InputError(
