@@ -39,6 +39,7 @@ from flightstack.cli.options import (
     SensorsOption,
     SigningKeyOption,
     TruthOption,
+    UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
@@ -80,6 +81,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -93,6 +95,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "unprotected_ok": unprotected_ok,
         "log": log,
         "out": out,
     }

@@ -116,6 +116,7 @@ def _offboard(
             prepared.believed,
             truth=False,
             on_record=score.on_record,
+            on_message=score.on_message,
             certifier=prepared.protection.watched,
         )
         inspector = Inspector(prepared, believe_file=options.believe_file, dry_run=options.dry_run)
@@ -145,6 +146,7 @@ def _offboard(
         completed=None if options.dry_run else companion.completed,
         checked=options.as_written,
     )
+    result.unprotected_ok = options.unprotected_ok
     result.contradictions = inspector.found
     if options.dry_run:
         result.checklist = inspector.checklist(config)
