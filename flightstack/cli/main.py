@@ -20,6 +20,7 @@ from typer.core import TyperCommand
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import (
     AsPublishedOption,
+    BelieveFileOption,
     CertificateOption,
     ControllerOption,
     DurationOption,
@@ -38,6 +39,7 @@ from flightstack.cli.options import (
     SensorsOption,
     SigningKeyOption,
     TruthOption,
+    UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
@@ -79,6 +81,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -92,6 +95,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "unprotected_ok": unprotected_ok,
         "log": log,
         "out": out,
     }
@@ -109,6 +113,10 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         files.write_json(json_file, result.as_json())
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
+    if result.contradictions:
+        for line in result.contradictions:
+            console.say_error(f"{line}; mend the vehicle file, or fly it as it is with --believe-file")
+        raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
         raise typer.Exit(FAILED)
@@ -169,6 +177,7 @@ def offboard(
     waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
+    believe_file: BelieveFileOption = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     *,
@@ -184,6 +193,7 @@ def offboard(
         waypoints=waypoints,
         arm=arm,
         dry_run=dry_run,
+        believe_file=believe_file,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         **common,
@@ -211,16 +221,16 @@ def certify(
     """Learn the largest certified region in flight, or check a certificate."""
     from flightstack.cli import console, files
     from flightstack.cli.certify import certify as run
-    from flightstack.cli.certify import check_file
+    from flightstack.cli.checking import check_file
     from flightstack.cli.flight import FlyOptions
 
     if check is not None:
-        valid, lines = check_file(check)
-        console.show_checked(str(check), valid, lines)
+        found = check_file(check)
+        console.show_checked(str(check), found.valid, found.lines)
         if json is not None:
-            found = {"schema": "flightstack.check/1", "certificate": str(check), "valid": valid, "lines": lines}
-            files.write_json(json, found)
-        raise typer.Exit(OK if valid else FAILED)
+            said = {"certificate": str(check), "valid": found.valid, "lines": found.lines}
+            files.write_json(json, {"schema": "flightstack.check/1", **said})
+        raise typer.Exit(OK if found.valid else FAILED)
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,
