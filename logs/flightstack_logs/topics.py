@@ -111,7 +111,7 @@ _COMMAND_FIELDS = (
 )
 
 _TICK_FIELDS = (
-    _sample_time("t_us"),
+    Field("vehicle_us", "int64", 0, "us", "the tick's time by the vehicle's clock, since its boot", "t_us"),
     _f64("pos_ned_m", 3, "m", "measured position, predicted to the tick", "measurement.pos_ned_m"),
     _f64("vel_ned_mps", 3, "m/s", "measured velocity, predicted to the tick", "measurement.vel_ned_mps"),
     _f64("q_ned_frd", 4, "1", "measured attitude (w, x, y, z), body to world", "measurement.q_ned_frd"),
