@@ -12,6 +12,7 @@ import math
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,12 @@ from flightstack.cli import files
 from flightstack.cli.barrier_score import FALLBACKS, SOLVED, GivenCertificate, WatchedCertifier
 from flightstack.cli.flight import FlyOptions, Setup, prepare
 from flightstack.frames import quat_to_matrix
+from flightstack.guard import Guard
 from flightstack.jit import njit
 from flightstack.mission import plan
-from flightstack.model import Model
+from flightstack.model import Limiter, Model
 from flightstack.predictor import Streams, predict
-from flightstack.stack import Stack, StackState
+from flightstack.stack import StackState
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
@@ -116,11 +118,8 @@ def setup_of(world: World, seed: int, given: Path | None = None, **more: Any) ->
 class AttackFlight:
     """One flight; `tick` is 4 ms of both ends."""
 
-    def __init__(
-        self, world: World, seed: int, *, given: Path | None = None,
-        changed: Callable[[Stack, World], Stack] = lambda stack, world: stack,
-    ) -> None:  # fmt: skip
-        """`changed`: the stack as it is to fly, from the stack as prepared."""
+    def __init__(self, world: World, seed: int, *, given: Path | None = None, torque: bool = True) -> None:
+        """`torque` False: the torque margin is planted away, governor and line of the ledger."""
         self.world = world
         setup = setup_of(world, seed, given)
         self.scenario = setup.flight.scenario
@@ -132,16 +131,15 @@ class AttackFlight:
         watched = setup.flight.protection.watched
         assert watched is not None, setup.flight.protection.words
         self.watched: WatchedCertifier = watched
-        self.held = Held(for_link(watched._certifier, world.held_s), before.model)
+        self.held = Held(told(watched._certifier, lambda config: _for(config, world, torque)), before.model)
         watched._certifier = self.held
         adversary = Adversary(
             before.controller, self.seen, seed, before.model.thrust_range_n(limits), np.array(limits.rate_max_radps)
         )
-        stack = Stack(
-            before.model, limits, controller=adversary, learner=before.learner, certifier=before.certifier,
-            safety_filter=before.filter,
-        )  # fmt: skip
-        self.stack = changed(stack, world)
+        self.stack = copy(before)
+        self.stack.controller, self.stack.limits = adversary, limits
+        self.stack.guard, self.stack.limiter = Guard(before.model, limits), Limiter(before.model, limits)
+        self.stack.certifier = self.watched
         self._streams, self._count, self._setpoint = Streams(), 0, _idle()
         rng = np.random.default_rng([9, seed])
         self._down, self._up = (Wire(ms, world.jitter_ms, rng) for ms in (world.down_ms, world.up_ms))
@@ -346,27 +344,28 @@ class Held:
         return state, ended
 
 
-def for_link(certifier: Any, held_s: float) -> Any:
-    """The certifier, told how long a command may be held."""
+def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -> Any:
+    """The certifier with other constants."""
     if isinstance(certifier, GrowingCertifier):
-        certifier._first = for_link(certifier._first, held_s)
+        certifier._first = told(certifier._first, change)
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
-    config = dataclasses.replace(certifier.config, dt_s=max(held_s, certifier.config.dt_s), most_doubt_mps2=most)
-    if config.thrust_shares == CertifierConfig().thrust_shares:
-        config = dataclasses.replace(config, thrust_shares=_THRUST_SHARES)
     return OnlineCertifier(
-        certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=config,
-        safe=certifier.safe,
+        certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
+        config=change(certifier.config), safe=certifier.safe,
     )  # fmt: skip
 
 
-def planted(*, torque: bool) -> Callable[[Stack, World], Stack]:
-    """The change that plants the torque margin away, or none."""
-    del torque
-    return lambda stack, world: stack
+def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig:
+    """How long a command may be held, and with less thrust where more does not close."""
+    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
+    changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "most_doubt_mps2": most}
+    if config.thrust_shares == CertifierConfig().thrust_shares:
+        changes["thrust_shares"] = _THRUST_SHARES
+    if not torque:
+        changes["governor"] = None
+    return dataclasses.replace(config, **changes)
 
 
 def _idle() -> ControlSetpoint:

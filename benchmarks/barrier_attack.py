@@ -97,7 +97,7 @@ def fly_block(name: str, seed: int, flights: int = BLOCK, seconds: float = ENGAG
     import numpy as np
 
     from benchmarks import attack_adversary as adversary
-    from benchmarks.attack_flight import AttackFlight, planted
+    from benchmarks.attack_flight import AttackFlight
     from benchmarks.attack_worlds import draw
     from flightstack.cli.files import load_scenario, versions
     from flightstack.types import InputError
@@ -116,7 +116,7 @@ def fly_block(name: str, seed: int, flights: int = BLOCK, seconds: float = ENGAG
     if world.refused(scenario.limits.thrust_max_weights):
         return block | {"refused": "too little thrust: drawn worlds that no scenario would fly"}
     try:
-        flight = AttackFlight(world, seed, changed=planted(torque=kind.torque))
+        flight = AttackFlight(world, seed, torque=kind.torque)
     except InputError as error:
         return block | {"refused": str(error)}
     engaged_s = flight.fly_until_engaged(LEARNING_S)
