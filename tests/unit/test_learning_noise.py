@@ -61,7 +61,7 @@ def test_after_three_windows_the_noise_is_known_within_a_factor_of_two() -> None
 
 
 def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: Prior | None = None) -> Store:
-    """A vertical store that hovers: noise of each window, and from the middle on an offset that the kernel can't say."""
+    """A vertical store that hovers, with noise in each window and an offset of changing sign that no kernel can say."""
     prior = prior or default_priors().vertical
     store = Store(prior, inputs=s.D, outputs=1, capacity=300, floor=LearnerConfig().floor_mps2)
     rng = np.random.default_rng(seed)
@@ -77,7 +77,7 @@ def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: P
 
 @pytest.mark.parametrize("noise_std", [0.02, 0.41])
 def test_noise_alone_is_no_doubt_of_the_model(noise_std: float) -> None:
-    """However noisy the windows, three sigma of what noise alone leaves in doubt are below half of one window's noise."""
+    """However noisy the windows, three sigma of the doubt that noise alone leaves are below half of its own deviation."""
     for seed in range(10):
         store = filled(noise_std, 0.0, 600, seed)
         assert 3.0 * np.sqrt(store.excess[0]) < max(0.5 * noise_std, 3.2 * LearnerConfig().floor_mps2)

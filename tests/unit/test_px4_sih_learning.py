@@ -1,4 +1,4 @@
-"""Learning from what PX4 with its simulator delivers: coloured noise, a wrong bias estimate, slow errors of velocity."""
+"""Learning from what PX4 with its simulator delivers: coloured noise, a wrong bias, slow errors of velocity."""
 
 from __future__ import annotations
 
