@@ -77,7 +77,7 @@ def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: P
 
 @pytest.mark.parametrize("noise_std", [0.02, 0.41])
 def test_noise_alone_is_no_doubt_of_the_model(noise_std: float) -> None:
-    """However noisy the windows, three sigma of the doubt that noise alone leaves are below half of its own deviation."""
+    """Three sigma of the doubt that noise alone leaves are below half of its own deviation, however large."""
     for seed in range(10):
         store = filled(noise_std, 0.0, 600, seed)
         assert 3.0 * np.sqrt(store.excess[0]) < max(0.5 * noise_std, 3.2 * LearnerConfig().floor_mps2)
