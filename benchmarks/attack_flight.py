@@ -41,6 +41,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 
 HARMLESS = ("", "clip: command beyond its limits")
 """Of the guard: with any other name the companion lands."""
+_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
 _SETTLING_US = 1_000_000
 """Engaged for so long before the attack begins."""
 
@@ -352,7 +353,10 @@ def for_link(certifier: Any, held_s: float) -> Any:
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    config = dataclasses.replace(certifier.config, dt_s=max(held_s, certifier.config.dt_s))
+    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
+    config = dataclasses.replace(
+        certifier.config, dt_s=max(held_s, certifier.config.dt_s), most_doubt_mps2=most, thrust_shares=_THRUST_SHARES
+    )
     return OnlineCertifier(
         certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=config,
         safe=certifier.safe,

@@ -57,9 +57,10 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "three axes, mocap": Kind(blocks=270),
+    "three axes, mocap": Kind(blocks=250),
     "three axes, mocap, JSBSim": Kind(plant="jsbsim", blocks=30),
-    "three axes, mocap, px4-sih": Kind(vehicle="px4-sihsim-quadx", blocks=50),
+    "three axes, mocap, px4-sih": Kind(vehicle="px4-sihsim-quadx", blocks=40),
+    "vertical, mocap": Kind(scenario="paper-barrier", blocks=30),
     "gps-barrier, gps": Kind(scenario="gps-barrier", grade="gps", blocks=70),
     "three axes, mocap, no torque margin": Kind(torque=False, blocks=15),
 }

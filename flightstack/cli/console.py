@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 _PROTECTION_STYLES = {HELD: "[green]", LEFT: "[red]", NONE: "[red]", OFF: "[dim]"}
 
 
+def say(text: str) -> None:
+    """One line on stderr."""
+    errors.print(text, markup=False)
+
+
 def say_error(text: str) -> None:
     """One line on stderr that begins `error:`."""
     errors.print(f"error: {' '.join(text.split())}", markup=False)

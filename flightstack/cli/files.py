@@ -14,6 +14,7 @@ from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
 from flightstack.waypoints import parse_waypoints
+from mavlink_bridge.param_file import parse_params
 
 DEFAULT_VEHICLE = "quad-x"
 
@@ -45,6 +46,14 @@ def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
     """The vehicle of a name or path (None: the default)."""
     file = find("vehicles", name or DEFAULT_VEHICLE)
     return parse_vehicle(file.text, str(file.path)), file
+
+
+def load_params(name: str | None) -> dict[str, float]:
+    """The parameters of a file to set, by name or path (None: none)."""
+    if name is None:
+        return {}
+    file = find("params", name)
+    return parse_params(file.text, str(file.path))
 
 
 def load_scenario(name: str, waypoints: str | None = None) -> tuple[Scenario, TextFile]:

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.console import say
 from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.set_params import Wire, parameters_set
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
@@ -57,6 +59,8 @@ class OffboardOptions(FlightOptions):
     dry_run: bool = False
     believe_file: bool = False
     """Fly though PX4's parameters contradict the vehicle file."""
+    set_params: str | None = None
+    """Parameters to set for the flight: name or file."""
     heartbeat_timeout_s: float = 10.0
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
@@ -80,6 +84,8 @@ def offboard(
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     prepared = prepare_flight(options)
+    if options.dry_run and options.set_params:
+        raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
@@ -98,7 +104,11 @@ def _offboard(
 ) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
     address = parse_address(options.connect)
-    with closing(open_address(address)) as transport:
+    wanted = files.load_params(options.set_params)
+    with (
+        closing(open_address(address)) as transport,
+        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+    ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
         settings = {
@@ -107,6 +117,7 @@ def _offboard(
             "dry_run": str(options.dry_run),
             "pace": "realtime",
             "signing": "off" if signer is None else "on",
+            "set_params": options.set_params or "none",
         }
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
@@ -151,7 +162,7 @@ def _offboard(
         checked=options.as_written,
     )
     result.unprotected_ok = options.unprotected_ok
-    result.contradictions = inspector.found
+    result.contradictions, result.parameters_set = inspector.found, change.as_json()
     if options.dry_run:
         result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)

@@ -9,6 +9,7 @@ from pathlib import Path
 from flightstack.errors import InputError
 
 _DATA = Path(__file__).resolve().parent.parent / "data"
+_ONE = {"vehicles": "vehicle", "scenarios": "scenario", "params": "set of parameters", "controllers": "controller"}
 
 CONTROLLER_WORDS = {
     "flatness": "flatness control that feeds forward what the Gaussian process learns",
@@ -36,7 +37,7 @@ def path_of(kind: str, name: str) -> Path:
     if shipped.is_file():
         return shipped
     known = ", ".join(shipped_names(kind))
-    raise InputError(f"no {kind[:-1]} named {name!r}: name a .toml file or one of {known}")
+    raise InputError(f"no {_ONE[kind]} named {name!r}: name a .toml file or one of {known}")
 
 
 def require_controller(name: str, known: Collection[str] = CONTROLLER_WORDS) -> None:
