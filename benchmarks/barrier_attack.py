@@ -53,16 +53,16 @@ class Kind(NamedTuple):
     torque: bool = True
     """False: the torque margin is planted away, to show that the campaign can fail."""
     blocks: int = 1
-    """Of a whole campaign, in 420."""
+    """Of a whole campaign."""
 
 
 KINDS = {
-    "three axes, mocap": Kind(blocks=250),
+    "three axes, mocap": Kind(blocks=400),
     "three axes, mocap, JSBSim": Kind(plant="jsbsim", blocks=30),
-    "three axes, mocap, px4-sih": Kind(vehicle="px4-sihsim-quadx", blocks=40),
     "vertical, mocap": Kind(scenario="paper-barrier", blocks=30),
-    "gps-barrier, gps": Kind(scenario="gps-barrier", grade="gps", blocks=70),
-    "three axes, mocap, no torque margin": Kind(torque=False, blocks=15),
+    "vertical, mocap, px4-sih": Kind(scenario="paper-barrier", vehicle="px4-sihsim-quadx", blocks=30),
+    "gps-barrier, gps": Kind(scenario="gps-barrier", grade="gps", blocks=60),
+    "three axes, mocap, no torque margin": Kind(torque=False, blocks=20),
 }
 
 
@@ -127,7 +127,7 @@ def fly_block(name: str, seed: int, flights: int = BLOCK, seconds: float = ENGAG
     flight.held.hold(flight.certificate)
     block["areas_m2ps"] = [round(axis.barrier.area_m2ps, 3) for axis in flight.certificate.axes]
     rng = np.random.default_rng([11, seed])
-    known = [adversary.KNOWN, adversary.PUSH]
+    known = [adversary.KNOWN, adversary.PUSH, adversary.TIMED, adversary.TIMED_FAST]
     tried: list[tuple[float, Any]] = []
     for k in range(flights):
         point = None
