@@ -151,7 +151,8 @@ def _one(flight: Any, strategy: Any, seed: int, seconds: float) -> dict[str, Any
     out = flight.attack(strategy, seconds)
     return {
         "share": round(out.share, 4), "least_h": round(min(out.least_h, 1.0), 4), "at_s": out.at_s,
-        "outside": out.outside, "infeasible": out.infeasible, "falsified": out.falsified, "ended": out.ended,
+        "broken": out.broken, "broken_s": out.broken_s, "outside": out.outside,
+        "infeasible": out.infeasible, "falsified": out.falsified, "ended": out.ended,
         "intervened": out.intervened, "premises": out.premises, "premises_true": out.premises_true,
         "tilt_rad": round(out.tilt_rad, 3), "travelled_m": round(out.travelled_m, 2),
     }  # fmt: skip
