@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.effect_specs import EFFECT_SPECS, check_effect
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 
@@ -52,7 +53,7 @@ class Battery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vehicle:
-    """A vehicle: body, rotors, battery (or None) and the effects that act on it (name -> parameter -> value)."""
+    """A vehicle: body, rotors, battery (or None), effects that act on it (name -> parameter -> value), autopilot."""
 
     name: str
     mass_kg: float
@@ -61,6 +62,8 @@ class Vehicle:
     rotors: Rotors
     battery: Battery | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    autopilot: Mapping[str, float] = field(default_factory=dict)
+    """What the file states of the autopilot (`autopilot_params`); `autopilot.autopilot_of` has all of it."""
 
     @property
     def total_mass_kg(self) -> float:
@@ -117,7 +120,7 @@ _TABLES: dict[str, dict[str, _Key]] = {
         "resistance_ohm": _Key(0.0, 10.0, "ohm"),
     },
 }
-_TOP_KEYS = ("schema", "name", "body", "rotors", "battery", "effects")
+_TOP_KEYS = ("schema", "name", "body", "rotors", "battery", "effects", "autopilot")
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
@@ -154,6 +157,7 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
             radius_m=float(rotors["radius_m"]),
         ),
         battery=None if battery is None else Battery(**{key: float(value) for key, value in battery.items()}),
+        autopilot=_autopilot(data.get("autopilot", {}), source),
     )
     _check_inertia(vehicle, source)
     if vehicle.battery is not None and not vehicle.battery.empty_v < vehicle.battery.full_v:
@@ -192,6 +196,8 @@ def vehicle_to_toml(vehicle: Vehicle) -> str:
     if vehicle.battery is not None:
         lines += ["", "[battery]"]
         lines += [f"{key} = {_number(getattr(vehicle.battery, key))}" for key in _TABLES["battery"]]
+    if vehicle.autopilot:
+        lines += ["", "[autopilot]", *(f"{key} = {_number(value)}" for key, value in vehicle.autopilot.items())]
     for name, values in vehicle.effects.items():
         lines += ["", f"[effects.{name}]"]
         lines += [f"{key} = {_number(value)}" for key, value in values.items()]
@@ -224,6 +230,23 @@ def _table(data: Mapping[str, object], name: str, source: str) -> dict[str, F64]
         if key not in table:
             raise InputError(f"{source}: {name}.{key} is missing; give it in {_allowed(keys[key])}")
     return {key: _numbers(table[key], keys[key], f"{source}: {name}.{key}") for key in keys}
+
+
+def _autopilot(table: object, source: str) -> Mapping[str, float]:
+    """What `[autopilot]` states, in the table's order; any key may be left out."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{source}: autopilot must be a table, not {table!r}")
+    for key in table:
+        if key not in AUTOPILOT_PARAMS:
+            raise InputError(f"{source}: unknown key autopilot.{key}; known are {', '.join(AUTOPILOT_PARAMS)}")
+    stated = {}
+    for key, param in AUTOPILOT_PARAMS.items():
+        if key in table:
+            value = _numbers(table[key], _Key(param.minimum, param.maximum), f"{source}: autopilot.{key}")
+            stated[key] = float(value)
+    if stated.get("airmode", 0.0) % 1.0:
+        raise InputError(f"{source}: autopilot.airmode = {stated['airmode']:g} is not allowed; it must be 0, 1 or 2")
+    return MappingProxyType(stated)
 
 
 def _allowed(key: _Key) -> str:

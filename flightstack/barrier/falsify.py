@@ -131,5 +131,5 @@ def marked(certificate: Certificate, reason: str, *, hand_over: bool, version: i
     knowledge = {**certificate.knowledge, "falsified": reason, HAND_OVER: hand_over}
     return Certificate(
         certificate.mode, certificate.centre_ned_m, certificate.axes, certificate.budget, certificate.delta,
-        certificate.k_sigma, knowledge, certificate.version if version is None else version,
+        certificate.k_sigma, knowledge, certificate.version if version is None else version, certificate.governor,
     )  # fmt: skip

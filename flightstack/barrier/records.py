@@ -12,6 +12,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting
 from flightstack.barrier.shapes import Barrier
+from flightstack.barrier.torque import GovernorTerms
 from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
@@ -147,3 +148,5 @@ class Certificate:
     """What the bounds rest on: kernels, points, noise, hashes; plain JSON."""
     version: int = 0
     """Counted up by each that replaces another in flight."""
+    governor: GovernorTerms | None = None
+    """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""
