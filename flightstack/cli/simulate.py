@@ -11,6 +11,7 @@ from typing import Any
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.preparation import text_file
+from flightstack.cli.versions import versions
 from flightstack_logs.log_clock import clock_metadata
 from flightstack_logs.writer import FlightLog
 from flightstack_sim.faults import parse_faults
@@ -63,7 +64,7 @@ def open_truth_log(options: SimOptions, vehicle_text: str) -> FlightLog | None:
         return None
     settings = {"seed": str(options.seed), "plant": options.plant, "pace": "realtime", "speed": f"{options.speed:g}"}
     clock = clock_metadata(utc_us(), simulated=False)
-    metadata = {"settings": settings, "versions": files.versions(), "clock": clock}
+    metadata = {"settings": settings, "versions": versions(), "clock": clock}
     truth = text_file("truth.toml", vehicle_text)
     return FlightLog.open(options.log, metadata=metadata, attachments=(truth,), overwrite=True)
 
