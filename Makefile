@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy px4 client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -20,6 +20,7 @@ help:
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make paper        every figure and number of the paper beside ours, into runs/paper (a quarter of an hour)"
+	@echo "make px4          everything that is to be seen on a real PX4, which PX4_HOME names: docs/px4.md"
 	@echo "make client-20    MAVSDK-Python flies the simulator twenty times"
 	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
@@ -27,7 +28,9 @@ help:
 	@echo "make faults       every fault flown: the table of docs/safety.md"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
-	@echo "make campaign-barrier   some 1,600 flights with, without and as the published filter: docs/barrier-campaign.md (campaign-barrier-quick: a few)"
+	@echo "make attack       every attack on a certificate that is known, as tests"
+	@echo "make campaign-barrier   5,000 flights against an adversary that searches: docs/barrier-campaign.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
+	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier-filters.md (campaign-barrier-filters-quick: a few)"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
 	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
@@ -86,6 +89,9 @@ paper: $(BIN)/.installed
 crosscheck: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.plants_crosscheck
 
+px4: $(BIN)/.installed-dev
+	$(BIN)/python -m benchmarks.px4
+
 client-20: $(BIN)/.installed-dev
 	@for run in $$(seq 20); do \
 	  echo "run $$run of 20"; $(BIN)/python -m pytest -q -m client --durations=0 tests/client || exit 1; \
@@ -112,10 +118,20 @@ campaign-learning: $(BIN)/.installed
 campaign-learning-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.learning --quick
 
+attack: $(BIN)/.installed-dev
+	$(BIN)/python -m pytest -q -m attack tests/attack
+
+MINUTES ?= 600
 campaign-barrier: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.barrier_campaign
+	nice -n 10 $(BIN)/python -m benchmarks.barrier_attack --resume --minutes $(MINUTES)
 
 campaign-barrier-quick: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.barrier_attack --quick
+
+campaign-barrier-filters: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.barrier_campaign
+
+campaign-barrier-filters-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier_campaign --quick
 
 gap-blind: $(BIN)/.installed

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting
+from flightstack.barrier.premises import Premises
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.types import F64, Tuple3
@@ -148,5 +149,7 @@ class Certificate:
     """What the bounds rest on: kernels, points, noise, hashes; plain JSON."""
     version: int = 0
     """Counted up by each that replaces another in flight."""
+    premises: Premises | None = None
+    """For what it holds; None: as published, or made up: it claims nothing of a flight."""
     governor: GovernorTerms | None = None
     """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""
