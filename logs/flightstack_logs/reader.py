@@ -1,7 +1,7 @@
 """Logs in: `read(path)` gives any supported log as typed tables; the kind of file is told by its content.
 
-A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  What begins like none of
-them and is text is taken for CSV.  Any of them may be packed with gzip.
+A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  A `.tlog` begins with a date
+and a frame; what begins like none of them and is text is taken for CSV.  Any of them may be packed with gzip.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from pathlib import Path
 from flightstack.types import InputError
 from flightstack_logs import mcap_file
 from flightstack_logs.columns import ColumnMap
-from flightstack_logs.readers import cfusdlog, csv_file, ulog
+from flightstack_logs.readers import cfusdlog, csv_file, dataflash, tlog, ulog
 from flightstack_logs.readers.mcap import read_mcap
 from flightstack_logs.tables import About, Log, Messages, Table
 
 __all__ = ["About", "Log", "Messages", "Table", "read"]
 
-KNOWN = ".mcap, .ulg, .csv, Crazyflie .cfusdlog, each also as .gz"
+KNOWN = ".mcap, .ulg, .tlog, .BIN, .csv, Crazyflie .cfusdlog, each also as .gz"
 _GZIP = b"\x1f\x8b"
 _MOST_BYTES = 4 << 30
 """Of a log once unpacked: a day at full rate; what claims more is no log."""
@@ -44,6 +44,8 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
             return reader(path, data)
         if beginning.startswith(data):
             raise InputError(f"log {path}: is cut off within its first bytes; there is nothing to read in it")
+    if tlog.begins_like_a_tlog(data):
+        return tlog.read_tlog(path, data)
     if csv_file.is_text_table(data):
         return csv_file.read_csv(path, data, columns)
     raise InputError(f"log {path}: is of no known kind (known: {KNOWN}); name a flight log")
@@ -66,5 +68,6 @@ def _unpacked(path: Path, data: bytes) -> bytes:
 _KINDS: tuple[tuple[bytes, Callable[[Path, bytes], Log]], ...] = (
     (mcap_file.MAGIC, read_mcap),
     (ulog.MAGIC, ulog.read_ulog),
+    (dataflash.MAGIC, dataflash.read_dataflash),
     (cfusdlog.MAGIC, cfusdlog.read_cfusdlog),
 )

@@ -62,7 +62,7 @@ class Log:
 
     path: Path
     kind: str
-    """Kind of file: mcap, ulog, csv, cfusdlog."""
+    """Kind of file: mcap, ulog, tlog, dataflash, csv, cfusdlog."""
     complete: bool
     """False where the file was cut off or is damaged; `notes` says how."""
     notes: tuple[str, ...]
