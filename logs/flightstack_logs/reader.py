@@ -1,7 +1,7 @@
 """Logs in: `read(path)` gives any supported log as typed tables; the kind of file is told by its content.
 
-A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  A `.tlog` begins with a date
-and a frame; what begins like none of them and is text is taken for CSV.  Any of them may be packed with gzip.
+A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  A `.tlog` begins with a
+date and a frame; what begins like none of them and is text is taken for CSV.  Any of them may be packed with gzip.
 """
 
 from __future__ import annotations

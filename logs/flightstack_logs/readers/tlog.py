@@ -1,9 +1,9 @@
 """Telemetry logs (`.tlog`) of ground stations: 8 bytes of big-endian microseconds (UTC) before every MAVLink frame.
 
-One table for each message, under its name; where several systems or components send it, those of the vehicle (the system
-with an autopilot's heartbeat) keep the name and the others' become `NAME@system.component`.  Frames whose checksum is
-wrong are left out and counted, and after damage the walk goes on at the next good frame.  Fields are those of pymavlink's
-`all` dialect; a message that it does not know, whose checksum can't be told, is left out too.
+One table for each message, under its name; where several systems or components send it, those of the vehicle (the
+system with an autopilot's heartbeat) keep the name and the others' become `NAME@system.component`.  Frames whose
+checksum is wrong are left out and counted, and after damage the walk goes on at the next good frame.  Fields are those
+of pymavlink's `all` dialect; a message that it does not know, whose checksum can't be told, is left out too.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ _EARLIEST_US, _LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
 """The years 2000 to 2100."""
 _SIGNED = 1
 _NO_AUTOPILOT = 8
+_FLOAT, _DENORMAL = 9, 1e-30
+"""MAV_PARAM_TYPE_REAL32; integers sent as their bits look like floats smaller than any parameter."""
 _TYPES = {"uint8_t": "u1", "int8_t": "i1", "uint16_t": "<u2", "int16_t": "<i2", "uint32_t": "<u4", "int32_t": "<i4",
           "uint64_t": "<u8", "int64_t": "<i8", "float": "<f4", "double": "<f8", "char": "S1",
           "uint8_t_mavlink_version": "u1"}  # fmt: skip
@@ -52,7 +54,7 @@ def begins_like_a_tlog(data: bytes) -> bool:
 
 def read_tlog(path: Path, data: bytes) -> Log:
     """The log in `data`, a damaged or cut-off one as far as it goes; InputError where no message is whole."""
-    heard, lost = _walk(data)
+    heard, lost, foreign = _walk(data)
     if not heard:
         raise InputError(f"log {path}: is a telemetry log without a single whole message; copy it again")
     vehicle = _vehicle(heard)
@@ -66,6 +68,8 @@ def read_tlog(path: Path, data: bytes) -> Log:
             name = f"{name.partition('@')[0]}@{sender[1]}.{sender[2]}"
         tables[name] = _table(name, sender[0], one, zero_us)
     notes = [f"damaged or cut off: {lost} bytes are no whole message"] if lost else []
+    if foreign:
+        notes.append(f"{foreign} messages of a kind that is not known (their checksum can't be told) were left out")
     began = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(zero_us // 1_000_000))
     return Log(
         path=path,
@@ -85,14 +89,18 @@ def read_tlog(path: Path, data: bytes) -> Log:
     )
 
 
-def _walk(data: bytes) -> tuple[dict[Sender, _Heard], int]:
-    """Every whole frame by its sender, and how many bytes belong to none."""
+def _walk(data: bytes) -> tuple[dict[Sender, _Heard], int, int]:
+    """Every whole frame by its sender, how many bytes belong to none, and how many frames are of no known kind."""
     heard: dict[Sender, _Heard] = {}
-    at = lost = 0
+    at = lost = foreign = 0
     end = len(data)
     while at + _STAMP + 8 <= end:
         found = _frame(data, at + _STAMP)
         stamp_us = int.from_bytes(data[at : at + _STAMP], "big")
+        if found is None and (after := _foreign_end(data, at + _STAMP)):
+            foreign += 1
+            at = after
+            continue
         if found is None or not _EARLIEST_US <= stamp_us <= _LATEST_US:
             after = _next(data, at + 1)
             lost += after - at
@@ -105,7 +113,15 @@ def _walk(data: bytes) -> tuple[dict[Sender, _Heard], int]:
         one.stamps_us.append(stamp_us)
         one.payloads.append(payload)
         at += _STAMP + size
-    return heard, lost + end - at
+    return heard, lost + end - at, foreign
+
+
+def _foreign_end(data: bytes, at: int) -> int:
+    """Where a frame of an unknown kind ends, if another entry or the file's end follows there; else 0."""
+    if data[at] != _V2 or at + 12 > len(data) or int.from_bytes(data[at + 7 : at + 10], "little") in _extras():
+        return 0
+    end = at + 12 + data[at + 1] + (13 if data[at + 2] & _SIGNED else 0)
+    return end if end == len(data) or begins_like_a_tlog(data[end : end + 2 * _STAMP]) else 0
 
 
 def _frame(data: bytes, at: int) -> tuple[Sender, bytes, int] | None:
@@ -202,12 +218,14 @@ def _typed(values: np.ndarray) -> np.ndarray:
 
 
 def _parameters(tables: dict[str, Table]) -> dict[str, dict[str, str]]:
-    """The last value that the vehicle told of each parameter; PX4 sends integers as their bits (types below 9)."""
+    """The last value that the vehicle told of each parameter; PX4 sends integers as their bits."""
     told = tables.get("PARAM_VALUE")
     if told is None:
         return {}
-    found = {}
-    for name, value, kind in zip(told["param_id"], told["param_value"], told["param_type"], strict=True):
-        whole = kind < 9 and abs(value) < 1e-30 and value != 0.0
-        found[str(name)] = str(int(np.float32(value).view(np.int32))) if whole else repr(float(value))
+    value, whole = told["param_value"].astype(np.float32), told["param_type"] < _FLOAT
+    bits = bool(np.any(whole & (value != 0.0) & (np.abs(value) < _DENORMAL)))
+    found = {
+        str(name): str(int(one.view(np.int32))) if bits and integer else repr(float(one))
+        for name, one, integer in zip(told["param_id"], value, whole, strict=True)
+    }
     return {"parameters": found}
