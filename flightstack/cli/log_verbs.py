@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from flightstack.cli.options import JsonOption
+from flightstack.errors import InputError
 
 log_app = typer.Typer(
     help="Look at a log (.mcap, .ulg, .tlog, .BIN, .csv), convert, export or mend it.",
@@ -70,6 +71,8 @@ def report(
     from flightstack_logs.standard import with_vehicle_topics
 
     flown = with_vehicle_topics(_read(log, columns))
+    if not any(len(table) for table in flown.tables.values()):
+        raise InputError(f"log {log}: holds no table of a flight; there is nothing to show")
     path = out / "report.html"
     files.write_text(path, render_report(from_log(flown)))
     for note in flown.notes:

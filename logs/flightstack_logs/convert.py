@@ -59,6 +59,7 @@ def convert(log: Log, path: Path) -> Converted:
     finally:
         out.close()
     if out.failed is not None:
+        path.unlink(missing_ok=True)
         raise InputError(f"{out.failed}; {log.path} is as it was")
     return Converted(out.messages, len(topics))
 

@@ -6,6 +6,7 @@ date and a frame; what begins like none of them and is text is taken for CSV.  A
 
 from __future__ import annotations
 
+import stat
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -31,12 +32,7 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
     `columns` says what the columns of a CSV mean that hasn't this project's header.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"log {path}: can't be read ({error.strerror}); check the path") from None
-    if not data:
-        raise InputError(f"log {path}: is empty; nothing was ever written to it")
+    data = bytes_of(path)
     if data.startswith(_GZIP):
         data = _unpacked(path, data)
     for beginning, reader in _KINDS:
@@ -49,6 +45,26 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
     if csv_file.is_text_table(data):
         return csv_file.read_csv(path, data, columns)
     raise InputError(f"log {path}: is of no known kind (known: {KNOWN}); name a flight log")
+
+
+def bytes_of(path: Path) -> bytes:
+    """All of a log's file; InputError, one line, where it can't be read, is empty, no file or too large to be a log."""
+    try:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise InputError(f"log {path}: is no file; name a flight log")
+        if about.st_size > _MOST_BYTES:
+            raise InputError(
+                f"log {path}: has {about.st_size / 1e9:.0f} GB, more than {_MOST_BYTES >> 30} GB are not read"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"log {path}: can't be read ({error.strerror}); check the path") from None
+    except MemoryError:
+        raise InputError(f"log {path}: does not fit into this machine's memory; cut it") from None
+    if not data:
+        raise InputError(f"log {path}: is empty; nothing was ever written to it")
+    return data
 
 
 def _unpacked(path: Path, data: bytes) -> bytes:

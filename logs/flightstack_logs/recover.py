@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from flightstack.types import InputError
 from flightstack_logs.mcap_file import Channel, McapContent, scan
+from flightstack_logs.reader import bytes_of
 
 
 class Recovered(NamedTuple):
@@ -24,10 +25,7 @@ class Recovered(NamedTuple):
 
 def recover(source: Path, path: Path) -> Recovered:
     """Write what `source` still holds to `path`, a new file; InputError, one line, where that can't be done."""
-    try:
-        data = source.read_bytes()
-    except OSError as error:
-        raise InputError(f"log {source}: can't be read ({error.strerror}); check the path") from None
+    data = bytes_of(source)
     if path.exists():
         raise InputError(f"log {path}: exists already; choose another name or remove it")
     content = scan(data, str(source))
