@@ -44,6 +44,7 @@ from flightstack.cli.options import (
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.vehicle import vehicle_app
 from flightstack_paper.verb import reproduce
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -60,6 +61,7 @@ app = typer.Typer(
 )
 log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(log_app, name="log")
+app.add_typer(vehicle_app, name="vehicle")
 
 
 class FlightCommand(TyperCommand):
