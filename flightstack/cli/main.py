@@ -45,12 +45,9 @@ from flightstack.cli.options import (
     VehicleOption,
     WaypointsArgument,
 )
-<<<<<<< HEAD
-from flightstack.cli.vehicle import vehicle_app
-=======
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
+from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
->>>>>>> main
 from flightstack_paper.verb import reproduce
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -65,11 +62,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-<<<<<<< HEAD
-log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
-app.add_typer(log_app, name="log")
-app.add_typer(vehicle_app, name="vehicle")
-=======
 
 
 def _show_version(wanted: bool) -> None:
@@ -89,7 +81,6 @@ def _everywhere(
     ] = False,
 ) -> None:
     """Options of the program itself."""
->>>>>>> main
 
 
 class FlightCommand(TyperCommand):
@@ -410,6 +401,7 @@ def gap(
 
 app.command()(reproduce)
 app.add_typer(log_app, name="log")
+app.add_typer(vehicle_app, name="vehicle")
 
 
 def main(arguments: list[str] | None = None) -> None:
