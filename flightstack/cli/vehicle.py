@@ -30,7 +30,7 @@ def new(
     name: Annotated[str | None, typer.Option(help="The vehicle's name (default: the file's).")] = None,
 ) -> None:
     """Write a vehicle file from what a PX4 is set up with; what nothing tells gets a range."""
-    from flightstack.cli import console, files
+    from flightstack.cli import files, terminal
     from flightstack.vehicle import parse_vehicle
     from flightstack.vehicle_new import vehicle_text
 
@@ -43,7 +43,7 @@ def new(
     text = vehicle_text(parameters(source), name=called, mass_kg=mass, arm_m=arm, source=Path(source).name)
     parse_vehicle(text, str(out))  # what is written can be flown
     files.write_text(out, text)
-    console.output.print(f"wrote {out}: look at its ranges, and narrow them by docs/vehicle.md", soft_wrap=True)
+    terminal.output.print(f"wrote {out}: look at its ranges, and narrow them by docs/vehicle.md", soft_wrap=True)
 
 
 @vehicle_app.command("check")
@@ -54,7 +54,7 @@ def check(
 ) -> None:
     """Say what is wrong with a vehicle file, one line each; exit 1 where anything is."""
     from flightstack.airframe import contradictions, unsettled_hover
-    from flightstack.cli import console, files
+    from flightstack.cli import files, terminal
     from flightstack.cli.main import FAILED
     from flightstack.model import Model
     from flightstack.plausibility import implausible
@@ -66,13 +66,13 @@ def check(
         lines = contradictions(values, vehicle, hover)
         notes = [note for note in (unsettled_hover(values, hover),) if note]
     for line in (*lines, *notes):
-        console.output.print(line, soft_wrap=True, markup=False)
+        terminal.output.print(line, soft_wrap=True, markup=False)
     if json is not None:
         result = {"schema": SCHEMA, "vehicle": vehicle.name, "contradictions": lines, "warnings": notes}
         files.write_json(json, result)
     if lines:
         raise typer.Exit(FAILED)
-    console.output.print(f"{file}: nothing speaks against it" + (f" by {against}" if against else ""), soft_wrap=True)
+    terminal.output.print(f"{file}: nothing speaks against it" + (f" by {against}" if against else ""), soft_wrap=True)
 
 
 def parameters(source: str) -> dict[str, float]:
