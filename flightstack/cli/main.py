@@ -48,6 +48,7 @@ from flightstack.cli.options import (
     WaypointsArgument,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
+from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
 
@@ -140,7 +141,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
-        raise typer.Exit(FAILED)
+        raise typer.Exit(BAD_INPUT if result.link_too_slow else FAILED)
 
 
 def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:
@@ -402,6 +403,7 @@ def gap(
 
 app.command()(reproduce)
 app.add_typer(log_app, name="log")
+app.add_typer(vehicle_app, name="vehicle")
 
 
 def main(arguments: list[str] | None = None) -> None:
