@@ -14,6 +14,8 @@ ASKED = (
 )
 RUNS = 3
 AIRBORNE_M, FLOWN_S, WATCHED_S, SOFT_MPS = 1.5, 8.0, 5.0, 1.5
+TAKEOFF_LIMIT_S = 150.0
+"""With the start of a process on a busy machine."""
 OFFBOARD = 6
 MODES = (("Hold", 4.0, 3.0), ("Return", 4.0, 5.0), ("Land", 4.0, 6.0))
 """Words, main mode, sub mode."""
@@ -30,7 +32,7 @@ def _mode(bench: Bench, words: str, main: float, sub: float, runs: int) -> Row:
         with Px4(bench) as px4:
             companion = start(px4, log_folder(bench, f"pilot-{words.lower()}"), "figure8")
             try:
-                if not px4.wait(lambda: px4.height_m > AIRBORNE_M, 60.0):
+                if not px4.wait(lambda: px4.height_m > AIRBORNE_M, TAKEOFF_LIMIT_S):
                     notes.append(f"run {number}: did not take off")
                     continue
                 time.sleep(FLOWN_S)
