@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flightstack.state_observer import StateObserver
 
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
 from benchmarks.attack_worlds import TICK_MS, World
@@ -147,7 +146,11 @@ class AttackFlight:
         self.stack.certifier = self.watched
         self._streams, self._count, self._setpoint = Streams(), 0, _idle()
         errors = getattr(setup.companion, "estimate", None)
-        self._refiner = None if errors is None or not errors.independent else StateObserver(errors)
+        self._refiner: Any = None
+        if errors is not None and errors.independent:
+            from flightstack.state_observer import StateObserver
+
+            self._refiner = StateObserver(errors)
         rng = np.random.default_rng([9, seed])
         self._down, self._up = (Wire(ms, world.jitter_ms, rng) for ms in (world.down_ms, world.up_ms))
         self._begin()
