@@ -38,6 +38,7 @@ from flightstack.cli.options import (
     SensorsOption,
     SigningKeyOption,
     TruthOption,
+    UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
@@ -79,6 +80,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -92,6 +94,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "unprotected_ok": unprotected_ok,
         "log": log,
         "out": out,
     }
