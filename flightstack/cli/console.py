@@ -56,7 +56,10 @@ def say_error(text: str) -> None:
 
 
 def show_result(result: FlightResult) -> None:
-    """The flight's summary."""
+    """The flight's summary; of a dry run the checklist."""
+    if result.completed is None:
+        _show_checklist(result)
+        return
     if result.passed:
         verdict = "[bold green]completed[/]" if result.completed else "[bold]nothing was to be flown[/]"
     else:
@@ -72,6 +75,20 @@ def show_result(result: FlightResult) -> None:
             output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
     if result.log_problem:
         output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
+
+
+def _show_checklist(result: FlightResult) -> None:
+    """What was looked at, line by line."""
+    verdict = "[bold green]ready[/]" if result.passed else "[bold red]NOT ready[/]"
+    table = Table(title=f"{result.scenario}, dry run: {verdict}", title_justify="left", show_header=False, box=None)
+    for _ in range(3):
+        table.add_column()
+    for check in result.checklist:
+        mark = "[green]ok[/]" if check["ok"] else "[bold red]no[/]"
+        table.add_row(mark, escape(check["check"]), escape(check["said"]))
+    output.print(table)
+    if result.log:
+        output.print(f" log     {result.log}", soft_wrap=True, markup=False)
 
 
 def _not_passed(result: FlightResult) -> str:

@@ -161,17 +161,21 @@ class FlightResult:
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
     checks: list[dict[str, Any]] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    """What the vehicle said against its file, one line each: the file is refused."""
+    checklist: list[dict[str, Any]] = field(default_factory=list)
+    """Of a dry run: check, ok, said."""
 
     @property
     def passed(self) -> bool:
         """Not left undone, protected where that was asked for, with the log whole and every check kept."""
         kept = self.completed is not False and not self.unprotected and not self.log_problem
-        return kept and all(check["passed"] for check in self.checks)
+        return kept and all(check["passed"] for check in self.checks) and all(check["ok"] for check in self.checklist)
 
     @property
     def unprotected(self) -> str:
         """Why protection that was asked for, and is not waived, does not count as held, one line; else empty."""
-        if self.unprotected_ok or self.protection in (HELD, OFF):
+        if self.unprotected_ok or self.completed is None or self.protection in (HELD, OFF):
             return ""
         if self.protection == LEFT:
             return self.left_region
@@ -194,6 +198,8 @@ class FlightResult:
         """Why it did not pass, one line; empty where it did."""
         if self.completed is False:
             return self.reason or "the flight did not complete"
+        if self.checklist and not self.checklist[-1]["ok"]:
+            return str(self.checklist[-1]["said"])
         if self.unprotected:
             return self.unprotected
         if self.log_problem:
@@ -250,6 +256,8 @@ class FlightResult:
             "loop": self.loop,
             "link": self.link,
             "checks": self.checks,
+            "checklist": self.checklist,
+            "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
 
