@@ -25,6 +25,7 @@ import numpy as np
 from flightstack.barrier import records
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.premises import parse_premises, premises_table
+from flightstack.barrier.provenance import parse_provenance
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.checked import number, only, vector, words
@@ -45,6 +46,7 @@ _TOP = (
     "budget",
     "axes",
     "premises",
+    "provenance",
     "knowledge",
     "seal",
 )
@@ -65,6 +67,7 @@ def certificate_to_json(certificate: Certificate) -> str:
         "budget": asdict(certificate.budget),
         "axes": [_axis_table(axis) for axis in certificate.axes],
         "premises": None if certificate.premises is None else premises_table(certificate.premises),
+        "provenance": None if certificate.provenance is None else certificate.provenance.as_json(),
         "knowledge": certificate.knowledge,
     }
     try:
@@ -100,6 +103,9 @@ def parse_certificate(text: str, source: str) -> Certificate:
         knowledge=dict(_table(data["knowledge"], f"{source}: knowledge")),
         version=_whole(data["version"], f"{source}: version"),
         premises=None if data["premises"] is None else parse_premises(data["premises"], f"{source}: premises"),
+        provenance=None
+        if data["provenance"] is None
+        else parse_provenance(data["provenance"], f"{source}: provenance"),
     )
 
 

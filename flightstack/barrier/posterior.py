@@ -19,9 +19,10 @@ excess), as the learner's own bound (`learning.store`).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack, solve_triangular
 
 from flightstack.barrier.initial import DOWN
@@ -57,6 +58,8 @@ class Process:
     """(P,) variance that the kernel does not know, (m/s^2)^2."""
     inflation: float = INFLATION
     """Factor on the standard deviation."""
+    spans_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
 
     @classmethod
     def of(cls, store: Store, x: F64, y: F64) -> Process:
@@ -66,14 +69,16 @@ class Process:
     @classmethod
     def resting_on(cls, evidence: Evidence) -> Process:
         """As many points as a store holds, that reach as far as all of the evidence."""
-        x, y = evidence.certificate_set(evidence.capacity)
-        return cls(evidence.kernel, evidence.noise_var, x, y, evidence.excess)
+        chosen = evidence.chosen(evidence.capacity)
+        x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]
+        return cls(evidence.kernel, evidence.noise_var, x, y, evidence.excess, spans_us=spans_us)
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
         return {
             "kernel": self.kernel.to_dict(), "noise_var": self.noise_var, "inflation": self.inflation,
             "excess": self.excess.tolist(), "x": self.x.tolist(), "y": self.y.tolist(),
+            "windows_us": self.spans_us.tolist(),
         }  # fmt: skip
 
     @property

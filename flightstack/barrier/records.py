@@ -12,6 +12,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting
 from flightstack.barrier.premises import Premises
+from flightstack.barrier.provenance import Provenance
 from flightstack.barrier.shapes import Barrier
 from flightstack.types import F64, Tuple3
 
@@ -150,3 +151,5 @@ class Certificate:
     """Counted up by each that replaces another in flight."""
     premises: Premises | None = None
     """For what it holds; None: as published, or made up: it claims nothing of a flight."""
+    provenance: Provenance | None = None
+    """The flight that it was learned in; None: nothing ties it to one."""

@@ -29,10 +29,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .gaussian import factor, kernel, posterior
 from .intervals import F64
-from .reading import Refused, number, rows, table_of
+from .reading import Refused, Unreadable, number, rows, table_of
 
 NEAR = 1e-6
 """What two correct computations of a posterior may differ by, m/s^2."""
@@ -44,7 +45,7 @@ _KEYS = (
 )  # fmt: skip
 _LEARNED = ("lateral", "vertical", "sha256")
 _ALSO = ("doubts", "falsified", "hand_over", "last", "vehicle", "vehicle_hash")
-_PROCESS = ("kernel", "noise_var", "inflation", "excess", "x", "y")
+_PROCESS = ("kernel", "noise_var", "inflation", "excess", "x", "y", "windows_us")
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
 
@@ -67,6 +68,9 @@ class Process:
     excess: F64
     x: F64
     y: F64
+    noise_var: float
+    windows_us: NDArray[np.int64]
+    """(n, 2) of each point, or none."""
 
     def at(self, queries: F64, where: str) -> tuple[F64, F64]:
         """Means and calibrated variances (m, outputs)."""
@@ -303,7 +307,19 @@ def _process(value: Any, outputs: int, name: str) -> Process:
     if len(x) != len(y) or len(x) > 2000 or not (noise > 0.0 and inflation >= 1.0 and excess.min() >= 0.0):
         raise Refused(f"{where}: as many x as y, noise above 0, inflation at least 1, excess at least 0")
     lower = factor(value["kernel"], x, noise, f"{where}.kernel")
-    return Process(value["kernel"], lower, inflation, excess, x, y)
+    return Process(value["kernel"], lower, inflation, excess, x, y, noise, _windows(value["windows_us"], len(x), where))
+
+
+def _windows(value: Any, count: int, where: str) -> NDArray[np.int64]:
+    """(n, 2) stamps; none where none are named."""
+    if value == []:
+        return np.zeros((0, 2), np.int64)
+    named = isinstance(value, list) and len(value) == count
+    if not named or not all(isinstance(row, list) and len(row) == 2 for row in value):
+        raise Unreadable(f"{where}.windows_us must be as many pairs of stamps as points, or none")
+    if not all(type(stamp) is int and 0 <= stamp < 2**53 for row in value for stamp in row):
+        raise Refused(f"{where}.windows_us: a stamp is no whole number from 0")
+    return np.array(value, np.int64)
 
 
 def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> None:

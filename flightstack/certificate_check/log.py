@@ -17,7 +17,6 @@ import lz4.frame
 import numpy as np
 import zstandard
 
-from .intervals import F64
 from .reading import Unreadable
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -28,7 +27,7 @@ _OPENING = struct.Struct("<BQ")
 _SIZES = {1: ("<f8", 8), 2: ("<f4", 4), 15: ("<i4", 4), 16: ("<i8", 8)}
 """By FieldDescriptorProto.Type."""
 
-Table = dict[str, F64]
+Table = dict[str, Any]
 """Columns (n,) or (n, k); `t_us` the log time."""
 
 
@@ -145,7 +144,9 @@ def _columns(
         held[at : at + width] = True
         column = np.ascontiguousarray(block[:, at : at + width]).view(code)
         table[name] = column[:, 0] if count == 1 else column
-    if np.any(block[:, ~held & _fixed(messages[0][:end], fields)] != block[0, ~held & _fixed(messages[0][:end], fields)]):
+    if np.any(
+        block[:, ~held & _fixed(messages[0][:end], fields)] != block[0, ~held & _fixed(messages[0][:end], fields)]
+    ):
         raise Unreadable(f"log: {topic} has messages of different layouts")
     return table
 

@@ -106,7 +106,9 @@ class Ticks:
         if learner is not None:
             delay[np.searchsorted(times, learner["t_us"])] = learner["latency_s"]
         kept = {name: column[inside] for name, column in tick.items()}
-        return cls(times[inside], kept, command["thrust_norm"][inside], command["rate_frd_radps"][inside], delay[inside])
+        return cls(
+            times[inside], kept, command["thrust_norm"][inside], command["rate_frd_radps"][inside], delay[inside]
+        )
 
     def bytes(self) -> bytes:
         """What SHA-256 is taken of: each tick's stamp, measurement, ages, command and delay, little-endian."""
@@ -157,7 +159,7 @@ def samples(ticks: Ticks, believed: Believed) -> Samples:
     u = lagged(sent_s, sent, middle, np.where(dt > 0.0, step, 0.0), delays, np.full(len(delays), believed.lag_s))
     thrust = believed.thrust_n(u[np.arange(len(now)), place])
     weights = thrust / (believed.mass_kg * G)
-    turn = _matrices(q)
+    turn = matrices(q)
     axis = turn[:, :, 2]
     height = pos[0, 2] - pos[:, 2]
     near = (0.25 * believed.radius_m / np.maximum(height, 0.5 * believed.radius_m)) ** 2
@@ -168,7 +170,9 @@ def samples(ticks: Ticks, believed: Believed) -> Samples:
     tilt = _tilts(axis)
     c = np.einsum("ni,ni->n", tilt[:, :, 0], turn[:, :, 0])
     s = np.einsum("ni,ni->n", tilt[:, :, 1], turn[:, :, 0])
-    y = np.column_stack([c * residual[:, 0] - s * residual[:, 1], s * residual[:, 0] + c * residual[:, 1], residual[:, 2]])
+    y = np.column_stack(
+        [c * residual[:, 0] - s * residual[:, 1], s * residual[:, 0] + c * residual[:, 1], residual[:, 2]]
+    )
     fresh = (dt > 0.0) & (dt <= _GAP_S) & (before >= 0.0)
     away = ((pos - pos[0]) ** 2).sum(axis=1) > _AWAY_M**2
     fit = fresh & away & ((force**2).sum(axis=1) < _FORCE_MPS2**2) & (axis[:, 2] > 0.0) & (weights > _LEAST_WEIGHTS)
@@ -187,7 +191,7 @@ def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F6
 
 def _applied(norm: F64, motors: F64, dt_us: F64, believed: Believed, keep: NDArray[np.bool_]) -> F64:
     """(n,) applied over sent, as the motors' reports have it on average."""
-    told = ((motors >= 0.0) & (motors <= 1.0)).all(axis=1)
+    told: NDArray[np.bool_] = np.all((motors >= 0.0) & (motors <= 1.0), axis=1)
     mean = believed.thrust_n(motors).mean(axis=1)
     recent = sent = measured = 0.0
     out = np.ones(len(norm))
@@ -214,7 +218,7 @@ def lagged(sent_s: F64, sent: F64, middle_s: F64, dt_s: F64, delays_s: F64, lags
     return out
 
 
-def _matrices(q: F64) -> F64:
+def matrices(q: F64) -> F64:
     """(n, 3, 3) body to world."""
     w, x, y, z = q.T
     rows = [

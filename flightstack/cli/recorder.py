@@ -184,6 +184,8 @@ class LogObserver:
             self._log.scene(record.t_us, scene)
         self._on_certificates(record.t_us)
         self._log.tick(record)
+        if self._certifier is not None:
+            self._certifier.trail.add(record)
         self._learner_events.on_learned(record.t_us, record.learned)
         self._filter_events.on_filtered(record.t_us, record.filtered)
         if self._on_record is not None:
