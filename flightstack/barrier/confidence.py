@@ -3,8 +3,9 @@
     |a(q) - m(q)| <= k_n sqrt(i_B^2 s(q)^2 + g^2) + rho (1 + sum_j |w_j(q)|)
 
 m, s posterior mean and standard deviation at residual noise s_r, w_j the posterior weights of the points, g^2 the part
-of the error that no kernel knows (`learning.store`: excess, with its own inflation), along an axis all of it summed over
-the process' outputs.  i_B and rho come from the residuals r of the windows in the order of time (mean 0 by the model):
+of the error that no kernel knows (`learning.store`: excess, with its own inflation), along an axis all of it summed
+over the process' outputs.  i_B and rho come from the residuals r of the windows in the order of time (mean 0 by
+the model):
 
     c_l     mean of r_i r_i+l over windows that follow each other without a gap
     S(f)    c_0 + 2 sum over l < B of (1 - l / B) c_l cos(2 pi f l), Bartlett's spectrum; B = 10, or three correlation
@@ -30,14 +31,14 @@ from scipy.special import ndtri
 from flightstack.types import F64
 
 STATEMENT = (
-    "If the true function is a draw of the stated kernel, noise is Gaussian and sampling does not depend on past noise, "
-    "the remainder is at most rho and noise correlation ends within a block, all bounds of all certificates of this "
-    "flight hold with probability 1 - delta; changes after the data are watched, not promised."
+    "If the true function is a draw of the stated kernel, noise is Gaussian and sampling does not depend on past "
+    "noise, the remainder is at most rho and noise correlation ends within a block, all bounds of all certificates of "
+    "this flight hold with probability 1 - delta; changes after the data are watched, not promised."
 )
 FORMULA = "|a(q) - m(q)| <= k sqrt(i_B^2 s(q)^2 + g^2) + rho (1 + sum_j |w_j(q)|)"
 ALLOWANCE = 1.21
-BLOCK, LONGEST_BLOCK = 10, 40
 LEAST_INFLATION = math.sqrt(ALLOWANCE)
+BLOCK, LONGEST_BLOCK = 10, 40
 _GAP_US = 30_000
 """Between windows that follow each other there is one sample period."""
 _BEYOND = 0.05
@@ -48,14 +49,19 @@ class Colour(NamedTuple):
 
     inflation: F64
     """(P,) at least `LEAST_INFLATION`."""
-    remainder: F64
-    """(P,) m/s^2."""
+    remainder_mps2: F64
+    """(P,)."""
+
+    @classmethod
+    def white(cls, outputs: int) -> Colour:
+        """Of white noise and no remainder."""
+        return cls(np.full(outputs, LEAST_INFLATION), np.zeros(outputs))
 
 
 def colour(residual: F64, spans_us: NDArray[np.int64], noise_var: float) -> Colour:
     """From residuals (n, P) of windows with their stamps (n, 2), in the order of time."""
     if len(residual) < 2 * BLOCK:  # too few to say anything of their colour
-        return Colour(np.full(residual.shape[1], LEAST_INFLATION), np.zeros(residual.shape[1]))
+        return Colour.white(residual.shape[1])
     breaks = spans_us[1:, 0] - spans_us[:-1, 1] > _GAP_US
     runs = np.concatenate([[0], np.cumsum(breaks)])
     found = [_of_one(residual[:, i], runs, noise_var) for i in range(residual.shape[1])]
@@ -93,3 +99,8 @@ def _block_means(residual: F64, runs: NDArray[np.int64], block: int) -> F64:
     whole = starts[runs[starts] == runs[starts + block - 1]]
     means: F64 = residual[whole[:, None] + np.arange(block)].mean(axis=1)
     return means
+
+
+def confidence_table(delta: float, k_sigma: float) -> dict[str, object]:
+    """What a file says of its bounds; i_B, rho and the points are in its knowledge."""
+    return {"statement": STATEMENT, "formula": FORMULA, "probability": 1.0 - delta, "k": k_sigma}

@@ -24,6 +24,7 @@ import numpy as np
 
 from flightstack.barrier import records
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.confidence import confidence_table
 from flightstack.barrier.premises import parse_premises, premises_table
 from flightstack.barrier.provenance import parse_provenance
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
@@ -47,6 +48,7 @@ _TOP = (
     "axes",
     "premises",
     "provenance",
+    "confidence",
     "knowledge",
     "seal",
 )
@@ -68,6 +70,7 @@ def certificate_to_json(certificate: Certificate) -> str:
         "axes": [_axis_table(axis) for axis in certificate.axes],
         "premises": None if certificate.premises is None else premises_table(certificate.premises),
         "provenance": None if certificate.provenance is None else certificate.provenance.as_json(),
+        "confidence": confidence_table(certificate.delta, certificate.k_sigma),
         "knowledge": certificate.knowledge,
     }
     try:

@@ -22,9 +22,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from . import knowledge
+from . import floors, knowledge
 from .cells import check_cells
 from .condition import Condition, Piece
+from .confidence import check_confidence
 from .intervals import F64, Interval
 from .ledger import check_ledger
 from .premises import check_premises
@@ -32,18 +33,9 @@ from .provenance import check_flight, check_keys
 from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
 
 _TOP = (
-    "schema",
-    "mode",
-    "version",
-    "centre_ned_m",
-    "delta",
-    "k_sigma",
-    "budget",
-    "axes",
-    "premises",
-    "provenance",
-    "knowledge",
-)
+    "schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "provenance",
+    "confidence", "knowledge",
+)  # fmt: skip
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
 _BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
@@ -109,10 +101,16 @@ def _check(text: str, lines: list[str], log: BinaryIO | None, vehicle: bytes | N
     names = [axis["axis"] for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    check_confidence(data["confidence"], delta, k)
     check_keys(data["provenance"], known.stores)
+    sensors = data["premises"].get("sensors") if isinstance(data["premises"], dict) else None
+    floors.check_noise([store.noise_var for store in known.stores], sensors)
+    if known.stores:
+        floors.check_doubts(known.data.get("doubts"))
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
+        floors.check_vehicle(float(known.data["rotor_radius_m"]), condition.dt)
         nodes = _nodes(axis["authority"], name)
         if _AXES.index(name) not in tables:
             raise Refused(f"{name} is not among knowledge.axes")

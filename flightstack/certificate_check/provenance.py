@@ -3,7 +3,7 @@
     file        the vehicle's SHA-256, drag and rotor radius; the log's SHA-256 over its ticks (`samples`); the seal of
                 the certificate that the log itself ends with
     points      each x and y is the mean of the samples of its own window, to 1e-9; no two windows overlap
-    noise       stated with the windows' own colour, at least the lower 97.5 % limit of what all windows show
+    noise       stated with the windows' own colour (`confidence`), at least the lower limit of what all windows show
     windows     all windows from the first that is named on, not only those chosen, miss mean -+ 3 sigma no more often
                 than 1 % can explain
     lag, delay  of all pairs the one that explains the force's fast part best has the sum that is counted with, within
@@ -24,6 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from .confidence import check_colour
 from .gaussian import posterior
 from .intervals import F64
 from .knowledge import Knowledge, Process
@@ -38,7 +39,6 @@ _LATEST_US = 2**53
 _SIGMAS, _CLAIM = 3.0, 0.01
 _EXCITED_MPS2 = 0.2
 _SLOW_S = 0.1
-_QUANTILE = 1.96
 
 
 def check_keys(value: Any, stores: list[Process]) -> bool:
@@ -156,21 +156,18 @@ def all_windows(found: Samples, from_us: int) -> tuple[F64, F64, NDArray[np.int6
 def _check_windows(known: Knowledge, found: Samples) -> list[str]:
     """Noise and misses of all windows."""
     lines, start = [], min(int(store.windows_us.min()) for store in known.stores)
-    x, y, _ = all_windows(found, start)
+    x, y, last = all_windows(found, start)
     for name, store, columns in zip(("lateral", "vertical"), known.stores, (slice(0, 2), slice(2, 3)), strict=True):
-        mean, variance = posterior(store.spec, store.x, store.y, store.lower, x, name)
+        mean, variance, _ = posterior(store.spec, store.x, store.y, store.lower, x, name)
         error = y[:, columns] - mean
         for i in range(error.shape[1]):
             blocks = max(len(error) // 10, 2)
-            shown = float(np.quantile(error[:, i] ** 2, 0.6827))  # what is slow or rare is no noise
-            least = shown * (1.0 - _QUANTILE * math.sqrt(2.0 / blocks))
-            stated = store.noise_var * store.inflation**2 + float(store.excess[i])
-            if not stated >= least:
-                raise Refused(
-                    f"knowledge.{name}: noise of {math.sqrt(stated):.3g} m/s^2 is stated, the windows show "
-                    f"{math.sqrt(shown):.3g}"
-                )
-            known_var = store.noise_var + store.inflation**2 * (variance + float(store.excess[i]))
+            stated = float(store.inflation[i]), float(store.excess[i])
+            try:
+                shown = check_colour(error[:, i], last, store.noise_var, *stated)
+            except Refused as refused:
+                raise Refused(f"knowledge.{name}, output {i}: {refused}") from None
+            known_var = store.noise_var + stated[0] ** 2 * variance + stated[1]
             missed = np.abs(error[:, i]) > _SIGMAS * np.sqrt(known_var)
             in_blocks = int(np.add.reduceat(missed, np.arange(0, len(missed), 10)).astype(bool).sum())
             if not _could_be(in_blocks, blocks, 10.0 * _CLAIM):
@@ -180,7 +177,8 @@ def _check_windows(known: Knowledge, found: Samples) -> list[str]:
                 )
             lines.append(
                 f"{name} {i}: of all {len(missed)} windows {int(missed.sum())} beyond mean -+ {_SIGMAS:g} sigma; "
-                f"noise {math.sqrt(shown):.3g} m/s^2, stated {math.sqrt(stated):.3g}"
+                f"their spectrum's peak {math.sqrt(shown):.3g} m/s^2, "
+                f"stated {stated[0] * math.sqrt(store.noise_var):.3g}"
             )
     return lines
 
