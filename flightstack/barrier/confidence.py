@@ -8,15 +8,15 @@ over the process' outputs.  i_B and rho come from the residuals r of the windows
 the model):
 
     c_l     mean of r_i r_i+l over windows that follow each other without a gap
-    S(f)    c_0 + 2 sum over l < B of (1 - l / B) c_l cos(2 pi f l), Bartlett's spectrum; B = 10, or three correlation
-            times where that is more
+    S(f)    c_0 + 2 sum over l < B of min(1, 2 - 2 l / B) c_l cos(2 pi f l), the spectrum by a lag window with a flat
+            top, which takes little from its peaks; B = 10, or three correlation times where that is more
     i_B^2   1.21 max(1, max over f of S(f) / s_r^2): noise with this spectrum moves any weighted mean of the points by
             no more than white noise of that variance does
     rho     max over blocks of B windows of |mean r| beyond z i_B s_r / sqrt(B), at least 0; z: of all blocks together
             5 % would lie beyond by noise alone
 
-1.21 pays for S being estimated.  Source of the lag window: M. Priestley, Spectral Analysis and Time Series (1981),
-chapter 6.
+1.21 pays for S being estimated.  Source of the lag window: D. Politis and J. Romano, "Bias-corrected nonparametric
+spectral estimation", Journal of Time Series Analysis 16, 1995.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _of_one(residual: F64, runs: NDArray[np.int64], noise_var: float) -> tuple[f
     block = min(max(BLOCK, math.ceil(3.0 * correlated)), longest)
     lags = np.arange(1, block)
     waves = np.cos(2.0 * math.pi * np.linspace(0.0, 0.5, 2 * block + 1)[:, None] * lags)
-    spectrum = covariance[0] + 2.0 * waves @ ((1.0 - lags / block) * covariance[1:block])
+    spectrum = covariance[0] + 2.0 * waves @ (np.minimum(1.0, 2.0 - 2.0 * lags / block) * covariance[1:block])
     inflation = math.sqrt(ALLOWANCE * max(1.0, float(spectrum.max()) / noise_var))
     means = _block_means(residual, runs, block)
     if not len(means):

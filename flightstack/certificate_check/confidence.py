@@ -6,7 +6,7 @@ The statement and the formula are this checker's own words: a file that says som
 g^2 are `inflation`, `remainder_mps2` and `excess` of each process.  With a log, all windows' residuals r, in the order
 of time, have the spectrum
 
-    S(f) = c_0 + 2 sum over l < 10 of (1 - l / 10) c_l cos(2 pi f l),   c_l their mean product l windows apart
+    S(f) = c_0 + 2 sum over l < 10 of min(1, 2 - l / 5) c_l cos(2 pi f l),   c_l their mean product l windows apart
 
 and i_B^2 s_r^2 + g^2 must be at least its peak, but for what 500 windows leave open of it (97.5 %).  Of the means of
 ten windows in a row as many as 1 % may lie beyond what i_B, rho and mean k sigma allow.
@@ -58,7 +58,7 @@ def peak(residual: F64, last: NDArray[np.int64]) -> float:
         products.append(float((residual[lag:] * residual[:end])[together].mean()) if together.any() else 0.0)
     lags = np.arange(1, BLOCK)
     waves = np.cos(2.0 * math.pi * np.linspace(0.0, 0.5, 41)[:, None] * lags)
-    found = products[0] + 2.0 * waves @ ((1.0 - lags / BLOCK) * np.array(products[1:]))
+    found = products[0] + 2.0 * waves @ (np.minimum(1.0, 2.0 - 2.0 * lags / BLOCK) * np.array(products[1:]))
     return float(found.max())
 
 
