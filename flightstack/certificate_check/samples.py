@@ -29,7 +29,7 @@ from .reading import Refused, Unreadable
 G = 9.80665
 TICK = (
     "pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_command",
-    "position_age_us", "attitude_age_us", "imu_age_us",
+    "position_age_us", "attitude_age_us", "imu_age_us", "vehicle_us",
 )  # fmt: skip
 WANTED = {"/tick": TICK, "/command": ("thrust_norm", "rate_frd_radps"), "/learner": ("latency_s",)}
 WINDOW = 15
@@ -95,8 +95,8 @@ class Ticks:
             if topic not in recording.tables:
                 raise Unreadable(f"log: has no {topic}")
         tick, command = recording.tables["/tick"], recording.tables["/command"]
-        times = tick["t_us"]
-        if not np.array_equal(times, command["t_us"]) or not np.all(np.diff(times) > 0):
+        times, logged_us = tick["vehicle_us"].astype(np.int64), tick["t_us"]
+        if not np.array_equal(logged_us, command["t_us"]) or not np.all(np.diff(times) > 0):
             raise Refused("log: ticks and commands do not belong together")
         inside = (times >= first_us) & (times <= last_us)
         if not inside.any() or times[inside][0] != first_us or times[inside][-1] != last_us:
@@ -104,7 +104,10 @@ class Ticks:
         delay = np.full(len(times), np.nan)
         learner = recording.tables.get("/learner")
         if learner is not None:
-            delay[np.searchsorted(times, learner["t_us"])] = learner["latency_s"]
+            place = np.searchsorted(logged_us, learner["t_us"])
+            if not np.array_equal(logged_us[np.minimum(place, len(logged_us) - 1)], learner["t_us"]):
+                raise Refused("log: ticks and what was learned do not belong together")
+            delay[place] = learner["latency_s"]
         kept = {name: column[inside] for name, column in tick.items()}
         return cls(
             times[inside], kept, command["thrust_norm"][inside], command["rate_frd_radps"][inside], delay[inside]
@@ -114,7 +117,7 @@ class Ticks:
         """What SHA-256 is taken of: each tick's stamp, measurement, ages, command and delay, little-endian."""
         row = [self.t_us.astype("<i8")[:, None]]
         row += [self.tick[name].reshape(len(self.t_us), -1).astype("<f8").view("<i8") for name in TICK[:6]]
-        row += [self.tick[name].astype("<i8")[:, None] for name in TICK[6:]]
+        row += [self.tick[name].astype("<i8")[:, None] for name in TICK[6:9]]
         delay = np.where(np.isnan(self.delay_s), -1.0, self.delay_s)
         row += [
             np.ascontiguousarray(part, "<f8").reshape(len(self.t_us), -1).view("<i8")

@@ -51,6 +51,11 @@ def progress(title: str) -> Iterator[OnProgress]:
         yield show
 
 
+def say(text: str) -> None:
+    """One line on stderr."""
+    errors.print(text, markup=False)
+
+
 def say_error(text: str) -> None:
     """One line on stderr that begins `error:`."""
     errors.print(f"error: {' '.join(text.split())}", markup=False)

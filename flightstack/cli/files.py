@@ -15,10 +15,12 @@ from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
 from flightstack.waypoints import parse_waypoints
+from mavlink_bridge.param_file import parse_params
 
 _HERE = Path(__file__).resolve().parent
 _DATA = _HERE.parent / "data"
 DEFAULT_VEHICLE = "quad-x"
+_ONE = {"vehicles": "vehicle", "scenarios": "scenario", "params": "set of parameters", "controllers": "controller"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,7 @@ def find(kind: str, name: str) -> TextFile:
     if shipped.is_file():
         return read_text(shipped)
     known = ", ".join(shipped_names(kind))
-    raise InputError(f"no {kind[:-1]} named {name!r}: name a .toml file or one of {known}")
+    raise InputError(f"no {_ONE[kind]} named {name!r}: name a .toml file or one of {known}")
 
 
 def shipped_names(kind: str) -> list[str]:
@@ -60,6 +62,14 @@ def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
     """The vehicle of a name or path (None: the default)."""
     file = find("vehicles", name or DEFAULT_VEHICLE)
     return parse_vehicle(file.text, str(file.path)), file
+
+
+def load_params(name: str | None) -> dict[str, float]:
+    """The parameters of a file to set, by name or path (None: none)."""
+    if name is None:
+        return {}
+    file = find("params", name)
+    return parse_params(file.text, str(file.path))
 
 
 def load_scenario(name: str, waypoints: str | None = None) -> tuple[Scenario, TextFile]:

@@ -82,9 +82,9 @@ class Prepared:
         files_of = {**self.carried, "settings.json": json.dumps(dict(self.settings), indent=1)}
         return tuple(text_file(name, text) for name, text in files_of.items())
 
-    def open_log(self, path: Path) -> FlightLog:
-        """Begin the flight's log."""
-        metadata = {"settings": self.settings, "versions": files.versions()}
+    def open_log(self, path: Path, clock: Mapping[str, str]) -> FlightLog:
+        """Begin the flight's log; `clock`: of which date (`log_clock.clock_metadata`)."""
+        metadata = {"settings": self.settings, "versions": files.versions(), "clock": clock}
         return FlightLog.open(path, metadata=metadata, attachments=self.attachments, overwrite=True)
 
 
