@@ -68,7 +68,7 @@ KINDS = {
 
 def first_seed() -> int:
     """Of a campaign with this code."""
-    from flightstack.cli.files import versions
+    from flightstack.cli.versions import versions
 
     commit = versions()["git_commit"]
     return int(commit[:7], 16) if all(c in "0123456789abcdef" for c in commit[:7]) else 0
@@ -99,7 +99,8 @@ def fly_block(name: str, seed: int, flights: int = BLOCK, seconds: float = ENGAG
     from benchmarks import attack_adversary as adversary
     from benchmarks.attack_flight import AttackFlight, planted
     from benchmarks.attack_worlds import draw
-    from flightstack.cli.files import load_scenario, versions
+    from flightstack.cli.files import load_scenario
+    from flightstack.cli.versions import versions
     from flightstack.types import InputError
 
     kind = KINDS[name]

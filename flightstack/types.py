@@ -17,15 +17,13 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.errors import InputError as InputError
+
 F64 = NDArray[np.float64]
 Tuple3 = tuple[float, float, float]
 Tuple4 = tuple[float, float, float, float]
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-
-
-class InputError(ValueError):
-    """Bad input of a user: a file, a key, an argument.  Its text is one line that says what is wrong and what to do."""
 
 
 class _Record(Protocol):
