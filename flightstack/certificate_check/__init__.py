@@ -28,6 +28,7 @@ from .condition import Condition, Piece
 from .confidence import check_confidence
 from .intervals import F64, Interval
 from .ledger import check_ledger
+from .log import Recording
 from .premises import check_premises
 from .provenance import check_flight, check_keys
 from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
@@ -63,7 +64,7 @@ class Verdict:
     """How far what is true of a valid file reaches."""
 
 
-def check(text: str, log: BinaryIO | None = None, vehicle: bytes | None = None) -> Verdict:
+def check(text: str, log: BinaryIO | Recording | None = None, vehicle: bytes | None = None) -> Verdict:
     """Verify a certificate file's text, and against a flight's log where one is given; never raises.
 
     `vehicle`: the vehicle file; without it the one that the log carries.
@@ -84,7 +85,7 @@ def check(text: str, log: BinaryIO | None = None, vehicle: bytes | None = None) 
     return verdict
 
 
-def _check(text: str, lines: list[str], log: BinaryIO | None, vehicle: bytes | None) -> None:
+def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicle: bytes | None) -> None:
     data = table_of(unsealed(text), _TOP, "certificate")
     lines.append("seal: fits")
     if data["mode"] != "sound":

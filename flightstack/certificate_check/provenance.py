@@ -61,14 +61,16 @@ def check_keys(value: Any, stores: list[Process]) -> bool:
     return True
 
 
-def check_flight(data: dict[str, Any], known: Knowledge, log: BinaryIO, vehicle: bytes | None, seal: Any) -> list[str]:
+def check_flight(
+    data: dict[str, Any], known: Knowledge, log: BinaryIO | Recording, vehicle: bytes | None, seal: Any
+) -> list[str]:
     """Verify a certificate that is valid for itself against its log; what was verified, in words."""
     if not known.stores:
         raise Refused("provenance: nothing was learned, so no flight is named")
     if not check_keys(data["provenance"], known.stores):
         raise Refused("provenance: the certificate names no flight")
     named = data["provenance"]
-    recording = read_log(log, WANTED)
+    recording = log if isinstance(log, Recording) else read_log(log, WANTED)
     believed = _vehicle(named, known, recording, vehicle)
     ticks = Ticks.of(recording, named["from_us"], named["until_us"])
     if hashlib.sha256(ticks.bytes()).hexdigest() != named["log_sha256"]:

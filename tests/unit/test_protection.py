@@ -211,7 +211,10 @@ def test_a_certificate_that_the_checker_proves_flies_and_one_that_it_refuses_doe
 
     stamp = {"vehicle": "quad-x", "vehicle_hash": vehicle_hash(load_vehicle("quad-x"))}
     good = proven()
-    path.write_text(certificate_to_json(dataclasses.replace(good, knowledge={**good.knowledge, **stamp})))
+    assert good.premises is not None
+    premises = dataclasses.replace(good.premises, vehicle_hash=stamp["vehicle_hash"])
+    stamped = dataclasses.replace(good, knowledge={**good.knowledge, **stamp}, premises=premises)
+    path.write_text(certificate_to_json(stamped))
     assert prepared("hover", certificate=path).stack.filter.enabled
     data = json.loads(path.read_text())
     data["axes"][0]["margins"][0]["mps2"] *= 0.5
