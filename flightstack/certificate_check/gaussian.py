@@ -12,6 +12,9 @@ import numpy as np
 from .intervals import F64
 from .reading import Refused, column, number
 
+_AT_ONCE = 300
+"""Queries in one go: a kernel's matrices then take some megabytes."""
+
 
 def kernel(spec: Any, x: F64, y: F64, where: str, deep: int = 0) -> F64:
     """(n, m) covariances between rows of x (n, d) and y (m, d), of a kernel as plain JSON."""
@@ -57,6 +60,10 @@ def posterior(spec: Any, x: F64, y: F64, lower: F64, queries: F64, where: str) -
 
     Given y (n, outputs) at x (n, d) and their `factor`.
     """
+    if len(queries) > _AT_ONCE:
+        parts = [queries[i : i + _AT_ONCE] for i in range(0, len(queries), _AT_ONCE)]
+        found = [posterior(spec, x, y, lower, part, where) for part in parts]
+        return tuple(np.concatenate(each) for each in zip(*found, strict=True))  # type: ignore[return-value]
     cross = kernel(spec, x, queries, where)
     solved = np.asarray(np.linalg.solve(lower, np.hstack([cross, y])), np.float64)
     half, weights = solved[:, : len(queries)], solved[:, len(queries) :]

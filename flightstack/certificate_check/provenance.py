@@ -199,29 +199,28 @@ def _check_delay(data: dict[str, Any], known: Knowledge, found: Samples, believe
     doubts = known.data["doubts"]
     delay = max(float(axis["response"]["delay_s"]) for axis in data["axes"])
     slack = float(doubts["delay_s"]) + float(doubts["lag_share"]) * believed.lag_s
-    lags, delays = (
-        believed.lag_s * np.linspace(0.4, 1.6, 13),
-        np.unique(np.maximum(delay + 2e-3 * np.arange(-8, 9), 0.0)),
-    )
-    lag, late = (part.ravel() for part in np.meshgrid(lags, delays, indexing="ij"))
-    thrust = believed.thrust_n(lagged(found.sent_s, found.sent_norm, found.middle_s, found.dt_s, late, lag))
-    fast, force = _fast(thrust / believed.mass_kg, found.dt_s), _fast(found.force_z[:, None], found.dt_s)
-    fast, force = fast[found.fit], force[found.fit]
-    if not fast.std(axis=0).max() >= _EXCITED_MPS2:
-        return "lag and delay: thrust was too steady to tell; the file's doubts alone speak"
-    left = ((force - fast * ((fast * force).sum(axis=0) / (fast * fast).sum(axis=0))) ** 2).sum(axis=0)
+    delays = np.unique(np.maximum(delay + 2e-3 * np.arange(-8, 9), 0.0))
+    force, best = _fast(found.force_z[:, None], found.dt_s)[found.fit], (math.inf, 0.0)
+    for lag_s in believed.lag_s * np.linspace(0.4, 1.6, 13):  # one after the other: less memory
+        lags = np.full(len(delays), lag_s)
+        thrust = believed.thrust_n(lagged(found.sent_s, found.sent_norm, found.middle_s, found.dt_s, delays, lags))
+        fast = _fast(thrust / believed.mass_kg, found.dt_s)[found.fit]
+        if not fast.std(axis=0).max() >= _EXCITED_MPS2:
+            return "lag and delay: thrust was too steady to tell; the file's doubts alone speak"
+        left = ((force - fast * ((fast * force).sum(axis=0) / (fast * fast).sum(axis=0))) ** 2).sum(axis=0)
+        place = int(np.argmin(left))
+        best = min(best, (float(left[place]), float(lag_s + delays[place])))
     for axis in data["axes"]:
         if axis["axis"] == "down" and abs(float(axis["response"]["c1_s"]) - believed.lag_s) > _NEAR:
             raise Refused("down.response.c1_s is not the rotors' lag of the vehicle file")
-    best = int(np.argmin(left))
-    off = abs(float(lag[best] + late[best]) - believed.lag_s - delay)
+    shown_s = best[1]
+    off = abs(shown_s - believed.lag_s - delay)
     if not off <= slack + 1e-3:  # half a step of the grid
         raise Refused(
             f"response: {1e3 * (believed.lag_s + delay):.3g} ms of lag and delay are counted with, known to "
-            f"{1e3 * slack:.3g} ms; the log shows {1e3 * float(lag[best] + late[best]):.3g} ms"
+            f"{1e3 * slack:.3g} ms; the log shows {1e3 * shown_s:.3g} ms"
         )
-    shown_ms = 1e3 * float(lag[best] + late[best])
-    return f"lag and delay: {shown_ms:.3g} ms in the log, {1e3 * off:.2g} ms off what is counted with"
+    return f"lag and delay: {1e3 * shown_s:.3g} ms in the log, {1e3 * off:.2g} ms off what is counted with"
 
 
 def _fast(values: F64, dt_s: F64) -> F64:
