@@ -176,7 +176,7 @@ class Learned:
     target_frd_mps2 = Part(15, 18)
     """The residual as measured at this tick; NaN where there was no fit sample."""
     thrust_gain_sigma = Element(18)
-    """The vertical bound's share of gravity: the uncertainty of the gain if all of z's were its."""
+    """Standard deviation of the gain; at least the vertical bound's share of gravity."""
     rate_residual_frd_radps = Part(19, 22)
     """Expected body rates less those that the model of the rate loop says."""
     rate_sigma_frd_radps = Part(22, 25)

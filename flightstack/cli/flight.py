@@ -58,6 +58,8 @@ class FlyOptions(FlightOptions):
     realtime: bool = False
     fault: str | None = None
     """As on the command line; see sim.faults."""
+    hil_port: int = 4560
+    """Of `--px4-hil`."""
 
     @property
     def in_real_time(self) -> bool:
