@@ -161,6 +161,8 @@ class FlightResult:
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
     checks: list[dict[str, Any]] = field(default_factory=list)
+    link_too_slow: bool = False
+    """Refused before take-off: the certificate that was given does not hold for so slow a link."""
     contradictions: list[str] = field(default_factory=list)
     """What the vehicle said against its file, one line each: the file is refused."""
     estimate: dict[str, Any] | None = None
