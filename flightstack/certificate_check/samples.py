@@ -52,17 +52,18 @@ class Believed:
     def of(cls, file: dict[str, Any]) -> Believed:
         """From the file's tables."""
         try:
-            rotors, effects = file["rotors"], file.get("effects", {})
+            body, rotors = _plain(file["body"]), _plain(file["rotors"])
+            effects = {name: _plain(values) for name, values in file.get("effects", {}).items()}
             drag = effects.get("linear_drag", {})
             return cls(
-                file["body"]["mass_kg"] + effects.get("payload", {}).get("mass_kg", 0.0),
-                4.0 * rotors["max_thrust_n"] * effects.get("thrust_scale", {}).get("scale", 1.0),
-                effects.get("thrust_curve", {}).get("thrust_model_factor", rotors["thrust_model_factor"]),
-                max(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"]), 1e-4),
-                np.array([drag.get(f"d_{axis}_kgps", 0.0) for axis in "xyz"]),
-                rotors["radius_m"],
+                float(body["mass_kg"] + effects.get("payload", {}).get("mass_kg", 0.0)),
+                float(4.0 * rotors["max_thrust_n"] * effects.get("thrust_scale", {}).get("scale", 1.0)),
+                float(effects.get("thrust_curve", {}).get("thrust_model_factor", rotors["thrust_model_factor"])),
+                max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
+                np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"]),
+                float(rotors["radius_m"]),
             )
-        except (KeyError, TypeError, AttributeError):
+        except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None
 
     def thrust_n(self, u: F64) -> F64:
@@ -75,6 +76,11 @@ class Believed:
         share = min(max(thrust_n / self.max_thrust_n, 0.0), 1.0)
         linear = 1.0 - self.factor
         return 2.0 * share / (linear + math.sqrt(linear * linear + 4.0 * self.factor * share))
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """Its entries, with the value alone of each that also has a range."""
+    return {key: entry["value"] if isinstance(entry, dict) else entry for key, entry in table.items()}
 
 
 @dataclass(frozen=True)

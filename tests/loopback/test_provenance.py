@@ -47,7 +47,7 @@ class Flown(NamedTuple):
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     out = tmp_path_factory.mktemp("provenance")
     result = certify(
-        FlyOptions(scenario="paper-barrier", seed=22, duration_s=40.0, out=out), stop_requested=lambda: "",
+        FlyOptions(scenario="paper-barrier", seed=22, duration_s=30.0, out=out), stop_requested=lambda: "",
         config=ExploreConfig(axes=(2,), rounds_max=2),
     )  # fmt: skip
     assert result.certificate is not None
