@@ -14,6 +14,7 @@ from flightstack.barrier.condition import Reach, Setting
 from flightstack.barrier.premises import Premises
 from flightstack.barrier.provenance import Provenance
 from flightstack.barrier.shapes import Barrier
+from flightstack.barrier.torque import GovernorTerms
 from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
@@ -151,5 +152,7 @@ class Certificate:
     """Counted up by each that replaces another in flight."""
     premises: Premises | None = None
     """For what it holds; None: as published, or made up: it claims nothing of a flight."""
+    governor: GovernorTerms | None = None
+    """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""
     provenance: Provenance | None = None
     """The flight that it was learned in; None: nothing ties it to one."""
