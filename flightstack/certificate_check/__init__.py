@@ -106,12 +106,13 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
     check_keys(data["provenance"], known.stores)
     sensors = data["premises"].get("sensors") if isinstance(data["premises"], dict) else None
     floors.check_noise([store.noise_var for store in known.stores], sensors)
+    floors.check_radius(float(known.data["rotor_radius_m"]))
     if known.stores:
         floors.check_doubts(known.data.get("doubts"))
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
-        floors.check_vehicle(float(known.data["rotor_radius_m"]), condition.dt)
+        floors.check_hold(condition.dt)
         nodes = _nodes(axis["authority"], name)
         if _AXES.index(name) not in tables:
             raise Refused(f"{name} is not among knowledge.axes")

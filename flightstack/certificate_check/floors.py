@@ -69,9 +69,13 @@ def check_doubts(doubts: Any) -> None:
             raise Refused(f"knowledge.doubts.{key} = {doubts[key]:g} is below the {least:g} that could be known")
 
 
-def check_vehicle(rotor_radius_m: float, dt_s: float) -> None:
-    """Refused where a rotor or the time between commands is nothing."""
+def check_radius(rotor_radius_m: float) -> None:
+    """Refused where a rotor is nothing."""
     if not rotor_radius_m >= _RADIUS_M:
         raise Refused(f"knowledge.rotor_radius_m = {rotor_radius_m:g} is below {_RADIUS_M:g} m")
+
+
+def check_hold(dt_s: float) -> None:
+    """Refused where commands are held for no time."""
     if not dt_s >= _DT_S:
         raise Refused(f"setting.dt_s = {dt_s:g} is below {_DT_S:g} s")
