@@ -151,8 +151,8 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
-    if result.estimate["disagreement_rms_mps"] is not None:
-        yield "estimate", estimate_words(result.estimate)
+    if result.estimator["disagreement_rms_mps"] is not None:
+        yield "estimate", estimate_words(result.estimator)
     yield "protection", f"{_PROTECTION_STYLES[result.protection]}{escape(result.protection_words)}[/]"
     yield "learning", _learning(result.gp)
     yield "barrier filter", _filter(result)

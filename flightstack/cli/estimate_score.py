@@ -37,7 +37,7 @@ class EstimateScore:
             self._errors.append(error_ned_m)
 
     def summary(self) -> dict[str, Any]:
-        """The JSON's `estimate`."""
+        """The JSON's `estimator`."""
         if not self._control:
             return dict(NO_ESTIMATE)
         disagreement = _rms(np.array(self._disagreements))
@@ -56,7 +56,7 @@ def _rms(values: F64) -> F64:
 
 
 def estimate_words(estimate: dict[str, Any]) -> str:
-    """The JSON's `estimate` in one line."""
+    """The JSON's `estimator` in one line."""
     north, east, down = estimate["disagreement_rms_mps"]
     parts = [f"velocity and position disagree by {north:.2f}, {east:.2f}, {down:.2f} m/s rms (north, east, down)"]
     if estimate["poor"]:

@@ -150,7 +150,7 @@ class FlightResult:
     qp: dict[str, Any] = field(default_factory=lambda: dict(NO_QP))
     region: dict[str, Any] = field(default_factory=lambda: dict(NO_REGION))
     link: dict[str, Any] = field(default_factory=lambda: dict(NO_LINK))
-    estimate: dict[str, Any] = field(default_factory=lambda: dict(NO_ESTIMATE))
+    estimator: dict[str, Any] = field(default_factory=lambda: dict(NO_ESTIMATE))
     flown: dict[str, Any] = field(default_factory=dict)
     """Heights and speed by which it counts as flown (`verdict.Flown`)."""
     protection: str = OFF
@@ -263,7 +263,7 @@ class FlightResult:
             "region": self.region,
             "loop": self.loop,
             "link": self.link,
-            "estimate": self.estimate,
+            "estimator": self.estimator,
             "checks": self.checks,
             "checklist": self.checklist,
             "parameters_set": self.parameters_set,

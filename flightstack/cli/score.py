@@ -150,7 +150,7 @@ class FlightScore:
             qp=qp_summary(stack.filter, self._filter.infeasible),
             region=region,
             link=link_summary(companion),
-            estimate=self.estimate.summary(),
+            estimator=self.estimate.summary(),
             flown=flown.as_json(),
             protection=protection_of(prepared.protection.asked and completed is not None, self._filter.spans, region),
             filter_words=prepared.protection.words,

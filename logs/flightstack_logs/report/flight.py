@@ -290,8 +290,8 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
         filter=_filter(result),
         lockstep=_number(lateness.get("p50")) is None if loop else None,
         checks=_checks(result.get("checks")),
-        disagreement_mps=_numbers(_part(result, "estimate").get("disagreement_rms_mps")),
-        control_rmse_settled_m=_number(_part(result, "estimate").get("control_rmse_settled_m")),
+        disagreement_mps=_numbers(_part(result, "estimator").get("disagreement_rms_mps")),
+        control_rmse_settled_m=_number(_part(result, "estimator").get("control_rmse_settled_m")),
     )
 
 
