@@ -219,11 +219,13 @@ class RegionScore:
             self._true.append(true)
 
     def summary(self) -> dict[str, Any]:
-        """Which region, from when on it counts (s after take-off), the least h then, ticks outside; null if unknown."""
+        """Which region, from when on it counts (s after take-off), the least h then, ticks outside.
+
+        Null where it is not known: without a truth, and where h never was what it begins to count from.
+        """
         start = engaged_from(self._t_us, estimated := self._values(self._estimated))
         found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
-        found["violations"] = 0 if self._true else None
-        found["left_s"] = None
+        found["violations"] = found["left_s"] = None
         if start is None:
             return found
         since_s = (np.array(self._t_us[start:]) - self._t_us[0]) * 1e-6
