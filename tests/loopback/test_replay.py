@@ -15,6 +15,7 @@ from flightstack.cli.main import main
 from flightstack.cli.preparation import prepare_flight
 from flightstack.cli.replay import replay
 from flightstack.types import InputError
+from flightstack_logs.reader import Log, read
 from flightstack_logs.writer import FlightLog
 
 
@@ -55,15 +56,21 @@ def test_another_controller_shows_from_its_first_tick_on(
 
 
 def test_a_tolerance_lets_small_differences_pass(hovered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nearly(options: FlyOptions) -> Any:
-        prepared = prepare_flight(options)
-        model = prepared.stack.model
-        object.__setattr__(model, "mass_kg", model.mass_kg * (1.0 + 1e-13))
-        return prepared
+    """As if another machine had recorded it: thrusts off by a few units of the last place."""
 
-    monkeypatch.setattr(module, "prepare_flight", nearly)
-    assert replay(hovered).differences
-    assert replay(hovered, tolerance=1e-6).differences == []
+    def elsewhere(path: Path) -> Log:
+        log = read(path)
+        if path == hovered:
+            columns = log.tables["/command"].columns
+            columns["thrust_n"] = columns["thrust_n"] * (1.0 + 1e-13)
+        return log
+
+    monkeypatch.setattr(module, "read", elsewhere)
+    (only,) = replay(hovered).differences
+    assert (only.topic, only.field) == ("/command", "thrust_n")
+    assert only.greatest is not None
+    assert 0.0 < only.greatest < 1e-10
+    assert replay(hovered, tolerance=1e-9).differences == []
 
 
 def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path) -> None:
