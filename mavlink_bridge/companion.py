@@ -16,6 +16,7 @@ from flightstack.mission import Mission, plan
 from flightstack.predictor import predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack, StackState
+from flightstack.state_observer import StateObserver
 from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
@@ -82,6 +83,7 @@ class Companion:
         self._now = Situation(config, self.view, self._commands)
         self._voice = Voice(link)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
+        self._refiner = None if config.estimate is None else StateObserver(config.estimate)
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
@@ -200,6 +202,8 @@ class Companion:
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
         self._measurement = predict(self.view.streams, t_us)
+        if self._measurement is not None and self._refiner is not None:
+            self._measurement = self._refiner.refine(self._measurement)
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
         now.unfit, now.trouble = self._watch.judge()

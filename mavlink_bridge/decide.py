@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from flightstack.error_statistics import ErrorStatistics
 from mavlink_bridge import px4
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import Event, State
@@ -45,6 +46,8 @@ class CompanionConfig:
     """Between two steps of the companion, where nothing is missed."""
     round_trip_max_s: float = 0.04
     """Of the link; a later one is refused before the flight."""
+    estimate: ErrorStatistics | None = None
+    """How the autopilot's estimate errs; None: it is taken as it is reported."""
 
 
 @dataclass(slots=True)
