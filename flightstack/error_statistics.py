@@ -1,8 +1,8 @@
 """How an autopilot's estimate errs, as statistics: what the state observer and the bounds of the estimate are made of.
 
 Each axis of position, velocity and acceleration carries a first-order Gauss-Markov error (standard deviation, time
-constant), position a bias that is constant in a flight, the accelerometer white noise.  The acceleration's error is that
-of the attitude: specific force turned into the world by an attitude that is off by (tilt, heading) is off by
+constant), position a bias that is constant in a flight, the accelerometer white noise.  The acceleration's error is
+that of the attitude: specific force turned into the world by an attitude that is off by (tilt, heading) is off by
 
     sideways    hypot(g tilt, a heading)        up and down    a tilt
 

@@ -102,7 +102,7 @@ class StateObserver:
 
 @njit
 def _refine(state: F64, dt: float, anew: bool, new: bool, gains: F64, constants: F64, row: F64) -> bool:
-    """One tick: the state (3, 5) moves on, `row` (20,), a Measurement's, becomes what it says; whether it began anew."""
+    """One tick: the state (3, 5) moves on, `row` (20,), a Measurement's, becomes what it says; True: it began anew."""
     for i in range(16):
         if not math.isfinite(row[i]):
             return False

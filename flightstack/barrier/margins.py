@@ -70,8 +70,8 @@ class Doubts(NamedTuple):
 
 
 USUAL = Doubts()
-MOCAP = Accuracy(0.002, 0.01, 0.035)
-GPS = Accuracy(0.2, 0.15, 0.1)
+KNOWN = Accuracy(0.0, 0.0, 0.0)
+"""The state is the truth itself."""
 
 
 class Slopes(NamedTuple):
@@ -176,7 +176,7 @@ def ledger(
     *,
     gamma_ps: float,
     dt_s: float,
-    accuracy: Accuracy = MOCAP,
+    accuracy: Accuracy = KNOWN,
     doubts: Doubts = USUAL,
     gain_part_mps2: float = 0.0,
     coupling_mps: float = 0.0,
@@ -190,7 +190,7 @@ def ledger(
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
     span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
     hardest = max(abs(least), abs(most))
-    sources = _sources(axis, response, span, hardest, error, accuracy, doubts, coupling_mps)
+    sources = _sources(axis, response, span, hardest, error - accuracy.acc_mps2, accuracy, doubts, coupling_mps)
     eta, at = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         at = slopes(barrier, least, most, error, dt_s, eta)
@@ -209,14 +209,16 @@ def ledger(
     low = float(authority.error_low_mps2.max())
     lines = {
         "gp_error": (
-            low - gain_part_mps2,
-            "bound of the acceleration's error at the braking end, less the gain's part",
+            low - gain_part_mps2 - accuracy.acc_mps2,
+            "bound of the acceleration's error at the braking end, less the gain's and the attitude's parts",
         ),
         "thrust_gain": (gain_part_mps2, "bound of the thrust gain's error times the thrust beyond hover"),
         "discretisation": (0.0, "cells are covered with bounds that hold in all of each"),
         "zero_order_hold": (at.hold / at.h_v, f"a command holds {1e3 * dt_s:.3g} ms at most: part of the condition"),
         **priced,
     }
+    worth, because = lines["estimate_error"]
+    lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
     order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
     margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
     off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))

@@ -27,7 +27,7 @@ from .cells import check_cells
 from .condition import Condition, Piece
 from .intervals import F64, Interval
 from .ledger import check_ledger
-from .premises import check_premises
+from .premises import check_premises, estimate_of
 from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
 
 _TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge")
@@ -88,6 +88,7 @@ def _check(text: str, lines: list[str]) -> None:
     names = [axis["axis"] for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    estimate = estimate_of(data["premises"])
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
@@ -95,7 +96,7 @@ def _check(text: str, lines: list[str]) -> None:
         if _AXES.index(name) not in tables:
             raise Refused(f"{name} is not among knowledge.axes")
         _compare(nodes, tables[_AXES.index(name)], known, name, lines)
-        lines.append(check_ledger(condition, axis, nodes, known, name))
+        lines.append(check_ledger(condition, axis, nodes, known, name, estimate[_AXES.index(name)]))
         if name == "down":
             _check_heights(condition, float(centre[2]), known)
         cells = rows(axis["cells"], 6, f"{name}.cells")

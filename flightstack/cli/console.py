@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from flightstack.cli.result import FlightResult
+from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
+_PROTECTION_STYLES = {HELD: "[green]", LEFT: "[red]", NONE: "[red]", OFF: "[dim]"}
 
 
 class OnProgress(Protocol):
@@ -54,9 +56,12 @@ def say_error(text: str) -> None:
 
 
 def show_result(result: FlightResult) -> None:
-    """The flight's summary."""
+    """The flight's summary; of a dry run the checklist."""
+    if result.completed is None:
+        _show_checklist(result)
+        return
     if result.passed:
-        verdict = "[bold green]completed[/]"
+        verdict = "[bold green]completed[/]" if result.completed else "[bold]nothing was to be flown[/]"
     else:
         verdict = f"[bold red]{_not_passed(result)}[/]"
     table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
@@ -72,10 +77,26 @@ def show_result(result: FlightResult) -> None:
         output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
 
 
+def _show_checklist(result: FlightResult) -> None:
+    """What was looked at, line by line."""
+    verdict = "[bold green]ready[/]" if result.passed else "[bold red]NOT ready[/]"
+    table = Table(title=f"{result.scenario}, dry run: {verdict}", title_justify="left", show_header=False, box=None)
+    for _ in range(3):
+        table.add_column()
+    for check in result.checklist:
+        mark = "[green]ok[/]" if check["ok"] else "[bold red]no[/]"
+        table.add_row(mark, escape(check["check"]), escape(check["said"]))
+    output.print(table)
+    if result.log:
+        output.print(f" log     {result.log}", soft_wrap=True, markup=False)
+
+
 def _not_passed(result: FlightResult) -> str:
     if not result.completed:
         return "NOT completed"
-    return "completed, but left its region" if result.left_region else "completed, but a check failed"
+    if result.unprotected:
+        return "completed, but left its region" if result.protection == LEFT else "completed, but not protected"
+    return "completed, but a check failed" if not result.log_problem else "completed, but the log is not whole"
 
 
 def show_certified(result: CertifyResult) -> None:
@@ -153,6 +174,7 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
+    yield "protection", f"{_PROTECTION_STYLES[result.protection]}{escape(result.protection_words)}[/]"
     yield "learning", _learning(result.gp)
     yield "barrier filter", _filter(result)
     lateness = result.loop["lateness_us"]
@@ -194,8 +216,8 @@ def _filter(result: FlightResult) -> str:
     """What the filter was, what it kept to and what it took; or why there was none."""
     barrier, solve_us = result.barrier, result.qp["solve_us"]
     if not barrier["enabled"]:
-        return result.protection or "off"
-    parts = [result.protection] if result.protection else []
+        return result.filter_words or "off"
+    parts = [result.filter_words] if result.filter_words else []
     for of, violations in (("truth", barrier["violations"]), ("estimate", None)):
         least = barrier[f"min_h_{of}"]
         if least is not None:

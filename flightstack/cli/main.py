@@ -20,6 +20,7 @@ from typer.core import TyperCommand
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import (
     AsPublishedOption,
+    BelieveFileOption,
     CertificateOption,
     ControllerOption,
     DurationOption,
@@ -38,6 +39,7 @@ from flightstack.cli.options import (
     SensorsOption,
     SigningKeyOption,
     TruthOption,
+    UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
@@ -79,6 +81,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -92,6 +95,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "unprotected_ok": unprotected_ok,
         "log": log,
         "out": out,
     }
@@ -109,6 +113,10 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         files.write_json(json_file, result.as_json())
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
+    if result.contradictions:
+        for line in result.contradictions:
+            console.say_error(f"{line}; mend the vehicle file, or fly it as it is with --believe-file")
+        raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
         raise typer.Exit(FAILED)
@@ -169,6 +177,7 @@ def offboard(
     waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
+    believe_file: BelieveFileOption = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     *,
@@ -184,6 +193,7 @@ def offboard(
         waypoints=waypoints,
         arm=arm,
         dry_run=dry_run,
+        believe_file=believe_file,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         **common,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
@@ -53,6 +54,8 @@ class OffboardOptions(FlightOptions):
     scenario: str = "hover"
     arm: bool = False
     dry_run: bool = False
+    believe_file: bool = False
+    """Fly though PX4's parameters contradict the vehicle file."""
     heartbeat_timeout_s: float = 10.0
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
@@ -113,21 +116,25 @@ def _offboard(
             prepared.believed,
             truth=False,
             on_record=score.on_record,
+            on_message=score.on_message,
             certifier=prepared.protection.watched,
         )
-        companion = Companion(
-            Link(240, 191, framing=framing_for(address), signing=signer),
-            stack,
-            scenario,
-            observer,
-            CompanionConfig(arm=options.arm, dry_run=options.dry_run, heartbeat_timeout_s=options.heartbeat_timeout_s),
+        inspector = Inspector(prepared, believe_file=options.believe_file, dry_run=options.dry_run)
+        config = CompanionConfig(
+            arm=options.arm,
+            dry_run=options.dry_run,
+            heartbeat_timeout_s=options.heartbeat_timeout_s,
+            contradictions=inspector.contradictions,
         )
+        link = Link(240, 191, framing=framing_for(address), signing=signer)
+        companion = Companion(link, stack, scenario, observer, config, inspector)
+        inspector.attach(companion)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
         try:
             with undisturbed(), last_words(companion, transport):
-                _loop(companion, transport, recorder, timing, stop_requested, on_progress)
+                _loop(companion, transport, recorder, timing, stop_requested, on_progress, inspector)
         finally:
             recorder.close()
     wall_s = time.perf_counter() - started
@@ -136,9 +143,13 @@ def _offboard(
         wall_s=wall_s,
         clock_s=wall_s * companion.view.clock.rate,
         timing=timing,
-        completed=companion.completed or (options.dry_run and companion.state is State.STREAMING),
+        completed=None if options.dry_run else companion.completed,
         checked=options.as_written,
     )
+    result.unprotected_ok = options.unprotected_ok
+    result.contradictions = inspector.found
+    if options.dry_run:
+        result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 
@@ -184,9 +195,10 @@ def _loop(
     timing: LoopTiming,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    inspector: Inspector,
 ) -> None:
     pace = Pace(PERIOD_US)
-    done_at_us = -1
+    done_at_us, linger_s = -1, max(_LAST_WORDS_S, inspector.lasts_s)
     ticks = timing_seen = 0
     while True:
         lateness_us = pace.wait()
@@ -213,7 +225,8 @@ def _loop(
             on_progress(_progress(companion, t_us), companion.phase)
         if companion.done:
             done_at_us = now_us if done_at_us < 0 else done_at_us
-            if now_us - done_at_us > _LAST_WORDS_S * 1e6:
+            inspector.count(now_us)
+            if now_us - done_at_us > linger_s * 1e6:
                 return
 
 

@@ -39,7 +39,13 @@ NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without t
 AsPublishedOption = Annotated[
     bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
 ]
+BelieveFileOption = Annotated[
+    bool, typer.Option("--believe-file", help="Fly though PX4's rotors or hover thrust contradict the vehicle file.")
+]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
+UnprotectedOption = Annotated[
+    bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
+]
 TruthOption = Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")]
 SigningKeyOption = Annotated[
     Path | None,
