@@ -204,6 +204,9 @@ class Companion:
         self._measurement = predict(self.view.streams, t_us)
         if self._measurement is not None and self._refiner is not None:
             self._measurement = self._refiner.refine(self._measurement)
+        if self._measurement is not None and self.view.on_ground and not self.view.armed:
+            self._rested = min(self._rested + 1, _REST_TICKS)
+            self._rest_ned_m += (self._measurement.pos_ned_m - self._rest_ned_m) / self._rested
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
         now.unfit, now.trouble = self._watch.judge()
@@ -307,9 +310,6 @@ class Companion:
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
             self._voice.stand(t_us)
-            if measurement is not None and self.view.on_ground:
-                self._rested = min(self._rested + 1, _REST_TICKS)
-                self._rest_ned_m += (measurement.pos_ned_m - self._rest_ned_m) / self._rested
             return
         self._rested = 0
         if self._stack_state is None or self._hold is None:

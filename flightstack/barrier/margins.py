@@ -17,7 +17,7 @@ reach.  S is the span between the ends of the command, A the hardest of them, E 
 Measurement-robust barrier functions: all sources together are a box about z^ in which the true state lies.  The
 condition itself takes from q what may be lost in that box (`condition`: off); h may be less there by
 
-    eta = sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
+    eta = sup (|dh/de| eps_e + |dh/dv| eps_v + t |dh/de v + dh/dv a|)
 
 over all accelerations a in reach and all states of the region.  (h is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so
 the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames, "Guaranteeing safety
@@ -101,19 +101,11 @@ def slopes(
 def _piece_slopes(
     barrier: Barrier, piece: int, ends: tuple[float, float], error: float, dt: float, eta: float
 ) -> Slopes:  # fmt: skip
-    row, low, high = barrier.rows[piece], barrier.box[2], barrier.box[3]
+    row = barrier.rows[piece]
     kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
     command = max(abs(end) for end in ends)
-    if isinstance(barrier, Quadratic):
-        e, v = _edge(barrier, eta)
-        speed = float(np.abs(v).max())
-        h_e = -kee * (e - barrier.centre_m) - row[K_EV] * (v - barrier.centre_mps)
-        h_v = -row[K_EV] * (e - barrier.centre_m) - kvv * (v - barrier.centre_mps)
-    else:
-        speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
-        v = np.array([-speed, speed])
-        h_e = np.full(2, -row[1] / row[5])
-        h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
+    v, h_e, h_v = _steepest(barrier, row, eta)
+    speed = float(np.abs(v).max())
     flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
     kappa += half * (kvv + kev * dt + kee * half * half) * error
@@ -144,6 +136,33 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
         for each in found:
             lost = (max(lost[0], each[0] / each[2]), max(lost[1], each[1] / each[2]), max(lost[2], each[2]))
     return float(lost[0]), float(lost[1]), float(lost[2])
+
+
+def _eta_together(
+    barrier: Barrier, ends: tuple[float, float], eta: float, sources: tuple[_Source, ...]
+) -> float:  # fmt: skip
+    """By how much h may be less at the true state, for all sources at once: where their sum is greatest."""
+    eps_e, eps_v, late = (sum(getattr(source, part) for source in sources) for part in ("eps_e", "eps_v", "late_s"))
+    worst = 0.0
+    for row in barrier.rows:
+        v, h_e, h_v = _steepest(barrier, row, eta)
+        flow = np.max([np.abs(h_e * v + h_v * a) for a in ends], axis=0)
+        worst = max(worst, float(np.max(np.abs(h_e) * eps_e + np.abs(h_v) * eps_v + late * flow)))
+    return worst
+
+
+def _steepest(barrier: Barrier, row: F64, eta: float) -> tuple[F64, F64, F64]:
+    """Speeds and slopes of one piece of h at points on the edge of {h >= -eta}, where slopes are greatest."""
+    if isinstance(barrier, Quadratic):
+        e, v = _edge(barrier, eta)
+        h_e = -row[K_EE] * (e - barrier.centre_m) - row[K_EV] * (v - barrier.centre_mps)
+        h_v = -row[K_EV] * (e - barrier.centre_m) - row[K_VV] * (v - barrier.centre_mps)
+        return v, h_e, h_v
+    low, high = barrier.box[2:]
+    speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
+    v = np.array([-speed, speed])
+    h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
+    return v, np.full(2, -row[1] / row[5]), h_v
 
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
@@ -194,7 +213,7 @@ def ledger(
     eta, at = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         at = slopes(barrier, least, most, error, dt_s, eta)
-        eta = sum(_eta(at, source) for source in sources)
+        eta = _eta_together(barrier, (least, most), eta, sources)
     offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
     claim = sum(source.claim for source in sources)
     per_m, per_mps, steep = brakes(barrier, least, most)

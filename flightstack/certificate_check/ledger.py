@@ -9,8 +9,9 @@ E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of d
     estimate_error  pos + (c1 + delay) vel + c2 acc,  vel + (c1 + delay) acc
 
     off_m, off_mps = sum of x + t sup |v|,  sum of y + t A
-    eta = sum of sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|,  suprema over {h >= -eta}
+    eta = sup (|dh/de| x + |dh/dv| y + t |dh/de v + dh/dv a|), x, y, t the sums of all, over {h >= -eta}
     inner = sup |dh/dv| w,  w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
+    its part of eta = sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|
     a margin in m/s^2 = (what `off` takes for its x + t sup |v| and y + t A where braking is hardest, without the small
     parts, + gamma its part of eta) / sup |dh/dv| there; to the lag's comes gamma w
 
@@ -68,7 +69,7 @@ def check_ledger(
         at = _suprema(condition, nodes, eta)
         eta_of = {key: at["he"] * x + at["hv"] * y + at["flow_h"] * t for key, (x, y, t) in sources.items()}
         off = {key: (x + t * at["speed"], y + t * hardest) for key, (x, y, t) in sources.items()}
-        eta = min(sum(eta_of.values()), 1.0)
+        eta = min(_eta_together(condition, nodes, eta, sources), 1.0)
         found = {key: per_m * x + per_mps * y + condition.gamma * eta_of[key] / steep for key, (x, y) in off.items()}
         found["rotor_lag" if name == "down" else "attitude_lag"] += condition.gamma * claim
         found["estimate_error"] += acc
@@ -153,6 +154,19 @@ def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:
         }  # fmt: skip
         most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
     return most
+
+
+def _eta_together(
+    condition: Condition, nodes: F64, eta: float, sources: dict[str, tuple[float, float, float]]
+) -> float:
+    """Where all sources together put h off by most."""
+    x, y, t = (sum(each[i] for each in sources.values()) for i in range(3))
+    worst = 0.0
+    for piece in condition.pieces:
+        v, he, hv = _edge(condition, piece, eta)
+        flow = np.maximum(*(np.abs(he * v + hv * a) for a in (nodes[3].min(), nodes[4].max())))
+        worst = max(worst, float((np.abs(he) * x + np.abs(hv) * y + t * flow).max()))
+    return worst
 
 
 def _hardest(condition: Condition, nodes: F64) -> tuple[float, float, float]:

@@ -126,7 +126,12 @@ def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
     e, v = np.meshgrid(np.linspace(cell[0], cell[1], 6), np.linspace(low, high, 6))
     h = h_at(axis.barrier, e, v)
     inside = h >= inner - eta + 1e-8
-    x = h - inner - eta
+    lost = [h - h_at(axis.barrier, e + s * off_m, v + t * off_mps) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
+    if isinstance(axis.barrier, Stopping):  # of both its ways each is charged, and its greatest curvature
+        b, scale = axis.barrier, 0.5 * (axis.barrier.high_m - axis.barrier.low_m)
+        least = min(b.brake_high_mps2, b.brake_low_mps2)
+        lost.append(np.maximum(*lost[:2]) + off_mps**2 / (2.0 * least * scale))
+    x = h - inner - np.max(lost, axis=0)
     alpha = np.maximum(gamma * x, (gamma + more) * x - 0.05 * more)
     if not inside.any():
         return ""
