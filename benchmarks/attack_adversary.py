@@ -52,7 +52,7 @@ class Strategy(NamedTuple):
     wall_m: float
     """Above 0: sideways it does not lean itself, the controller inside is given a place so far outside."""
     axes: int
-    """Bits: north 1, east 2, down 4; along the others the controller inside flies."""
+    """Bits: north 1, east 2, down 4; along the others and where nothing is certified the controller inside flies."""
     thrust_share: float
     """Of the way to the thrust's end that is wanted."""
     relent_s: float
@@ -145,22 +145,23 @@ class Adversary:
             return state, proposal
         time_s = 1e-6 * (now_us - seen.since_us)
         pos, vel, q = seen.truth()
+        axes = plan.axes & sum(1 << axis.axis for axis in seen.certificate.axes)  # elsewhere nobody claims anything
         pushes, seen.h = self._pushes(state, plan, seen.certificate, pos - seen.origin_ned_m, vel, time_s)
         relents = plan.relent_s > 0.0 and time_s % (2.0 * plan.relent_s) > plan.relent_s
         aim = reference
         if plan.wall_m > 0.0 and not relents:
             place = reference.pos_ned_m.copy()
             for i in range(3):
-                if plan.axes >> i & 1:
+                if axes >> i & 1:
                     place[i] = measurement.pos_ned_m[i] + plan.wall_m * pushes[i]
             aim = changed(reference, pos_ned_m=place)
         state.inner, proposal = self._inner.step(state.inner, measurement, aim, learned, sent, now_us)
         row, thrust = proposal.row.copy(), proposal.thrust_n
         rate = row[17:20]
         if not relents:
-            if plan.wall_m <= 0.0 and plan.axes & 3 and plan.lateral != INNER:
+            if plan.wall_m <= 0.0 and axes & 3 and plan.lateral != INNER:
                 rate[:2] = _leaning(plan, pushes, q)
-            if plan.axes & 4 and plan.vertical != INNER and pushes[2] != 0.0:
+            if axes & 4 and plan.vertical != INNER and pushes[2] != 0.0:
                 low, high = self._range_n
                 end = low if pushes[2] > 0.0 else high
                 thrust = thrust + plan.thrust_share * (end - thrust) if math.isfinite(thrust) else end

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
 from benchmarks.attack_worlds import TICK_MS, World
-from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.records import Certificate
@@ -41,6 +41,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 
 HARMLESS = ("", "clip: command beyond its limits")
 """Of the guard: with any other name the companion lands."""
+_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
 _SETTLING_US = 1_000_000
 """Engaged for so long before the attack begins."""
 
@@ -352,7 +353,10 @@ def for_link(certifier: Any, held_s: float) -> Any:
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    config = dataclasses.replace(certifier.config, dt_s=max(held_s, certifier.config.dt_s))
+    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
+    config = dataclasses.replace(certifier.config, dt_s=max(held_s, certifier.config.dt_s), most_doubt_mps2=most)
+    if config.thrust_shares == CertifierConfig().thrust_shares:
+        config = dataclasses.replace(config, thrust_shares=_THRUST_SHARES)
     return OnlineCertifier(
         certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=config,
         safe=certifier.safe,

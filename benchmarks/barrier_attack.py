@@ -57,9 +57,10 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "three axes, mocap": Kind(blocks=270),
+    "three axes, mocap": Kind(blocks=250),
     "three axes, mocap, JSBSim": Kind(plant="jsbsim", blocks=30),
-    "three axes, mocap, px4-sih": Kind(vehicle="px4-sihsim-quadx", blocks=50),
+    "three axes, mocap, px4-sih": Kind(vehicle="px4-sihsim-quadx", blocks=40),
+    "vertical, mocap": Kind(scenario="paper-barrier", blocks=30),
     "gps-barrier, gps": Kind(scenario="gps-barrier", grade="gps", blocks=70),
     "three axes, mocap, no torque margin": Kind(torque=False, blocks=15),
 }
@@ -67,7 +68,7 @@ KINDS = {
 
 def first_seed() -> int:
     """Of a campaign with this code."""
-    from flightstack.cli.files import versions
+    from flightstack.cli.versions import versions
 
     commit = versions()["git_commit"]
     return int(commit[:7], 16) if all(c in "0123456789abcdef" for c in commit[:7]) else 0
@@ -98,7 +99,8 @@ def fly_block(name: str, seed: int, flights: int = BLOCK, seconds: float = ENGAG
     from benchmarks import attack_adversary as adversary
     from benchmarks.attack_flight import AttackFlight, planted
     from benchmarks.attack_worlds import draw
-    from flightstack.cli.files import load_scenario, versions
+    from flightstack.cli.files import load_scenario
+    from flightstack.cli.versions import versions
     from flightstack.types import InputError
 
     kind = KINDS[name]

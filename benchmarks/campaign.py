@@ -80,7 +80,7 @@ def run_all(
 
     After so many `minutes` nothing new is begun.
     """
-    from flightstack.cli.files import versions
+    from flightstack.cli.versions import versions
 
     done = held_in(journal)
     left = [job for job in jobs if job not in done]

@@ -15,6 +15,9 @@ from mavlink_bridge.vehicle_view import VehicleView
 
 _ENOUGH = 0.5
 """Share of the rate asked for that a stream without a limit of its own must reach."""
+_MODE_HZ = 1.0
+"""CURRENT_MODE comes with every change and at 2 Hz besides, whatever is asked for; an older one than 1.5 s is not
+trusted in flight."""
 _VERSION_KINDS = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: "release"}
 
 
@@ -101,7 +104,9 @@ def _streams(rates_hz: Mapping[type, float], limits: Limits) -> Iterator[Check]:
         if interval_us <= 0:
             continue
         asked_hz, seen_hz = 1e6 / interval_us, rates_hz.get(message, 0.0)
-        needed_hz = 1e6 / age_max_us[message] if message in age_max_us else _ENOUGH * asked_hz
+        needed_hz = _MODE_HZ if message is m.CurrentMode else _ENOUGH * asked_hz
+        if message in age_max_us:
+            needed_hz = 1e6 / age_max_us[message]
         words = f"{seen_hz:.0f} Hz (asked for {asked_hz:.0f}, needs {needed_hz:.0f})"
         yield Check(m.BY_EVENT[message].name, seen_hz >= needed_hz, words)
 
@@ -110,5 +115,5 @@ def version_words(version: m.AutopilotVersion) -> str:
     """PX4's version and git hash."""
     number = version.flight_sw_version
     kind = _VERSION_KINDS.get(number & 0xFF, f"type {number & 0xFF}")
-    git = bytes(reversed(version.flight_custom_version)).hex()
+    git = bytes(reversed(version.flight_custom_version)).hex()[:8]
     return f"PX4 {number >> 24}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF} {kind}, git {git}"

@@ -10,13 +10,16 @@ from pathlib import Path
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.console import say
 from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.set_params import Wire, parameters_set
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
+from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages
@@ -34,7 +37,7 @@ from mavlink_bridge.transport.address import (
     open_address,
     parse_address,
 )
-from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.clock import monotonic_us, utc_us
 from mavlink_bridge.transport.key_file import KeyFile
 
 PERIOD_US = 4_000
@@ -56,6 +59,8 @@ class OffboardOptions(FlightOptions):
     dry_run: bool = False
     believe_file: bool = False
     """Fly though PX4's parameters contradict the vehicle file."""
+    set_params: str | None = None
+    """Parameters to set for the flight: name or file."""
     heartbeat_timeout_s: float = 10.0
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
@@ -79,6 +84,8 @@ def offboard(
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     prepared = prepare_flight(options)
+    if options.dry_run and options.set_params:
+        raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
@@ -97,7 +104,11 @@ def _offboard(
 ) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
     address = parse_address(options.connect)
-    with closing(open_address(address)) as transport:
+    wanted = files.load_params(options.set_params)
+    with (
+        closing(open_address(address)) as transport,
+        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+    ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
         settings = {
@@ -106,14 +117,18 @@ def _offboard(
             "dry_run": str(options.dry_run),
             "pace": "realtime",
             "signing": "off" if signer is None else "on",
+            "set_params": options.set_params or "none",
         }
-        log = prepared.with_more(settings).open_log(log_path)
+        began_us = utc_us()
+        log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
         recorder = ThreadedLog(log)
+        line = LogClock(recorder, zero_us=monotonic_us(), utc_us=began_us)
         score = FlightScore(prepared, of="estimate")
         observer = LogObserver(
             recorder,
             scenario,
             prepared.believed,
+            line,
             truth=False,
             on_record=score.on_record,
             on_message=score.on_message,
@@ -134,7 +149,7 @@ def _offboard(
         started = time.perf_counter()
         try:
             with undisturbed(), last_words(companion, transport):
-                _loop(companion, transport, recorder, timing, stop_requested, on_progress, inspector)
+                _loop(companion, transport, recorder, line, timing, stop_requested, on_progress, inspector)
         finally:
             recorder.close()
     wall_s = time.perf_counter() - started
@@ -147,7 +162,7 @@ def _offboard(
         checked=options.as_written,
     )
     result.unprotected_ok = options.unprotected_ok
-    result.contradictions = inspector.found
+    result.contradictions, result.parameters_set = inspector.found, change.as_json()
     if options.dry_run:
         result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
@@ -192,6 +207,7 @@ def _loop(
     companion: Companion,
     transport: Transport,
     log: Recorder,
+    line: LogClock,
     timing: LoopTiming,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
@@ -204,11 +220,11 @@ def _loop(
         lateness_us = pace.wait()
         now_us = monotonic_us()
         clock = companion.view.clock
+        t_us = line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
         for data in transport.receive_all():
-            log.mavlink("rx", clock.vehicle_us(now_us) if clock.synchronised else 0, data)
+            log.mavlink("rx", t_us, data)
             companion.receive_datagram(data, now_us)
         companion.step(now_us)
-        t_us = clock.vehicle_us(now_us) if clock.synchronised else 0
         for data in companion.link.datagrams_to_send():
             log.mavlink("tx", t_us, data)
             transport.send(data)
@@ -222,7 +238,7 @@ def _loop(
             pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, clock.rate))
             if reason := stop_requested():
                 companion.stop(reason)
-            on_progress(_progress(companion, t_us), companion.phase)
+            on_progress(_progress(companion), companion.phase)
         if companion.done:
             done_at_us = now_us if done_at_us < 0 else done_at_us
             inspector.count(now_us)
@@ -230,7 +246,7 @@ def _loop(
                 return
 
 
-def _progress(companion: Companion, t_us: int) -> float:
+def _progress(companion: Companion) -> float:
     if companion.mission is None:
         return 0.0
-    return min(1.0, (t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)
+    return min(1.0, (companion.last_t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)

@@ -39,6 +39,12 @@ NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without t
 AsPublishedOption = Annotated[
     bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
 ]
+SetParamsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--set-params", help="Set these PX4 parameters for the flight, put back after it: name or .toml file."
+    ),
+]
 BelieveFileOption = Annotated[
     bool, typer.Option("--believe-file", help="Fly though PX4's rotors or hover thrust contradict the vehicle file.")
 ]

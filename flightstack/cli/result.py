@@ -163,6 +163,8 @@ class FlightResult:
     checks: list[dict[str, Any]] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
     """What the vehicle said against its file, one line each: the file is refused."""
+    parameters_set: list[dict[str, Any]] = field(default_factory=list)
+    """What was set for the flight: name, before, set, restored."""
     checklist: list[dict[str, Any]] = field(default_factory=list)
     """Of a dry run: check, ok, said."""
 
@@ -257,6 +259,7 @@ class FlightResult:
             "link": self.link,
             "checks": self.checks,
             "checklist": self.checklist,
+            "parameters_set": self.parameters_set,
             "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
