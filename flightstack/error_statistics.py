@@ -35,6 +35,8 @@ class ErrorStatistics(NamedTuple):
     acc_time_s: float
     acc_noise_mps2_rthz: Tuple3
     """White noise density of the accelerometer."""
+    independent: bool = True
+    """Whether position, velocity and acceleration err independently, as the state observer takes them to."""
 
 
 def acceleration_errors(tilt_rad: float, heading_rad: float, bias_mps2: float) -> Tuple3:

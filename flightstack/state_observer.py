@@ -40,8 +40,16 @@ _P, _V, _EP, _EV, _EA = range(5)
 
 @lru_cache(maxsize=8)
 def steady(statistics: ErrorStatistics, sample_s: float = SAMPLE_S) -> tuple[F64, F64]:
-    """Gains (3, 5, 2) and covariances (3, 5, 5) of p, v, ep, ev, ea, each axis, after each sample."""
-    gains, covariances = np.empty((3, 5, 2)), np.empty((3, 5, 5))
+    """Gains (3, 5, 2) and covariances (3, 5, 5) of p, v, ep, ev, ea, each axis, after each sample.
+
+    Of errors that are not independent: no gain, and the errors as they are.
+    """
+    gains, covariances = np.zeros((3, 5, 2)), np.empty((3, 5, 5))
+    if not statistics.independent:
+        for i in range(3):
+            own = (statistics.pos_std_m[i], statistics.vel_std_mps[i])
+            covariances[i] = np.diag(np.square([*own, *own, statistics.acc_std_mps2[i]]))
+        return gains, covariances
     for i in range(3):
         gains[i], covariances[i] = _riccati(statistics, i, sample_s)
     return gains, covariances

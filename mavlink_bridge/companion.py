@@ -83,7 +83,8 @@ class Companion:
         self._now = Situation(config, self.view, self._commands)
         self._voice = Voice(link)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
-        self._refiner = None if config.estimate is None else StateObserver(config.estimate)
+        errs = config.estimate
+        self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1

@@ -20,4 +20,5 @@ def error_statistics(grade: Grade) -> ErrorStatistics:
         acc_std_mps2=acceleration_errors(estimate.tilt_std_rad, estimate.heading_std_rad, bias),
         acc_time_s=estimate.tilt_time_constant_s,
         acc_noise_mps2_rthz=imu.accel_noise_mps2_rthz,
+        independent=grade.kalman is None,
     )
