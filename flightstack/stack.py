@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flightstack.applied import Applied
+from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
+from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
@@ -37,6 +39,8 @@ class StackState(NamedTuple):
     """Vertical thrust of the last second or so: what the guard trusts to carry the vehicle."""
     applied: Applied = Applied()
     """What the motors made of the thrust that was sent."""
+    watch: WatchState = WatchState()
+    """Of the premises of the certificate in force."""
 
 
 class Stack:
@@ -84,7 +88,7 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe, before, _, sent, origin, carried, applied = state
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied, premises = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
@@ -93,21 +97,38 @@ class Stack:
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, before)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
+                premises = _watched(certificate)
+            if premises.version >= 0 and before.status >= _ENGAGED:
+                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6)
+                premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
+            setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
             control, proposal = self.controller.step(control, seen, bent, learned, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
+            if premises.version >= 0:
+                filtered.row[_PREMISE : _PREMISE + 2] = premises.broken, premises.ended
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
-        after = StackState(control, learner, certifier, safe, filtered, seen, command, origin, carried, applied)
+        after = StackState(
+            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, premises
+        )
         return after, command, record
 
 
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()
+_ENGAGED = 2.0
+_PREMISE = 33
+"""Place of `Filtered.premise` in its row; `ended_by` follows."""
+
+
+def _watched(certificate: Certificate) -> WatchState:
+    """The watch of a certificate that is taken; one without premises is not watched."""
+    return WatchState() if certificate.premises is None else watched(certificate.version, certificate.premises)

@@ -104,7 +104,12 @@ class StateObserver:
         self.restarts += restarted and self._last_us >= 0
         self._last_us, self._sample_us = now_us, sample_us
         return Measurement(
-            now_us, row, measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us
+            now_us,
+            row,
+            measurement.position_age_us,
+            measurement.attitude_age_us,
+            measurement.imu_age_us,
+            measurement.battery_v,
         )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.barrier.premise_watch import NAMES
 from flightstack.guard import stale
 from flightstack.mission import Mission, plan
 from flightstack.predictor import predict
@@ -41,6 +42,8 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
+_AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
+"""After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
 _ANSWERS = (m.CommandAck, m.Timesync)
 _MODES = (m.Heartbeat, m.CurrentMode)
 _RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext})
@@ -101,6 +104,8 @@ class Companion:
         self._guard_since_us = -1
         """Local time from which the guard has flown without a break; -1: it does not."""
         self._resets = 0
+        self._resting_since_us = -1
+        """Vehicle time at which a broken premise ended the certificate; -1: none did."""
 
     # ---------------------------------------------------------------- outside
 
@@ -203,6 +208,8 @@ class Companion:
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
         self._measurement = predict(self.view.streams, t_us)
+        if self._measurement is not None:
+            self._measurement.battery_v = self.view.battery_v
         if self._measurement is not None and self._refiner is not None:
             self._measurement = self._refiner.refine(self._measurement)
         if self._measurement is not None and self.view.on_ground and not self.view.armed:
@@ -325,10 +332,26 @@ class Companion:
         t_s = self._mission_time_s()
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
         self._note(record, now_us)
+        self._end_at_rest(record)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
+
+    def _end_at_rest(self, record: TickRecord) -> None:
+        """Once a certificate's premise has ended it, the flight ends when the vehicle has come to rest."""
+        ended = record.filtered.ended_by
+        if not ended > 0.0:
+            self._resting_since_us = -1
+            return
+        if self._resting_since_us < 0:
+            self._resting_since_us = record.t_us
+            text = f"premise broken: {NAMES[int(ended)]}: braking, to rest"
+            self._observer.on_event(record.t_us, "filter", f"filter: {text}", "warning")
+        calm = float(np.abs(record.measurement.vel_ned_mps).max()) < _AT_REST_MPS
+        waited_us = record.t_us - self._resting_since_us
+        if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
+            self.stop(f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed")
 
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
