@@ -131,4 +131,5 @@ _PREMISE = 33
 
 def _watched(certificate: Certificate) -> WatchState:
     """The watch of a certificate that is taken; one without premises is not watched."""
-    return WatchState() if certificate.premises is None else watched(certificate.version, certificate.premises)
+    premises = certificate.premises
+    return WatchState() if premises is None else watched(certificate.version, premises)

@@ -1,4 +1,4 @@
-"""Files of parameters to set before a flight (`flightstack.params/1`): names and values, checked.  Pure."""
+"""Files of parameters: those to set before a flight (`flightstack.params/1`), and lists that tools save.  Pure."""
 
 from __future__ import annotations
 
@@ -36,4 +36,28 @@ def parse_params(text: str, source: str) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{source}: set.{name} = {value!r} is not allowed; it must be a number")
         values[name] = float(value)
+    return values
+
+
+def listed_params(text: str, source: str) -> dict[str, float]:
+    """Name -> value of a list as ground stations save it; InputError where it holds none.
+
+    QGroundControl writes `system component NAME value type` with tabs, MAVProxy `NAME value`, others `NAME,value`;
+    lines that begin with # are comments.
+    """
+    values: dict[str, float] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        fields = re.split(r"[\s,;=]+", line.strip())
+        if not line.strip() or line.lstrip().startswith(("#", "//")):
+            continue
+        at = 2 if len(fields) >= 4 and fields[0].isdigit() and fields[1].isdigit() else 0
+        try:
+            name, value = fields[at], float(fields[at + 1])
+        except (IndexError, ValueError):
+            raise InputError(f"{source}: line {number} is no parameter: {line.strip()[:60]!r}") from None
+        if not _NAME.fullmatch(name) or not math.isfinite(value):
+            raise InputError(f"{source}: line {number} is no parameter: {line.strip()[:60]!r}")
+        values[name] = value
+    if not values:
+        raise InputError(f"{source}: holds no parameters; save them from QGroundControl, or name a ULog")
     return values

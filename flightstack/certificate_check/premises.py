@@ -32,8 +32,9 @@ _SLACK = 1e-9
 _BOUNDS = ("pos_m", "vel_mps", "acc_mps2")
 _K_SIGMA = 4.3
 _STEADIEST = {
-    "mocap": np.array([[0.0038, 0.0104, 0.0292], [0.0038, 0.0104, 0.0292], [0.0037, 0.0076, 0.0106]]),
-    "gps": np.array([[0.186, 0.0683, 0.0616], [0.186, 0.0846, 0.0686], [0.186, 0.0392, 0.0093]]),
+    "mocap": np.array([[0.0052, 0.0104, 0.0292], [0.0052, 0.0104, 0.0292], [0.0051, 0.0076, 0.0106]]),
+    "gps": np.array([[0.206, 0.0696, 0.0668], [0.209, 0.0873, 0.0750], [0.206, 0.0547, 0.0255]]),
+    "px4-sih": np.array([[0.162, 0.169, 0.145], [0.333, 0.349, 0.145], [0.230, 0.169, 0.0374]]),
 }
 """One sigma of position (m), velocity (m/s) and thrust's acceleration (m/s^2) along each axis: what the best linear
 estimate can reach with these grades' sensors, rounded down."""

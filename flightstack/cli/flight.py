@@ -59,6 +59,8 @@ class FlyOptions(FlightOptions):
     realtime: bool = False
     fault: str | None = None
     """As on the command line; see sim.faults."""
+    hil_port: int = 4560
+    """Of `--px4-hil`."""
 
     @property
     def in_real_time(self) -> bool:
@@ -112,7 +114,8 @@ def prepare(options: FlyOptions) -> Setup:
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
     grade = load_grade(sensors)
-    companion = CompanionConfig(arm=True, estimate=error_statistics(grade))
+    most_s = flight.protection.round_trip_max_s
+    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
     return Setup(flight.with_more(settings, carried), truth, grade, options.plant, faults, companion)
 
 
@@ -290,6 +293,7 @@ def _flown(
         seed=options.seed,
         plant=setup.plant,
     )
+    result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
     result.unprotected_ok = options.unprotected_ok
     files.write_flight_report(log_path, out / "report.html", result)
     return result

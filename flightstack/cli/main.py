@@ -26,12 +26,14 @@ from flightstack.cli.options import (
     ControllerOption,
     DurationOption,
     FaultOption,
+    HilPortOption,
     JsonOption,
     LearnedOption,
     LogOption,
     NoFilterOption,
     NoLearningOption,
     OutOption,
+    PhysicsForPx4Option,
     PlantName,
     PlantOption,
     ScenarioArgument,
@@ -46,6 +48,7 @@ from flightstack.cli.options import (
     WaypointsArgument,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
+from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
 
@@ -138,7 +141,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
-        raise typer.Exit(FAILED)
+        raise typer.Exit(BAD_INPUT if result.link_too_slow else FAILED)
 
 
 def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:
@@ -170,22 +173,26 @@ def fly(
     truth: TruthOption = None,
     seed: SeedOption = 0,
     fault: FaultOption = None,
+    px4_hil: PhysicsForPx4Option = False,
+    hil_port: HilPortOption = 4_560,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
     """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
     from flightstack.cli.flight import FlyOptions
     from flightstack.cli.flight import fly as run
+    from flightstack.cli.hil_flight import fly_behind_px4
 
-    return run, FlyOptions(
+    return fly_behind_px4 if px4_hil else run, FlyOptions(
         scenario=scenario,
         waypoints=waypoints,
         truth=truth,
         sensors=sensors.value if sensors else None,
         seed=seed,
         plant=plant.value,
-        realtime=realtime,
+        realtime=realtime or px4_hil,
         fault=fault,
+        hil_port=hil_port,
         **common,
     )
 
@@ -294,12 +301,9 @@ def sim(
     speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
     duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
     fault: FaultOption = None,
-    px4_hil: Annotated[
-        bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
-    ] = False,
-    hil_port: Annotated[
-        int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
-    ] = 4_560,
+    px4_hil: PhysicsForPx4Option = False,
+    hil_port: HilPortOption = 4_560,
+    log: Annotated[Path | None, typer.Option("--log", help="Record the truth in this log (.mcap).")] = None,
     json: JsonOption = None,
 ) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
@@ -308,9 +312,8 @@ def sim(
     from flightstack.cli.simulate import SimOptions, simulate
 
     interrupts = Interrupts()
-    options = SimOptions(
-        vehicle, sensors.value if sensors else None, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port
-    )
+    grade = sensors.value if sensors else None
+    options = SimOptions(vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log)
     result = (serve if px4_hil else simulate)(
         options,
         stop_requested=interrupts.requested,
@@ -400,6 +403,7 @@ def gap(
 
 app.command()(reproduce)
 app.add_typer(log_app, name="log")
+app.add_typer(vehicle_app, name="vehicle")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -39,6 +39,12 @@ NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without t
 AsPublishedOption = Annotated[
     bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
 ]
+PhysicsForPx4Option = Annotated[
+    bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
+]
+HilPortOption = Annotated[
+    int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
+]
 SetParamsOption = Annotated[
     str | None,
     typer.Option(

@@ -24,7 +24,12 @@ from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
-from flightstack.cli.given_certificate import certificate_for, require_checked
+from flightstack.cli.given_certificate import (
+    certificate_for,
+    require_checked,
+    require_premises,
+    round_trip_max_s,
+)
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
@@ -36,6 +41,7 @@ from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
+from mavlink_bridge.companion import Companion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +86,16 @@ class Protection:
     workshop: Workshop | None = None
     """Where certificates are made, if not in the ticks."""
 
+    @property
+    def round_trip_max_s(self) -> float:
+        """Longest round trip of the link with which the flight may begin."""
+        return round_trip_max_s(self.given)
+
+    def link_too_slow(self, companion: Companion) -> bool:
+        """Whether the flight was refused because its link is slower than the certificate that was given holds for."""
+        slow = 1e-6 * companion.view.round_trip_us > self.round_trip_max_s
+        return self.given is not None and slow and companion.flight_start_us < 0
+
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
         return self.workshop or nullcontext()
@@ -104,6 +120,8 @@ def protect(
         require_checked(options.certificate)
     file = None if options.certificate is None else files.read_text(options.certificate)
     given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
+    if file is not None and given is not None and mode == SOUND:
+        require_premises(file.path, given, sensors)
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region=region)

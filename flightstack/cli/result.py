@@ -161,8 +161,12 @@ class FlightResult:
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
     checks: list[dict[str, Any]] = field(default_factory=list)
+    link_too_slow: bool = False
+    """Refused before take-off: the certificate that was given does not hold for so slow a link."""
     contradictions: list[str] = field(default_factory=list)
     """What the vehicle said against its file, one line each: the file is refused."""
+    estimate: dict[str, Any] | None = None
+    """Error of the autopilot's own estimate on the globe, where the truth is known; None elsewhere."""
     parameters_set: list[dict[str, Any]] = field(default_factory=list)
     """What was set for the flight: name, before, set, restored."""
     checklist: list[dict[str, Any]] = field(default_factory=list)
@@ -260,6 +264,7 @@ class FlightResult:
             "checks": self.checks,
             "checklist": self.checklist,
             "parameters_set": self.parameters_set,
+            "estimate": self.estimate,
             "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
