@@ -15,6 +15,7 @@ from flightstack.applied import Applied
 from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
 from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
+from flightstack.governor import Governor, GovernorState
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
@@ -39,6 +40,8 @@ class StackState(NamedTuple):
     """Vertical thrust of the last second or so: what the guard trusts to carry the vehicle."""
     applied: Applied = Applied()
     """What the motors made of the thrust that was sent."""
+    governor: GovernorState | None = None
+    """The rate loop as modelled; None: there is no governor."""
     watch: WatchState = WatchState()
     """Of the premises of the certificate in force."""
 
@@ -46,7 +49,7 @@ class StackState(NamedTuple):
 class Stack:
     """The flight stack of one believed vehicle; final, holds only constants."""
 
-    __slots__ = ("certifier", "controller", "filter", "guard", "learner", "limiter", "limits", "model")
+    __slots__ = ("certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model")
 
     def __init__(
         self,
@@ -57,13 +60,16 @@ class Stack:
         learner: Learner | None = None,
         certifier: Certifier | None = None,
         safety_filter: SafetyFilter | None = None,
+        governor: Governor | None = None,
     ) -> None:
+        """`governor`: of rate commands, which has the last word while a certificate that counts on it is in force."""
         self.model = model
         self.limits = limits or Limits()
         self.controller: Controller = controller or FlatnessController(model, limits=self.limits)
         self.learner: Learner = learner or NoLearner()
         self.certifier: Certifier = certifier or NoCertifier()
         self.filter: SafetyFilter = safety_filter or NoFilter()
+        self.governor = governor
         self.guard = Guard(model, self.limits)
         self.limiter = Limiter(model, self.limits)
 
@@ -79,8 +85,9 @@ class Stack:
         filtered = self.filter.init(origin)
         certifier = self.certifier.init()
         return StackState(
-            control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight
-        )
+            control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight,
+            governor=None if self.governor is None else self.governor.init(),
+        )  # fmt: skip
 
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
@@ -88,7 +95,7 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe, before, _, sent, origin, carried, applied, premises = state
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing, premises = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
@@ -110,15 +117,28 @@ class Stack:
             if premises.version >= 0:
                 filtered.row[_PREMISE : _PREMISE + 2] = premises.broken, premises.ended
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
+        governing, command, governed = self._govern(governing, command, safe)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
-        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
+        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
         after = StackState(
-            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, premises
+            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises
         )
         return after, command, record
+
+    def _govern(
+        self, state: GovernorState | None, command: Command, safe: object
+    ) -> tuple[GovernorState | None, Command, bool]:
+        """The command as torque's bounds leave it, and whether they changed it."""
+        if self.governor is None or state is None:
+            return state, command, False
+        state, norm, rate = self.governor.step(state, command, self.filter.governed(safe))
+        if rate is None and norm == command.thrust_norm:
+            return state, command, False
+        thrust = command.thrust_n if norm == command.thrust_norm else self.model.thrust_of(norm)
+        return state, Command(command.t_us, thrust, norm, command.rate_frd_radps if rate is None else rate), True
 
 
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))

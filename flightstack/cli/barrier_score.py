@@ -22,6 +22,7 @@ from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
+from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Model
 from flightstack.region import Region
@@ -57,6 +58,10 @@ class TimedFilter:
         """The filter's own; the steps before it (warming up) are forgotten."""
         self.solve_ns = []
         return self._filter.init(origin_ned_m)
+
+    def governed(self, state: object) -> GovernorLimits | None:
+        """The filter's own."""
+        return self._filter.governed(state)
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
         """The filter's own."""
@@ -207,11 +212,13 @@ class RegionScore:
             self._true.append(true)
 
     def summary(self) -> dict[str, Any]:
-        """Which region, from when on it counts (s after take-off), the least h then, ticks outside; null if unknown."""
+        """Which region, from when on it counts (s after take-off), the least h then, ticks outside.
+
+        Null where it is not known: without a truth, and where h never was what it begins to count from.
+        """
         start = engaged_from(self._t_us, estimated := self._values(self._estimated))
         found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
-        found["violations"] = 0 if self._true else None
-        found["left_s"] = None
+        found["violations"] = found["left_s"] = None
         if start is None:
             return found
         since_s = (np.array(self._t_us[start:]) - self._t_us[0]) * 1e-6

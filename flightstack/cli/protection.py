@@ -22,6 +22,7 @@ from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
+from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
 from flightstack.cli.given_certificate import (
@@ -33,7 +34,7 @@ from flightstack.cli.given_certificate import (
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
-from flightstack.model import Model
+from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.safety_filter import BarrierFilter
 from flightstack.scenario import Scenario
@@ -133,7 +134,7 @@ def protect(
     else:
         why_not = _not_online(mode, scenario, learner)
         workshop = Workshop() if options.in_real_time and not why_not else None
-        certifier = why_not or _online(mode, scenario, model, sensors, workshop)
+        certifier = why_not or _online(mode, scenario, believed, model, sensors, workshop)
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
     stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
@@ -169,7 +170,9 @@ def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
     return ""
 
 
-def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere: Workshop | None) -> Certifier:
+def _online(
+    mode: str, scenario: Scenario, believed: Vehicle, model: Model, sensors: str, elsewhere: Workshop | None
+) -> Certifier:
     """What certifies in flight."""
     region, limits = scenario.region, scenario.limits
     assert region is not None
@@ -177,11 +180,17 @@ def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere
         return PublishedCertifier(model, limits, region)
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
+    governor = governor_for(believed, model, limits, sensors)
     estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     if region.kind == "ellipsoid":
-        vertical = replace(VERTICAL, sensors=sensors, estimate=estimate)
+        vertical = replace(VERTICAL, sensors=sensors, estimate=estimate, governor=governor)
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(sensors=sensors, estimate=estimate, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
+
+
+def governor_for(believed: Vehicle, model: Model, limits: Limits, sensors: str) -> GovernorTerms:
+    """What bounds torque in a flight with sensors of a grade."""
+    return governor_terms(believed, model, limits, load_grade(sensors).imu.gyro_noise_radps_rthz)
