@@ -78,6 +78,13 @@ class Stack:
             control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight
         )
 
+    def resume(self, state: StackState, measurement: Measurement) -> StackState:
+        """State to go on from after somebody else flew: what was learned and certified stays, control begins anew."""
+        weight = self.model.weight_n
+        sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
+        control = self.controller.init(measurement.t_us)
+        return state._replace(control=control, sent=sent, measurement=measurement, carried_n=weight)
+
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
     ) -> tuple[StackState, Command, TickRecord]:

@@ -30,6 +30,8 @@ _RETRY_US = 300_000
 _TRIES_NEEDED = 20
 _TRIES_OPTIONAL = 3
 _LOSS_T_RANGE_S = (0.1, 2.0)
+_LOSS_T_ALONE_S = 0.5
+"""Longest COM_OF_LOSS_T without a dead-man: in half a second a figure of eight tilts by some 60 degrees."""
 _LEAST_RATE_DEGPS = 30.0
 _DEADLY = {6: "terminate", 7: "disarm"}
 
@@ -91,6 +93,11 @@ class ParamReader:
             self._absent.add(message.param_id)
 
     @property
+    def needs_dead_man(self) -> bool:
+        """Whether PX4 would go on with the last body rates for too long."""
+        return self.values.get("COM_OF_LOSS_T", math.inf) > _LOSS_T_ALONE_S
+
+    @property
     def missing(self) -> list[str]:
         """The needed ones that were not told."""
         return [name for name in NEEDED if name not in self.values]
@@ -140,14 +147,22 @@ class ParamReader:
         ]
 
 
-def unsafe(values: Mapping[str, float]) -> str:
-    """Why the vehicle should not be flown as it is set, one line; empty where it may."""
+def unsafe(values: Mapping[str, float], *, dead_man: bool = True) -> str:
+    """Why the vehicle should not be flown as it is set, one line; empty where it may.
+
+    dead_man: somebody answers the companion's silence before PX4 does.
+    """
     low, high = _LOSS_T_RANGE_S
     loss_t_s = values.get("COM_OF_LOSS_T", math.nan)
     if not low <= loss_t_s <= high:
         return (
             f"COM_OF_LOSS_T is {loss_t_s:g} s: PX4 goes on with the last body rates for so long; "
             f"set it to {low:g} to {high:g} s"
+        )
+    if loss_t_s > _LOSS_T_ALONE_S and not dead_man:
+        return (
+            f"COM_OF_LOSS_T is {loss_t_s:g} s and no dead-man runs: PX4 would go on with the last body rates for so "
+            f"long; fly with the dead-man or set it to {low:g} to {_LOSS_T_ALONE_S:g} s"
         )
     for name in RATE_LIMITS:
         if values.get(name, math.inf) < _LEAST_RATE_DEGPS:

@@ -171,6 +171,9 @@ def offboard(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
+    no_dead_man: Annotated[
+        bool, typer.Option("--no-dead-man", help="Nobody answers the companion's silence: COM_OF_LOSS_T <= 0.5 s.")
+    ] = False,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -186,6 +189,7 @@ def offboard(
         dry_run=dry_run,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
+        dead_man=not no_dead_man,
         **common,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from mavlink_bridge.transport.address import (
     parse_address,
 )
 from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.dead_man import DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.key_file import KeyFile
 
 PERIOD_US = 4_000
@@ -54,6 +55,8 @@ class OffboardOptions(FlightOptions):
     arm: bool = False
     dry_run: bool = False
     heartbeat_timeout_s: float = 10.0
+    dead_man: bool = True
+    """A process of its own answers the companion's silence."""
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
 
@@ -103,6 +106,7 @@ def _offboard(
             "dry_run": str(options.dry_run),
             "pace": "realtime",
             "signing": "off" if signer is None else "on",
+            "dead_man": "on" if options.dead_man else "off",
         }
         log = prepared.with_more(settings).open_log(log_path)
         recorder = ThreadedLog(log)
@@ -120,14 +124,24 @@ def _offboard(
             stack,
             scenario,
             observer,
-            CompanionConfig(arm=options.arm, dry_run=options.dry_run, heartbeat_timeout_s=options.heartbeat_timeout_s),
+            CompanionConfig(
+                arm=options.arm,
+                dry_run=options.dry_run,
+                heartbeat_timeout_s=options.heartbeat_timeout_s,
+                dead_man=options.dead_man,
+            ),
         )
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
         try:
-            with undisturbed(), last_words(companion, transport):
-                _loop(companion, transport, recorder, timing, stop_requested, on_progress)
+            with ExitStack() as watched, undisturbed():
+                dead_man = None
+                if options.dead_man and not options.dry_run:
+                    process = watched.enter_context(DeadManProcess(transport.fileno(), signer))
+                    dead_man = DeadManWatch(process, companion, transport)
+                with last_words(companion, transport):
+                    _loop(companion, transport, recorder, timing, stop_requested, on_progress, dead_man)
         finally:
             recorder.close()
     wall_s = time.perf_counter() - started
@@ -184,6 +198,7 @@ def _loop(
     timing: LoopTiming,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    dead_man: DeadManWatch | None,
 ) -> None:
     pace = Pace(PERIOD_US)
     done_at_us = -1
@@ -195,11 +210,15 @@ def _loop(
         for data in transport.receive_all():
             log.mavlink("rx", clock.vehicle_us(now_us) if clock.synchronised else 0, data)
             companion.receive_datagram(data, now_us)
+        if dead_man is not None:
+            dead_man.hear()
         companion.step(now_us)
         t_us = clock.vehicle_us(now_us) if clock.synchronised else 0
         for data in companion.link.datagrams_to_send():
             log.mavlink("tx", t_us, data)
             transport.send(data)
+        if dead_man is not None:
+            dead_man.tell()
         if companion.state in (State.STREAMING, State.OFFBOARD, State.LANDING):
             timing.lateness_us.append(lateness_us)
             timing.missed += pace.missed - timing_seen
