@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick campaign-barrier campaign-barrier-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy px4 client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -20,6 +20,7 @@ help:
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make paper        every figure and number of the paper beside ours, into runs/paper (a quarter of an hour)"
+	@echo "make px4          everything that is to be seen on a real PX4, which PX4_HOME names: docs/px4.md"
 	@echo "make client-20    MAVSDK-Python flies the simulator twenty times"
 	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
@@ -85,6 +86,9 @@ paper: $(BIN)/.installed
 
 crosscheck: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.plants_crosscheck
+
+px4: $(BIN)/.installed-dev
+	$(BIN)/python -m benchmarks.px4
 
 client-20: $(BIN)/.installed-dev
 	@for run in $$(seq 20); do \

@@ -163,6 +163,11 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
+def first_height_m(scenario: Scenario) -> float:
+    """Height above the start at which the first climb ends."""
+    return -float(_above(scenario, scenario.trajectory.at(0.0))[2])
+
+
 def _above(scenario: Scenario, first: FlatOutput) -> F64:
     """(4,) where the climb ends, and the heading."""
     down_m = float(first.pos_ned_m[2]) if scenario.climb_to_m is None else -scenario.climb_to_m

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import MARGINS, Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.shapes import Barrier, Quadratic
+from flightstack.cli import protection
 from flightstack.learning.stored import vehicle_hash
 from flightstack.types import Filtered, changed
 from flightstack.vehicle import Vehicle
@@ -73,6 +77,14 @@ def for_the_papers_path(scale: float = 1.0, version: int = 5) -> Certificate:
         axes.append(replace(made, authority=table, response=response, setting=setting))
     box = Budget(2.8, 8.0, 16.5, 17.6, 0.6)
     return Certificate("sound", (0.0, 0.0, -1.5), tuple(axes), box, 0.05, 4.5, {}, version)
+
+
+@contextmanager
+def unchecked() -> Iterator[None]:
+    """Made-up certificates may be flown: the independent checker, which refuses them, is not asked."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(protection, "require_checked", lambda path: None)
+        yield
 
 
 def write(path: Path, certificate: Certificate, vehicle: Vehicle) -> Path:

@@ -32,7 +32,15 @@ from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
-from flightstack.barrier.queries import Envelope, budget
+from flightstack.barrier.premises import (
+    ANY_BATTERY_V,
+    APPLIED_AS_SENT,
+    EstimateBounds,
+    Premises,
+    gain_of,
+    speeds_of,
+)
+from flightstack.barrier.queries import Envelope, budget, lean
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
@@ -65,7 +73,13 @@ class CertifierConfig:
     nodes: int = 8
     slice_only: bool = False
     """Bounds on the slice of no speed and no lean across each axis alone: the vertical experiment."""
+    sensors: str = "mocap"
+    """Name of what the estimate comes from."""
     accuracy: Accuracy = MOCAP
+    estimate_k_sigma: float = 0.4
+    """Standard deviations of these sensors that `accuracy` is."""
+    jitter_s: float = 0.002
+    """By how much a message may come late; half of what the delay is known to, the other half is the learner's."""
     doubts: Doubts = USUAL
     attitude_p_ps: float = 6.5
     """The filter's steering law: 1 / T."""
@@ -293,8 +307,29 @@ class OnlineCertifier:
         return Certificate(
             "sound", self.region.centre_ned_m, axes, knowledge.budget, config.delta, knowledge.k_sigma,
             {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **self.doubts._asdict()}},
-            knowledge.version,
+            knowledge.version, self._premises(knowledge, axes),
         )  # fmt: skip
+
+    def _premises(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Premises:
+        """For what a certificate of these axes holds."""
+        config, down = self.config, knowledge.authorities[DOWN]
+        delays = [each.response.delay_s for each in axes] or [self.model.transport_delay_s]
+        return Premises(
+            sensors=config.sensors,
+            vehicle_hash="",
+            estimate=EstimateBounds(*config.accuracy, k_sigma=config.estimate_k_sigma),
+            speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.accuracy.vel_mps),
+            lean=lean(knowledge.budget),
+            thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
+            applied_share=APPLIED_AS_SENT,
+            thrust_gain=gain_of(
+                down.gain, max(down.error_low_mps2.max(), down.error_high_mps2.max()), knowledge.budget.high_mps2
+            ),
+            delay_s=(max(delays) - self.doubts.delay_s, min(delays) + self.doubts.delay_s),
+            jitter_s=config.jitter_s,
+            command_interval_s=config.dt_s,
+            battery_v=ANY_BATTERY_V,
+        )
 
     @property
     def doubts(self) -> Doubts:

@@ -12,6 +12,7 @@ changing commands, which it would do by a model that is wrong, and the flight br
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -129,7 +130,4 @@ def doubt(axis: AxisCertificate) -> float:
 def marked(certificate: Certificate, reason: str, *, hand_over: bool, version: int | None = None) -> Certificate:
     """The certificate with the reason why it does not hold; `hand_over`: nothing else is there to keep to."""
     knowledge = {**certificate.knowledge, "falsified": reason, HAND_OVER: hand_over}
-    return Certificate(
-        certificate.mode, certificate.centre_ned_m, certificate.axes, certificate.budget, certificate.delta,
-        certificate.k_sigma, knowledge, certificate.version if version is None else version,
-    )  # fmt: skip
+    return replace(certificate, knowledge=knowledge, version=certificate.version if version is None else version)

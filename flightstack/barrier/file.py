@@ -1,9 +1,10 @@
-"""A certificate as a file: JSON text with schema "flightstack.certificate/1", every number exact, sealed.
+"""A certificate as a file: JSON text with schema "flightstack.certificate/2", every number exact, sealed.
 
     schema, mode, version, centre_ned_m, delta, k_sigma
     budget      as `records.Budget`
     axes        each: axis (its name), barrier (kind and parameters), setting, response, authority (one list a column),
                 margins, cells (rows of six numbers)
+    premises    for what it holds (`premises`); null as published
     knowledge   what the bounds rest on, as `knowledge` wrote it
     seal        SHA-256 of the rest in canonical form: keys sorted, no blanks, ASCII, shortest exact numbers
 
@@ -23,17 +24,30 @@ import numpy as np
 
 from flightstack.barrier import records
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.premises import parse_premises, premises_table
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.checked import number, only, vector, words
 from flightstack.types import InputError
 
-SCHEMA = "flightstack.certificate/1"
+SCHEMA = "flightstack.certificate/2"
 MODES = ("sound", "as-published")
 _LARGEST = 1e12
 _DEPTH = 32
 _BARRIERS: dict[str, type[Barrier]] = {"quadratic": Quadratic, "stopping": Stopping}
-_TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "knowledge", "seal")
+_TOP = (
+    "schema",
+    "mode",
+    "version",
+    "centre_ned_m",
+    "delta",
+    "k_sigma",
+    "budget",
+    "axes",
+    "premises",
+    "knowledge",
+    "seal",
+)
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _CELL = 6
 T = TypeVar("T")
@@ -50,6 +64,7 @@ def certificate_to_json(certificate: Certificate) -> str:
         "k_sigma": certificate.k_sigma,
         "budget": asdict(certificate.budget),
         "axes": [_axis_table(axis) for axis in certificate.axes],
+        "premises": None if certificate.premises is None else premises_table(certificate.premises),
         "knowledge": certificate.knowledge,
     }
     try:
@@ -84,6 +99,7 @@ def parse_certificate(text: str, source: str) -> Certificate:
         k_sigma=number(data["k_sigma"], f"{source}: k_sigma", 0.0, 1e6),
         knowledge=dict(_table(data["knowledge"], f"{source}: knowledge")),
         version=_whole(data["version"], f"{source}: version"),
+        premises=None if data["premises"] is None else parse_premises(data["premises"], f"{source}: premises"),
     )
 
 

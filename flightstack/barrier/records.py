@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting
+from flightstack.barrier.premises import Premises
 from flightstack.barrier.shapes import Barrier
 from flightstack.types import F64, Tuple3
 
@@ -147,3 +148,5 @@ class Certificate:
     """What the bounds rest on: kernels, points, noise, hashes; plain JSON."""
     version: int = 0
     """Counted up by each that replaces another in flight."""
+    premises: Premises | None = None
+    """For what it holds; None: as published, or made up: it claims nothing of a flight."""

@@ -1,7 +1,7 @@
 """The checker of certificate files: proves anew what a file claims, and shares no code with what made it.
 
 Only numpy and the standard library are used.  In this order: the seal; the thrust budget; the knowledge and each axis'
-`authority` from its points; the ledger with eta and b; the cells' claims and that they cover the region.
+`authority` from its points; the premises; the ledger with eta and b; the cells' claims and that they cover the region.
 
 A number that is changed under a new seal is refused, unless nothing that is claimed becomes untrue:
 
@@ -27,9 +27,10 @@ from .cells import check_cells
 from .condition import Condition, Piece
 from .intervals import F64, Interval
 from .ledger import check_ledger
-from .reading import Refused, number, numbers, rows, table_of, unsealed
+from .premises import check_premises
+from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
 
-_TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "knowledge")
+_TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge")
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
 _BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
@@ -47,19 +48,26 @@ class Verdict:
 
     valid: bool
     lines: list[str] = field(default_factory=list)
+    readable: bool = True
+    """False where it is no certificate file, or larger than any; then there is one line."""
 
 
 def check(text: str) -> Verdict:
-    """Verify a certificate file's text; never raises."""
+    """Verify a certificate file's text; never raises.
+
+    Memory and time are bounded by what `bounds` lets pass; whoever wants a hard limit calls it in a process of its own.
+    """
     verdict = Verdict(False)
     try:
         with np.errstate(all="ignore"):
             _check(text, verdict.lines)
         verdict.valid = True
+    except Unreadable as unreadable:
+        verdict.lines, verdict.readable = [str(unreadable)], False
     except Refused as refused:
         verdict.lines.append(str(refused))
     except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
-        verdict.lines.append(f"not to be read as a certificate: {type(error).__name__}")
+        verdict.lines, verdict.readable = [f"not to be read as a certificate: {type(error).__name__}"], False
     return verdict
 
 
@@ -80,6 +88,7 @@ def _check(text: str, lines: list[str]) -> None:
     names = [axis["axis"] for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    lines.append(check_premises(data["premises"], axes, data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
         nodes = _nodes(axis["authority"], name)

@@ -19,7 +19,9 @@ from .reading import Refused
 
 _SPLITS = 40
 _BOXES = 400_000
-_FIELDS = 20_000_000
+_FIELDS = 5_000_000
+_AT_ONCE = 20_000
+"""Boxes that are looked at in one go: some 100 MB."""
 
 
 @dataclass
@@ -46,11 +48,11 @@ def _settle(condition: Condition, todo: Boxes, unit: tuple[float, float], name: 
         looked += len(todo.box)
         if looked > _BOXES:
             break
-        low = np.where(todo.barred, -np.inf, condition.lowest(todo.box, todo.u, todo.reach))
-        todo = todo.take(~(low >= todo.target) & ~condition.outside(todo.box))
         if not len(todo.box):
             return looked
-        _refute(condition, todo, name)
+        todo = todo.take(np.concatenate([_open(condition, todo, start) for start in range(0, len(todo.box), _AT_ONCE)]))
+        for start in range(0, len(todo.box), _AT_ONCE):
+            _refute(condition, todo.take(np.arange(start, min(start + _AT_ONCE, len(todo.box)))), name)
         wide_e, wide_v = (todo.box[:, 1] - todo.box[:, 0]) / unit[0], (todo.box[:, 3] - todo.box[:, 2]) / unit[1]
         side = np.where(wide_e >= wide_v, 0, 2)
         at = np.arange(len(side))
@@ -62,6 +64,14 @@ def _settle(condition: Condition, todo: Boxes, unit: tuple[float, float], name: 
     e0, e1, v0, v1 = todo.box[0]
     what = "is not covered" if todo.cell[0] < 0 else f"cell {todo.cell[0]}: its claim could not be proven"
     raise Refused(f"{name}: {what} at e {e0:.9g} to {e1:.9g} m, v {v0:.9g} to {v1:.9g} m/s")
+
+
+def _open(condition: Condition, todo: Boxes, start: int) -> NDArray[np.bool_]:
+    """Which boxes of the next `_AT_ONCE` from `start` on are not proven yet."""
+    part = slice(start, start + _AT_ONCE)
+    low = condition.lowest(todo.box[part], todo.u[part], todo.reach[:, part])
+    low = np.where(todo.barred[part], -np.inf, low)
+    return np.asarray(~(low >= todo.target[part]) & ~condition.outside(todo.box[part]))
 
 
 def _refute(condition: Condition, todo: Boxes, name: str) -> None:
@@ -127,7 +137,11 @@ def _fields(cells: F64) -> tuple[F64, int]:
     v0, v1 = np.searchsorted(v, cells[:, 2]), np.searchsorted(v, cells[:, 3])
     for rows, columns, sign in ((e0, v0, 1), (e0, v1, -1), (e1, v0, -1), (e1, v1, 1)):
         np.add.at(count, (rows, columns), sign)
-    i, j = np.nonzero(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] == 0)
+    np.cumsum(count, axis=0, out=count)
+    np.cumsum(count, axis=1, out=count)
+    i, j = np.nonzero(count[:-1, :-1] == 0)
+    if len(i) > _BOXES:
+        raise Refused(f"cells leave {len(i)} fields between their edges uncovered, more than this checker looks at")
     return np.stack([e[i], e[i + 1], v[j], v[j + 1]], axis=1), (len(e) - 1) * (len(v) - 1)
 
 

@@ -156,7 +156,10 @@ class WatchedCertifier:
 
     def stamped(self, certificate: Certificate) -> Certificate:
         """The same, made for the vehicle of `stamp`."""
-        return replace(certificate, knowledge={**certificate.knowledge, **self._stamp})
+        premises, stamped = certificate.premises, {**certificate.knowledge, **self._stamp}
+        if premises is not None:
+            premises = replace(premises, vehicle_hash=str(stamped.get("vehicle_hash", "")))
+        return replace(certificate, knowledge=stamped, premises=premises)
 
 
 def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:
@@ -251,12 +254,54 @@ def _least(values: F64) -> float | None:
     return float(known.min()) if known.size else None
 
 
-def barrier_summary(enabled: bool, region: dict[str, Any], interventions: int) -> dict[str, Any]:
+@dataclass(slots=True)
+class FilterScore:
+    """What the filter did, tick by tick from take-off to the command to land."""
+
+    acting: int = 0
+    """Ticks in which it was engaged, its fallbacks included."""
+    interventions: int = 0
+    infeasible: int = 0
+    spans: list[tuple[float, float]] = field(default_factory=list)
+    """From when to when (s after take-off) the command was one that the certificate allows."""
+    _ticks: int = 0
+    _solved: int = 0
+    _protecting: bool = False
+
+    def add(self, flight_s: float, filtered: Filtered, *, climbing: bool) -> None:
+        """One tick, `flight_s` after take-off began."""
+        status = filtered.status
+        self.acting += status >= SOLVED
+        self.interventions += filtered.intervened == 1.0
+        self.infeasible += status in FALLBACKS
+        protecting = SOLVED <= status < FALLBACKS[0]
+        if not climbing:
+            self._ticks += 1
+            self._solved += protecting
+        if protecting and self._protecting:
+            self.spans[-1] = (self.spans[-1][0], flight_s)
+        elif protecting:
+            self.spans.append((flight_s, flight_s))
+        self._protecting = protecting
+
+    @property
+    def engaged_share(self) -> float | None:
+        """Share of the ticks after the climb in which it protected; None without one."""
+        return self._solved / self._ticks if self._ticks else None
+
+
+def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -> dict[str, Any]:
     """The JSON's `barrier`; all null where no filter flew."""
     if not enabled:
         return dict(NO_BARRIER)
     names = ("min_h_truth", "min_h_estimate", "violations")
-    return {"enabled": True, **{name: region[name] for name in names}, "interventions": interventions}
+    return {
+        "enabled": True,
+        **{name: region[name] for name in names},
+        "interventions": score.interventions,
+        "protected": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in score.spans],
+        "engaged_share": score.engaged_share,
+    }
 
 
 def qp_summary(safety_filter: SafetyFilter, infeasible: int) -> dict[str, Any]:

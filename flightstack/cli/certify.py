@@ -268,9 +268,3 @@ def _write_report(result: CertifyResult, page: Callable[[], str], path: Path) ->
         result.report = str(path)
     except (InputError, OSError) as error:
         result.flight.log_problem = result.flight.log_problem or f"no report: {error}"
-
-
-def check_file(path: Path) -> tuple[bool, list[str]]:
-    """The independent checker's word on a file; InputError where it can't be read."""
-    verdict = check(files.read_text(path).text)
-    return verdict.valid, list(verdict.lines)

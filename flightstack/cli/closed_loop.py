@@ -66,9 +66,9 @@ class _Wire:
         self._count = 0
 
     def sample(self, vehicle: SimulatedVehicle) -> None:
-        e, sensors = vehicle.estimate, vehicle.sensors
+        e, means = vehicle.estimate, vehicle.sensors.mean_imu.tolist()
         sent: list[tuple[str, tuple[object, ...]]] = [
-            ("imu", (e.t_us, tuple(sensors.accel_frd_mps2), tuple(sensors.gyro_frd_radps))),
+            ("imu", (e.t_us, tuple(means[3:]), tuple(means[:3]))),
             ("motors", (e.t_us, tuple(vehicle.motor_command))),
         ]
         if self._count % 2 == 0:

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from flightstack.cli.result import FlightResult
+from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
+_PROTECTION_STYLES = {HELD: "[green]", LEFT: "[red]", NONE: "[red]", OFF: "[dim]"}
 
 
 class OnProgress(Protocol):
@@ -56,7 +58,7 @@ def say_error(text: str) -> None:
 def show_result(result: FlightResult) -> None:
     """The flight's summary."""
     if result.passed:
-        verdict = "[bold green]completed[/]"
+        verdict = "[bold green]completed[/]" if result.completed else "[bold]nothing was to be flown[/]"
     else:
         verdict = f"[bold red]{_not_passed(result)}[/]"
     table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
@@ -75,7 +77,9 @@ def show_result(result: FlightResult) -> None:
 def _not_passed(result: FlightResult) -> str:
     if not result.completed:
         return "NOT completed"
-    return "completed, but left its region" if result.left_region else "completed, but a check failed"
+    if result.unprotected:
+        return "completed, but left its region" if result.protection == LEFT else "completed, but not protected"
+    return "completed, but a check failed" if not result.log_problem else "completed, but the log is not whole"
 
 
 def show_certified(result: CertifyResult) -> None:
@@ -153,6 +157,7 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
+    yield "protection", f"{_PROTECTION_STYLES[result.protection]}{escape(result.protection_words)}[/]"
     yield "learning", _learning(result.gp)
     yield "barrier filter", _filter(result)
     lateness = result.loop["lateness_us"]
@@ -194,8 +199,8 @@ def _filter(result: FlightResult) -> str:
     """What the filter was, what it kept to and what it took; or why there was none."""
     barrier, solve_us = result.barrier, result.qp["solve_us"]
     if not barrier["enabled"]:
-        return result.protection or "off"
-    parts = [result.protection] if result.protection else []
+        return result.filter_words or "off"
+    parts = [result.filter_words] if result.filter_words else []
     for of, violations in (("truth", barrier["violations"]), ("estimate", None)):
         least = barrier[f"min_h_{of}"]
         if least is not None:

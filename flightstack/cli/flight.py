@@ -200,6 +200,7 @@ class SimulatedFlight:
     def _observe(self, truth: Truth, now_us: int) -> None:
         """Log the truth, let timed effects happen, and score while the scenario is tracked."""
         self._log.truth(now_us, truth)
+        self.score.on_truth(truth)
         track_s = self.score.track_s(now_us)
         if track_s is None:
             return
@@ -273,6 +274,7 @@ def _flown(
         seed=options.seed,
         plant=setup.plant,
     )
+    result.unprotected_ok = options.unprotected_ok
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 

@@ -38,6 +38,7 @@ from flightstack.cli.options import (
     SensorsOption,
     SigningKeyOption,
     TruthOption,
+    UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
@@ -79,6 +80,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
@@ -92,6 +94,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "unprotected_ok": unprotected_ok,
         "log": log,
         "out": out,
     }
@@ -215,16 +218,16 @@ def certify(
     """Learn the largest certified region in flight, or check a certificate."""
     from flightstack.cli import console, files
     from flightstack.cli.certify import certify as run
-    from flightstack.cli.certify import check_file
+    from flightstack.cli.checking import check_file
     from flightstack.cli.flight import FlyOptions
 
     if check is not None:
-        valid, lines = check_file(check)
-        console.show_checked(str(check), valid, lines)
+        found = check_file(check)
+        console.show_checked(str(check), found.valid, found.lines)
         if json is not None:
-            found = {"schema": "flightstack.check/1", "certificate": str(check), "valid": valid, "lines": lines}
-            files.write_json(json, found)
-        raise typer.Exit(OK if valid else FAILED)
+            said = {"certificate": str(check), "valid": found.valid, "lines": found.lines}
+            files.write_json(json, {"schema": "flightstack.check/1", **said})
+        raise typer.Exit(OK if found.valid else FAILED)
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,

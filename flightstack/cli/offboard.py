@@ -117,6 +117,7 @@ def _offboard(
             prepared.believed,
             truth=False,
             on_record=score.on_record,
+            on_message=score.on_message,
             certifier=prepared.protection.watched,
         )
         companion = Companion(
@@ -150,9 +151,10 @@ def _offboard(
         wall_s=wall_s,
         clock_s=wall_s * companion.view.clock.rate,
         timing=timing,
-        completed=companion.completed or (options.dry_run and companion.state is State.STREAMING),
+        completed=None if options.dry_run and companion.state is State.STREAMING else companion.completed,
         checked=options.as_written,
     )
+    result.unprotected_ok = options.unprotected_ok
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 

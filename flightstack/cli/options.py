@@ -14,6 +14,7 @@ class Sensors(StrEnum):
 
     mocap = "mocap"
     gps = "gps"
+    px4_sih = "px4-sih"
 
 
 class PlantName(StrEnum):
@@ -39,6 +40,9 @@ AsPublishedOption = Annotated[
     bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
 ]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
+UnprotectedOption = Annotated[
+    bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
+]
 TruthOption = Annotated[str | None, typer.Option(help="Vehicle that really flies; the controller never sees it.")]
 SigningKeyOption = Annotated[
     Path | None,

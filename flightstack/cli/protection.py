@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
-from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.margins import GPS, MOCAP
@@ -25,9 +24,10 @@ from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from flightstack.cli.given_certificate import certificate_for, require_checked
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
-from flightstack.model import Limits, Model
+from flightstack.model import Model
 from flightstack.region import Region
 from flightstack.safety_filter import BarrierFilter
 from flightstack.scenario import Scenario
@@ -43,6 +43,8 @@ class ProtectionOptions:
     filtering: bool = True
     as_published: bool = False
     certificate: Path | None = None
+    unprotected_ok: bool = False
+    """Protection that was asked for and not had, or left, does not fail the flight."""
 
     @property
     def in_real_time(self) -> bool:
@@ -61,6 +63,8 @@ class Protection:
 
     words: str
     """What protects the flight, or why nothing does; one line."""
+    asked: bool = False
+    """Whether protection is wanted: then a flight without it has failed."""
     region: Region | None = None
     """The scenario's, where the flight is judged by it."""
     filter: SafetyFilter = field(default_factory=NoFilter)
@@ -93,12 +97,14 @@ def protect(
     """
     if options.as_published and not options.filtering:
         raise InputError("--as-published flies the published filter: leave out --no-filter")
-    file = None if options.certificate is None else files.read_text(options.certificate)
     mode = AS_PUBLISHED if options.as_published else SOUND
+    if options.certificate is not None and mode == SOUND:  # what is published proves nothing that could be checked
+        require_checked(options.certificate)
+    file = None if options.certificate is None else files.read_text(options.certificate)
     given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
-        return Protection(_NO_FILTER, region)
+        return Protection(_NO_FILTER, region=region)
     workshop: Workshop | None = None
     if given is not None:
         certifier: Certifier | str = GivenCertificate(given, model)
@@ -109,17 +115,17 @@ def protect(
         workshop = Workshop() if options.in_real_time and not why_not else None
         certifier = why_not or _online(mode, scenario, model, sensors, workshop)
     if isinstance(certifier, str):
-        return Protection(f"off: {certifier}", region)
+        return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
     stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
     watched = WatchedCertifier(certifier, stamp, workshop)
     text, path = ("", "") if file is None else (file.text, str(file.path))
     if not options.filtering:  # the certificate still says by which region the flight is judged
-        return Protection(_NO_FILTER, region, NoFilter(), watched, text or None, path)
+        return Protection(_NO_FILTER, region=region, certifier=watched, certificate=text or None, certificate_from=path)
     made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
     source = f"certificate {file.path}" if file is not None else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
     words = f"{mode}{doubt}, {source}"
-    return Protection(words, region, TimedFilter(made), watched, text or None, path, given, workshop)
+    return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop)
 
 
 SOUND = "sound"
@@ -151,7 +157,7 @@ def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere
         return PublishedCertifier(model, limits, region)
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
-    accuracy = GPS if sensors == "gps" else MOCAP
+    accuracy = MOCAP if sensors == "mocap" else GPS
     if region.kind == "ellipsoid":
         vertical = replace(VERTICAL, accuracy=accuracy)
         return GrowingCertifier(
@@ -159,30 +165,3 @@ def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere
         )
     config = CertifierConfig(accuracy=accuracy, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
-
-
-def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:
-    """The certificate of a file, made for this vehicle, this mode and no more thrust than the flight allows."""
-    certificate = parse_certificate(file.text, str(file.path))
-    if certificate.mode != mode:
-        need = "with" if certificate.mode == AS_PUBLISHED else "without"
-        raise InputError(f"{file.path}: a certificate of mode {certificate.mode}: fly it {need} --as-published")
-    if certificate.knowledge.get("vehicle_hash") != vehicle_hash(believed):
-        name = certificate.knowledge.get("vehicle")
-        of = f"for vehicle {name!r} with" if name else "for"
-        raise InputError(
-            f"{file.path}: made {of} another vehicle file than {believed.name!r}; "
-            "name the one that it was made for with --vehicle, or certify this one: `flightstack certify`"
-        )
-    budget, greatest_mps2 = certificate.budget, model.thrust_range_n(limits)[1] / model.mass_kg
-    if budget.thrust_max_mps2 > greatest_mps2 * (1.0 + 1e-9):
-        raise InputError(
-            f"{file.path}: counts on {budget.thrust_max_mps2:.2f} m/s^2 of thrust, this flight allows "
-            f"{greatest_mps2:.2f}; raise the scenario's limits.thrust_max_weights"
-        )
-    if budget.tilt_max_rad > limits.tilt_max_rad + 1e-9:
-        raise InputError(
-            f"{file.path}: counts on {budget.tilt_max_rad:.2f} rad of tilt, this flight allows "
-            f"{limits.tilt_max_rad:.2f}; raise the scenario's limits.tilt_max_rad"
-        )
-    return certificate

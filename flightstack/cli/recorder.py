@@ -158,12 +158,13 @@ class LogObserver:
         *,
         truth: bool,
         on_record: Callable[[TickRecord], None] | None = None,
+        on_message: Callable[[int, object], None] | None = None,
         certifier: WatchedCertifier | None = None,
     ) -> None:
         self.companion: Companion | None = None
         self._log = log
         self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
-        self._on_record = on_record
+        self._on_record, self._on_message = on_record, on_message
         self._learner_events = LearnerEvents(log.event)
         self._filter_events = FilterEvents(log.event)
         self._certifier = certifier
@@ -206,6 +207,8 @@ class LogObserver:
 
     def on_message(self, t_us: int, message: object) -> None:
         """A message of the vehicle, as a table."""
+        if self._on_message is not None:
+            self._on_message(t_us, message)
         topic = _TOPIC_OF.get(type(message))
         if topic is not None:
             self._log.write(topic, t_us, message)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.cli.verdict import HELD, LEFT, OFF, spans_words
 from flightstack.scenario import Check
 from flightstack.types import F64, Tuple3
 
@@ -77,7 +78,11 @@ NO_BARRIER: dict[str, Any] = {
     "min_h_estimate": None,
     "violations": None,
     "interventions": None,
+    "protected": None,
+    "engaged_share": None,
 }
+"""`protected`: from when to when (s after take-off) the filter kept to a certificate; `engaged_share`: its share of the
+ticks from the end of the climb to the command to land."""
 NO_GP: dict[str, Any] = {
     "enabled": False,
     "points": None,
@@ -126,7 +131,8 @@ class FlightResult:
     scenario: str
     seed: int | None
     log: str | None
-    completed: bool
+    completed: bool | None
+    """None where nothing was to be flown (a dry run)."""
     reason: str
     flight_time_s: float
     """From take-off to disarmed, by the vehicle's clock."""
@@ -143,8 +149,14 @@ class FlightResult:
     qp: dict[str, Any] = field(default_factory=lambda: dict(NO_QP))
     region: dict[str, Any] = field(default_factory=lambda: dict(NO_REGION))
     link: dict[str, Any] = field(default_factory=lambda: dict(NO_LINK))
-    protection: str = ""
-    """What the barrier filter was, in words, or why there was none."""
+    flown: dict[str, Any] = field(default_factory=dict)
+    """Heights and speed by which it counts as flown (`verdict.Flown`)."""
+    protection: str = OFF
+    """held, left, none or off (`verdict.protection_of`)."""
+    filter_words: str = ""
+    """What the barrier filter was, or why there was none."""
+    unprotected_ok: bool = False
+    """A flight that was not protected, or left, passes all the same."""
     report: str | None = None
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
@@ -152,16 +164,27 @@ class FlightResult:
 
     @property
     def passed(self) -> bool:
-        """Completed inside its region, with the log whole and every check of the scenario kept."""
-        kept = self.completed and not self.left_region and not self.log_problem
+        """Not left undone, protected where that was asked for, with the log whole and every check kept."""
+        kept = self.completed is not False and not self.unprotected and not self.log_problem
         return kept and all(check["passed"] for check in self.checks)
 
     @property
+    def unprotected(self) -> str:
+        """Why protection that was asked for, and is not waived, does not count as held, one line; else empty."""
+        if self.unprotected_ok or self.protection in (HELD, OFF):
+            return ""
+        if self.protection == LEFT:
+            return self.left_region
+        return f"not protected: nothing was certified in time ({self.filter_words})"
+
+    @property
     def left_region(self) -> str:
-        """Where a filter flew and the true state left the region all the same: that, one line; else empty."""
+        """Where a filter flew and the region was left all the same: that, one line; else empty."""
+        if self.protection != LEFT:
+            return ""
         violations = self.barrier["violations"]
         if not violations:
-            return ""
+            return f"left its region: h of the estimate fell to {self.barrier['min_h_estimate']:.3f}"
         left_s = self.region["left_s"]
         when = "" if left_s is None else f", first {left_s:.2f} s after take-off"
         least = f"least {self.barrier['min_h_truth']:.3f}"
@@ -169,19 +192,36 @@ class FlightResult:
 
     def failure(self) -> str:
         """Why it did not pass, one line; empty where it did."""
-        if not self.completed:
+        if self.completed is False:
             return self.reason or "the flight did not complete"
-        if self.left_region:
-            return self.left_region
+        if self.unprotected:
+            return self.unprotected
         if self.log_problem:
             return self.log_problem
+        return self._failed_checks()
+
+    def _failed_checks(self) -> str:
         failed = [check for check in self.checks if not check["passed"]]
         return "; ".join(f"check failed: {check['words']} ({check['metric']} = {check['value']})" for check in failed)
 
+    def miss_checks(self) -> None:
+        """A flight as its scenario is written that failed one of its checks did not fly what was asked."""
+        missed = self._failed_checks()
+        if self.completed and missed:
+            self.completed, self.reason = False, missed
+
     @property
     def why(self) -> str:
-        """What went wrong in flight: why it ended early, that it left its region."""
-        return "; ".join(part for part in (self.reason, self.left_region) if part)
+        """What went wrong in flight: why it does not count as flown, that it was not protected or left."""
+        return "; ".join(part for part in (self.reason, self.unprotected or self.left_region) if part)
+
+    @property
+    def protection_words(self) -> str:
+        """The protection in words: protected from t1 to t2, not protected, left, or off and why."""
+        if self.protection == OFF:
+            return self.filter_words if self.filter_words.startswith(OFF) else OFF
+        told = spans_words([(span["from_s"], span["to_s"]) for span in self.barrier["protected"] or ()])
+        return f"left ({told})" if self.protection == LEFT else told
 
     def as_json(self) -> dict[str, Any]:
         """The `flightstack.flight/1` object."""
@@ -192,7 +232,11 @@ class FlightResult:
             "log": self.log,
             "report": self.report,
             "completed": self.completed,
+            "passed": self.passed,
+            "protection": self.protection,
+            "protection_words": self.protection_words,
             "reason": self.why,
+            "flown": self.flown,
             "flight_time_s": self.flight_time_s,
             "wall_time_s": self.wall_time_s,
             "realtime_factor": self.clock_time_s / self.wall_time_s if self.wall_time_s > 0 else None,

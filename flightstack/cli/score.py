@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from flightstack.cli.barrier_score import FALLBACKS, SOLVED, RegionScore, barrier_summary, qp_summary
+from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, qp_summary
 from flightstack.cli.calibration import gp_summary
 from flightstack.cli.preparation import Prepared
 from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
+from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
+from flightstack.mission import first_height_m
 from flightstack.types import F64, Learned, TickRecord, Tuple3
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
+from mavlink_bridge.messages import LocalPositionNed
 
 if TYPE_CHECKING:
     from flightstack_sim.plant import Truth
@@ -34,19 +37,34 @@ class FlightScore:
         self._judging = self.region.of is not None
         self._duration_s = prepared.scenario.duration_s
         self._filtering = prepared.stack.filter.enabled
-        self._acting = self._interventions = self._infeasible = 0
+        self._filter = FilterScore()
+        self.ascent = Ascent()
 
     def on_record(self, record: TickRecord) -> None:
         """A tick of the stack; of an estimated flight it is scored at once."""
         self._record = record
         if self._learning and record.learned.stage >= 0.0:
             self._last_learned = record.learned
-        if self._filtering and self.track_s(record.t_us) is not None:
-            self._acting += record.filtered.status >= SOLVED
-            self._interventions += record.filtered.intervened == 1.0
-            self._infeasible += record.filtered.status in FALLBACKS
-        if self._by_estimate and self.companion is not None:
-            self.add(self.track_s(record.t_us), record.measurement.pos_ned_m, self.companion.start_ned_m)
+        companion, track_s = self.companion, self.track_s(record.t_us)
+        if companion is None or companion.mission is None or track_s is None:
+            return
+        if self._filtering:
+            flight_s = (record.t_us - companion.flight_start_us) * 1e-6
+            self._filter.add(flight_s, record.filtered, climbing=flight_s < companion.mission.takeoff_end_s)
+        if self._by_estimate:
+            self.add(track_s, record.measurement.pos_ned_m, companion.start_ned_m)
+
+    def on_message(self, t_us: int, message: object) -> None:
+        """What the vehicle says: of an estimated flight its descent is scored by it."""
+        companion = self.companion
+        landing = companion is not None and companion.land_command_us >= 0
+        if self._by_estimate and landing and isinstance(message, LocalPositionNed):
+            self.ascent.estimated_descent(t_us, float(message.vel_ned_mps[2]))
+
+    def on_truth(self, truth: Truth) -> None:
+        """The truth of a tick, from the start of the take-off to the very end."""
+        if self.companion is not None and self.companion.flight_start_us >= 0:
+            self.ascent.true_contact(truth.vel_ned_mps, truth.on_ground)
 
     def track_s(self, t_us: int) -> float | None:
         """Time since the track began, negative before; None without a mission and from the command to land on."""
@@ -60,6 +78,7 @@ class FlightScore:
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:
             return
+        self.ascent.height(float(start_ned_m[2]) - float(pos_ned_m[2]))
         if self._judging:
             estimate = record.measurement
             state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
@@ -80,40 +99,53 @@ class FlightScore:
         wall_s: float,
         clock_s: float,
         timing: LoopTiming | None,
-        completed: bool,
+        completed: bool | None,
         checked: bool,
         seed: int | None = None,
         plant: str | None = None,
     ) -> FlightResult:
-        """The flight's result; with `checked` it is held against the scenario's checks."""
+        """The flight's result; `completed`: whether it came to its end (None: nothing was to be flown); with `checked`
+        it is held against the scenario's checks."""
         companion, prepared = self.companion, self.prepared
         assert companion is not None
         flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
         stack, region = prepared.stack, self.region.summary()
-        region["filtered_ticks"] = self._acting if self._filtering else None
+        region["filtered_ticks"] = self._filter.acting if self._filtering else None
+        tracking = self.tracking.summary()
+        sensors = prepared.settings.get("sensors", "")
+        flown = Flown(
+            first_height_m(prepared.scenario),
+            self.ascent.rose_m,
+            self.ascent.touchdown_mps,
+            most_rms_m(self.tracking.of, sensors),
+        )
+        reason = companion.reason or (flown.shortcoming(tracking["rmse_m"]) if completed else "")
         result = FlightResult(
             scenario=prepared.scenario.name,
             seed=seed,
             log=str(log.path),
-            completed=completed,
-            reason=companion.reason,
+            completed=completed and not reason,
+            reason=reason,
             flight_time_s=flown_us * 1e-6,
             wall_time_s=wall_s,
             clock_time_s=clock_s,
             plant=plant,
             controller=prepared.settings["controller"],
-            tracking=self.tracking.summary(),
+            tracking=tracking,
             gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
             loop=timing.summary() if timing is not None else NO_LOOP,
-            barrier=barrier_summary(self._filtering, region, self._interventions),
-            qp=qp_summary(stack.filter, self._infeasible),
+            barrier=barrier_summary(self._filtering, region, self._filter),
+            qp=qp_summary(stack.filter, self._filter.infeasible),
             region=region,
             link=link_summary(companion),
-            protection=prepared.protection.words,
+            flown=flown.as_json(),
+            protection=protection_of(prepared.protection.asked, self._filter.spans, region),
+            filter_words=prepared.protection.words,
             log_problem=log.failed or "",
         )
         if checked:
             result.checks = [judge(check, result.as_json()) for check in prepared.scenario.checks]
+            result.miss_checks()
         return result
 
 

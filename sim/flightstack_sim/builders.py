@@ -96,9 +96,11 @@ def highres_imu(view: View) -> m.HighresImu:
 
 
 def scaled_imu(view: View) -> m.ScaledImu:
-    """HIGHRES_IMU's motion in whole numbers; sent on request only."""
-    means = tuple(view.vehicle.sensors.mean_imu.tolist())
-    return m.ScaledImu(view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, 15.0)
+    """HIGHRES_IMU's motion in whole numbers, without the filter's correction of biases; sent on request only."""
+    sensors = view.vehicle.sensors
+    x, y, z = sensors.raw_accel_frd_mps2.tolist()
+    gyro = tuple(sensors.mean_imu.tolist())[0:3]
+    return m.ScaledImu(view.stamp_us, (x, y, z), gyro, view.mag_frd_gauss, 15.0)
 
 
 def servo_output_raw(view: View) -> m.ServoOutputRaw:

@@ -1,7 +1,8 @@
 """Sensor grades: how good the simulated sensors and the state estimate are, as read from a TOML file.
 
-Every key is required; unknown keys and values out of range are errors that name the key.  Arrays of three are along
-north, east, down (positions and velocities) or body x, y, z (the rest).
+Every key is required; unknown keys and values out of range are errors that name the key.  Only the table `kalman` may
+be left out, as a whole.  Arrays of three are along north, east, down (positions and velocities) or body x, y, z (the
+rest).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 from flightstack.types import InputError, Tuple3
 
 SCHEMA = "flightstack.sensors/1"
-GRADES = ("mocap", "gps")
+GRADES = ("mocap", "gps", "px4-sih")
 _Limits = tuple[float, float]
 _KEYS: dict[str, dict[str, tuple[int, _Limits]]] = {
     "imu": {
@@ -40,6 +41,13 @@ _KEYS: dict[str, dict[str, tuple[int, _Limits]]] = {
         "tilt_time_constant_s": (1, (0.001, 1e4)),
         "heading_std_rad": (1, (0.0, 1.0)),
         "heading_time_constant_s": (1, (0.001, 1e4)),
+    },
+    "kalman": {
+        "imu_samples": (1, (1.0, 2.0)),
+        "accel_bias_std_mps2": (3, (0.0, 1.0)),
+        "accel_bias_time_constant_s": (1, (0.1, 1e4)),
+        "vel_smoothing_s": (1, (0.01, 100.0)),
+        "pos_follows_vel_s": (1, (0.01, 100.0)),
     },
     "air": {
         "baro_std_pa": (1, (0.0, 100.0)),
@@ -87,6 +95,24 @@ class EstimateGrade:
 
 
 @dataclass(frozen=True, slots=True)
+class KalmanGrade:
+    """What PX4's Kalman filter adds: coloured IMU noise, a wrong bias estimate, position errors that follow velocity's.
+
+    Sources: recorded flights of PX4 with its simulator SIH; `sensors` and `estimator` say what is done with it.
+    """
+
+    imu_samples: float
+    """Samples in the trapezoidal mean that is reported: 2 make its noise MA(1) with a lag-1 correlation of 0.5."""
+    accel_bias_std_mps2: Tuple3
+    """Of the filter's estimate of a bias that is not there; it is taken out of what is reported."""
+    accel_bias_time_constant_s: float
+    vel_smoothing_s: float
+    """Low-pass of the velocity error's slow part."""
+    pos_follows_vel_s: float
+    """T in e_p' = e_v - e_p / T: position sums up the velocity's error until the fixes pull it back."""
+
+
+@dataclass(frozen=True, slots=True)
 class AirGrade:
     """White noise of the barometer and the magnetometer."""
 
@@ -103,6 +129,8 @@ class Grade:
     fix: FixGrade
     estimate: EstimateGrade
     air: AirGrade
+    kalman: KalmanGrade | None = None
+    """None: all errors are independent of one another."""
 
 
 def load_grade(name: str) -> Grade:
@@ -133,6 +161,7 @@ def parse_grade(text: str, source: str) -> Grade:
         FixGrade(**_section(table, "fix", source)),
         EstimateGrade(**_section(table, "estimate", source)),
         AirGrade(**_section(table, "air", source)),
+        KalmanGrade(**_section(table, "kalman", source)) if "kalman" in table else None,
     )
 
 

@@ -5,6 +5,10 @@ are constant in a flight and drawn from the seed; the autopilot's estimator take
 the samples here carry that share.  The effects `accelerometer_bias` and `gyro_bias` come on top, whole: measured =
 true + bias.
 
+A grade's table `kalman` makes of the reported means what PX4 reports: the trapezoidal mean of two 4 ms samples (noise
+MA(1), lag-1 correlation 0.5), less the filter's estimate of an accelerometer bias that is not there.  What is not
+corrected stays in `raw_accel_frd_mps2` (SCALED_IMU).
+
 Every purpose has its own random generator, spawned from the seed: one sensor's use never changes another's noise.
 """
 
@@ -19,8 +23,8 @@ import numpy as np
 
 from flightstack.jit import njit
 from flightstack.types import F64, Tuple3
-from flightstack_sim.estimator import Estimate, EstimatorModel, estimate
-from flightstack_sim.grade import Grade
+from flightstack_sim.estimator import Estimate, EstimatorModel, estimate, joint
+from flightstack_sim.grade import Grade, KalmanGrade
 from flightstack_sim.plant import Plant
 
 ESTIMATE_EVERY_MS = 4
@@ -29,7 +33,9 @@ _FIX_BLOCK = 64
 _AIR_BLOCK = 256
 GYRO, _ACCEL, _SUM, _MEAN_GYRO, _MEAN_ACCEL, _COUNT = 0, 3, 6, 12, 15, 18
 """Places in the IMU's numbers: last sample, sums, means over 4 ms, samples in the sums."""
-_IMU_SIZE = 19
+_LAST_NOISE, _RAW_ACCEL, _BIAS, _COLOURED = 19, 25, 28, 31
+"""The noise of the 4 ms before, means before the filter's bias is taken out, that bias, share of the noise before."""
+_IMU_SIZE = 32
 FIELD_NED_GAUSS = (0.2147, 0.0116, 0.4297)
 """Earth's magnetic field at Zurich (World Magnetic Model)."""
 HOME_ALTITUDE_M = 489.4
@@ -52,14 +58,15 @@ class Sensors:
     """Sensors of one vehicle.
 
     Updated in place by `step`: `gyro_frd_radps`, `accel_frd_mps2` (3,) the last IMU sample; `mean_gyro_frd_radps`,
-    `mean_accel_frd_mps2` (3,) their mean over the last 4 ms, both in `mean_imu` (6,); every 4 ms `state` (13,): the
-    estimate's position, velocity, quaternion, acceleration.  `fix_count` raw fixes have become known.
+    `mean_accel_frd_mps2` (3,) their mean over the last 4 ms as reported, both in `mean_imu` (6,), and
+    `raw_accel_frd_mps2` (3,) without the filter's bias; every 4 ms `state` (13,): the estimate's position, velocity,
+    quaternion, acceleration.  `fix_count` raw fixes have become known.
     """
 
     def __init__(self, grade: Grade, *, seed: int | np.random.SeedSequence) -> None:
         root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        bias_rng, self._imu_rng, estimate_rng, self._fix_rng, self._air_rng = (
-            np.random.Generator(np.random.PCG64(child)) for child in root.spawn(5)
+        bias_rng, self._imu_rng, estimate_rng, self._fix_rng, self._air_rng, kalman_rng = (
+            np.random.Generator(np.random.PCG64(child)) for child in root.spawn(6)
         )
         self.grade = grade
         self.position_valid = True
@@ -80,7 +87,10 @@ class Sensors:
         self.mean_imu = self.imu[_MEAN_GYRO : _MEAN_ACCEL + 3]
         self.mean_gyro_frd_radps = self.imu[_MEAN_GYRO : _MEAN_GYRO + 3]
         self.mean_accel_frd_mps2 = self.imu[_MEAN_ACCEL : _MEAN_ACCEL + 3]
-        self.estimator = EstimatorModel(grade.estimate, estimate_rng, 0.001 * ESTIMATE_EVERY_MS)
+        self.raw_accel_frd_mps2 = self.imu[_RAW_ACCEL : _RAW_ACCEL + 3]
+        together = None if grade.kalman is None else joint(grade)
+        self.estimator = EstimatorModel(grade.estimate, estimate_rng, 0.001 * ESTIMATE_EVERY_MS, together)
+        self._bias = _BiasEstimate(grade.kalman, kalman_rng, self.imu) if grade.kalman is not None else None
         self.state = self.estimator.state
         self._fix: tuple[int, list[float]] | None = None
         self.fix_count = 0
@@ -132,6 +142,8 @@ class Sensors:
         if self._next % ESTIMATE_EVERY_MS:
             return
         self.estimator.used()
+        if self._bias is not None:
+            self._bias.step()
         self.t_us = plant.t_us
         self._pos_ned_m, self._q_ned_frd = plant.pos_ned_m, plant.q_ned_frd
         if self.t_us >= self._next_fix_us:
@@ -207,6 +219,26 @@ def _to_body(q: list[float], v: Tuple3) -> Tuple3:
     )
 
 
+class _BiasEstimate:
+    """The filter's wrong accelerometer bias, first-order Gauss-Markov, in the IMU's numbers; begins at 0."""
+
+    def __init__(self, kalman: KalmanGrade, rng: np.random.Generator, imu: F64) -> None:
+        decay = math.exp(-0.001 * ESTIMATE_EVERY_MS / kalman.accel_bias_time_constant_s)
+        self._decay, self._drive = decay, math.sqrt(1.0 - decay * decay) * np.array(kalman.accel_bias_std_mps2)
+        self._rng, self._normals, self._next = rng, np.empty((_BLOCK, 3)), _BLOCK
+        self._value = imu[_BIAS : _BIAS + 3]
+        imu[_COLOURED] = 0.5 * (kalman.imu_samples - 1.0)
+
+    def step(self) -> None:
+        """4 ms on."""
+        if self._next == _BLOCK:
+            self._rng.standard_normal(out=self._normals)
+            self._next = 0
+        self._value *= self._decay
+        self._value += self._drive * self._normals[self._next]
+        self._next += 1
+
+
 @njit
 def sense(
     rate: F64,
@@ -233,9 +265,19 @@ def sense(
         imu[_SUM + i] += imu[i]
     imu[_COUNT] += 1.0
     if imu[_COUNT] == ESTIMATE_EVERY_MS:
+        coloured = imu[_COLOURED]
         for i in range(6):
             imu[_MEAN_GYRO + i] = imu[_SUM + i] / ESTIMATE_EVERY_MS
             imu[_SUM + i] = 0.0
+            if coloured > 0.0:  # noise alone: the trapezoid's true part is the mean already
+                new = 0.0
+                for k in range(ESTIMATE_EVERY_MS):
+                    new += noise[row - k, i] / ESTIMATE_EVERY_MS
+                imu[_MEAN_GYRO + i] += coloured * (imu[_LAST_NOISE + i] - new)
+                imu[_LAST_NOISE + i] = new
         imu[_COUNT] = 0.0
-        mean_accel = imu[_MEAN_ACCEL : _MEAN_ACCEL + 3]
-        estimate(pos, vel, q, misalignment, mean_accel, estimator_noise, estimator_row, model, state)
+        for i in range(3):
+            imu[_RAW_ACCEL + i] = imu[_MEAN_ACCEL + i]
+            imu[_MEAN_ACCEL + i] -= imu[_BIAS + i]
+        mean_accel, accel_noise = imu[_MEAN_ACCEL : _MEAN_ACCEL + 3], imu[_LAST_NOISE + 3 : _LAST_NOISE + 6]
+        estimate(pos, vel, q, misalignment, mean_accel, accel_noise, estimator_noise, estimator_row, model, state)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from certified import for_the_papers_path, write
+from certified import for_the_papers_path, unchecked, write
 
 from flightstack.barrier.file import parse_certificate
 from flightstack.cli.files import load_vehicle
@@ -14,6 +15,12 @@ from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.result import FlightResult
 from flightstack_logs.reader import Log, read
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _unchecked() -> Iterator[None]:
+    with unchecked():
+        yield
 
 
 def _fly(folder: Path, scenario: str, *, completes: bool = True, **options: object) -> tuple[FlightResult, Log]:
@@ -74,7 +81,9 @@ def test_without_the_filter_its_fields_are_null_and_the_region_is_judged_all_the
     assert "/filter" not in log.tables
     assert result.barrier == {
         "enabled": False, "min_h_truth": None, "min_h_estimate": None, "violations": None, "interventions": None,
+        "protected": None, "engaged_share": None,
     }  # fmt: skip
+    assert result.protection == "off"
     assert result.qp["infeasible"] is None
     assert result.region["violations"] > 100
     assert result.passed

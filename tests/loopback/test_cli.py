@@ -335,3 +335,24 @@ def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
     assert log.metadata["settings"]["scenario"] == "paper-tracking"
     assert log.attachment("vehicle.toml")
     assert _run("log", "info", log_file) == 0
+
+
+def test_a_flight_that_asked_for_protection_and_had_none_has_failed_unless_that_is_allowed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two seconds of track are too short for anything to be learned that could be certified."""
+    arguments = ("fly", "paper-tracking", "--duration", 2, "--out", tmp_path, "--json", tmp_path / "r.json")
+    assert _run(*arguments) == 1
+    said = capsys.readouterr()
+    assert said.err.startswith("error: not protected: ")
+    assert "not protected" in said.out
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert (result["completed"], result["passed"], result["protection"]) == (True, False, "none")
+    assert result["barrier"]["protected"] == []
+    assert '<header class="bad">' in (tmp_path / "report.html").read_text()
+    assert _run(*arguments, "--unprotected-ok") == 0
+    assert json.loads((tmp_path / "r.json").read_text())["protection"] == "none"
+    assert _run(*arguments, "--no-learning") == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert (result["protection"], result["protection_words"][:4]) == ("off", "off:")
+    assert "off: nothing is certified without the learner" in " ".join(capsys.readouterr().out.split())

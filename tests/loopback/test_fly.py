@@ -233,3 +233,19 @@ def test_nothing_is_compiled_in_flight(scenario: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", COMPILED_IN_FLIGHT, scenario, str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_believed_racer_that_never_left_the_ground_has_not_flown(tmp_path: Path) -> None:
+    """Four times the believed thrust: the thrust that is sent can't lift the true vehicle."""
+    text = (ROOT / "flightstack" / "data" / "vehicles" / "quad-x.toml").read_text()
+    racer = tmp_path / "racer.toml"
+    racer.write_text(text.replace("max_thrust_n = 6.6", "max_thrust_n = 26.4"))
+    options = FlyOptions(scenario="hover", vehicle=str(racer), truth="quad-x", duration_s=4.0, out=tmp_path)
+    result = fly(options, stop_requested=lambda: "")
+    assert result.completed is False
+    assert not result.passed
+    assert "never flew: it rose 0.0" in result.failure()
+    assert result.flown["first_height_m"] == pytest.approx(1.5)
+    page = (tmp_path / "report.html").read_text()
+    assert '<header class="bad">' in page
+    assert '<header class="good">' not in page

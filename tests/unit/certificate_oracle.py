@@ -39,6 +39,20 @@ NO_CONSEQUENCE = {
 """Numbers on which nothing that is proven depends."""
 
 
+ONLY_MEASURED = ("applied_share", "battery_v")
+"""Premises that only the flight's log can tell."""
+
+
+def narrower(before: dict[str, Any], data: dict[str, Any]) -> bool:
+    """Whether premises hold for no more than those before."""
+    old, new = before["premises"], data["premises"]
+    ranges = [(a, b) for key in ("thrust_mps2", "delay_s") for a, b in [(old[key], new[key])]]
+    ranges += list(zip(old["speeds_mps"], new["speeds_mps"], strict=True))
+    inside = all(a[0] - 1e-8 <= b[0] <= b[1] <= a[1] + 1e-8 for a, b in ranges)
+    single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "command_interval_s"))
+    return inside and single and new["estimate"] == old["estimate"] and new["thrust_gain"] == old["thrust_gain"]
+
+
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Where the numbers are."""
     if isinstance(data, dict):
@@ -143,6 +157,8 @@ def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool
     data = json.loads(text)
     if path[0] in NO_CONSEQUENCE or path[-1] in NO_CONSEQUENCE:
         return True
+    if path[0] == "premises":  # they are made as wide as they may be
+        return path[1] in ONLY_MEASURED or path[2:] == ("k_sigma",) or narrower(before, data)
     if path[0] == "knowledge":
         return supported(data)
     if path[2] == "setting" and path[3] in ("eta", "off_m", "off_mps"):  # the margins need so much

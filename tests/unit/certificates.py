@@ -13,6 +13,7 @@ from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, budget
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
+from flightstack.barrier.premises import EstimateBounds, Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, value
 from flightstack.learning.priors import default_priors
@@ -123,8 +124,26 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
     )
     rests_on = {**known.as_json(), "doubts": {**ACCURACY._asdict(), **DOUBTS._asdict()}}
     return Certificate(
-        "sound", (0.0, 0.0, -2.0), (axis,), known.budget, known.delta, known.k_sigma, rests_on, known.version
-    )
+        "sound", (0.0, 0.0, -2.0), (axis,), known.budget, known.delta, known.k_sigma, rests_on, known.version,
+        premises_for(known),
+    )  # fmt: skip
+
+
+def premises_for(known: Knowledge) -> Premises:
+    """The widest that the bounds bear."""
+    table, box = known.authorities[2], known.budget
+    ranges = known.as_json()["speeds_mps"]
+    assert isinstance(ranges, list)
+    spare = (-ACCURACY.vel_mps, -ACCURACY.vel_mps, ACCURACY.vel_mps)
+    north, east, down = ((low - s, high + s) for (low, high), s in zip(ranges, spare, strict=True))
+    off = max(table.error_low_mps2.max(), table.error_high_mps2.max()) / box.high_mps2
+    lean = np.sin(box.tilt_max_rad) * np.cos(np.pi / 8.0) / np.sqrt(2.0)
+    return Premises(
+        "mocap", "", EstimateBounds(*ACCURACY, 4.3), (north, east, down), float(lean),
+        (box.low_mps2, box.thrust_max_mps2),
+        (0.97, 1.03), (float(table.gain.min() - off), float(table.gain.max() + off)),
+        (RESPONSE.delay_s - DOUBTS.delay_s, RESPONSE.delay_s + DOUBTS.delay_s), DOUBTS.delay_s, 0.004, (14.0, 16.8),
+    )  # fmt: skip
 
 
 def resealed(data: dict[str, Any]) -> str:

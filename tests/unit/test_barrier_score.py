@@ -16,6 +16,7 @@ from shipped import load_vehicle
 from flightstack.barrier.records import Certificate
 from flightstack.cli import console
 from flightstack.cli.barrier_score import (
+    FilterScore,
     GivenCertificate,
     RegionScore,
     TimedFilter,
@@ -194,8 +195,11 @@ def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> Non
     timed = TimedFilter(Says(says(2)))
     timed.solve_ns = [20_000, 30_000, 40_000]
     region = scored(BOX, np.full(300, -1.5))
-    result = flown(barrier=barrier_summary(True, region, 12), qp=qp_summary(timed, 3), region=region).as_json()
-    barrier = {"enabled": True, "min_h_truth": 1.0, "min_h_estimate": 1.0, "violations": 0, "interventions": 12}
+    result = flown(
+        barrier=barrier_summary(True, region, FilterScore(interventions=12)), qp=qp_summary(timed, 3), region=region
+    ).as_json()
+    barrier = {"enabled": True, "min_h_truth": 1.0, "min_h_estimate": 1.0, "violations": 0, "interventions": 12,
+               "protected": [], "engaged_share": None}  # fmt: skip
     assert result["barrier"] == barrier
     assert result["qp"]["solve_us"] == {"p50": 30.0, "p99": pytest.approx(39.8), "max": 40.0}
     assert result["qp"]["infeasible"] == 3
@@ -207,7 +211,7 @@ def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> Non
 
 def test_without_a_filter_every_field_is_null_and_the_region_is_told_all_the_same() -> None:
     region = scored(BOX, np.concatenate([np.full(250, -1.5), np.zeros(10)]))
-    barrier, qp = barrier_summary(False, region, 0), qp_summary(NoFilter(), 0)
+    barrier, qp = barrier_summary(False, region, FilterScore()), qp_summary(NoFilter(), 0)
     assert (barrier, qp) == (NO_BARRIER, NO_QP)
     assert set(barrier.values()) == {False, None}
     result = flown(barrier=barrier, qp=qp, region=region)
@@ -231,7 +235,8 @@ def flown(**changes: Any) -> FlightResult:
 
 def left() -> FlightResult:
     region = scored(BOX, np.concatenate([np.full(250, -1.5), np.full(10, -2.6), np.full(9, -1.5)]))
-    return flown(barrier=barrier_summary(True, region, 7), qp=NO_QP | {"infeasible": 2}, region=region)
+    return flown(barrier=barrier_summary(True, region, FilterScore(interventions=7)), qp=NO_QP | {"infeasible": 2},
+                 region=region, protection="left")  # fmt: skip
 
 
 def test_a_flight_that_left_its_region_has_failed_though_it_completed() -> None:
@@ -256,20 +261,20 @@ def printed(result: FlightResult, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_the_summary_says_what_the_filter_kept_to_and_what_it_took(capsys: pytest.CaptureFixture[str]) -> None:
-    told = printed(dataclasses.replace(left(), protection="sound, certified in flight"), capsys)
+    told = printed(dataclasses.replace(left(), filter_words="sound, certified in flight"), capsys)
     assert "completed, but left its region" in told
     assert "barrier filter sound, certified in flight, least h of the truth -0.210 (10 ticks outside)" in told
     assert "7 interventions, 2 infeasible" in told
 
 
 def test_the_summary_says_why_there_was_no_filter(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "barrier filter off: --no-filter" in printed(flown(protection="off: --no-filter"), capsys)
+    assert "barrier filter off: --no-filter" in printed(flown(filter_words="off: --no-filter"), capsys)
     assert "barrier filter off" in printed(flown(), capsys)
 
 
 def test_a_filter_that_never_engaged_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     region = scored(BOX, np.zeros(300))
-    result = flown(barrier=barrier_summary(True, region, 0), qp=NO_QP | {"infeasible": 0}, region=region)
+    result = flown(barrier=barrier_summary(True, region, FilterScore()), qp=NO_QP | {"infeasible": 0}, region=region)
     assert "it never engaged" in printed(result, capsys)
     result.region["filtered_ticks"] = 1
     assert "it never engaged" not in printed(result, capsys)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from certified import certificate, write
+from certificates import certificate as proven
+from certificates import resealed
+from certified import certificate, unchecked, write
 from shipped import ROOT, load_vehicle
 
 from flightstack.barrier.file import certificate_to_json, parse_certificate
@@ -19,8 +22,19 @@ from flightstack.cli.barrier_score import TimedFilter
 from flightstack.cli.flight import FlyOptions
 from flightstack.cli.offboard import OffboardOptions
 from flightstack.cli.preparation import Prepared, prepare_flight
+from flightstack.learning.stored import vehicle_hash
 from flightstack.safety_filter import BarrierFilter
 from flightstack.types import InputError
+
+
+@pytest.fixture(autouse=True)
+def _unchecked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Most certificates here are made up; those of tests marked so go through the checker."""
+    if "checked" in request.keywords:
+        yield
+        return
+    with unchecked():
+        yield
 
 
 def prepared(scenario: str = "paper-tracking", **options: Any) -> Prepared:
@@ -185,6 +199,32 @@ def test_a_certificate_of_another_vehicle_is_refused_by_its_hash(tmp_path: Path)
     assert "another vehicle" in said
     assert "--vehicle" in said
     assert "another vehicle" in refused(certificate=file_of(tmp_path, knowledge={}))
+
+
+@pytest.mark.checked
+def test_a_certificate_that_the_checker_proves_flies_and_one_that_it_refuses_does_not(tmp_path: Path) -> None:
+    path = write(tmp_path / "mine.json", certificate(), load_vehicle("quad-x"))
+    said = refused(certificate=path)
+    assert "the independent checker refuses it: " in said
+    assert "mine.json" in said
+    assert "the independent checker refuses it: " in refused(certificate=path, filtering=False)
+
+    stamp = {"vehicle": "quad-x", "vehicle_hash": vehicle_hash(load_vehicle("quad-x"))}
+    good = proven()
+    path.write_text(certificate_to_json(dataclasses.replace(good, knowledge={**good.knowledge, **stamp})))
+    assert prepared("hover", certificate=path).stack.filter.enabled
+    data = json.loads(path.read_text())
+    data["axes"][0]["margins"][0]["mps2"] *= 0.5
+    path.write_text(resealed(data))
+    assert "the independent checker refuses it: " in refused(scenario="hover", certificate=path)
+
+
+@pytest.mark.checked
+def test_a_file_larger_than_any_certificate_is_not_even_read(tmp_path: Path) -> None:
+    path = tmp_path / "huge.json"
+    with path.open("wb") as file:
+        file.truncate(5 << 30)  # sparse
+    assert "are more than the 10 MB looked at" in refused(certificate=path)
 
 
 def test_a_certificate_of_the_other_mode_is_refused(tmp_path: Path) -> None:

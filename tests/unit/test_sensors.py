@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64, InputError
+from flightstack_sim.estimator import joint
 from flightstack_sim.grade import FixGrade, Grade, ImuGrade, load_grade, parse_grade
 from flightstack_sim.sensors import FIELD_NED_GAUSS, HOME_ALTITUDE_M, Sensors
 
@@ -230,5 +231,71 @@ def test_a_bad_grade_file_is_refused_in_one_line_that_names_file_and_key(old: st
 
 
 def test_an_unknown_grade_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match="use one of mocap, gps"):
+    with pytest.raises(InputError, match="use one of mocap, gps, px4-sih"):
         load_grade("rtk")
+
+
+def reported(sensors: Sensors, plant: Still, count: int) -> tuple[F64, F64, F64]:
+    """(n, 6) IMU as reported, (n, 3) raw accelerometer, (n, 6) estimated position and velocity, every 4 ms."""
+    imu_rows, raw, state = np.empty((count, 6)), np.empty((count, 3)), np.empty((count, 6))
+    for k in range(count):
+        imu(sensors, plant, 4)
+        imu_rows[k], raw[k], state[k] = sensors.mean_imu, sensors.raw_accel_frd_mps2, sensors.state[:6]
+    return imu_rows, raw, state
+
+
+def test_px4_sih_reports_a_trapezoid_of_two_samples_as_recorded() -> None:
+    """0.354, 1.21, 0.984 m/s^2 and a lag-1 correlation of 0.48, none beyond: MA(1)."""
+    rows, raw, _ = reported(Sensors(load_grade("px4-sih"), seed=2), Still(), 20_000)
+    np.testing.assert_allclose(raw.std(axis=0), [0.354, 1.21, 0.984], rtol=0.03)
+    np.testing.assert_allclose(rows[:, :3].std(axis=0), [0.098, 0.049, 0.021], rtol=0.03)
+    white = np.column_stack([rows[:, :3], raw])
+    white -= white.mean(axis=0)
+    for lag, expected in ((1, 0.5), (2, 0.0), (3, 0.0)):
+        correlation = (white[lag:] * white[:-lag]).mean(axis=0) / white.var(axis=0)
+        np.testing.assert_allclose(correlation, expected, atol=0.04)
+
+
+def test_px4_sih_takes_out_a_bias_that_is_not_there_and_leaves_it_in_the_raw_ones() -> None:
+    taken = []
+    for seed in range(12):
+        rows, raw, _ = reported(Sensors(load_grade("px4-sih"), seed=seed), Still(), 4000)
+        bias = raw - rows[:, 3:]
+        assert np.abs(np.diff(bias, axis=0)).max() < 0.05, "slow"
+        taken.append(bias[1500:])
+    together = np.concatenate(taken)
+    assert 0.25 < np.abs(together[:, 1]).max() < 0.9
+    assert np.abs(together[:, 2]).max() < 0.1
+
+
+def test_px4_sih_position_and_velocity_disagree_slowly_as_recorded() -> None:
+    """c = d(position)/dt - velocity: 0.15, 0.31, 0.15 m/s rms, nine tenths of its power below 0.3 Hz."""
+    grade = load_grade("px4-sih")
+    of = joint(grade)
+    runs = [reported(Sensors(grade, seed=seed), Still(), 15_000)[2][1000:] for seed in range(4)]
+    c = np.array([np.diff(run[:, :3], axis=0) / 0.004 - 0.5 * (run[1:, 3:] + run[:-1, 3:]) for run in runs])
+    np.testing.assert_allclose(np.sqrt((c**2).mean(axis=(0, 1))), [0.15, 0.31, 0.15], rtol=0.2)
+    np.testing.assert_allclose(np.sqrt((c**2).mean(axis=(0, 1))), of.disagreement_std_mps, rtol=0.2)
+    power = np.abs(np.fft.rfft(c, axis=1)) ** 2
+    hz = np.fft.rfftfreq(c.shape[1], 0.004)
+    assert (power[:, hz < 0.3].sum(axis=(0, 1)) / power.sum(axis=(0, 1)) > 0.9).all()
+    pos, vel = np.array(runs)[..., :3], np.array(runs)[..., 3:]
+    pos = pos - np.array([constant_bias(grade, seed) for seed in range(4)])[:, None]
+    np.testing.assert_allclose(np.sqrt((vel**2).mean(axis=(0, 1))), grade.estimate.vel_std_mps, rtol=0.2)
+    np.testing.assert_allclose(np.sqrt((pos**2).mean(axis=(0, 1))), grade.estimate.pos_std_m, rtol=0.2)
+    together = (pos * vel).mean(axis=(0, 1)) / (np.sqrt((pos**2).mean(axis=(0, 1)) * (vel**2).mean(axis=(0, 1))))
+    np.testing.assert_allclose(together, of.correlation, atol=0.05)
+
+
+def constant_bias(grade: Grade, seed: int) -> F64:
+    """The constant part of the position's error in a flight."""
+    bias: F64 = Sensors(grade, seed=seed).estimator.model[2, :3]
+    return bias
+
+
+def test_a_kalman_grade_that_contradicts_itself_is_refused() -> None:
+    grade = load_grade("px4-sih")
+    with pytest.raises(InputError, match="vel_std_mps is less than"):
+        joint(replace(grade, estimate=replace(grade.estimate, vel_std_mps=(0.17, 0.35, 0.05))))
+    with pytest.raises(InputError, match="pos_std_m is less than"):
+        joint(replace(grade, estimate=replace(grade.estimate, pos_std_m=(0.1, 0.1, 0.1))))

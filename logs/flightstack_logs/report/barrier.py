@@ -10,7 +10,7 @@ import numpy as np
 from flightstack.barrier.records import AXES, MARGINS, AxisCertificate, Certificate
 from flightstack.types import F64
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import Barrier, FlightReport, Samples
+from flightstack_logs.report.flight import Barrier, FlightReport, Outcome, Samples
 from flightstack_logs.report.histogram import histogram_svg
 from flightstack_logs.report.panel import Curve, Line, Mark, Panel, Span, known
 from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg
@@ -188,7 +188,7 @@ def figures(flight: FlightReport) -> tuple[Figure, ...]:
     outcome, filtered = flight.outcome, flight.outcome.filter
     violations = outcome.barrier_violations
     stated = [
-        Figure("Least h, truth", _h_words(filtered.min_h_truth), _outside(violations), _state(violations)),
+        Figure("Least h, truth", _h_words(filtered.min_h_truth), _outside(violations), _kept(outcome)),
         Figure("Least h, estimate", _h_words(filtered.min_h_estimate)),
         Figure("Engaged", "–" if filtered.engaged_s is None else f"{filtered.engaged_s:.1f} s", "after take-off began"),
         Figure("Interventions", count(outcome.barrier_interventions), "ticks with a changed command"),
@@ -209,6 +209,11 @@ def _h_words(value: float | None) -> str:
 
 def _outside(violations: int | None) -> str:
     return "" if violations is None else f"{violations} ticks outside"
+
+
+def _kept(outcome: Outcome) -> str:
+    """Good only where something was certified and never left."""
+    return "plain" if outcome.protection == "none" else _state(outcome.barrier_violations)
 
 
 def _state(bad: int | None) -> str:

@@ -190,6 +190,11 @@ class Outcome:
     lockstep: bool | None = None
     """True where the simulator's clock was the clock, so that lateness has no meaning."""
     checks: tuple[CheckResult, ...] = ()
+    passed: bool | None = None
+    """The flight's own verdict on all of it."""
+    protection: str = ""
+    """held, left, none or off; empty where it is not said."""
+    protection_words: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +263,12 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
     return Outcome(
         scenario=_text(result.get("scenario")) or "flight",
         completed=completed,
-        reason="" if completed else _text(result.get("reason")) or _text(result.get("failure")) or "",
+        passed=_flag(result.get("passed")),
+        protection=_text(result.get("protection")) or "",
+        protection_words=_text(result.get("protection_words")) or "",
+        reason=""
+        if completed and result.get("passed") is not False
+        else _text(result.get("reason")) or _text(result.get("failure")) or "",
         seed=_whole(result.get("seed")),
         plant=_text(result.get("plant")),
         controller=_text(result.get("controller")),

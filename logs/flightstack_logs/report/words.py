@@ -84,20 +84,26 @@ def with_measured_figures(flight: FlightReport) -> FlightReport:
 
 
 def verdict(flight: FlightReport) -> tuple[str, str]:
-    """(state, word): good "Completed", bad "Failed" or "Check failed", plain "Recorded"."""
-    completed = flight.outcome.completed
+    """(state, words): good only where the flight passed and, if it asked for protection, was protected."""
+    outcome = flight.outcome
+    completed = outcome.completed
+    if outcome_left(flight):
+        return "bad", "Left its region"
     if completed is None:
         return "plain", "Recorded"
-    if completed and outcome_left(flight):
-        return "bad", "Left its region"
-    if completed and not all(check.passed for check in flight.outcome.checks):
+    if not completed:
+        return "bad", "Failed"
+    if outcome.protection == "none":
+        return "bad", "Not protected"
+    if not all(check.passed for check in outcome.checks):
         return "bad", "Check failed"
-    return ("good", "Completed") if completed else ("bad", "Failed")
+    return ("bad", "Failed") if outcome.passed is False else ("good", "Completed")
 
 
 def outcome_left(flight: FlightReport) -> bool:
-    """Whether a filter flew and the true state left the region all the same."""
-    return bool(flight.outcome.barrier_enabled and flight.outcome.barrier_violations)
+    """Whether a filter flew and the region was left all the same."""
+    outcome = flight.outcome
+    return outcome.protection == "left" or bool(outcome.barrier_enabled and outcome.barrier_violations)
 
 
 def headline(flight: FlightReport) -> str:
@@ -117,6 +123,8 @@ def headline(flight: FlightReport) -> str:
     if outcome.rmse_m is not None:
         worst = "" if outcome.max_m is None else f" (at most {length(outcome.max_m)})"
         parts.append(f"tracking error {length(outcome.rmse_m)} rms{worst}")
+    if outcome.protection not in ("", "off"):
+        parts.append(outcome.protection_words)
     return ", ".join(parts) + "."
 
 
@@ -168,10 +176,14 @@ def _barrier(flight: FlightReport) -> Figure:
     if not outcome.barrier_enabled:
         return Figure("Barrier filter", "off", "", "off")
     violations = outcome.barrier_violations
-    state = "plain" if violations is None else "bad" if violations else "good"
-    value = f"{count(violations)} violations"
-    least = "" if outcome.barrier_min_h is None else f"least h {outcome.barrier_min_h:.3f}, "
-    return Figure("Barrier filter", value, f"{least}{count(outcome.barrier_interventions)} interventions", state)
+    notes = [] if outcome.barrier_min_h is None else [f"least h {outcome.barrier_min_h:.3f}"]
+    notes.append(f"{count(outcome.barrier_interventions)} interventions")
+    if not outcome.protection:
+        state = "plain" if violations is None else "bad" if violations else "good"
+        return Figure("Barrier filter", f"{count(violations)} violations", ", ".join(notes), state)
+    notes.insert(0, "violations not known" if violations is None else f"{violations} violations")
+    state = {"held": "good", "off": "off"}.get(outcome.protection, "bad")
+    return Figure("Protection", outcome.protection_words, ", ".join(notes), state)
 
 
 def _learner(flight: FlightReport) -> Figure:

@@ -1,0 +1,1 @@
+"""One module a subject; see the package's text."""

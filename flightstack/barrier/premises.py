@@ -1,0 +1,147 @@
+"""For what a certificate holds: everything that its proof takes as given and a flight can break.
+
+A certificate ends where a premise ends.  What a flight can see is watched in flight (`premise_monitor`); how far the
+estimate is from the truth no flight can see: that is derived from the sensors' statistics (`estimate_bounds`) and
+scored against the truth in simulation.
+
+    estimate    each component of truth minus estimate within its bound
+    speeds      of the vehicle as estimated, each axis; on an axis that is not certified nothing else limits it
+    lean        of the thrust axis to north and to east, each
+    thrust      specific thrust that is commanded, and which share of it the motors report as applied
+    link        time from sending a command to its effect, and by how much messages may come later than the quickest
+    interval    longest time between two commands
+    battery     voltage; what it does to thrust was learned at these voltages
+    vehicle     hash of the believed vehicle's file; what it carries and its state are in the learned thrust gain
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+
+from flightstack.checked import number, only
+from flightstack.types import F64, InputError
+
+Range = tuple[float, float]
+ANY_BATTERY_V: Range = (0.0, 1000.0)
+"""No battery was reported: nothing is known of its part."""
+APPLIED_AS_SENT: Range = (0.97, 1.03)
+"""What the motors report to make of the thrust sent where nothing on its way changes it (`applied`)."""
+_LARGEST = 1e6
+_RANGES = ("thrust_mps2", "applied_share", "thrust_gain", "delay_s", "battery_v")
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateBounds:
+    """How far truth and estimate may be apart: each component (north, east, down) by so much."""
+
+    pos_m: float
+    vel_mps: float
+    acc_mps2: float
+    """Of the acceleration that thrust along the axis as estimated gives."""
+    k_sigma: float
+    """Standard deviations of the sensors' statistics that the bounds are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Premises:
+    """The premises of one certificate; ranges are (least, greatest)."""
+
+    sensors: str
+    """Name of the sensors' grade, or of the autopilot whose streams were measured."""
+    vehicle_hash: str
+    """Of the believed vehicle's file; empty until it is stamped."""
+    estimate: EstimateBounds
+    speeds_mps: tuple[Range, Range, Range]
+    """Along north, east, down, of the estimate."""
+    lean: float
+    """Greatest part of the thrust axis along north and along east, as a part of its length."""
+    thrust_mps2: Range
+    """Believed newton per believed kilogram."""
+    applied_share: Range
+    """Thrust that the motors report over thrust sent."""
+    thrust_gain: Range
+    """Delivered over believed thrust, as learned."""
+    delay_s: Range
+    """From sending a command to its first effect."""
+    jitter_s: float
+    """By how much a message may come later than the quickest, either way."""
+    command_interval_s: float
+    battery_v: Range
+
+
+def speeds_of(asked_mps: Sequence[Range], certified: Collection[int], vel_mps: float) -> tuple[Range, Range, Range]:
+    """Speeds that the estimate may show, for true ones within those that the bounds were asked for.
+
+    On a certified axis the region holds the true speed, the estimate may lie beyond it by its bound `vel_mps`; on
+    another the estimate has to keep that far inside.
+    """
+    spare = [-vel_mps if i in certified else vel_mps for i in range(3)]
+    north, east, down = ((low + s, high - s) for (low, high), s in zip(asked_mps, spare, strict=True))
+    return north, east, down
+
+
+def gain_of(gain: F64, error_mps2: float, thrust_mps2: float) -> Range:
+    """Delivered over believed thrust (n,) at the nodes, off by what the acceleration's error allows at full thrust."""
+    off = float(error_mps2) / thrust_mps2
+    return float(gain.min()) - off, float(gain.max()) + off
+
+
+def premises_table(premises: Premises) -> dict[str, object]:
+    """The premises as plain JSON."""
+    return {key: _plain(value) for key, value in asdict(premises).items()}
+
+
+def parse_premises(value: object, where: str) -> Premises:
+    """The premises of a file's table; InputError, one line that names the key."""
+    table = _table(value, [part.name for part in fields(Premises)], where)
+    estimate = _table(table["estimate"], [part.name for part in fields(EstimateBounds)], f"{where}.estimate")
+    speeds = table["speeds_mps"]
+    if not isinstance(speeds, list) or len(speeds) != 3:
+        raise InputError(f"{where}.speeds_mps must be a list of three ranges: north, east, down")
+    north, east, down = (_range(each, f"{where}.speeds_mps[{i}]") for i, each in enumerate(speeds))
+    ranges = {key: _range(table[key], f"{where}.{key}") for key in _RANGES}
+    bounds = {key: number(part, f"{where}.estimate.{key}", 0.0, _LARGEST) for key, part in estimate.items()}
+    return Premises(
+        sensors=_word(table["sensors"], f"{where}.sensors"),
+        vehicle_hash=_word(table["vehicle_hash"], f"{where}.vehicle_hash"),
+        estimate=EstimateBounds(**bounds),
+        speeds_mps=(north, east, down),
+        lean=number(table["lean"], f"{where}.lean", 0.0, 1.0),
+        thrust_mps2=ranges["thrust_mps2"],
+        applied_share=ranges["applied_share"],
+        thrust_gain=ranges["thrust_gain"],
+        delay_s=ranges["delay_s"],
+        jitter_s=number(table["jitter_s"], f"{where}.jitter_s", 0.0, _LARGEST),
+        command_interval_s=number(table["command_interval_s"], f"{where}.command_interval_s", 0.0, _LARGEST),
+        battery_v=ranges["battery_v"],
+    )
+
+
+def _plain(value: object) -> object:
+    return [_plain(part) for part in value] if isinstance(value, tuple) else value
+
+
+def _table(value: object, names: list[str], where: str) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where} must be a table")
+    only(value, names, where)
+    missing = [name for name in names if name not in value]
+    if missing:
+        raise InputError(f"{where}.{missing[0]} is missing")
+    return value
+
+
+def _range(value: object, where: str) -> Range:
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(f"{where} must be a list of two numbers: least, greatest")
+    least, greatest = (number(part, where, -_LARGEST, _LARGEST) for part in value)
+    if least > greatest:
+        raise InputError(f"{where} = [{least:g}, {greatest:g}] must begin with the least")
+    return least, greatest
+
+
+def _word(value: object, where: str) -> str:
+    if not isinstance(value, str) or len(value) > 100 or not value.isprintable():
+        raise InputError(f"{where} must be a word")
+    return value

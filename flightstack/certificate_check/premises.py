@@ -1,0 +1,109 @@
+"""For what a certificate holds: that its premises are no wider than what its bounds and its ledger were made for.
+
+estimate            the same bounds as in knowledge.doubts; of a grade that is known at least k_sigma, 4.3 or more, of
+                    its standard deviations
+speeds_mps          of the estimate: with an axis that is certified, whose region holds the true speed, the velocity's
+                    bound beyond what was asked for; with another so much within it
+lean                within what was asked for: sin(tilt) cos(pi / 8) / sqrt(2)
+thrust_mps2         within the budget
+thrust_gain         the gain at the nodes of down, widened by its error over the greatest thrust
+delay_s             the response's delay and the ledger's doubt about it
+jitter_s            within that doubt
+command_interval_s  within every axis' dt
+vehicle_hash        the knowledge's, where that names one
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .knowledge import DOWN, NEAR, Knowledge, tables
+from .reading import Refused, number, numbers, rows, table_of
+
+_KEYS = (
+    "sensors", "vehicle_hash", "estimate", "speeds_mps", "lean", "thrust_mps2", "applied_share", "thrust_gain",
+    "delay_s", "jitter_s", "command_interval_s", "battery_v",
+)  # fmt: skip
+_SLACK = 1e-9
+_ANY_V = (0.0, 1000.0)
+_WIDEST = 1.25
+_AXES = ("north", "east", "down")
+
+
+def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: Knowledge) -> str:
+    """Verify the premises against the axes, the budget and the knowledge; what was verified, in words."""
+    table = table_of(value, _KEYS, "premises")
+    for key in ("sensors", "vehicle_hash"):
+        if not isinstance(table[key], str):
+            raise Refused(f"premises.{key} must be a word")
+    if table["vehicle_hash"] != known.data.get("vehicle_hash", table["vehicle_hash"]):
+        raise Refused("premises.vehicle_hash is not the one of knowledge")
+    pos, vel, acc, k = numbers(table["estimate"], ("pos_m", "vel_mps", "acc_mps2", "k_sigma"), "premises.estimate")
+    doubts = known.data.get("doubts", {})
+    stated = [doubts.get(key) for key in ("pos_m", "vel_mps", "acc_mps2")] if isinstance(doubts, dict) else []
+    if [pos, vel, acc] != stated:
+        raise Refused("premises.estimate is not what the ledger rests on, knowledge.doubts")
+    _check_ranges(table, axes, budget, known, vel)
+    delay_doubt = number(doubts.get("delay_s"), "knowledge.doubts.delay_s")
+    low, high = _range(table["delay_s"], "premises.delay_s")
+    for axis in axes:
+        delay = number(axis["response"]["delay_s"], "response.delay_s")
+        _least(delay - delay_doubt, low, "premises.delay_s", "the delay that was counted with, less its doubt")
+        _most(high, delay + delay_doubt, "premises.delay_s", "the delay that was counted with and its doubt")
+        dt = number(axis["setting"]["dt_s"], "setting.dt_s")
+        _most(
+            number(table["command_interval_s"], "premises.command_interval_s"), dt, "premises.command_interval_s", "dt"
+        )
+    _most(number(table["jitter_s"], "premises.jitter_s"), delay_doubt, "premises.jitter_s", "the delay's doubt")
+    return (
+        f"premises: sensors {table['sensors'][:40]} ({pos:.3g} m, {vel:.3g} m/s, {acc:.3g} m/s^2 at {k:.3g} sigma), "
+        "speeds, lean, thrust, delay and commands within what the bounds were made for"
+    )
+
+
+def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: float) -> None:
+    certified = {axis["axis"] for axis in axes}
+    if not isinstance(table["speeds_mps"], list) or len(table["speeds_mps"]) != len(_AXES):
+        raise Refused("premises.speeds_mps must be three ranges")
+    for i, entry in enumerate(table["speeds_mps"]):
+        least, greatest = _range(entry, f"premises.speeds_mps[{i}]")
+        spare = -vel if _AXES[i] in certified else vel
+        _least(float(known.speeds[i, 0]), least - spare, f"premises.speeds_mps[{i}]", "the speeds asked for")
+        _most(greatest + spare, float(known.speeds[i, 1]), f"premises.speeds_mps[{i}]", "the speeds asked for")
+    _most(number(table["lean"], "premises.lean"), known.box.lean, "premises.lean", "the lean asked for")
+    low, high = _range(table["thrust_mps2"], "premises.thrust_mps2")
+    _least(known.box.low, low, "premises.thrust_mps2", "the budget")
+    _most(high, number(budget["thrust_max_mps2"], "budget.thrust_max_mps2"), "premises.thrust_mps2", "the budget")
+    stated = _range(table["thrust_gain"], "premises.thrust_gain")
+    found = _gain(known)
+    if not max(abs(stated[i] - found[i]) for i in range(2)) <= NEAR:
+        raise Refused(f"premises.thrust_gain must be {found[0]:.9g} to {found[1]:.9g}, what down's bounds allow")
+    for key in ("applied_share", "battery_v"):
+        low, high = _range(table[key], f"premises.{key}")
+        if (low, high) != _ANY_V and not 0.0 < high <= _WIDEST * low:
+            raise Refused(f"premises.{key} is wider than one flight's {100.0 * (_WIDEST - 1.0):.0f} %")
+
+
+def _gain(known: Knowledge) -> tuple[float, float]:
+    """Delivered over believed thrust: down's gain at every node, off by what its error allows at full thrust."""
+    nodes = tables(known)[DOWN]
+    off = float(nodes[5:].max()) / known.box.high
+    return float(nodes[2].min()) - off, float(nodes[2].max()) + off
+
+
+def _range(value: Any, where: str) -> tuple[float, float]:
+    low, high = rows([value], 2, where)[0]
+    if not (math.isfinite(low) and low <= high):
+        raise Refused(f"{where} must begin with the least")
+    return float(low), float(high)
+
+
+def _least(least: float, value: float, where: str, of: str) -> None:
+    if not least <= value + _SLACK:
+        raise Refused(f"{where} begins at {value:.9g}, below {of}, {least:.9g}")
+
+
+def _most(value: float, most: float, where: str, of: str) -> None:
+    if not value <= most + _SLACK:
+        raise Refused(f"{where} reaches {value:.9g}, beyond {of}, {most:.9g}")

@@ -1,0 +1,92 @@
+"""`flightstack certify --check`: the independent checker in a process of its own, with limits that no file gets past.
+
+500 MB of memory and 30 s, or 120 s with a log.  What the child finds comes back as one line of JSON; a child that is
+stopped, runs out of memory or dies says so in one line too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from flightstack.certificate_check import Verdict, check
+from flightstack.certificate_check.bounds import FILE_BYTES
+from flightstack.types import InputError
+
+MEMORY_BYTES = 430_000_000
+"""Of data; with the code itself, some 60 MB, it stays below 500 MB resident."""
+TIME_LIMIT_S = 30.0
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Threads of a linear algebra library reserve memory, each."""
+
+
+def check_file(path: Path) -> Verdict:
+    """The checker's word on a file; InputError, one line, where it can't be read or no verdict was reached."""
+    _readable(path, FILE_BYTES)
+    found = _in_child([str(path)], TIME_LIMIT_S, f"{path}")
+    if not found["readable"]:
+        raise InputError(f"{path}: {found['lines'][-1]}")
+    return Verdict(found["valid"], found["lines"])
+
+
+def _readable(path: Path, most_bytes: int) -> None:
+    """InputError where a path is no file that may be opened, or a larger one than is looked at."""
+    try:
+        about = path.stat()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    if not stat.S_ISREG(about.st_mode):
+        raise InputError(f"{path}: is no file")
+    if about.st_size > most_bytes:
+        raise InputError(f"{path}: {about.st_size / 1e6:.0f} MB are more than the {most_bytes / 1e6:.0f} MB looked at")
+
+
+def _in_child(arguments: list[str], limit_s: float, name: str) -> dict[str, Any]:
+    command = [sys.executable, "-m", "flightstack.cli.checking", *arguments]
+    quiet, environment = subprocess.DEVNULL, os.environ | _ONE_THREAD
+    with subprocess.Popen(
+        command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment
+    ) as child:  # fmt: skip
+        try:
+            said, _ = child.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            raise InputError(f"{name}: no verdict within {limit_s:g} s; it is not to be relied on") from None
+        finally:
+            child.kill()  # whatever interrupted this, no child is left behind
+    try:
+        found: dict[str, Any] = json.loads(said)
+    except ValueError:
+        raise InputError(f"{name}: the checker ended without a verdict; it is not to be relied on") from None
+    return found
+
+
+def main(arguments: list[str]) -> None:
+    """The child: one line of JSON."""
+    _limit_memory()
+    try:
+        text = Path(arguments[0]).read_bytes()[: FILE_BYTES + 1].decode("utf-8")
+        verdict = check(text)
+    except UnicodeDecodeError:
+        verdict = Verdict(False, ["not a text file (UTF-8 expected)"], readable=False)
+    except OSError as error:
+        verdict = Verdict(False, [error.strerror or str(error)], readable=False)
+    print(json.dumps({"valid": verdict.valid, "lines": verdict.lines, "readable": verdict.readable}))
+
+
+def _limit_memory() -> None:
+    """Whatever asks for more gets a MemoryError; where the system has no such limit, `bounds` alone hold."""
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

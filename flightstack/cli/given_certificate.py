@@ -1,0 +1,55 @@
+"""A certificate that was given for a flight: whether it may be flown with.
+
+It must parse, be made for this vehicle, mode and no more thrust and tilt than the flight allows, and pass the
+independent checker (`flightstack.certificate_check`), which shares nothing with what made it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.records import Certificate
+from flightstack.cli import files
+from flightstack.cli.barrier_score import AS_PUBLISHED
+from flightstack.cli.checking import check_file
+from flightstack.learning.stored import vehicle_hash
+from flightstack.model import Limits, Model
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+
+
+def require_checked(path: Path) -> None:
+    """InputError, one line, where the independent checker refuses the file or comes to no verdict."""
+    verdict = check_file(path)
+    if not verdict.valid:
+        raise InputError(
+            f"{path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
+        )
+
+
+def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:
+    """The certificate of a file, made for this vehicle, this mode and no more thrust than the flight allows."""
+    certificate = parse_certificate(file.text, str(file.path))
+    if certificate.mode != mode:
+        need = "with" if certificate.mode == AS_PUBLISHED else "without"
+        raise InputError(f"{file.path}: a certificate of mode {certificate.mode}: fly it {need} --as-published")
+    if certificate.knowledge.get("vehicle_hash") != vehicle_hash(believed):
+        name = certificate.knowledge.get("vehicle")
+        of = f"for vehicle {name!r} with" if name else "for"
+        raise InputError(
+            f"{file.path}: made {of} another vehicle file than {believed.name!r}; "
+            "name the one that it was made for with --vehicle, or certify this one: `flightstack certify`"
+        )
+    budget, greatest_mps2 = certificate.budget, model.thrust_range_n(limits)[1] / model.mass_kg
+    if budget.thrust_max_mps2 > greatest_mps2 * (1.0 + 1e-9):
+        raise InputError(
+            f"{file.path}: counts on {budget.thrust_max_mps2:.2f} m/s^2 of thrust, this flight allows "
+            f"{greatest_mps2:.2f}; raise the scenario's limits.thrust_max_weights"
+        )
+    if budget.tilt_max_rad > limits.tilt_max_rad + 1e-9:
+        raise InputError(
+            f"{file.path}: counts on {budget.tilt_max_rad:.2f} rad of tilt, this flight allows "
+            f"{limits.tilt_max_rad:.2f}; raise the scenario's limits.tilt_max_rad"
+        )
+    return certificate

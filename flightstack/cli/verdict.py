@@ -1,0 +1,138 @@
+"""What a flight is judged by: whether it was flown, and whether it was protected.
+
+Flown: the vehicle rose to half of the height of its first climb, followed what was asked within a stated distance (rms)
+and touched down softly.  An autopilot that lands and disarms is no proof of any of these: a vehicle that never left the
+ground "lands" too.
+
+Protected: the filter kept to a certificate; from when to when, and whether the region was left meanwhile.  A figure
+that is not known (there is no truth on a real vehicle) never counts as a good one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flightstack.types import F64
+
+LEAST_RISE = 0.5
+"""Share of the first climb's height."""
+MOST_RMS_M = 0.5
+MOST_RMS_ROUGH_M = 1.0
+"""With GPS, and on a real vehicle, whose own estimate is all that is known."""
+MOST_TOUCHDOWN_MPS = 1.5
+_SINKING_MPS = 0.3
+"""An estimate that sinks faster is still on its way down: twice what one at rest shows on a real EKF."""
+_IMPACT_US = 300_000
+"""The estimate's greatest speed within so long before it stops sinking is that of the touchdown."""
+
+HELD, LEFT, NONE, OFF = "held", "left", "none", "off"
+"""Verdicts on the protection: kept to, left, asked for but never there, not asked for."""
+
+Spans = Sequence[tuple[float, float]]
+
+
+@dataclass(slots=True)
+class Ascent:
+    """How high the vehicle rose, and how fast it came down; fed tick by tick from the start of the take-off."""
+
+    rose_m: float | None = None
+    """Greatest height above the start before the command to land."""
+    _impact_mps: float | None = None
+    _on_ground: bool = True
+    _speed_mps: float = 0.0
+    _sinking: list[tuple[int, float]] | None = None
+
+    def height(self, height_m: float) -> None:
+        """One tick before the command to land: height above the start."""
+        self.rose_m = height_m if self.rose_m is None else max(self.rose_m, height_m)
+
+    def true_contact(self, vel_ned_mps: Sequence[float] | F64, on_ground: bool) -> None:
+        """One tick of the truth: velocity (3,) and whether the ground is touched; the hardest touch counts."""
+        if on_ground and not self._on_ground:
+            self._impact_mps = max(self._impact_mps or 0.0, self._speed_mps)
+        self._on_ground, self._speed_mps = on_ground, math.hypot(*vel_ned_mps)
+
+    def estimated_descent(self, t_us: int, down_mps: float) -> None:
+        """One sample of the estimated speed downwards after the command to land."""
+        if self._sinking is None:
+            self._sinking = []
+        self._sinking.append((t_us, down_mps))
+
+    @property
+    def touchdown_mps(self) -> float | None:
+        """Speed at which the ground was touched; None where that is not known."""
+        if self._impact_mps is not None or not self._sinking:
+            return self._impact_mps
+        last_us = max((t for t, down in self._sinking if down > _SINKING_MPS), default=None)
+        if last_us is None:
+            return max(0.0, *(down for _, down in self._sinking))
+        return max(down for t, down in self._sinking if last_us - _IMPACT_US <= t <= last_us)
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """The figures that say whether a flight was flown."""
+
+    first_height_m: float
+    """Of the first climb, above the start."""
+    rose_m: float | None
+    touchdown_mps: float | None
+    most_rms_m: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The JSON's `flown`."""
+        return {
+            "first_height_m": self.first_height_m,
+            "rose_m": self.rose_m,
+            "touchdown_mps": self.touchdown_mps,
+            "most_rms_m": self.most_rms_m,
+        }
+
+    def shortcoming(self, rmse_m: float | None) -> str:
+        """Why a flight that came to its end was not flown, one line; empty where it was."""
+        wanted_m = LEAST_RISE * self.first_height_m
+        if self.rose_m is None or not self.rose_m >= wanted_m:
+            rose = "its height is not known" if self.rose_m is None else f"it rose {max(self.rose_m, 0.0):.2f} m"
+            return f"never flew: {rose} of the {self.first_height_m:.2f} m of its first climb (at least half counts)"
+        if rmse_m is None:
+            return "nothing of what was asked was flown: no tick of the track was scored"
+        if not rmse_m <= self.most_rms_m:
+            return f"did not fly what was asked: {rmse_m:.2f} m rms from it, at most {self.most_rms_m:g} m counts"
+        if self.touchdown_mps is None:
+            return "its touchdown was not seen"
+        if not self.touchdown_mps <= MOST_TOUCHDOWN_MPS:
+            return f"hit the ground at {self.touchdown_mps:.1f} m/s, at most {MOST_TOUCHDOWN_MPS:g} m/s counts"
+        return ""
+
+
+def most_rms_m(of: str, sensors: str) -> float:
+    """How far off (rms) a flight may be, by whom it is judged (truth, estimate) and its grade of sensors."""
+    return MOST_RMS_M if of == "truth" and sensors == "mocap" else MOST_RMS_ROUGH_M
+
+
+def protection_of(asked: bool, spans: Spans, region: dict[str, Any]) -> str:
+    """The verdict on a flight's protection from its spans and `RegionScore.summary`.
+
+    Where there is no truth the estimate decides, and where neither is known nothing was held.
+    """
+    if not asked:
+        return OFF
+    if not spans:
+        return NONE
+    least = region["min_h_estimate"] if region["violations"] is None else region["min_h_truth"]
+    if least is None:
+        return NONE
+    return LEFT if region["violations"] or least < 0.0 else HELD
+
+
+def spans_words(spans: Spans) -> str:
+    """ "protected from t1 to t2" in seconds since take-off; "not protected" where there is no span."""
+    if not spans:
+        return "not protected"
+    total_s = sum(to_s - from_s for from_s, to_s in spans)
+    if len(spans) == 1:
+        return f"protected from {spans[0][0]:.1f} s to {spans[0][1]:.1f} s"
+    return f"protected from {spans[0][0]:.1f} s to {spans[-1][1]:.1f} s, {total_s:.1f} s in {len(spans)} parts"
