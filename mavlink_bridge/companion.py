@@ -23,10 +23,12 @@ from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
 from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, Event, State, transition
-from mavlink_bridge.last_word import companion_record, state_now
+from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link, Received
+from mavlink_bridge.notes import GuardNotes
 from mavlink_bridge.onlookers import Observer, Planner
 from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
+from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
@@ -96,10 +98,7 @@ class Companion:
         self._phase_now = ""
         self._fault = ""
         """Row of the fault table that ended the flight; empty: none."""
-        self._guard = ""
-        self._guard_since_us = -1
-        """Local time from which the guard has flown without a break; -1: it does not."""
-        self._resets = 0
+        self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
 
     # ---------------------------------------------------------------- outside
@@ -143,9 +142,9 @@ class Companion:
         return companion_record(self._now, self._voice, self.link, self._measurement, thrust, (sent_us, self._t_us))
 
     @property
-    def taken_back(self) -> int:
-        """How often OFFBOARD was taken back after a stall."""
-        return self._now.stalls.taken_back
+    def stalls(self) -> Stalls:
+        """What the dead-man did, and what became of it."""
+        return self._now.stalls
 
     def step(self, now_us: int) -> None:
         """One period: read, decide, act."""
@@ -230,7 +229,7 @@ class Companion:
         if now.state is State.LANDING and not self._landing and now.stalls.is_held and not now.stalls.judge(now_us):
             now.entered_us = now_us  # the Hold is ours: landing goes on
             self._commands.insist(set_mode(px4.MODE_LAND))
-        if self._guard_since_us >= 0 and now_us - self._guard_since_us > now.config.blind_s * SECOND_US:
+        if self._notes.guard_s(now_us) > now.config.blind_s:
             now.trouble = f"stale-{lost}" if lost else "guard"
         if now.state is State.OFFBOARD and self.mission is not None:
             self._phase_now = self.mission.phase(self._mission_time_s())
@@ -292,7 +291,7 @@ class Companion:
         self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd), self._run_up)
         self._stack_state = self._stack.init(measurement, self.start_ned_m)
         self._watch.begin()
-        self._guard_since_us = -1
+        self._notes.begin()
         self.flight_start_us = t_us
         self._phase_now = self.mission.phase(0.0)
 
@@ -307,7 +306,7 @@ class Companion:
             self.mission = mission.rejoin(t_s, state_now(measurement))
         self._stack_state = self._stack.resume(state, measurement)
         self._watch.resume()
-        self._guard_since_us = -1
+        self._notes.begin()
         self._now.stalls.taken_back += 1
 
     def _act(self, now_us: int) -> None:
@@ -359,7 +358,7 @@ class Companion:
         self._rested = 0
         if self._stack_state is None or self._hold is None:
             self._stack_state = self._stack.init(measurement, self.start_ned_m)
-            self._hold = _hover_at(measurement)
+            self._hold = hover_at(measurement)
         self._tick(measurement, self._hold, t_us)
 
     def _fly(self, now_us: int) -> None:
@@ -368,7 +367,7 @@ class Companion:
             self._set_phase(self._phase_now, self._t_us)
         t_s = self._mission_time_s()
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
-        self._note(record, now_us)
+        self._notes.take(record.guard, self._watch.resets, self._t_us, now_us)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
@@ -403,20 +402,6 @@ class Companion:
         yaw_rad = None if measurement is None else yaw_of(measurement.q_ned_frd)
         self._voice.calm(self._t_us, model.norm_of(carried), yaw_rad)
 
-    def _note(self, record: TickRecord, now_us: int) -> None:
-        """What the guard and the watch of resets did, told once."""
-        acts = "" if record.guard.startswith("clip") else record.guard
-        if acts != self._guard:
-            self._guard, self._guard_since_us = acts, (now_us if acts and not self._guard else self._guard_since_us)
-            self._guard_since_us = self._guard_since_us if acts else -1
-            self._observer.on_event(self._t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
-        resets = self._watch.resets
-        if resets.counted != self._resets:
-            self._resets = resets.counted
-            moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
-            text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
-            self._observer.on_event(self._t_us, "fault", text, "warning")
-
     def _mission_time_s(self) -> float:
         return (self._t_us - self.flight_start_us) / SECOND_US
 
@@ -432,8 +417,3 @@ class Companion:
 
     def _request(self, message: type) -> tuple[px4.Cmd, tuple[float, ...]]:
         return px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(message)),)
-
-
-def _hover_at(measurement: Measurement) -> FlatOutput:
-    zero = np.zeros(3)
-    return FlatOutput.of(measurement.pos_ned_m, zero, zero, zero, zero, yaw_of(measurement.q_ned_frd))

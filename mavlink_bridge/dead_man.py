@@ -91,7 +91,9 @@ class DeadMan:
         out: list[bytes] = []
         if self._phase == _WATCHING:
             self._watch(now_ns, companion)
-        elif self._phase != _SILENT:
+        elif self._phase == _SILENT:
+            self.wake_ns = now_ns + _STEP_NS
+        else:
             for data in received:
                 self._hear(data, companion, now_ns)
             out = self._act(now_ns, companion)
@@ -120,8 +122,8 @@ class DeadMan:
             self._asked_ns = self._rates_ns = self._hold_ns = 0
             self._reader = Reader(self._keyed, stream=self._stream)
             self.record = self.record._replace(
-                acts=self.record.acts + 1, silent_ns=companion.sent_ns, began_ns=now_ns, hold_ns=0, held_ns=0, touched=0,
-                sequence=companion.sequence,
+                acts=self.record.acts + 1, silent_ns=companion.sent_ns, began_ns=now_ns, hold_ns=0, held_ns=0,
+                touched=0, sequence=companion.sequence,
             )  # fmt: skip
 
     def _hear(self, data: bytes, companion: CompanionRecord, now_ns: int) -> None:
@@ -144,7 +146,7 @@ class DeadMan:
             if self._mode != _HOLD_MODE:
                 self.record = self.record._replace(touched=1)
             if now_ns - self.record.silent_ns > WATCH_NS:
-                self._fall_silent(now_ns)
+                self._fall_silent()
             return []
         if not in_offboard or not self._armed:
             if self._mode == _HOLD_MODE and self._hold_ns and self._armed:
@@ -152,10 +154,10 @@ class DeadMan:
                 self.record = self.record._replace(held_ns=now_ns)
             else:
                 self.record = self.record._replace(touched=1)
-                self._fall_silent(now_ns)
+                self._fall_silent()
             return []
         if now_ns - self.record.began_ns > GIVE_UP_NS:
-            self._fall_silent(now_ns)
+            self._fall_silent()
             return []
         return self._words(now_ns, companion)
 
@@ -177,8 +179,8 @@ class DeadMan:
             out.append(self._command(_DO_SET_MODE, _HOLD, companion))
         return out
 
-    def _fall_silent(self, now_ns: int) -> None:
-        self._phase, self.reading, self.wake_ns = _SILENT, False, now_ns + _STEP_NS
+    def _fall_silent(self) -> None:
+        self._phase, self.reading = _SILENT, False
 
     def _levelling(self, now_ns: int, companion: CompanionRecord) -> tuple[float, ...]:
         """Fields of SET_ATTITUDE_TARGET: body rates towards level, the thrust that carries the vehicle at its tilt."""

@@ -47,7 +47,7 @@ _L = "unit/test_ways_out.py::"
 _S = "unit/test_signing.py::"
 _C = "unit/test_companion.py::"
 _P = "unit/test_vehicle_params.py::"
-_D = "loopback/test_dead_man.py::"
+_D = "loopback/test_dead_companion.py::"
 
 FAULTS: dict[str, Fault] = {
     "stale-position": Fault(
@@ -228,7 +228,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "parameters": Fault(
         "the vehicle's parameters would make the flight unsafe",
-        "COM_OF_LOSS_T outside 0.1 to 2 s (0.5 s without the dead-man), COM_OBL_RC_ACT terminate or disarm, MC_*RATE_MAX below 30, or not told",
+        "COM_OF_LOSS_T not 0.1 to 2 s (0.5 s: no dead-man), COM_OBL_RC_ACT 6 or 7, MC_*RATE_MAX < 30, or not told",
         Reaction.REFUSE, None, _P + "test_unsafe_parameters_are_refused_with_the_reason",
     ),
 }  # fmt: skip

@@ -33,8 +33,8 @@ def companion_record(
     factor = min(1.0, max(0.0, voice.thrust_model_factor))
     sequence = link.next_sequence(link.component)
     return CompanionRecord(
-        0, sent[0] * 1000, sent[1], 0, 0, w, x, y, z, carries, factor, flags, now.system, link.system, link.component, sequence,
-        0, 0,
+        0, sent[0] * 1000, sent[1], 0, 0, w, x, y, z, carries, factor, flags,
+        now.system, link.system, link.component, sequence, 0, 0,
     )  # fmt: skip
 
 
@@ -46,3 +46,9 @@ def state_now(measurement: Measurement) -> FlatOutput:
     acc = np.array([-2.0 * (x * z + w * y), -2.0 * (y * z - w * x), 0.0]) * (STANDARD_GRAVITY_MPS2 / down)
     zero = np.zeros(3)
     return FlatOutput.of(measurement.pos_ned_m, measurement.vel_ned_mps, acc, zero, zero, yaw_of(measurement.q_ned_frd))
+
+
+def hover_at(measurement: Measurement) -> FlatOutput:
+    """Standing still where the vehicle is, at its heading."""
+    zero = np.zeros(3)
+    return FlatOutput.of(measurement.pos_ned_m, zero, zero, zero, zero, yaw_of(measurement.q_ned_frd))

@@ -49,7 +49,7 @@ def main(package: str, memory_fd: int, link_fd: int, key_size: int) -> None:
         frames.store(memory, frames.DEAD_MAN_AT, frames.DEAD_MAN_STRUCT, dead_man.record)
         if gone and dead_man.is_over(companion):
             return
-        wait_ms = max(0, dead_man.wake_ns - time.monotonic_ns()) / 1e6
+        wait_ms = max(_LEAST_WAIT_MS, (dead_man.wake_ns - time.monotonic_ns()) / 1e6)
         if gone:
             time.sleep(wait_ms / 1e3)
         elif poll.poll(wait_ms) and not os.read(0, 64):
