@@ -130,6 +130,7 @@ class Companion:
     def hear_dead_man(self, report: DeadManRecord, ended: str = "") -> None:
         """Take what the dead-man did of late, before each step; `ended`: why there is none any more."""
         self._now.stalls.hear(report)
+        self.view.note_mode(report.mode, report.mode_ns // 1000)
         if ended and not self._now.dead_man_lost:
             self._now.dead_man_lost = ended
             self._observer.on_event(self._t_us, "fault", f"dead-man-lost: {ended}", "warning")

@@ -134,7 +134,7 @@ class DeadMan:
                 self._mode, self._mode_at_ns = int(fields[0]), now_ns
                 if number == HEARTBEAT:
                     self._armed = bool(int(fields[3]) & _ARMED)
-                self.record = self.record._replace(mode=self._mode)
+                self.record = self.record._replace(mode=self._mode, mode_ns=now_ns)
             elif number == COMMAND_ACK and fields[0] in _MODE_COMMANDS and fields[1] == 0:
                 ours = int(fields[4]) in (0, companion.own_system)
                 self.record = self.record if ours else self.record._replace(touched=1)

@@ -47,13 +47,13 @@ ACTIVE, IN_OFFBOARD = 1, 2
 """ACTIVE: setpoints are streamed, silence is to be answered.  IN_OFFBOARD: seen there of late, by the companion."""
 
 DeadManRecord = namedtuple(
-    "DeadManRecord", "alive_ns acts silent_ns began_ns hold_ns held_ns mode sequence touched frames"
+    "DeadManRecord", "alive_ns acts silent_ns began_ns hold_ns held_ns mode_ns mode sequence touched frames"
 )
 """The dead-man's last word.  alive_ns: monotonic time; acts: how often it acted; of the last time: silent_ns, the last
-setpoint before it; began_ns; hold_ns, the first command to hold; held_ns, Hold seen; mode, custom mode seen last;
-sequence: the next one free; touched: 1 where anybody else changed the mode; frames: sent in all."""
-DEAD_MAN_STRUCT = Struct("<qqqqqqIBBxxq")
-NOBODY = DeadManRecord(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+setpoint before it; began_ns; hold_ns, the first command to hold; held_ns, Hold seen; mode_ns, mode: when
+a mode was heard last, and which; sequence: the next one free; touched: 1 where anybody else changed the mode; frames: sent in all."""
+DEAD_MAN_STRUCT = Struct("<qqqqqqqIBBxxq")
+NOBODY = DeadManRecord(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 SHARED_SIZE = 1024
 QUIT_AT = 8

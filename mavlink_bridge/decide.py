@@ -242,6 +242,8 @@ def _held(now: Situation, now_us: int) -> Verdict:
     why = now.stalls.judge(now_us)
     if not why:
         return Verdict(Event.STALLED)
+    if now.stalls.report.touched:
+        return Verdict(Event.TOOK_OVER, f"{now.stalls.words}: {why}: hands off")
     now.trouble = "stalled-long"
     return Verdict(Event.FAULT_HOLD, f"stalled-long: {now.stalls.words}: {why}")
 

@@ -132,25 +132,25 @@ def test_a_pilot_who_changes_the_mode_before_the_dead_man_acts_is_never_fought(
     flight: GuardedFlight, delay_s: float
 ) -> None:
     flight.stand_still(delay_s)
-    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, 3.0)  # Position
+    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, 4.0, 5.0)
     flight.stand_still(0.4)
     record = flight.dead_man.record  # type: ignore[union-attr]
     assert record.hold_ns == 0
-    assert flight.mode == "Position"
+    assert flight.mode == "Return"
     for _ in range(50):
         flight.step()
     assert flight.companion.state is State.PILOT
-    assert flight.mode == "Position"
+    assert flight.mode == "Return"
 
 
 def test_a_pilot_who_takes_over_from_the_dead_mans_hold_keeps_the_vehicle(flight: GuardedFlight) -> None:
     flight.stand_still(0.2)
-    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, 3.0)
+    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, 4.0, 5.0)
     flight.stand_still(0.1)
     for _ in range(250):
         flight.step()
     assert flight.companion.state is State.PILOT
-    assert flight.mode == "Position"
+    assert flight.mode == "Return"
 
 
 def test_hold_and_back_by_the_pilot_finds_a_silent_companion_and_a_silent_dead_man(flight: GuardedFlight) -> None:
