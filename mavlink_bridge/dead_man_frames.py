@@ -50,8 +50,8 @@ DeadManRecord = namedtuple(
     "DeadManRecord", "alive_ns acts silent_ns began_ns hold_ns held_ns mode_ns mode sequence touched frames"
 )
 """The dead-man's last word.  alive_ns: monotonic time; acts: how often it acted; of the last time: silent_ns, the last
-setpoint before it; began_ns; hold_ns, the first command to hold; held_ns, Hold seen; mode_ns, mode: when
-a mode was heard last, and which; sequence: the next one free; touched: 1 where anybody else changed the mode; frames: sent in all."""
+setpoint before it; began_ns; hold_ns, the first command to hold; held_ns, Hold seen; mode_ns, mode: when a mode was
+heard last, and which; sequence: the next one free; touched: 1 where anybody else changed the mode; frames: sent."""
 DEAD_MAN_STRUCT = Struct("<qqqqqqqIBBxxq")
 NOBODY = DeadManRecord(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
