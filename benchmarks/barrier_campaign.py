@@ -1,12 +1,12 @@
-"""The barrier campaign: seeded exploration and adversarial flights through UDP, with the filter, without, as published.
+"""Filters compared: seeded exploration and adversarial flights through UDP, with the filter, without, as published.
 
-    python -m benchmarks.barrier_campaign                 all flights (make campaign-barrier), docs/barrier-campaign.md
-    python -m benchmarks.barrier_campaign --quick         a few of each, into runs/campaign-barrier-quick
+    python -m benchmarks.barrier_campaign          all flights (make campaign-barrier-filters)
+    python -m benchmarks.barrier_campaign --quick         a few of each, into runs/campaign-barrier-filters-quick
     python -m benchmarks.barrier_campaign --resume        go on where a campaign was cut off
     python -m benchmarks.barrier_campaign --report-only   the tables anew from results.json
 
 Flights are independent: a pool of processes flies them.  Every finished flight is kept at once in
-runs/campaign-barrier.jsonl.
+runs/campaign-barrier-filters.jsonl.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from benchmarks import campaign
 from benchmarks.barrier_cases import COUNTS, PILOTS, QUICK, TASKS
 
-SCHEMA = "flightstack.campaign-barrier/1"
+SCHEMA = "flightstack.campaign-barrier-filters/1"
 FIRST_SEED = 40_000
 Job = tuple[str, str, int]
 """Pilot, task, seed."""
@@ -71,10 +71,10 @@ def summary(rows: list[dict[str, Any]], pilot: str, task: str) -> dict[str, Any]
 
 
 def page(results: dict[str, Any], command: str) -> str:
-    """docs/barrier-campaign.md: the tables and what they mean."""
+    """docs/barrier-filters.md: the tables and what they mean."""
     rows = results["flights"]
     lines = [
-        "# The barrier campaign",
+        "# Barrier filters compared",
         "",
         f"{results['date']}, {results['machine']}, {results['cores']} cores, Python {results['python']}, commit "
         f"{results['git_commit']}; `{command}`, {results['wall_s'] / 60:.0f} minutes.",
@@ -132,8 +132,8 @@ def passed(results: dict[str, Any]) -> bool:
 
 
 CAMPAIGN = campaign.Campaign(
-    "barrier", "barrier-campaign.md", (__doc__ or "").splitlines()[0], jobs_of, run, SCHEMA, gather, write_results,
-    write_page, passed,
+    "barrier-filters", "barrier-filters.md", (__doc__ or "").splitlines()[0], jobs_of, run, SCHEMA, gather,
+    write_results, write_page, passed,
 )  # fmt: skip
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ class _Counting(Tape):
         super().__init__()
         self.infeasible = self.interventions = 0
 
-    def tick(self, record: TickRecord) -> None:
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack."""
         super().tick(record)
         self.infeasible += record.filtered.status in FALLBACKS

@@ -9,12 +9,14 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import math
 import os
 import platform
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from datetime import date
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -71,9 +73,14 @@ def runs_in(journal: Path) -> tuple[float, list[str]]:
     return wall_s, commits
 
 
-def run_all(jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, processes: int) -> None:
-    """Run what the journal does not hold yet; each result is a line of it, and at the end the run is one."""
-    from flightstack.cli.files import versions
+def run_all(
+    jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, processes: int, minutes: float = math.inf
+) -> None:
+    """Run what the journal does not hold yet; each result is a line of it, and at the end the run is one.
+
+    After so many `minutes` nothing new is begun.
+    """
+    from flightstack.cli.versions import versions
 
     done = held_in(journal)
     left = [job for job in jobs if job not in done]
@@ -83,12 +90,18 @@ def run_all(jobs: Sequence[Job], run: Callable[[Any], Any], journal: Path, proce
     commit = versions()["git_commit"]
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool, journal.open("a", encoding="utf-8") as out:
         out.write(json.dumps({"run": {"wall_s": 0.0, "git_commit": commit}}) + "\n")  # known even if it is cut off
-        futures = {pool.submit(_tidied, run, job): job for job in left}
-        for count, future in enumerate(as_completed(futures), 1):
-            out.write(json.dumps({"job": futures[future], "result": future.result()}) + "\n")
+        count, waiting = 0, iter(left)
+        futures = {pool.submit(_tidied, run, job): job for job in islice(waiting, 2 * processes)}
+        while futures:
+            finished, _ = wait(futures, return_when=FIRST_COMPLETED)
+            for future in finished:
+                out.write(json.dumps({"job": futures.pop(future), "result": future.result()}) + "\n")
+                count += 1
             out.flush()
-            if count % 10 == 0 or count == len(left):
-                spent = time.monotonic() - began
+            spent = time.monotonic() - began
+            if spent < 60.0 * minutes:
+                futures |= {pool.submit(_tidied, run, job): job for job in islice(waiting, len(finished))}
+            if count % 10 == 0 or not futures:
                 ahead = spent / count * (len(left) - count)
                 print(f"{count} of {len(left)}, {spent / 60:.1f} min, {ahead / 60:.1f} min to go", flush=True)
         out.write(json.dumps({"run": {"wall_s": time.monotonic() - began, "git_commit": commit}}) + "\n")
@@ -130,6 +143,7 @@ def main(campaign: Campaign) -> int:
     parser.add_argument("--quick", action="store_true", help="a few of each, into runs/")
     parser.add_argument("--resume", action="store_true", help="keep the results of a campaign that was cut off")
     parser.add_argument("--report-only", action="store_true", help="tables and figures anew")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin nothing new after so long")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     kind = f"campaign-{campaign.name}{'-quick' if options.quick else ''}"
@@ -145,7 +159,7 @@ def main(campaign: Campaign) -> int:
         if not options.resume:
             journal.unlink(missing_ok=True)
         jobs = campaign.jobs(options.quick)
-        run_all(jobs, campaign.run, journal, options.processes)
+        run_all(jobs, campaign.run, journal, options.processes, options.minutes)
         results = provenance(campaign.schema, journal) | campaign.gather(held_in(journal), jobs)
         stored.parent.mkdir(parents=True, exist_ok=True)
         campaign.write_results(results, stored)

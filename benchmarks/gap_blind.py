@@ -83,8 +83,9 @@ def run(job: Job) -> Row:
 
 def _run(plant: str, kind: str, form: str, seed: int, folder: Path) -> Row:
     from benchmarks.gap_cases import make, write
-    from flightstack.cli.files import load_vehicle, versions
+    from flightstack.cli.files import load_vehicle
     from flightstack.cli.gap import GapOptions, find_gap
+    from flightstack.cli.versions import versions
 
     log, vehicle, sealed = write(make(kind, seed, plant=plant), folder, "case", form)
     began = time.perf_counter()

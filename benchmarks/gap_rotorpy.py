@@ -289,7 +289,7 @@ def main() -> int:
             print(text, flush=True)
     print(f"{good} of {len(rows)} as they must be")
     if not options.row:
-        from flightstack.cli.files import versions
+        from flightstack.cli.versions import versions
 
         page = campaign.ROOT / "docs" / "gap.md"
         before, after = page.read_text("utf-8").split(_BEGIN)[0], page.read_text("utf-8").split(_END)[1]

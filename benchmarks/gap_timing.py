@@ -102,7 +102,7 @@ def main() -> int:
             lines.append(row(name, Path(folder)))
             print(lines[-1], flush=True)
     if not options.row:
-        from flightstack.cli.files import versions
+        from flightstack.cli.versions import versions
 
         page = campaign.ROOT / "docs" / "gap.md"
         text = page.read_text("utf-8")

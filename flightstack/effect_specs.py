@@ -130,9 +130,9 @@ _SPECS = (
     ),
     EffectSpec(
         "ground_effect",
-        (ParamSpec("strength", "", 0.0, 0.0, 3.0),),
+        (ParamSpec("strength", "", 0.0, 0.0, 20.0),),
         "thrust",
-        "thrust / (1 - s (R / 4 z)^2), z the hub's height, at least R/2 (Cheeseman-Bennett)",
+        "thrust / (1 - s (R / 4 z)^2), s (R / 4 z)^2 at most 0.75, z the hub's height, at least R/2; Cheeseman-Bennett",
     ),
     EffectSpec(
         "vortex_ring",

@@ -17,15 +17,13 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.errors import InputError as InputError
+
 F64 = NDArray[np.float64]
 Tuple3 = tuple[float, float, float]
 Tuple4 = tuple[float, float, float, float]
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-
-
-class InputError(ValueError):
-    """Bad input of a user: a file, a key, an argument.  Its text is one line that says what is wrong and what to do."""
 
 
 class _Record(Protocol):
@@ -178,7 +176,7 @@ class Learned:
     target_frd_mps2 = Part(15, 18)
     """The residual as measured at this tick; NaN where there was no fit sample."""
     thrust_gain_sigma = Element(18)
-    """The vertical bound's share of gravity: the uncertainty of the gain if all of z's were its."""
+    """Standard deviation of the gain; at least the vertical bound's share of gravity."""
     rate_residual_frd_radps = Part(19, 22)
     """Expected body rates less those that the model of the rate loop says."""
     rate_sigma_frd_radps = Part(22, 25)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from flightstack import ranges as rng
 from flightstack.effect_specs import EFFECT_SPECS, check_effect
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 
@@ -61,6 +62,8 @@ class Vehicle:
     rotors: Rotors
     battery: Battery | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    ranges: Mapping[str, F64] = field(default_factory=dict)
+    """What is known of numbers that are given as ranges: "body.mass_kg" -> (..., 2) low and high, read-only."""
 
     @property
     def total_mass_kg(self) -> float:
@@ -131,6 +134,7 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
             raise InputError(f"{source}: unknown key {key}; known are {', '.join(_TOP_KEYS)}")
     if data.get("schema") != SCHEMA:
         raise InputError(f'{source}: schema = {data.get("schema")!r} is not known; this version reads "{SCHEMA}"')
+    data, ranges = _without_ranges(data, source)
     name = data.get("name")
     if not isinstance(name, str) or not name or not name.isprintable():
         raise InputError(f"{source}: name = {name!r} is not allowed; give the vehicle a name of printable characters")
@@ -154,11 +158,41 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
             radius_m=float(rotors["radius_m"]),
         ),
         battery=None if battery is None else Battery(**{key: float(value) for key, value in battery.items()}),
+        ranges=MappingProxyType(ranges),
     )
     _check_inertia(vehicle, source)
     if vehicle.battery is not None and not vehicle.battery.empty_v < vehicle.battery.full_v:
         raise InputError(f"{source}: battery.empty_v = {vehicle.battery.empty_v:g} must lie below battery.full_v")
     return with_effects(vehicle, effects, source=source)
+
+
+def _without_ranges(data: Mapping[str, object], source: str) -> tuple[dict[str, object], dict[str, F64]]:
+    """The file's tables with plain values, and what was given as a range; both ends are checked as a value is."""
+    plain: dict[str, object] = dict(data)
+    found: dict[str, F64] = {}
+    for name, keys in _TABLES.items():
+        if isinstance(table := data.get(name), Mapping):
+            plain[name] = {key: _split(entry, f"{name}.{key}", source, found) for key, entry in table.items()}
+            for key in table:
+                if key in keys and (pairs := found.get(f"{name}.{key}")) is not None:
+                    for end in (pairs[..., 0], pairs[..., 1]):
+                        _numbers(end.tolist(), keys[key], f"{source}: {name}.{key}.range")
+    if isinstance(effects := data.get("effects"), Mapping):
+        plain["effects"] = {
+            name: {key: _split(entry, f"effects.{name}.{key}", source, found) for key, entry in table.items()}
+            if isinstance(table, Mapping)
+            else table
+            for name, table in effects.items()
+        }
+    return plain, found
+
+
+def _split(entry: object, key: str, source: str, found: dict[str, F64]) -> object:
+    value, pairs = rng.split(entry, f"{source}: {key}")
+    if pairs is not None:
+        pairs.setflags(write=False)
+        found[key] = pairs
+    return value
 
 
 def with_effects(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]], *, source: str = "effects") -> Vehicle:
@@ -183,32 +217,24 @@ def vehicle_to_toml(vehicle: Vehicle) -> str:
     """The file's text of a vehicle; `parse_vehicle` gives the same vehicle back, bit for bit."""
     rotors = vehicle.rotors
     lines = [f'schema = "{SCHEMA}"', f"name = {_quoted(vehicle.name)}", "", "[body]"]
-    lines += [f"mass_kg = {_number(vehicle.mass_kg)}", f"inertia_kgm2 = {_list(vehicle.inertia_kgm2)}", "", "[rotors]"]
-    lines.append(f"position_m = [{', '.join(_list(row) for row in rotors.position_m)}]")
-    lines.append(f"torque_ratio_m = {_list(rotors.torque_ratio_m)}")
-    for key, spec in _TABLES["rotors"].items():
-        if not spec.shape:
-            lines.append(f"{key} = {_number(getattr(rotors, key))}")
+    known = vehicle.ranges.get
+    lines.append(f"mass_kg = {rng.to_toml(vehicle.mass_kg, known('body.mass_kg'))}")
+    lines.append(f"inertia_kgm2 = {rng.to_toml(vehicle.inertia_kgm2, known('body.inertia_kgm2'))}")
+    lines += ["", "[rotors]"]
+    lines += [f"{key} = {rng.to_toml(getattr(rotors, key), known(f'rotors.{key}'))}" for key in _TABLES["rotors"]]
     if vehicle.battery is not None:
         lines += ["", "[battery]"]
-        lines += [f"{key} = {_number(getattr(vehicle.battery, key))}" for key in _TABLES["battery"]]
+        cell = vehicle.battery
+        lines += [f"{key} = {rng.to_toml(getattr(cell, key), known(f'battery.{key}'))}" for key in _TABLES["battery"]]
     for name, values in vehicle.effects.items():
         lines += ["", f"[effects.{name}]"]
-        lines += [f"{key} = {_number(value)}" for key, value in values.items()]
+        lines += [f"{key} = {rng.to_toml(value, known(f'effects.{name}.{key}'))}" for key, value in values.items()]
     return "\n".join(lines) + "\n"
 
 
 def _quoted(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _list(values: F64) -> str:
-    return "[" + ", ".join(_number(value) for value in values) + "]"
 
 
 def _table(data: Mapping[str, object], name: str, source: str) -> dict[str, F64]:

@@ -5,7 +5,7 @@ Pure: `decide` looks and says; the changes of state stand in `handshake.TRANSITI
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -48,6 +48,8 @@ class CompanionConfig:
     """Of the link; a later one is refused before the flight."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
+    contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
+    """What PX4's parameters (by name) say against the vehicle file, one line each."""
 
 
 @dataclass(slots=True)
@@ -152,8 +154,11 @@ def _standby(now: Situation, now_us: int) -> Verdict | None:
         return Verdict(
             Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
         )
-    if view.params.settled and (danger := unsafe(view.params.values, dead_man=config.dead_man)):
-        return Verdict(Event.UNFIT, danger)
+    if view.params.settled and not config.dry_run:  # a dry run goes on and tells everything that it finds
+        if danger := unsafe(view.params.values, dead_man=config.dead_man):
+            return Verdict(Event.UNFIT, danger)
+        if wrong := config.contradictions(view.params.values):
+            return Verdict(Event.UNFIT, "; ".join(wrong))
     missing = _missing(now)
     if now.unfit:
         missing.append(FAULTS[now.unfit].what)
@@ -172,9 +177,8 @@ def _missing(now: Situation) -> list[str]:
         missing.append("no fresh attitude, position and IMU streams")
     if slow := _too_slow(now):
         missing.append(slow)
-    flags = now.view.estimator_flags
-    if flags & _ESTIMATOR_READY != _ESTIMATOR_READY or not flags & _ESTIMATOR_POSITION:
-        missing.append(f"estimate not good (ESTIMATOR_STATUS flags {flags:#x})")
+    if not estimate_is_good(now.view.estimator_flags):
+        missing.append(f"estimate not good (ESTIMATOR_STATUS flags {now.view.estimator_flags:#x})")
     if now.view.landed_state == 0:
         missing.append("landed state unknown")
     if not now.view.params.settled:
@@ -182,6 +186,11 @@ def _missing(now: Situation) -> list[str]:
     if now.view.armed and now.view.intended_at_us < 0:
         missing.append("armed, and which mode it would go back to is not known (CURRENT_MODE)")
     return missing
+
+
+def estimate_is_good(flags: int) -> bool:
+    """Whether ESTIMATOR_STATUS.flags have all that a flight needs."""
+    return flags & _ESTIMATOR_READY == _ESTIMATOR_READY and bool(flags & _ESTIMATOR_POSITION)
 
 
 def _too_slow(now: Situation) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from flightstack.airframe import GEOMETRY, hover_setpoint
 from flightstack.model import Model
 from flightstack.types import Tuple3, Tuple4
 from mavlink_bridge import messages as m
@@ -24,7 +25,7 @@ _OUTPUTS = 8
 _FUNCTIONS = tuple(f"PWM_MAIN_FUNC{i}" for i in range(1, _OUTPUTS + 1))
 _FIRST_MOTOR = 101
 _MOTORS = 4
-OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", *_FUNCTIONS)
+OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", *_FUNCTIONS, *GEOMETRY)
 """A PX4 may lack them, or be too old to say that it does."""
 _RETRY_US = 300_000
 _TRIES_NEEDED = 20
@@ -147,40 +148,54 @@ class ParamReader:
         ]
 
 
-def unsafe(values: Mapping[str, float], *, dead_man: bool = True) -> str:
-    """Why the vehicle should not be flown as it is set, one line; empty where it may.
+def findings(values: Mapping[str, float], *, dead_man: bool = True) -> list[tuple[str, str]]:
+    """Every parameter that is judged, and one line why the vehicle should not be flown with it, empty where it may.
 
     dead_man: somebody answers the companion's silence before PX4 does.
     """
+    judged = [("COM_OF_LOSS_T", loss_time_problem(values, dead_man=dead_man))]
+    for name in RATE_LIMITS:
+        too_low = values.get(name, math.inf) < _LEAST_RATE_DEGPS
+        judged.append(
+            (name, f"{name} is {values[name]:g} deg/s: that leaves no control; set it to {_LEAST_RATE_DEGPS:g} or more")
+            if too_low
+            else (name, "")
+        )
+    action = int(values.get("COM_OBL_RC_ACT", -1.0))
+    problem = (
+        f"COM_OBL_RC_ACT is {action} ({_DEADLY[action]}): a lost link would stop the motors in the air; "
+        "set it to 5 (hold), 4 (land) or 3 (return)"
+        if action in _DEADLY
+        else ""
+    )
+    return [*judged, ("COM_OBL_RC_ACT", problem)]
+
+
+def loss_time_problem(values: Mapping[str, float], *, dead_man: bool) -> str:
+    """Why COM_OF_LOSS_T is not as it has to be, one line; empty where it is."""
     low, high = _LOSS_T_RANGE_S
     loss_t_s = values.get("COM_OF_LOSS_T", math.nan)
-    if not low <= loss_t_s <= high:
-        return (
-            f"COM_OF_LOSS_T is {loss_t_s:g} s: PX4 goes on with the last body rates for so long; "
-            f"set it to {low:g} to {high:g} s"
-        )
-    if loss_t_s > _LOSS_T_ALONE_S and not dead_man:
+    if _LOSS_T_ALONE_S < loss_t_s <= high and not dead_man:
         return (
             f"COM_OF_LOSS_T is {loss_t_s:g} s and no dead-man runs: PX4 would go on with the last body rates for so "
             f"long; fly with the dead-man or set it to {low:g} to {_LOSS_T_ALONE_S:g} s"
         )
-    for name in RATE_LIMITS:
-        if values.get(name, math.inf) < _LEAST_RATE_DEGPS:
-            return f"{name} is {values[name]:g} deg/s: that leaves no control; set it to {_LEAST_RATE_DEGPS:g} or more"
-    action = int(values.get("COM_OBL_RC_ACT", -1.0))
-    if action in _DEADLY:
-        return (
-            f"COM_OBL_RC_ACT is {action} ({_DEADLY[action]}): a lost link would stop the motors in the air; "
-            "set it to 5 (hold), 4 (land) or 3 (return)"
-        )
-    return ""
+    if low <= loss_t_s <= high:
+        return ""
+    return (
+        f"COM_OF_LOSS_T is {loss_t_s:g} s: PX4 goes on with the last body rates for so long; "
+        f"set it to {low:g} to {high:g} s"
+    )
+
+
+def unsafe(values: Mapping[str, float], *, dead_man: bool = True) -> str:
+    """Why the vehicle should not be flown as it is set, one line; empty where it may."""
+    return next((problem for _, problem in findings(values, dead_man=dead_man) if problem), "")
 
 
 def remarks(values: Mapping[str, float], model: Model) -> str:
     """What was read and what is made of it, for the log."""
-    factor = values.get("THR_MDL_FAC", 0.0)
-    hover = model.hover_norm
-    believed = factor * hover * hover + (1.0 - factor) * hover
+    factor, believed = values.get("THR_MDL_FAC", 0.0), hover_setpoint(values, model.hover_norm)
     parts = [
         f"COM_OF_LOSS_T {values.get('COM_OF_LOSS_T', math.nan):g} s",
         f"COM_OBL_RC_ACT {values.get('COM_OBL_RC_ACT', math.nan):g}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
@@ -41,6 +41,8 @@ class VehicleView:
         """(local time of receipt, severity, text), whole messages only."""
         self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)
         """Local microseconds from our TIMESYNC questions to their answers."""
+        self.counts: Counter[type] = Counter()
+        """Messages taken, by kind."""
         self._partial_text = ""
 
     @property
@@ -82,6 +84,7 @@ class VehicleView:
     def update(self, message: object, now_us: int) -> None:
         """Take one message of the identified vehicle, received at local time `now_us`."""
         self.heard_at_us = now_us
+        self.counts[type(message)] += 1
         handler = _HANDLERS.get(type(message))
         if handler is not None:
             handler(self, message, now_us)

@@ -48,7 +48,7 @@ def _readable(path: Path, most_bytes: int) -> None:
 
 
 def _in_child(arguments: list[str], limit_s: float, name: str) -> dict[str, Any]:
-    command = [sys.executable, "-m", "flightstack.cli.checking", *arguments]
+    command = [sys.executable, "-P", "-m", "flightstack.cli.checking", *arguments]  # -P: no imports from where we are
     quiet, environment = subprocess.DEVNULL, os.environ | _ONE_THREAD
     with subprocess.Popen(
         command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment

@@ -27,7 +27,7 @@ def ensure_compiled(say: Callable[[str], None]) -> None:
     say("compiling (once on a new machine)")
     path = os.pathsep.join(filter(None, sys.path))
     subprocess.run(
-        [sys.executable, "-m", "flightstack.cli.compiled"],
+        [sys.executable, "-P", "-m", "flightstack.cli.compiled"],
         env={**os.environ, "PYTHONPATH": path},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from flightstack.cli.result import FlightResult
+from flightstack.cli.terminal import errors, output, show
 from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
 
 if TYPE_CHECKING:
@@ -20,34 +18,12 @@ if TYPE_CHECKING:
     from flightstack.cli.certify import CertifyResult
     from flightstack.gap.result import GapResult
 
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
-output = Console(highlight=False)
 _PROTECTION_STYLES = {HELD: "[green]", LEFT: "[red]", NONE: "[red]", OFF: "[dim]"}
 
 
-class OnProgress(Protocol):
-    """Share done (0..1) and what is going on."""
-
-    def __call__(self, share: float, phase: str) -> None:
-        """Show it."""
-
-
-@contextmanager
-def progress(title: str) -> Iterator[OnProgress]:
-    """A progress bar on stderr, only where a person looks at it."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
-        task = bars.add_task(title, total=1.0)
-
-        def show(share: float, phase: str) -> None:
-            bars.update(task, completed=share, description=f"{title}: {phase}")
-
-        yield show
+def say(text: str) -> None:
+    """One line on stderr."""
+    errors.print(text, markup=False)
 
 
 def say_error(text: str) -> None:
@@ -56,7 +32,10 @@ def say_error(text: str) -> None:
 
 
 def show_result(result: FlightResult) -> None:
-    """The flight's summary."""
+    """The flight's summary; of a dry run the checklist."""
+    if result.completed is None:
+        _show_checklist(result)
+        return
     if result.passed:
         verdict = "[bold green]completed[/]" if result.completed else "[bold]nothing was to be flown[/]"
     else:
@@ -66,12 +45,26 @@ def show_result(result: FlightResult) -> None:
     table.add_column()
     for name, value in _rows(result):
         table.add_row(name, value)
-    output.print(table)
+    show(table)
     for name, path in (("log", result.log), ("report", result.report)):
         if path:  # outside the table: a path must never be cut or wrapped
             output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
     if result.log_problem:
         output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
+
+
+def _show_checklist(result: FlightResult) -> None:
+    """What was looked at, line by line."""
+    verdict = "[bold green]ready[/]" if result.passed else "[bold red]NOT ready[/]"
+    table = Table(title=f"{result.scenario}, dry run: {verdict}", title_justify="left", show_header=False, box=None)
+    for _ in range(3):
+        table.add_column()
+    for check in result.checklist:
+        mark = "[green]ok[/]" if check["ok"] else "[bold red]no[/]"
+        table.add_row(mark, escape(check["check"]), escape(check["said"]))
+    show(table)
+    if result.log:
+        output.print(f" log     {result.log}", soft_wrap=True, markup=False)
 
 
 def _not_passed(result: FlightResult) -> str:
@@ -98,7 +91,7 @@ def show_certified(result: CertifyResult) -> None:
     table.add_row("how it ended", escape(result.words))
     for label, value, note in figures(result):
         table.add_row(label.lower(), escape(f"{value} ({note})" if note else value))
-    output.print(table)
+    show(table)
     for line in result.verdict:
         output.print(f" checker {line}", soft_wrap=True, markup=False)
     for name, path in (("certificate", result.certificate), ("log", result.flight.log), ("report", result.report)):
@@ -133,7 +126,7 @@ def show_gap(result: GapResult, out: Path) -> None:
             for part in (result.gap.before, result.gap.after, result.gap.noise_floor)
         )
         table.add_row(label, f"{before} before, {after} after, {floor} of noise")
-    output.print(table)
+    show(table)
     for name in ("gap.json", "vehicle.toml", "report.html"):
         output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
 
@@ -165,8 +158,13 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         yield (
             "loop",
             f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
-            f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} ticks missed",
         )
+        if result.loop.get("stalls"):
+            yield "longest stall", escape(result.loop["stalls"][0]["cause"])
+        if (dead_man := result.loop.get("dead_man")) is not None:
+            running = "ran" if dead_man["running"] else "did not run"
+            yield "dead-man", f"{running}, acted {dead_man['acted']} times, {dead_man['taken_back']} taken back"
         trip = result.link["round_trip_us"]
         if trip["p50"] is not None:
             dropped = sum(result.link["dropped"].values())
@@ -227,4 +225,4 @@ def show_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]
         table.add_column(column)
     for row in rows:
         table.add_row(*(str(value) for value in row))
-    output.print(table)
+    show(table)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from flightstack.cli import files
+from flightstack.cli.shipped import require_controller
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.feedback import FlatnessController
 from flightstack.control.gains import FlatnessGains, Tuned, parse_gains
@@ -17,7 +18,6 @@ from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.seams import Controller, Learner, NoLearner
 from flightstack.stack import Stack
-from flightstack.types import InputError
 
 Built = tuple[Controller, Learner]
 
@@ -26,8 +26,6 @@ Built = tuple[Controller, Learner]
 class Row:
     """One controller."""
 
-    words: str
-    """What it is, for --help and docs."""
     gains: str
     """Its table in controllers/gains.toml."""
     build: Callable[..., Built]
@@ -59,17 +57,15 @@ def _px4(model: Model, limits: Limits, attitude: AttitudeGains, gains: Px4Gains)
 
 
 CONTROLLERS: Mapping[str, Row] = {
-    "flatness": Row("flatness control that feeds forward what the Gaussian process learns", "flatness", _flatness),
-    "pd": Row("the paper's without learning: flatness feed-forward and PD feedback", "pd", _pid),
-    "pid": Row("the same with integral action", "pid", _pid),
-    "indi": Row("incremental nonlinear dynamic inversion of the linear acceleration", "indi", _indi),
-    "dob": Row("flatness control with a disturbance observer in place of the learner", "dob", _dob),
-    "px4": Row("PX4's own position control: P position, PID velocity, hover thrust estimate", "px4", _px4),
-    "state-gp": Row(
-        "the paper's learner: a Gaussian process on the state alone, without thrust gain", "flatness", _state_gp
-    ),
+    "flatness": Row("flatness", _flatness),
+    "pd": Row("pd", _pid),
+    "pid": Row("pid", _pid),
+    "indi": Row("indi", _indi),
+    "dob": Row("dob", _dob),
+    "px4": Row("px4", _px4),
+    "state-gp": Row("flatness", _state_gp),
 }
-"""Name -> what it is and how it is built."""
+"""Name -> how it is built; what it is says `shipped.CONTROLLER_WORDS`."""
 
 
 def load_gains() -> Mapping[str, Tuned]:
@@ -82,8 +78,7 @@ def build(
     name: str, model: Model, limits: Limits, *, learning: bool = True, gains: Mapping[str, Tuned] | None = None
 ) -> Built:
     """The controller of a name and its learner (none where `learning` is off); InputError for an unknown name."""
-    if name not in CONTROLLERS:
-        raise InputError(f"no controller named {name!r}: use one of {', '.join(CONTROLLERS)}")
+    require_controller(name, CONTROLLERS)
     row = CONTROLLERS[name]
     tuned = (load_gains() if gains is None else gains)[row.gains]
     controller, learner = row.build(model, limits, *tuned.groups)

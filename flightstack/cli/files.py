@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import time
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from flightstack.cli.result import FlightResult
+from flightstack.cli.shipped import path_of
+from flightstack.cli.shipped import shipped_names as shipped_names
 from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
 from flightstack.waypoints import parse_waypoints
+from mavlink_bridge.param_file import parse_params
 
-_HERE = Path(__file__).resolve().parent
-_DATA = _HERE.parent / "data"
 DEFAULT_VEHICLE = "quad-x"
 
 
@@ -41,25 +39,21 @@ def read_text(path: Path) -> TextFile:
 
 def find(kind: str, name: str) -> TextFile:
     """A name of a shipped file or a path to one's own."""
-    given = Path(name)
-    if given.suffix == ".toml" or os.sep in name:
-        return read_text(given)
-    shipped = _DATA / kind / f"{name}.toml"
-    if shipped.is_file():
-        return read_text(shipped)
-    known = ", ".join(shipped_names(kind))
-    raise InputError(f"no {kind[:-1]} named {name!r}: name a .toml file or one of {known}")
-
-
-def shipped_names(kind: str) -> list[str]:
-    """Names of the shipped `vehicles` or `scenarios`, sorted."""
-    return sorted(path.stem for path in (_DATA / kind).glob("*.toml"))
+    return read_text(path_of(kind, name))
 
 
 def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
     """The vehicle of a name or path (None: the default)."""
     file = find("vehicles", name or DEFAULT_VEHICLE)
     return parse_vehicle(file.text, str(file.path)), file
+
+
+def load_params(name: str | None) -> dict[str, float]:
+    """The parameters of a file to set, by name or path (None: none)."""
+    if name is None:
+        return {}
+    file = find("params", name)
+    return parse_params(file.text, str(file.path))
 
 
 def load_scenario(name: str, waypoints: str | None = None) -> tuple[Scenario, TextFile]:
@@ -117,23 +111,3 @@ def write_flight_report(log_path: Path, report_path: Path, result: FlightResult)
     except (InputError, OSError) as error:
         result.report = None
         result.log_problem = result.log_problem or f"no report: {error}"
-
-
-def versions() -> dict[str, str]:
-    """What this run was made with: package, libraries, git commit (empty outside a checkout)."""
-    names = ("flightstack", "numpy", "scipy", "numba", "pymavlink", "foxglove-sdk", "osqp")
-    return {name: metadata.version(name) for name in names} | {"git_commit": _git_commit()}
-
-
-def _git_commit() -> str:
-    try:
-        answer = subprocess.run(
-            ["git", "-C", str(_HERE), "describe", "--always", "--dirty", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=False,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return answer.stdout.strip() if answer.returncode == 0 else ""

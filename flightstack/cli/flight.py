@@ -20,12 +20,13 @@ from flightstack.cli.score import FlightScore
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
+from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.plant import Truth
-from flightstack_sim.server import Server
+from flightstack_sim.server import UNIX_AT_BOOT_US, Server
 from flightstack_sim.shell import ONBOARD, Shell
 from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from flightstack_sim.streams import LinkKind
@@ -34,6 +35,7 @@ from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig, Planner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.transport.clock import utc_us
 from mavlink_bridge.transport.udp import UdpSocket, connected_pair
 
 TICK_MS = 4
@@ -56,6 +58,8 @@ class FlyOptions(FlightOptions):
     realtime: bool = False
     fault: str | None = None
     """As on the command line; see sim.faults."""
+    hil_port: int = 4560
+    """Of `--px4-hil`."""
 
     @property
     def in_real_time(self) -> bool:
@@ -121,8 +125,17 @@ def warm_up_all(setup: Setup) -> None:
 class SimulatedFlight:
     """One flight in the simulator; `run` flies it to its end."""
 
-    def __init__(self, setup: Setup, options: FlyOptions, log: Recorder, planner: Planner | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        options: FlyOptions,
+        log: Recorder,
+        planner: Planner | None = None,
+        utc_us: int = UNIX_AT_BOOT_US,
+    ) -> None:
+        """`utc_us`: when the flight begins; in lockstep, which has no date of its own, the simulator's."""
         prepared = setup.flight
+        self._clock = LogClock(log, zero_us=0, utc_us=utc_us)
         self.scenario = prepared.scenario
         self._log = log
         self.vehicle: SimulatedVehicle = simulated_vehicle(
@@ -136,6 +149,7 @@ class SimulatedFlight:
             log,
             self.scenario,
             prepared.believed,
+            self._clock,
             truth=True,
             on_record=self.score.on_record,
             certifier=prepared.protection.watched,
@@ -167,7 +181,7 @@ class SimulatedFlight:
         companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
         most_bytes = 0 if seam.bad else MAX_DATAGRAM
         server.advance(TICK_MS)
-        now_us = self.vehicle.plant.t_us
+        now_us = self._clock.step(self.vehicle.plant.t_us)
         if self.faulty:
             for at_us, words in server.faults.new():
                 log.event(at_us, "fault", words)
@@ -250,12 +264,13 @@ def _flown(
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
-    log = setup.flight.open_log(log_path)
+    began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
+    log = setup.flight.open_log(log_path, clock_metadata(began_us, simulated=not options.realtime))
     recorder: Recorder = ThreadedLog(log) if options.realtime else log
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()
     try:
-        flight = SimulatedFlight(setup, options, recorder, planner)
+        flight = SimulatedFlight(setup, options, recorder, planner, began_us)
         try:
             with undisturbed():
                 _run(flight, recorder, timing, stop_requested, on_progress)
@@ -292,12 +307,11 @@ def _run(
     ticks = 0
     while not companion.done:
         if pace is not None and timing is not None:
-            lateness_us = pace.wait()
-            timing.lateness_us.append(lateness_us)
-            timing.missed = pace.missed
+            pace.wait()
+            late_us = timing.tick(pace.between_us, TICK_MS * 1000)
         flight.step()
-        if pace is not None:
-            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        if pace is not None and timing is not None:
+            log.write("/timing", flight.t_us, (late_us, float(pace.busy_us()), timing.missed))
         ticks += 1
         if ticks % 25 == 0:
             if reason := stop_requested():

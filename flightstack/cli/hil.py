@@ -3,7 +3,7 @@
 In lockstep each 4 ms wait for PX4's answer, so neither clock can run ahead; `--speed` only bounds the pace.  Before
 the first answer time runs freely; a PX4 that leaves too many steps unanswered (it is stopped, or answers only some)
 is waited for one step's time and no more, until it answers regularly again.  A PX4 that connects finds the vehicle at
-rest on the ground; when it goes, the next may come.
+rest on the ground; when it goes, the next may come.  With `--log` the truth is recorded.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
-from flightstack.cli.simulate import HOST, PATIENCE_US, SimOptions
+from flightstack.cli.simulate import HOST, PATIENCE_US, SimOptions, open_truth_log
 from flightstack.types import InputError
+from flightstack_logs.writer import FlightLog
 from flightstack_sim.grade import load_grade
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from flightstack_sim.warmup import warm_up
@@ -48,9 +49,10 @@ def serve(
     """Serve PX4 after PX4 until asked to stop or `duration_s` of simulated time is over; what was done."""
     if options.fault is not None:
         raise InputError("--fault is for the simulated autopilot: with --px4-hil, leave it out")
-    truth, _ = files.load_vehicle(options.vehicle or DEFAULT_VEHICLE)
+    truth, file = files.load_vehicle(options.vehicle or DEFAULT_VEHICLE)
     grade = load_grade(options.sensors or DEFAULT_SENSORS)
     server = TcpServer.bind(HOST, options.hil_port)
+    log = open_truth_log(options, file.text)
     served: dict[str, Any] = {"clients": 0, "steps": 0, "answers": 0, "unanswered": 0, "missed": 0, "simulated_s": 0.0}
     try:
         ensure_compiled(on_wait)
@@ -67,11 +69,39 @@ def serve(
                 served["clients"] += 1
                 on_ready("a client has connected")
                 hil = PhysicsBehindPx4(truth, grade, seed=options.seed, plant=options.plant)
-                _Session(server, hil, options, served).run(stop_requested, on_ready)
+                _serve_one(server, hil, options, served, log, (stop_requested, on_ready))
                 on_ready(f"the client has gone after {hil.t_us * 1e-6:.1f} s of simulated time ({_says(hil)})")
     finally:
         server.close()
-    return {"schema": "flightstack.hil/1", "vehicle": truth.name, "plant": options.plant, "seed": options.seed} | served
+        if log is not None:
+            log.close()
+    told = {"schema": "flightstack.hil/1", "vehicle": truth.name, "plant": options.plant, "seed": options.seed}
+    return told | served | {"log": None if options.log is None else str(options.log)}
+
+
+def _serve_one(
+    server: TcpServer,
+    hil: PhysicsBehindPx4,
+    options: SimOptions,
+    served: dict[str, Any],
+    log: FlightLog | None,
+    watch: tuple[Callable[[], str], Callable[[str], None]],
+) -> None:
+    """Step until somebody leaves; `watch`: whether to stop, and who is told."""
+    stop_requested, on_word = watch
+    session, began_s = HilSession(server, hil, options.speed), served["simulated_s"]
+    while server.connected and not _over(served, options):
+        session.step(stop_requested, on_word)
+        served["simulated_s"] = began_s + hil.t_us * 1e-6
+        if log is not None:
+            log.truth(round(served["simulated_s"] * 1e6), hil.plant.truth())
+        if hil.steps % 25 == 0 and stop_requested():
+            break
+    served["steps"] += hil.steps
+    served["answers"] += hil.answers
+    served["unanswered"] += session.unanswered
+    served["missed"] += session.pace.missed
+    server.drop()
 
 
 def _over(served: dict[str, Any], options: SimOptions) -> bool:
@@ -83,37 +113,32 @@ def _says(hil: PhysicsBehindPx4) -> str:
     return f"{hil.steps} sensor messages, {hil.answers} answers, {stats.dropped} bad frames"
 
 
-class _Session:
+class HilSession:
     """One client, from its coming to its going."""
 
-    def __init__(self, server: TcpServer, hil: PhysicsBehindPx4, options: SimOptions, served: dict[str, Any]) -> None:
-        self._server, self._hil, self._options, self._served = server, hil, options, served
-        self._pace = Pace(STEP_US / options.speed, patience_us=PATIENCE_US)
+    def __init__(self, server: TcpServer, hil: PhysicsBehindPx4, speed: float = 1.0) -> None:
+        self._server, self._hil = server, hil
+        self.pace = Pace(STEP_US / speed, patience_us=PATIENCE_US)
+        self.unanswered = 0
+        """Steps in lockstep that PX4 did not answer in time."""
+        self.lateness_us = 0
+        """Of the last step's beginning."""
         self._missing = 0.0
+        self._settled = False
 
-    def run(self, stop_requested: Callable[[], str], on_word: Callable[[str], None]) -> None:
-        """Step until somebody leaves."""
-        hil, server, served = self._hil, self._server, self._served
-        began_s = served["simulated_s"]
-        said = False
-        while server.connected and not _over(served, self._options):
-            self._pace.wait()
-            hil.advance()
-            server.send(hil.to_send())
-            self._wait_for_answer(stop_requested)
-            served["simulated_s"] = began_s + hil.t_us * 1e-6
-            if hil.lockstep and not said:
-                said = True
-                self._settle()
-                on_word(f"PX4 answers, in lockstep, after {hil.t_us * 1e-6:.2f} s")
-            if hil.steps % 25 == 0 and stop_requested():
-                break
-            if hil.steps % 250 == 0:
-                gc.collect(0)
-        served["steps"] += hil.steps
-        served["answers"] += hil.answers
-        served["missed"] += self._pace.missed
-        server.drop()
+    def step(self, stop_requested: Callable[[], str], on_word: Callable[[str], None] = lambda text: None) -> None:
+        """One step of physics and PX4's answer to it, no earlier than it is due."""
+        hil = self._hil
+        self.lateness_us = self.pace.wait()
+        hil.advance()
+        self._server.send(hil.to_send())
+        self._wait_for_answer(stop_requested)
+        if hil.lockstep and not self._settled:
+            self._settled = True
+            self._settle()
+            on_word(f"PX4 answers, in lockstep, after {hil.t_us * 1e-6:.2f} s")
+        if hil.steps % 250 == 0:
+            gc.collect(0)
 
     def _settle(self) -> None:
         """At the first answer others are on their way, to what was sent before it: take them all, so that from now on
@@ -133,7 +158,7 @@ class _Session:
             left_us = limit_us - monotonic_us()
             if left_us <= 0:
                 self._missing = min(self._missing + 1.0, 2.0 * STALLED)
-                self._served["unanswered"] += 1
+                self.unanswered += 1
                 return
             data = server.receive(min(_SLICE_S, left_us * 1e-6))
             if data is not None:

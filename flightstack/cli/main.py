@@ -18,30 +18,38 @@ import typer
 from typer.core import TyperCommand
 
 from flightstack.cli.interrupts import Interrupts
+from flightstack.cli.log_verbs import log_app
 from flightstack.cli.options import (
     AsPublishedOption,
+    BelieveFileOption,
     CertificateOption,
     ControllerOption,
     DurationOption,
     FaultOption,
+    HilPortOption,
     JsonOption,
     LearnedOption,
     LogOption,
     NoFilterOption,
     NoLearningOption,
     OutOption,
+    PhysicsForPx4Option,
     PlantName,
     PlantOption,
     ScenarioArgument,
     SeedOption,
     Sensors,
     SensorsOption,
+    SetParamsOption,
     SigningKeyOption,
     TruthOption,
     UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
+from flightstack.cli.vehicle import vehicle_app
+from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -52,23 +60,38 @@ app = typer.Typer(
     name="flightstack",
     help="Offboard flight stack for PX4, its simulator and its logs.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-log_app = typer.Typer(help="Look at a flight's log.", no_args_is_help=True, rich_markup_mode=None)
-app.add_typer(log_app, name="log")
+
+
+def _show_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from flightstack.cli.versions import commit, version_of
+
+    known = commit()
+    print(f"flightstack {version_of('flightstack')}" + (f" ({known})" if known else ""))
+    raise typer.Exit()
+
+
+@app.callback()
+def _everywhere(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Options of the program itself."""
 
 
 class FlightCommand(TyperCommand):
-    """A verb that flies: its help ends with what its options may name, looked up only then."""
+    """A verb that flies: its help ends with what its options may name."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Name the controllers."""
-        from flightstack.cli.controllers import CONTROLLERS
-
         with formatter.section("Controllers"):
-            formatter.write_dl([(name, row.words) for name, row in CONTROLLERS.items()])
+            formatter.write_dl(list(CONTROLLER_WORDS.items()))
 
 
 def _flight_options(
@@ -102,16 +125,20 @@ def _flight_options(
 
 def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None) -> None:
     """Fly, show, write the JSON, and end with the right code."""
-    from flightstack.cli import console, files
+    from flightstack.cli import console, files, terminal
 
     interrupts = Interrupts()
-    with console.progress(f"flying {options.scenario}") as show:
+    with terminal.progress(f"flying {options.scenario}") as show:
         result = fly(options, stop_requested=interrupts.requested, on_progress=show)
     console.show_result(result)
     if json_file is not None:
         files.write_json(json_file, result.as_json())
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
+    if result.contradictions:
+        for line in result.contradictions:
+            console.say_error(f"{line}; mend the vehicle file, or fly it as it is with --believe-file")
+        raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
         raise typer.Exit(FAILED)
@@ -127,6 +154,7 @@ def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[...,
     @wraps(verb)
     def run(**given: Any) -> None:
         json_file = given.pop("json")
+        require_names(given["scenario"], given["controller"], given["vehicle"], given.get("truth"))
         common = _flight_options(**{name: given.pop(name) for name in shared})
         _finish_flight(*verb(**given, common=common), json_file)
 
@@ -145,22 +173,26 @@ def fly(
     truth: TruthOption = None,
     seed: SeedOption = 0,
     fault: FaultOption = None,
+    px4_hil: PhysicsForPx4Option = False,
+    hil_port: HilPortOption = 4_560,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
     """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
     from flightstack.cli.flight import FlyOptions
     from flightstack.cli.flight import fly as run
+    from flightstack.cli.hil_flight import fly_behind_px4
 
-    return run, FlyOptions(
+    return fly_behind_px4 if px4_hil else run, FlyOptions(
         scenario=scenario,
         waypoints=waypoints,
         truth=truth,
         sensors=sensors.value if sensors else None,
         seed=seed,
         plant=plant.value,
-        realtime=realtime,
+        realtime=realtime or px4_hil,
         fault=fault,
+        hil_port=hil_port,
         **common,
     )
 
@@ -172,6 +204,8 @@ def offboard(
     waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
+    believe_file: BelieveFileOption = False,
+    set_params: SetParamsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     no_dead_man: Annotated[
@@ -190,6 +224,8 @@ def offboard(
         waypoints=waypoints,
         arm=arm,
         dry_run=dry_run,
+        believe_file=believe_file,
+        set_params=set_params,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         dead_man=not no_dead_man,
@@ -216,7 +252,7 @@ def certify(
     json: JsonOption = None,
 ) -> None:
     """Learn the largest certified region in flight, or check a certificate."""
-    from flightstack.cli import console, files
+    from flightstack.cli import console, files, terminal
     from flightstack.cli.certify import certify as run
     from flightstack.cli.checking import check_file
     from flightstack.cli.flight import FlyOptions
@@ -240,7 +276,7 @@ def certify(
         out=out,
     )
     interrupts = Interrupts()
-    with console.progress(f"certifying {scenario}") as show:
+    with terminal.progress(f"certifying {scenario}") as show:
         result = run(options, stop_requested=interrupts.requested, on_progress=show)
     console.show_certified(result)
     if json is not None:
@@ -269,30 +305,26 @@ def sim(
     speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
     duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
     fault: FaultOption = None,
-    px4_hil: Annotated[
-        bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
-    ] = False,
-    hil_port: Annotated[
-        int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
-    ] = 4_560,
+    px4_hil: PhysicsForPx4Option = False,
+    hil_port: HilPortOption = 4_560,
+    log: Annotated[Path | None, typer.Option("--log", help="Record the truth in this log (.mcap).")] = None,
     json: JsonOption = None,
 ) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
-    from flightstack.cli import console, files
+    from flightstack.cli import files, terminal
     from flightstack.cli.hil import serve
     from flightstack.cli.simulate import SimOptions, simulate
 
     interrupts = Interrupts()
-    options = SimOptions(
-        vehicle, sensors.value if sensors else None, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port
-    )
+    grade = sensors.value if sensors else None
+    options = SimOptions(vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log)
     result = (serve if px4_hil else simulate)(
         options,
         stop_requested=interrupts.requested,
         on_ready=lambda text: print(text, flush=True),
         on_wait=lambda text: print(text, file=sys.stderr, flush=True),
     )
-    console.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
+    terminal.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
     if json is not None:
         files.write_json(json, result)
     if interrupts.reason:
@@ -305,7 +337,7 @@ def scenarios(json: JsonOption = None) -> None:
     from flightstack.cli import console, files
 
     rows = []
-    for name in files.shipped_names("scenarios"):
+    for name in shipped_names("scenarios"):
         scenario, _ = files.load_scenario(name)
         rows.append((name, f"{scenario.duration_s:.3g} s", scenario.sensors, scenario.description))
     rows.append(("waypoints FILE", "", "mocap", "minimum-snap flight through the waypoints of a file"))
@@ -324,11 +356,11 @@ def learn(
     json: JsonOption = None,
 ) -> None:
     """Fit the learner's hyper-parameters to recorded flights."""
-    from flightstack.cli import console, files
+    from flightstack.cli import files, terminal
     from flightstack.cli.learn import learn as run
 
     stored = run(logs, vehicle, out)
-    console.output.print(f"fitted to {stored.windows} points of vehicle {stored.vehicle}: {out}", soft_wrap=True)
+    terminal.output.print(f"fitted to {stored.windows} points of vehicle {stored.vehicle}: {out}", soft_wrap=True)
     if json is not None:
         hashes = {"vehicle_hash": stored.vehicle_hash, "data_hash": stored.data_hash}
         result = {"schema": "flightstack.learn/1", "learned": str(out), "vehicle": stored.vehicle}
@@ -353,7 +385,7 @@ def gap(
     json: JsonOption = None,
 ) -> None:
     """Find, name, add and verify what the model of a vehicle lacks in logs of its flights."""
-    from flightstack.cli import console, files
+    from flightstack.cli import console, files, terminal
     from flightstack.cli.gap import GapOptions, find_gap
     from flightstack.gap.result import as_json
 
@@ -366,7 +398,7 @@ def gap(
         ground_d_m=ground_d,
         kinematics_only=kinematics_only,
     )
-    with console.progress("gap") as show:
+    with terminal.progress("gap") as show:
         result = find_gap(options, on_progress=show)
     console.show_gap(result, out)
     if json is not None:
@@ -374,28 +406,12 @@ def gap(
 
 
 app.command()(reproduce)
-
-
-@log_app.command("info")
-def log_info(
-    file: Annotated[Path, typer.Argument(help="A log (.mcap).")],
-    json: JsonOption = None,
-) -> None:
-    """Say what is in a log: topics, rates, events, settings, and whether it is whole."""
-    from flightstack.cli import console, files
-    from flightstack_logs.info import info, render
-    from flightstack_logs.reader import read
-
-    summary = info(read(file))
-    console.output.print(render(summary))
-    if json is not None:
-        files.write_json(json, summary.as_json())
+app.add_typer(log_app, name="log")
+app.add_typer(vehicle_app, name="vehicle")
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: no traceback for the user's mistakes, one line and exit code 2."""
-    from flightstack.types import InputError
-
     try:
         code = app(arguments, standalone_mode=False, prog_name="flightstack")
     except typer.Abort:

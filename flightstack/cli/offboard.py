@@ -10,19 +10,22 @@ from pathlib import Path
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.console import say
+from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.set_params import Wire, parameters_set
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
+from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
-from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
-from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
 from mavlink_bridge.transport.address import (
     Serial,
@@ -33,15 +36,12 @@ from mavlink_bridge.transport.address import (
     open_address,
     parse_address,
 )
-from mavlink_bridge.transport.clock import monotonic_us
-from mavlink_bridge.transport.dead_man import DeadManProcess, DeadManWatch
+from mavlink_bridge.transport.clock import monotonic_us, utc_us
+from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.key_file import KeyFile
+from mavlink_bridge.transport.machine import lock_memory
 
-PERIOD_US = 4_000
-_LEAST_PERIOD_US = 500
 _LEAST_BAUD = 500_000
-_LAST_WORDS_S = 0.3
-"""After the end the link stays open for so long, for the last command and its answer."""
 _LAST_WORDS_TIMES = 5
 """A program that ends without warning says them so often: a link may lose one."""
 
@@ -54,6 +54,10 @@ class OffboardOptions(FlightOptions):
     scenario: str = "hover"
     arm: bool = False
     dry_run: bool = False
+    believe_file: bool = False
+    """Fly though PX4's parameters contradict the vehicle file."""
+    set_params: str | None = None
+    """Parameters to set for the flight: name or file."""
     heartbeat_timeout_s: float = 10.0
     dead_man: bool = True
     """A process of its own answers the companion's silence."""
@@ -79,6 +83,8 @@ def offboard(
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     prepared = prepare_flight(options)
+    if options.dry_run and options.set_params:
+        raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
@@ -97,7 +103,11 @@ def _offboard(
 ) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
     address = parse_address(options.connect)
-    with closing(open_address(address)) as transport:
+    wanted = files.load_params(options.set_params)
+    with (
+        closing(open_address(address)) as transport,
+        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+    ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
         settings = {
@@ -107,31 +117,36 @@ def _offboard(
             "pace": "realtime",
             "signing": "off" if signer is None else "on",
             "dead_man": "on" if options.dead_man else "off",
+            "set_params": options.set_params or "none",
         }
-        log = prepared.with_more(settings).open_log(log_path)
+        began_us = utc_us()
+        log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
         recorder = ThreadedLog(log)
+        line = LogClock(recorder, zero_us=monotonic_us(), utc_us=began_us)
         score = FlightScore(prepared, of="estimate")
         observer = LogObserver(
             recorder,
             scenario,
             prepared.believed,
+            line,
             truth=False,
             on_record=score.on_record,
             on_message=score.on_message,
             certifier=prepared.protection.watched,
         )
-        companion = Companion(
-            Link(240, 191, framing=framing_for(address), signing=signer),
-            stack,
-            scenario,
-            observer,
-            CompanionConfig(
-                arm=options.arm,
-                dry_run=options.dry_run,
-                heartbeat_timeout_s=options.heartbeat_timeout_s,
-                dead_man=options.dead_man,
-            ),
+        inspector = Inspector(
+            prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
         )
+        config = CompanionConfig(
+            arm=options.arm,
+            dry_run=options.dry_run,
+            heartbeat_timeout_s=options.heartbeat_timeout_s,
+            contradictions=inspector.contradictions,
+            dead_man=options.dead_man,
+        )
+        link = Link(240, 191, framing=framing_for(address), signing=signer)
+        companion = Companion(link, stack, scenario, observer, config, inspector)
+        inspector.attach(companion)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
@@ -141,8 +156,13 @@ def _offboard(
                 if options.dead_man and not options.dry_run:
                     process = watched.enter_context(DeadManProcess(transport.fileno(), signer))
                     dead_man = DeadManWatch(process, companion, transport)
+                loop = RealTimeLoop(
+                    companion, transport, recorder, line, timing, inspector, dead_man, stop_requested, on_progress
+                )
+                lock_memory()
                 with last_words(companion, transport):
-                    _loop(companion, transport, recorder, timing, stop_requested, on_progress, dead_man)
+                    loop.run()
+                timing.dead_man = NO_DEAD_MAN if dead_man is None else dead_man.summary()
         finally:
             recorder.close()
     wall_s = time.perf_counter() - started
@@ -151,10 +171,13 @@ def _offboard(
         wall_s=wall_s,
         clock_s=wall_s * companion.view.clock.rate,
         timing=timing,
-        completed=None if options.dry_run and companion.state is State.STREAMING else companion.completed,
+        completed=None if options.dry_run else companion.completed,
         checked=options.as_written,
     )
     result.unprotected_ok = options.unprotected_ok
+    result.contradictions, result.parameters_set = inspector.found, change.as_json()
+    if options.dry_run:
+        result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 
@@ -191,54 +214,3 @@ def last_words(companion: Companion, transport: Transport) -> Iterator[None]:
                 for data in companion.link.datagrams_to_send():
                     transport.send(data)
         raise
-
-
-def _loop(
-    companion: Companion,
-    transport: Transport,
-    log: Recorder,
-    timing: LoopTiming,
-    stop_requested: Callable[[], str],
-    on_progress: Callable[[float, str], None],
-    dead_man: DeadManWatch | None,
-) -> None:
-    pace = Pace(PERIOD_US)
-    done_at_us = -1
-    ticks = timing_seen = 0
-    while True:
-        lateness_us = pace.wait()
-        now_us = monotonic_us()
-        clock = companion.view.clock
-        for data in transport.receive_all():
-            log.mavlink("rx", clock.vehicle_us(now_us) if clock.synchronised else 0, data)
-            companion.receive_datagram(data, now_us)
-        if dead_man is not None:
-            dead_man.hear()
-        companion.step(now_us)
-        t_us = clock.vehicle_us(now_us) if clock.synchronised else 0
-        for data in companion.link.datagrams_to_send():
-            log.mavlink("tx", t_us, data)
-            transport.send(data)
-        if dead_man is not None:
-            dead_man.tell()
-        if companion.state in (State.STREAMING, State.OFFBOARD, State.LANDING):
-            timing.lateness_us.append(lateness_us)
-            timing.missed += pace.missed - timing_seen
-            log.write("/timing", t_us, (float(lateness_us), float(pace.busy_us()), timing.missed))
-        timing_seen = pace.missed
-        ticks += 1
-        if ticks % 25 == 0:
-            pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, clock.rate))
-            if reason := stop_requested():
-                companion.stop(reason)
-            on_progress(_progress(companion, t_us), companion.phase)
-        if companion.done:
-            done_at_us = now_us if done_at_us < 0 else done_at_us
-            if now_us - done_at_us > _LAST_WORDS_S * 1e6:
-                return
-
-
-def _progress(companion: Companion, t_us: int) -> float:
-    if companion.mission is None:
-        return 0.0
-    return min(1.0, (t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)

@@ -39,6 +39,21 @@ NoFilterOption = Annotated[bool, typer.Option("--no-filter", help="Fly without t
 AsPublishedOption = Annotated[
     bool, typer.Option("--as-published", help="Fly the paper's own filter, which can't be certified robustly.")
 ]
+PhysicsForPx4Option = Annotated[
+    bool, typer.Option("--px4-hil", help="Be the physics behind a real PX4, which connects to --hil-port.")
+]
+HilPortOption = Annotated[
+    int, typer.Option("--hil-port", min=1, max=65_535, help="TCP port of --px4-hil (PX4 instance i: 4560 + i).")
+]
+SetParamsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--set-params", help="Set these PX4 parameters for the flight, put back after it: name or .toml file."
+    ),
+]
+BelieveFileOption = Annotated[
+    bool, typer.Option("--believe-file", help="Fly though PX4's rotors or hover thrust contradict the vehicle file.")
+]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")

@@ -14,6 +14,7 @@ from flightstack.cli import files
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
+from flightstack.cli.versions import versions
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.learning.stored import parse_stored
 from flightstack.mission import require_run_up
@@ -81,9 +82,9 @@ class Prepared:
         files_of = {**self.carried, "settings.json": json.dumps(dict(self.settings), indent=1)}
         return tuple(text_file(name, text) for name, text in files_of.items())
 
-    def open_log(self, path: Path) -> FlightLog:
-        """Begin the flight's log."""
-        metadata = {"settings": self.settings, "versions": files.versions()}
+    def open_log(self, path: Path, clock: Mapping[str, str]) -> FlightLog:
+        """Begin the flight's log; `clock`: of which date (`log_clock.clock_metadata`)."""
+        metadata = {"settings": self.settings, "versions": versions(), "clock": clock}
         return FlightLog.open(path, metadata=metadata, attachments=self.attachments, overwrite=True)
 
 

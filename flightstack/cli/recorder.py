@@ -13,6 +13,7 @@ from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
 from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
+from flightstack_logs.log_clock import LogClock
 from flightstack_logs.scene import Region, Scene
 from flightstack_logs.topics import FILTER_STATUS
 from flightstack_logs.writer import Recorder
@@ -147,7 +148,8 @@ def certified_words(certificate: Certificate) -> str:
 class LogObserver:
     """The companion's observer: everything goes to the log, and each tick to `on_record`.
 
-    `companion` is set once it exists; `truth` says whether the true vehicle is in the log too.
+    Log times are those of `clock`, whatever time the companion counts.  `companion` is set once it exists; `truth` says
+    whether the true vehicle is in the log too.
     """
 
     def __init__(
@@ -155,6 +157,7 @@ class LogObserver:
         log: Recorder,
         scenario: Scenario,
         vehicle: Vehicle,
+        clock: LogClock,
         *,
         truth: bool,
         on_record: Callable[[TickRecord], None] | None = None,
@@ -162,11 +165,11 @@ class LogObserver:
         certifier: WatchedCertifier | None = None,
     ) -> None:
         self.companion: Companion | None = None
-        self._log = log
+        self._log, self._clock = log, clock
         self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
         self._on_record, self._on_message = on_record, on_message
-        self._learner_events = LearnerEvents(log.event)
-        self._filter_events = FilterEvents(log.event)
+        self._learner_events = LearnerEvents(self._tell)
+        self._filter_events = FilterEvents(self._tell)
         self._certifier = certifier
         self._certificates, self._lost = 0, False
         self._placed = False
@@ -174,16 +177,19 @@ class LogObserver:
 
     def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
         """A transition, a change of mode or phase, a text of the vehicle."""
-        self._log.event(t_us, name, text, severity)
+        self._tell(t_us, name, text, severity)
+
+    def _tell(self, t_us: int, name: str, text: str, severity: str) -> None:
+        self._log.event(self._clock.t_us, name, text, severity)
 
     def on_tick(self, record: TickRecord) -> None:
         """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
         if not self._placed and self.companion is not None and self.companion.mission is not None:
             self._placed = True
             scene = scene_of(self._scenario, self._vehicle, self.companion.start_ned_m, truth=self._truth)
-            self._log.scene(record.t_us, scene)
+            self._log.scene(self._clock.t_us, scene)
         self._on_certificates(record.t_us)
-        self._log.tick(record)
+        self._log.tick(record, self._clock.t_us)
         self._learner_events.on_learned(record.t_us, record.learned)
         self._filter_events.on_filtered(record.t_us, record.filtered)
         if self._on_record is not None:
@@ -202,13 +208,14 @@ class LogObserver:
         self._certificates = len(certifier.adopted)
         certificate = certifier.adopted[-1]
         self._filter_events.on_certificate(t_us, certificate)
-        self._log.certified(t_us, certified_region(certificate, companion.start_ned_m))
-        self._log.certificate(t_us, certificate)
+        self._log.certified(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
+        self._log.certificate(self._clock.t_us, certificate)
 
     def on_message(self, t_us: int, message: object) -> None:
         """A message of the vehicle, as a table."""
         if self._on_message is not None:
             self._on_message(t_us, message)
+        t_us = self._clock.t_us
         topic = _TOPIC_OF.get(type(message))
         if topic is not None:
             self._log.write(topic, t_us, message)

@@ -50,17 +50,45 @@ def _relative(places: list[tuple[Place, Place]]) -> list[list[float]]:
     return relative
 
 
+_STALLS_KEPT = 20
+
+
 @dataclass(slots=True)
 class LoopTiming:
-    """Lateness of the real-time loop against its absolute deadlines."""
+    """What is known of a real-time loop's punctuality: the time between two ticks."""
 
     rate_hz: int
-    lateness_us: list[int] = field(default_factory=list)
+    lateness_us: list[float] = field(default_factory=list)
+    """Time between two ticks beyond the period, each."""
     missed: int = 0
+    stalls: list[dict[str, Any]] = field(default_factory=list)
+    """The longest ones: seconds between two ticks, and what kept the later one."""
+    dead_man: dict[str, Any] | None = None
+    """None: there can be none, simulator and companion being one process."""
+
+    def tick(self, between_us: int, period_us: int) -> float:
+        """Count a tick so long after the one before; how late it was, microseconds."""
+        late_us = float(max(0, between_us - period_us))
+        self.lateness_us.append(late_us)
+        self.missed += int(late_us // period_us)
+        return late_us
+
+    def stall(self, between_us: int, words: str) -> None:
+        """Remember a long one."""
+        self.stalls.append({"s": 1e-6 * between_us, "cause": words})
+        self.stalls.sort(key=lambda stall: -float(stall["s"]))
+        del self.stalls[_STALLS_KEPT:]
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `loop`."""
-        return {"rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed}
+        late = percentiles(self.lateness_us)
+        return {
+            "rate_hz": self.rate_hz,
+            "lateness_us": late,
+            "missed": self.missed,
+            "stalls": self.stalls,
+            "dead_man": self.dead_man,
+        }
 
 
 def percentiles(values: Collection[float]) -> dict[str, float | None]:
@@ -161,17 +189,25 @@ class FlightResult:
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
     checks: list[dict[str, Any]] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    """What the vehicle said against its file, one line each: the file is refused."""
+    estimate: dict[str, Any] | None = None
+    """Error of the autopilot's own estimate on the globe, where the truth is known; None elsewhere."""
+    parameters_set: list[dict[str, Any]] = field(default_factory=list)
+    """What was set for the flight: name, before, set, restored."""
+    checklist: list[dict[str, Any]] = field(default_factory=list)
+    """Of a dry run: check, ok, said."""
 
     @property
     def passed(self) -> bool:
         """Not left undone, protected where that was asked for, with the log whole and every check kept."""
         kept = self.completed is not False and not self.unprotected and not self.log_problem
-        return kept and all(check["passed"] for check in self.checks)
+        return kept and all(check["passed"] for check in self.checks) and all(check["ok"] for check in self.checklist)
 
     @property
     def unprotected(self) -> str:
         """Why protection that was asked for, and is not waived, does not count as held, one line; else empty."""
-        if self.unprotected_ok or self.protection in (HELD, OFF):
+        if self.unprotected_ok or self.completed is None or self.protection in (HELD, OFF):
             return ""
         if self.protection == LEFT:
             return self.left_region
@@ -194,6 +230,8 @@ class FlightResult:
         """Why it did not pass, one line; empty where it did."""
         if self.completed is False:
             return self.reason or "the flight did not complete"
+        if self.checklist and not self.checklist[-1]["ok"]:
+            return str(self.checklist[-1]["said"])
         if self.unprotected:
             return self.unprotected
         if self.log_problem:
@@ -250,6 +288,10 @@ class FlightResult:
             "loop": self.loop,
             "link": self.link,
             "checks": self.checks,
+            "checklist": self.checklist,
+            "parameters_set": self.parameters_set,
+            "estimate": self.estimate,
+            "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
 

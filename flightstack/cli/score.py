@@ -139,7 +139,7 @@ class FlightScore:
             region=region,
             link=link_summary(companion),
             flown=flown.as_json(),
-            protection=protection_of(prepared.protection.asked, self._filter.spans, region),
+            protection=protection_of(prepared.protection.asked and completed is not None, self._filter.spans, region),
             filter_words=prepared.protection.words,
             log_problem=log.failed or "",
         )

@@ -5,10 +5,15 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.preparation import text_file
+from flightstack.cli.versions import versions
+from flightstack_logs.log_clock import clock_metadata
+from flightstack_logs.writer import FlightLog
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
@@ -17,6 +22,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 from flightstack_sim.warmup import warm_up
 from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.transport.clock import utc_us
 from mavlink_bridge.transport.udp import UdpSocket
 
 HOST = "127.0.0.1"
@@ -48,6 +54,19 @@ class SimOptions:
     """As on the command line; see sim.faults."""
     hil_port: int = 4560
     """Of `--px4-hil`."""
+    log: Path | None = None
+    """Where the truth is recorded."""
+
+
+def open_truth_log(options: SimOptions, vehicle_text: str) -> FlightLog | None:
+    """The log of the truth, where one is asked for."""
+    if options.log is None:
+        return None
+    settings = {"seed": str(options.seed), "plant": options.plant, "pace": "realtime", "speed": f"{options.speed:g}"}
+    clock = clock_metadata(utc_us(), simulated=False)
+    metadata = {"settings": settings, "versions": versions(), "clock": clock}
+    truth = text_file("truth.toml", vehicle_text)
+    return FlightLog.open(options.log, metadata=metadata, attachments=(truth,), overwrite=True)
 
 
 def simulate(
@@ -59,7 +78,7 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
     faults = parse_faults(options.fault)
-    truth, _ = files.load_vehicle(options.vehicle)
+    truth, file = files.load_vehicle(options.vehicle)
     grade = load_grade(options.sensors or DEFAULT_SENSORS)
     ensure_compiled(on_wait)
     messages.prepare()
@@ -72,6 +91,7 @@ def simulate(
     except BaseException:
         onboard.close()
         raise
+    log = open_truth_log(options, file.text)
     shell = Shell(Server(vehicle, faults=faults), (onboard, gcs), options.seed)
     on_ready(
         f"{truth.name} is up: offboard link {HOST}:{options.port} (bound to {onboard.address[1]}), "
@@ -80,9 +100,11 @@ def simulate(
     sent = [0, 0]
     try:
         with undisturbed():
-            pace = _loop(shell, options, stop_requested, sent, on_ready)
+            pace = _loop(shell, options, stop_requested, sent, on_ready, log)
     finally:
         shell.close()
+        if log is not None:
+            log.close()
     return {
         "schema": "flightstack.sim/1",
         "vehicle": truth.name,
@@ -91,6 +113,7 @@ def simulate(
         "simulated_s": vehicle.t_us * 1e-6,
         "speed": options.speed,
         "missed": pace.missed,
+        "log": None if options.log is None else str(options.log),
         "datagrams_sent": {"onboard": sent[ONBOARD], "gcs": sent[GCS]},
     }
 
@@ -101,6 +124,7 @@ def _loop(
     stop_requested: Callable[[], str],
     sent: list[int],
     on_fault: Callable[[str], None],
+    log: FlightLog | None,
 ) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     vehicle = shell.server.vehicle
@@ -111,6 +135,8 @@ def _loop(
         shell.receive()
         for index, count in enumerate(shell.advance(TICK_MS)):
             sent[index] += count
+        if log is not None:
+            log.truth(vehicle.t_us, vehicle.plant.truth())
         ticks += 1
         for at_us, words in shell.server.faults.new():
             on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")

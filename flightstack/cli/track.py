@@ -27,7 +27,7 @@ class Tape:
         self.record: TickRecord | None = None
         self.last_truth: Truth | None = None
 
-    def tick(self, record: TickRecord) -> None:
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack."""
         self.record = record
 

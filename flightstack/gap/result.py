@@ -11,8 +11,6 @@ from flightstack.gap.report import GapReport
 from flightstack.vehicle import Vehicle
 
 SCHEMA = "flightstack.gap/1"
-GAP_FROM = 1.2
-"""Times its noise floor, from which a figure holds a gap."""
 NOTHING = Figures(None, None, None)
 
 
@@ -123,17 +121,3 @@ def _log(log: Any) -> dict[str, Any]:
 def _known(value: float | None) -> float | None:
     """A finite number, or null."""
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-def closed(before: Figures, after: Figures, floor: Figures) -> float | None:
-    """(before - after) / (before - floor) of one step: the worse of force and torque; null without a gap in either.
-
-    A channel has a gap where its figure before is at least `GAP_FROM` times its floor.
-    """
-    shares = []
-    for name in ("one_step_mps2", "one_step_radps2"):
-        was, now, least = getattr(before, name), getattr(after, name), getattr(floor, name)
-        if was is None or now is None or least is None or was < GAP_FROM * least:
-            continue
-        shares.append((was - now) / (was - least))
-    return min(shares) if shares else None

@@ -181,8 +181,13 @@ def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
 
 
 def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with some of an effect's parameters changed, the others kept; what flies keeps some mass."""
-    changed = {**vehicle.effects.get(effect, {}), **values}
+    """The vehicle with some of an effect's parameters changed, the others kept.
+
+    Values are brought into the range that a vehicle file allows, and what flies keeps some mass: an estimate beyond a
+    range must never be refused by the file that is made of it.
+    """
+    within = {p: float(np.clip(x, _spec(effect, p).minimum, _spec(effect, p).maximum)) for p, x in values.items()}
+    changed = {**vehicle.effects.get(effect, {}), **within}
     if effect == "payload":
         changed["mass_kg"] = _carried(vehicle, changed["mass_kg"])
     return with_effects(vehicle, {effect: changed})

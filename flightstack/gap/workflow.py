@@ -19,10 +19,11 @@ from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
 from flightstack.gap.pooled import Split
 from flightstack.gap.read import flight
-from flightstack.gap.records import Checked, Found, Gap, Samples, Unexplained
+from flightstack.gap.records import Checked, Found, Gap, Samples
 from flightstack.gap.refine import refine
 from flightstack.gap.report.words import sentence
-from flightstack.gap.result import GAP_FROM, GapResult, closed
+from flightstack.gap.result import GapResult
+from flightstack.gap.verdict import MOSTLY_CLOSED, closed_power, gap_of, unexplained
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
@@ -31,9 +32,6 @@ _WORSE = 1.1
 """Times the held-out figure before, from which a correction is taken back."""
 _LEAST_CLOSED = 0.5
 """Share of the held-out gap's power below which nothing is named beside something that nothing explains."""
-
-_MOSTLY_CLOSED = 0.9
-"""Share of the held-out gap below which something is left that the names don't explain."""
 
 
 def analyse(
@@ -59,7 +57,7 @@ def analyse(
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout)
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
-    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and _closed_power(gap) < _LEAST_CLOSED)):
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
     unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
@@ -68,11 +66,9 @@ def analyse(
             f"log {logs[0]}: this log does not look like {vehicle_name or vehicle.name}: {unlike}; name the file of "
             "the vehicle that flew"
         )
-    naming = _still_open(_nothing_left(naming, gap), gap)
-    rest = naming.unexplained
-    if naming.found and rest.significant and not rest.depends_on:
-        open_ = 1.0 - (_closed_power(gap) if gap.closed is None else gap.closed)
-        naming = replace(naming, unexplained=replace(rest, fraction=max(rest.fraction, open_)))
+    if naming.found and not naming.unexplained.significant and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
+        naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
+    naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
@@ -187,44 +183,14 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
     return named
 
 
-def _nothing_left(naming: Naming, gap: Gap) -> Naming:
-    """Where held-out data show no gap and nothing is named, nothing is unexplained either.
-
-    What sampling hides of the commands is in the noise floor only: a remainder that it can make is none.
-    """
-    if naming.found or gap.closed is not None:
-        return naming
-    return replace(naming, unexplained=Unexplained(False))
-
-
-def _still_open(naming: Naming, gap: Gap) -> Naming:
-    """Where the names leave a good part of the held-out gap as it was, something is unexplained.
-
-    It may have acted on held-out data only: a flight that comes near the ground once, in its last third.
-    """
-    if not naming.found or naming.unexplained.significant or gap.closed is None or gap.closed >= _MOSTLY_CLOSED:
-        return naming
-    return naming.with_a_rest(1.0 - gap.closed)
-
-
 def _is_worse(gap: Gap) -> bool:
     """Whether the corrected model predicts data not used before worse than the model as it was."""
     pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
     return any(was is not None and now is not None and now > _WORSE * was for was, now in pairs)
 
 
-def _closed_power(gap: Gap) -> float:
-    """Share of the held-out gap's mean square that is closed, of force or torque, the better; 1 without a gap."""
-    shares = []
-    for figure in ("one_step_mps2", "one_step_radps2"):
-        was, now, least = (getattr(each, figure) for each in (gap.before, gap.after, gap.noise_floor))
-        if was is not None and now is not None and least is not None and was >= GAP_FROM * least:
-            shares.append((was**2 - now**2) / (was**2 - least**2))
-    return max(shares, default=1.0)
-
-
 def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
     before = pooled.figures(vehicle, of)
     after = pooled.figures(naming.vehicle, of) if naming.found else before
     floor = pooled.noise_floor(naming.vehicle, of, after)
-    return Gap(before, after, floor, closed(before, after, floor))
+    return gap_of(before, after, floor)

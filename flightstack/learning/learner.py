@@ -65,6 +65,8 @@ class LearnerConfig:
 
 
 _FORWARD_EVERY = 4
+_GAIN_EVERY = 64
+"""Steps between two looks at the gain's own variance; the first of them is none in which something else is due."""
 _RECOVERY_US = 1_000_000
 """After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
 
@@ -85,7 +87,7 @@ class LearnerState:
 
     __slots__ = (
         "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
-        "forward", "forward_us", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
+        "forward", "forward_us", "gain_variance", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
         "rates", "refused", "sample", "steps", "valid_us", "variance", "vertical", "watch",
     )  # fmt: skip
 
@@ -117,6 +119,8 @@ class LearnerState:
         """Calibrated variances at the state, tilt axes."""
         self.calm_variance = np.full(3, math.inf)
         """The same without what single errors have widened, as of the tick's first prediction."""
+        self.gain_variance = math.inf
+        """Posterior variance of what one weight of thrust adds to z."""
         self.forward = np.zeros((2, 4))
         self.carried = np.zeros((2, 4))
         """What was worked out last, and the same carried on to this step."""
@@ -180,12 +184,16 @@ class GpLearner:
         self._sampler.at_reference(state.memory, reference, state.fed_forward, state.query)
         if state.steps % _FORWARD_EVERY == 0:
             self._look_ahead(state, measurement.t_us)
+        elif state.steps % _GAIN_EVERY == 1:
+            _look_at_gain(state)
         row, carry_s = np.empty(32), 1e-6 * (measurement.t_us - state.forward_us)
         _assemble(
             self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
             state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,
             state.refused, state.changes, state.watch.surprise, state.fed_forward, row,
         )  # fmt: skip
+        gain = INFLATION * math.sqrt(state.gain_variance + state.vertical.excess[0])
+        row[18] = max(row[14], gain) / STANDARD_GRAVITY_MPS2
         state.steps += 1
         return state, Learned(row)
 
@@ -259,6 +267,17 @@ class GpLearner:
         out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
         out[:, 3] -= out[:, 2]
         state.forward_us = t_us
+
+
+def _look_at_gain(state: LearnerState) -> None:
+    """The kernel is affine in thrust, so the variances at no, one and two weights give that of the slope exactly."""
+    query = state.query[0].copy()
+    near = query[s.GROUND]
+    at = []
+    for weights in (0.0, 1.0, 2.0):
+        query[s.THRUST], query[s.GROUND] = weights, weights * near
+        at.append(state.vertical.expect(query)[1])
+    state.gain_variance = max(0.5 * (at[0] - 2.0 * at[1] + at[2]), 0.0)
 
 
 @njit
@@ -353,7 +372,6 @@ def _assemble(
     row[14] = math.sqrt(variance[2])
     for i in range(3):
         row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
-    row[18] = row[14] / STANDARD_GRAVITY_MPS2
     row[25] = sample[s.S_APPLIED]
     row[26] = sample[s.S_LATENCY]
     sure = -1.0

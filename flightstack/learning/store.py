@@ -5,9 +5,13 @@ Windows of samples become points; their noise is measured (`hear`).  When the st
 the bound:
 
     sigma^2 = INFLATION^2 (posterior variance + excess)
-    excess  = max(floor^2, mean over the last windows of (error^2 - posterior variance - noise))
+    excess  = max(floor^2, fast - 2.5 s_f, slow - 2.5 s_s, outlier)
+    fast    = mean over the last windows of (error^2 - posterior variance - noise)
+    slow    = mean over the last blocks of 8 windows of (mean error^2 - posterior variance - noise / 8)
 
-Model error which the kernel does not know (gusts, lags) so widens the bound, and an error beyond it does at once.
+s_f and s_s are what noise alone makes of these two means (chi squared: noise sqrt(2 / windows)): what it explains is no
+doubt of the model, and in blocks a slow error shows through noise eight times as strong.  A single error beyond four
+deviations of noise and three of the bound widens it at once, and is forgotten over a dozen seconds unless more follow.
 
 Beside this *tracking set*, which follows the flight, the points since the last noticed change are pooled; from the
 pool `certificate_set` chooses those that a certificate may rest on.  When the pool is full, the older three quarters
@@ -16,6 +20,7 @@ are thinned to a third that reaches as far as all of them: what was seen once, f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,8 +38,18 @@ INFLATION = 1.05
 _MEMORY_WINDOWS = 250
 _RENEW_SHARE = 0.5
 """A noticed change widens sigma to this share of it: three of them hold it with room."""
-_NOISE_FACTOR = 2.0
+_BLOCK = 8
+"""Windows whose mean error tells slow errors from noise: half a second."""
+_MEMORY_BLOCKS = _MEMORY_WINDOWS // _BLOCK
+_NOISE_SIGMAS = 2.5
+_OUTLIER_SIGMAS = 4.0
+"""Noise does this once in 16,000 windows."""
+_OUTLIER_KEPT = 1.0 - 1.0 / 200.0
+"""Share of an outlier's variance that is left a window later."""
+_NOISE_FACTOR = 1.5
 _NOISE_EVERY = 50
+_FEW = 30
+"""Points with which rebuilding costs nothing."""
 _NOISE_LEAST = 1e-4
 _POOL = 2000
 """Two minutes of windows."""
@@ -77,8 +92,8 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_fresh", "_heard", "_next", "_places", "_pooled", "_values", "_wanted", "calm_excess", "excess",
-        "floor", "gp", "outputs", "relevance",
+        "_age", "_block", "_fast", "_fresh", "_heard", "_next", "_outlier", "_places", "_pooled", "_slow", "_values",
+        "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -88,6 +103,9 @@ class Store:
         self.gp = RecursiveGP(prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity)
         self.floor = floor * floor
         self.excess = np.full(outputs, self.floor)
+        self._fast, self._slow, self._outlier = (np.zeros(outputs) for _ in range(3))
+        self._block = np.zeros(outputs + 2)
+        """Sums of the present block: errors, posterior variance, windows."""
         self._age = np.zeros(capacity, dtype=np.int64)
         self._next = 0
         self._heard = -_NOISE_EVERY
@@ -119,6 +137,7 @@ class Store:
         self._wanted = points
         self._fresh.clear()
         np.maximum(self.excess, (_RENEW_SHARE * error) ** 2, out=self.excess)
+        self._block[:] = 0.0
 
     def hear(self, noise_var: float) -> None:
         """Take over a window's noise as measured, where it is far from what the points were taken with.
@@ -128,7 +147,8 @@ class Store:
         """
         noise_var = max(noise_var, _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[: self.gp.input_dim]))
         ratio = noise_var / self.gp.noise_var
-        if 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or self._next < self._heard + _NOISE_EVERY:
+        few = len(self.gp) < _FEW
+        if 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or (not few and self._next < self._heard + _NOISE_EVERY):
             return
         self._heard = self._next
         before = self.gp
@@ -147,6 +167,7 @@ class Store:
             self._wanted = 0
             self.gp.clear()
             self._pooled = 0
+            self._outlier[:] = 0.0
             self.excess[:] = self.calm_excess
             for point in self._fresh:
                 self._add(*point)
@@ -180,14 +201,34 @@ class Store:
 
     def _calibrate(self, error: F64, variance: float) -> None:
         """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""
-        known = variance + self.gp.noise_var
-        for i in range(self.outputs):
-            squared = float(error[i]) ** 2
-            most = _BOUND_SIGMAS**2 * (known + float(self.calm_excess[i]))
-            for held, value in ((self.excess, squared), (self.calm_excess, min(squared, most))):
-                held[i] = max(held[i] + (value - known - held[i]) / _MEMORY_WINDOWS, self.floor)
-            if squared > _BOUND_SIGMAS**2 * (known + float(self.excess[i])):
-                self.excess[i] = squared / _BOUND_SIGMAS**2 - known
+        noise = self.gp.noise_var
+        known = variance + noise
+        fast_noise, slow_noise = noise * math.sqrt(2.0 / (2 * _MEMORY_WINDOWS)), noise / _BLOCK
+        slow_noise *= math.sqrt(2.0 / (2 * _MEMORY_BLOCKS))
+        squared = error * error
+        most = _BOUND_SIGMAS**2 * (known + self.calm_excess)
+        self._fast += (np.minimum(squared, most) - known - self._fast) / _MEMORY_WINDOWS
+        self._calibrate_block(error, variance)
+        np.maximum(self._fast - _NOISE_SIGMAS * fast_noise, self._slow - _NOISE_SIGMAS * slow_noise, out=most)
+        np.maximum(most, self.floor, out=self.calm_excess)
+        self._outlier *= _OUTLIER_KEPT
+        beyond = (squared - _OUTLIER_SIGMAS**2 * noise) / _BOUND_SIGMAS**2 - variance
+        np.maximum(self._outlier, np.where(beyond > self.excess, beyond, 0.0), out=self._outlier)
+        np.maximum(self.calm_excess, self._outlier, out=self.excess)
+
+    def _calibrate_block(self, error: F64, variance: float) -> None:
+        """One more window of the block; a full one tells what is slow."""
+        block = self._block
+        block[: self.outputs] += error
+        block[-2] += variance
+        block[-1] += 1.0
+        if block[-1] < _BLOCK:
+            return
+        known = block[-2] / _BLOCK + self.gp.noise_var / _BLOCK
+        squared = (block[: self.outputs] / _BLOCK) ** 2
+        most = _BOUND_SIGMAS**2 * (known + self.calm_excess)
+        self._slow += (np.minimum(squared, most) - known - self._slow) / _MEMORY_BLOCKS
+        block[:] = 0.0
 
     def _drop(self, query: F64) -> None:
         held = len(self.gp)

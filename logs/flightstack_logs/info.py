@@ -63,7 +63,7 @@ class LogInfo:
     complete: bool
     notes: tuple[str, ...]
     start_us: int
-    """Log time of the first message: the vehicle's time since boot."""
+    """Log time of the first message."""
     duration_s: float
     messages: int
     topics: tuple[TopicInfo, ...]

@@ -17,9 +17,9 @@ class Table:
 
     name: str
     t_us: NDArray[np.int64]
-    """(N,) log time: the vehicle's own clock, microseconds, ascending."""
+    """(N,) log time, microseconds, ascending: this project's logs count from 0 at their start, others as they do."""
     columns: dict[str, np.ndarray]
-    """Field -> (N,) or (N, k); float64, int64, bool or str."""
+    """Field -> (N,) or (N, k); float64, int64, bool or str.  The vehicle's stamps are on the log's time line."""
     units: dict[str, str]
     """Field -> unit, as the log says."""
 

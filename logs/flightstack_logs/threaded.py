@@ -66,9 +66,9 @@ class ThreadedLog:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
         self._put(t_us, self.log.mavlink, direction, t_us, data)
 
-    def tick(self, record: TickRecord) -> None:
-        """One tick of the stack."""
-        self._put(record.t_us, self.log.tick, record)
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
+        """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""
+        self._put(record.t_us if t_us is None else t_us, self.log.tick, record, t_us)
 
     def truth(self, t_us: int, truth: object) -> None:
         """The simulator's truth."""

@@ -1,7 +1,7 @@
 """The one table of log topics: what each carries, in which units and frames, how often and where it comes from.
 
 A topic is one row here; writer, reader, `log info` and the round-trip test walk the table.  The log time of a message
-is the vehicle's own time since boot (in simulation: simulated time), microseconds in the API, nanoseconds in the file.
+counts from 0 at the log's start (`log_clock`), microseconds in the API, nanoseconds in the file.
 Names keep their meaning across topics: `pos_ned_m` is a position, north-east-down, whether it is the truth's, the
 estimate's or the setpoint's.  Viewer topics (`Kind.VIEW`) are in Foxglove's well-known schemas, in frames `world` (ENU)
 and `body` (FLU); they repeat what the tables say and are never read back.
@@ -111,6 +111,7 @@ _COMMAND_FIELDS = (
 )
 
 _TICK_FIELDS = (
+    Field("vehicle_us", "int64", 0, "us", "the tick's time by the vehicle's clock, since its boot", "t_us"),
     _f64("pos_ned_m", 3, "m", "measured position, predicted to the tick", "measurement.pos_ned_m"),
     _f64("vel_ned_mps", 3, "m/s", "measured velocity, predicted to the tick", "measurement.vel_ned_mps"),
     _f64("q_ned_frd", 4, "1", "measured attitude (w, x, y, z), body to world", "measurement.q_ned_frd"),
@@ -353,6 +354,18 @@ _STACK_TOPICS = (
         "companion",
         "state and mode changes, phases of the flight, timed effects",
         _LOG_FIELDS,
+    ),
+    Topic(
+        "/clock",
+        Kind.TABLE,
+        "flightstack.Clock",
+        1.0,
+        "companion",
+        "UTC and the vehicle's own time at this log time; also wherever the vehicle's clock leaps",
+        (
+            Field("utc_us", "int64", 0, "us", "UTC since 1970"),
+            Field("vehicle_us", "int64", 0, "us", "the vehicle's time since its boot, -1 before it was known"),
+        ),
     ),
     Topic(
         "/timing",

@@ -50,7 +50,7 @@ _MESSAGE_OVERHEAD = 31
 """Bytes of a message's record besides its data (mcap.dev/spec)."""
 _ABOUT = {
     "format": FORMAT,
-    "time": "log times are the vehicle's time since boot",
+    "time": "log times count from 0 at the log's start; /clock has UTC and the vehicle's time since boot",
     "frames": "NED world, FRD body, quaternions w x y z body to world; viewer topics are ENU and FLU",
 }
 
@@ -68,8 +68,8 @@ class Recorder(Protocol):
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
 
-    def tick(self, record: TickRecord) -> None:
-        """One tick of the stack."""
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
+        """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""
 
     def truth(self, t_us: int, truth: object) -> None:
         """The simulator's truth."""
@@ -228,7 +228,7 @@ class FlightLog:
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message: `record` is a plain tuple in the order of the topic's fields or an object with their attributes.
 
-        For RAW and VIEW topics it is the encoded message, for LOG topics (level, name, text).  `t_us`: the vehicle's
+        For RAW and VIEW topics it is the encoded message, for LOG topics (level, name, text).  `t_us`: the log's
         time.  A record that doesn't fit is dropped, counted in `rejected` and named in `failed`.
         """
         if self._silent:
@@ -260,9 +260,9 @@ class FlightLog:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
         self.write("/mavlink/rx" if direction == "rx" else "/mavlink/tx", t_us, data)
 
-    def tick(self, record: TickRecord) -> None:
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack: /setpoint, /command, /tick, /learner, /filter and, at their own rate, the views."""
-        t_us, write, status = record.t_us, self.write, record.filtered.status
+        t_us, write, status = record.t_us if t_us is None else t_us, self.write, record.filtered.status
         write("/setpoint", t_us, record.reference)
         write("/command", t_us, record.command)
         write("/tick", t_us, record)

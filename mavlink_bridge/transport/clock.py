@@ -27,6 +27,11 @@ def sleep_until_us(deadline_us: int, spin_us: int = _SPIN_US) -> None:
         pass
 
 
+def utc_us() -> int:
+    """The wall clock, microseconds since 1970 UTC; it may jump."""
+    return time.time_ns() // 1000
+
+
 def signing_stamp() -> int:
     """The wall clock in tens of microseconds since 2015-01-01 UTC, as MAVLink's signatures count; it may jump."""
     return max(0, (time.time_ns() - _SIGNING_EPOCH_NS) // 10_000)

@@ -14,7 +14,7 @@ from contextlib import suppress
 from mmap import mmap
 from pathlib import Path
 from types import TracebackType
-from typing import Final, final
+from typing import Any, Final, final
 
 from flightstack.types import InputError
 from mavlink_bridge import dead_man_frames as frames
@@ -30,6 +30,7 @@ _READY_S: Final = 5.0
 _ENDS_WITHIN_S: Final = 1.0
 _LOOK_TICKS: Final = 25
 _AUTOPILOT: Final = 1
+NO_DEAD_MAN: Final[dict[str, Any]] = {"running": False, "acted": 0, "taken_back": 0}
 
 
 @final
@@ -120,10 +121,9 @@ class DeadManWatch:
         self._peer: tuple[tuple[str, int] | None, int] = (None, 0)
         self._signer = process.signer
 
-    @property
-    def acts(self) -> int:
-        """How often the dead-man acted."""
-        return self._acts
+    def summary(self) -> dict[str, Any]:
+        """What became of it, for the flight's result."""
+        return {"running": not self._ended, "acted": self._acts, "taken_back": self._companion.stalls.taken_back}
 
     def hear(self) -> None:
         """What the dead-man did of late; now and then, whether it is there at all."""

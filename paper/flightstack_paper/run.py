@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from flightstack.cli import files
+from flightstack.cli.versions import versions
 from flightstack.types import InputError
 from flightstack_paper.parts import Parts, sources_hash
 from flightstack_paper.plan import Part, parts_of
@@ -71,9 +72,9 @@ def reproduce(
     from flightstack.cli.compiled import ensure_compiled
 
     plants = plants_of(options)
-    versions = files.versions()
+    made_with = versions()
     key = {
-        "version": versions["flightstack"], "git_commit": versions["git_commit"], "sources": sources_hash(),
+        "version": made_with["flightstack"], "git_commit": made_with["git_commit"], "sources": sources_hash(),
         "seed": options.seed, "quick": options.quick, "plants": list(plants),
     }  # fmt: skip
     parts = Parts(options.out, key)

@@ -25,7 +25,7 @@ def reproduce(
     json: JsonOption = None,
 ) -> None:
     """Compute every figure and number of the paper anew, beside what it says; an interrupted run goes on."""
-    from flightstack.cli import console, files
+    from flightstack.cli import console, files, terminal
     from flightstack.cli.interrupts import Interrupts
     from flightstack.cli.main import FAILED, INTERRUPTED
     from flightstack_paper.run import ReproduceOptions
@@ -33,7 +33,7 @@ def reproduce(
 
     options = ReproduceOptions(out=out, quick=quick, plant=None if plant is None else plant.value, seed=seed)
     interrupts = Interrupts()
-    with console.progress("reproducing") as show:
+    with terminal.progress("reproducing") as show:
         result = run(options, stop_requested=interrupts.requested, on_progress=show)
     if result.stopped:
         console.say_error(f"{result.stopped}: the same command goes on from here")
@@ -51,7 +51,7 @@ def show_reproduced(result: ReproduceResult, out: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from flightstack.cli.console import output
+    from flightstack.cli.terminal import output, show
     from flightstack_paper.page import shown
 
     table = Table(title="the paper, side by side", title_justify="left", box=None)
@@ -61,7 +61,7 @@ def show_reproduced(result: ReproduceResult, out: Path) -> None:
         word = "[green]yes[/]" if row.holds else "[red]no[/]" if row.ours is not None else "[red]not measured[/]"
         figures = (escape(shown(value, row.unit)) for value in (row.paper, row.ours))
         table.add_row(row.id, escape(row.claim), *figures, word)
-    output.print(table)
+    show(table)
     output.print("\nwhat does not hold, and why")
     for row in result.rows:
         if not row.holds:

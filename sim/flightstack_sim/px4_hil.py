@@ -16,6 +16,7 @@ Source: PX4 user guide "Simulation" (simulator MAVLink API), MAVLink's HIL messa
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -41,6 +42,11 @@ STATE_PERIOD_US: Final = 20_000
 SECOND_US: Final = 1_000_000
 UNIX_AT_BOOT_US: Final = 1_767_225_600_000_000
 
+GPS_DELAY_S: Final = 0.010
+"""PX4's EKF2_GPS_DELAY behind a MAVLink simulator (its start-up sets it so for airframes such as 10016, none_iris): a
+fix is to be so old when it arrives.  The stream has no stamp for that, so a wrong age is an error of position: 0.1 s at
+3 m/s are 0.3 m."""
+
 _IMU_FIELDS, _MAG_FIELDS, _BARO_FIELDS = 0x3F, 0x1C0, 0x1A00
 _LEAST_ERROR_M: Final = 0.3
 """No receiver claims to be better; PX4 wants a figure that isn't 0."""
@@ -54,6 +60,7 @@ class PhysicsBehindPx4:
     def __init__(
         self, truth: Vehicle, grade: Grade, *, seed: int, plant: str = "native", frame: LocalFrame = PX4_SIH
     ) -> None:
+        grade = replace(grade, fix=replace(grade.fix, delay_s=GPS_DELAY_S))
         plant_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         self.plant = make_plant(plant, truth, seed=int(plant_seed.generate_state(1)[0]))
         self.sensors = Sensors(grade, seed=sensor_seed)
@@ -78,6 +85,15 @@ class PhysicsBehindPx4:
     def t_us(self) -> int:
         """Simulated time."""
         return self.plant.t_us
+
+    @property
+    def frame(self) -> LocalFrame:
+        """Where the plant's origin lies on the globe."""
+        return self._frame
+
+    def set_gps_delay(self, delay_s: float) -> None:
+        """From now on fixes arrive so old: what PX4's EKF2_GPS_DELAY says."""
+        self.sensors.set_fix_delay(min(max(delay_s, 0.0), 1.0))
 
     @property
     def answered(self) -> bool:

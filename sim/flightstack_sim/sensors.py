@@ -184,6 +184,10 @@ class Sensors:
             self.position_resets,
         )
 
+    def set_fix_delay(self, delay_s: float) -> None:
+        """From now on a fix becomes known so late after it was taken."""
+        self._fix_delay_us = round(1e6 * delay_s)
+
     def jump_north(self, distance_m: float) -> None:
         """The estimate's position jumps, and the reset is counted."""
         self.estimator.jump_north(distance_m)

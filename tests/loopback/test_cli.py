@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -10,12 +11,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from flightstack.cli import main as cli
 from flightstack.cli.controllers import CONTROLLERS
+from flightstack_logs.info import info
 from flightstack_logs.reader import read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -281,7 +287,26 @@ def test_no_heartbeat_is_said_with_exit_code_1(tmp_path: Path, capsys: pytest.Ca
     assert "\n" not in error
 
 
+def assert_one_clock(path: Path, result: dict[str, Any], sim_started_s: float) -> None:
+    """From 0, never back in the order of the file, as long as the flight, the date beside it."""
+    with path.open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times[0] < 100_000_000
+    assert all(after >= before for before, after in itertools.pairwise(times))
+    assert result["flight_time_s"] < times[-1] * 1e-9 < result["wall_time_s"] + 1.0
+    log = read(path)
+    assert info(log).duration_s == pytest.approx(times[-1] * 1e-9, abs=0.1)
+    clock, attitude = log.tables["/clock"], log.tables["/vehicle/attitude"]
+    age_us = attitude.t_us - attitude["t_boot_us"]
+    assert -20_000 < float(np.median(age_us)) < 50_000
+    began = datetime.fromisoformat(log.metadata["clock"]["utc_start"]).timestamp()
+    assert sim_started_s < began < time.time()
+    assert clock["utc_us"][-1] * 1e-6 - began == pytest.approx(clock.t_us[-1] * 1e-6, abs=0.2)
+    assert log.metadata["clock"]["utc"] == "wall clock"
+
+
 def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
+    started_s = time.time()
     sim, port = _start_sim(tmp_path)
     try:
         arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
@@ -299,6 +324,7 @@ def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
         log = read(tmp_path / "flight.mcap")
         assert log.complete
         assert -log.tables["/vehicle/local_position"]["pos_ned_m"][:, 2].min() > 1.0
+        assert_one_clock(tmp_path / "flight.mcap", result, sim_started_s=started_s)
     finally:
         sim.send_signal(signal.SIGINT)
         sim.communicate(timeout=20)
@@ -306,7 +332,7 @@ def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
 
 
 def test_real_time_is_paced_and_its_lateness_reported(tmp_path: Path) -> None:
-    arguments = ("--realtime", "--duration", 1, "--out", tmp_path, "--json", tmp_path / "r.json")
+    arguments = ("--realtime", "--duration", 1, "--unprotected-ok", "--out", tmp_path, "--json", tmp_path / "r.json")
     code = _run("fly", "paper-barrier", *arguments)
     result = json.loads((tmp_path / "r.json").read_text())
     assert code == 0, result["reason"]

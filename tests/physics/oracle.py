@@ -48,7 +48,7 @@ def rotor_thrusts(vehicle: Vehicle, s: State, arms: F64, hubs: F64, static: F64)
             t = t * (1 - value(vehicle, "battery_sag", "thrust_loss_per_v") * (vehicle.battery.reference_v - s.voltage))
         radius = vehicle.rotors.radius_m
         height = max(-(s.pos + s.rot @ arms[i])[2], radius / 2)
-        t = t / (1 - value(vehicle, "ground_effect", "strength") * (radius / 4 / height) ** 2)
+        t = t / (1 - min(value(vehicle, "ground_effect", "strength") * (radius / 4 / height) ** 2, 0.75))
         if t > 0:
             v_h = np.sqrt(t / (2 * RHO * np.pi * radius**2))
             t = t * (1 - value(vehicle, "vortex_ring", "strength") * np.exp(-(((hubs[i, 2] / v_h - 1) / 0.5) ** 2)))

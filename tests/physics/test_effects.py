@@ -39,7 +39,7 @@ def test_the_table_has_a_row_with_physics_and_source_for_every_spec_in_its_order
     assert list(EFFECTS) == list(EFFECT_SPECS)
     for name, effect in EFFECTS.items():
         assert effect.spec is EFFECT_SPECS[name]
-        assert effect.physics.__module__ == f"sim.effects.{name}"
+        assert effect.physics.__module__ == f"flightstack_sim.effects.{name}"
         assert len(effect.source) > 10
 
 

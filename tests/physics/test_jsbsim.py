@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from flightstack_sim.effects.ground_effect import factor
 from flightstack_sim.jsbsim import aircraft
 from flightstack_sim.jsbsim.plant import JsbsimPlant
+from flightstack_sim.parameters import parameter_row
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim
@@ -176,6 +178,22 @@ MOVING = [
     if name not in (*aircraft.REFUSED, "turbulence", "motor_lag", "transport_delay", "accelerometer_bias", "gyro_bias",
                     "attitude_misalignment")
 ]  # fmt: skip
+
+
+@pytest.mark.parametrize("strength", [4.0, 20.0])
+def test_strong_ground_effects_are_those_of_the_documented_formula_on_both_plants(strength: float) -> None:
+    """At 12 cm s (R / 4 z)^2 is 0.25 for 4 and would be 1.25 for 20: there it stays at 0.75."""
+    vehicle = quad(ground_effect={"strength": strength})
+    pos, u = np.array([0.0, 0.0, -0.12]), np.full(4, 0.5)
+    state = State(pos, np.zeros(3), np.eye(3), np.zeros(3), u, np.zeros(3), 16.0)
+    force, _ = accelerations(vehicle, state)
+    plant = JsbsimPlant(vehicle, seed=0)
+    plant.place(
+        pos_ned_m=pos.tolist(), vel_ned_mps=[0.0] * 3, euler_rad=[0.0] * 3, rate_frd_radps=[0.0] * 3, motor_u=u.tolist()
+    )
+    assert plant.specific_force_frd_mps2 == pytest.approx(force, rel=1e-6)
+    native = factor(parameter_row(vehicle, dt_us=1000), 0.12)
+    assert native == pytest.approx(1.0 / (1.0 - min(strength / 16.0, 0.75)), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", MOVING)

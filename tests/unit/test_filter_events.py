@@ -22,6 +22,7 @@ from flightstack.cli.workshop import Workshop
 from flightstack.frames import ned_to_enu
 from flightstack.model import Model
 from flightstack.types import Filtered, TickRecord, changed
+from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import Log, read
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.topics import FINAL_CERTIFICATE
@@ -204,7 +205,8 @@ def test_a_falsified_certificate_is_told_with_its_reason() -> None:
 def test_a_process_that_is_lost_is_told_once_with_its_reason(tmp_path: Path) -> None:
     log, shop = FlightLog.open(tmp_path / "a.mcap", metadata={}), Workshop()
     watched = WatchedCertifier(GivenCertificate(certificate(), MODEL), elsewhere=shop)
-    observer = LogObserver(log, load_scenario("hover"), load_vehicle("quad-x"), truth=False, certifier=watched)
+    clock = LogClock(log, zero_us=0, utc_us=0)
+    observer = LogObserver(log, load_scenario("hover"), load_vehicle("quad-x"), clock, truth=False, certifier=watched)
     observer.companion = SimpleNamespace(mission=None)  # type: ignore[assignment]
     for tick, why in enumerate(("", "its process has ended", "its process has ended")):
         shop.lost = why

@@ -11,8 +11,9 @@ from flightstack.gap import voltage
 from flightstack.gap.checks import contact, stopped
 from flightstack.gap.naming.candidates import at_end, plausible
 from flightstack.gap.records import Samples, Signal
-from flightstack.gap.simulate import untold
+from flightstack.gap.simulate import untold, with_value
 from flightstack.types import F64
+from flightstack.vehicle import parse_vehicle, vehicle_to_toml
 from tests.gap_flights import as_samples, fly, quad, wander
 
 CUT_S = 0.4
@@ -135,3 +136,25 @@ def test_no_effect_is_no_end_of_a_range() -> None:
     assert at_end(quad(), "inertia", "scale_x", 3.0)
     assert at_end(quad(), "payload", "mass_kg", -0.5 * quad().mass_kg)
     assert not at_end(quad(), "com_offset", "z_m", 1.0)
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0])
+def test_where_the_true_value_may_lie_at_the_end_it_is_no_stand_in(factor: float) -> None:
+    """A file with 0.5 for a true 1.0 was answered with a force and a wind, for the curve was left out."""
+    assert not at_end(quad(), "thrust_curve", "thrust_model_factor", factor)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "kept"),
+    [
+        ("transport_delay", {"delay_s": 0.406}, {"delay_s": 0.25}),
+        ("slung_load", {"mass_kg": 0.2, "length_m": 109.6}, {"mass_kg": 0.2, "length_m": 100.0}),
+        ("ground_effect", {"strength": -0.3}, {"strength": 0.0}),
+    ],
+)
+def test_no_value_of_the_workflow_is_refused_by_the_vehicle_file(
+    effect: str, values: dict[str, float], kept: dict[str, float]
+) -> None:
+    changed = with_value(quad(), effect, values)
+    assert dict(changed.effects[effect]) == kept
+    assert parse_vehicle(vehicle_to_toml(changed), "made").effects[effect] == kept

@@ -11,12 +11,10 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.cli.main import main
-from flightstack.gap.name import Naming
 from flightstack.gap.pooled import GUARD_S, split
 from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
 from flightstack.gap.report import words
-from flightstack.gap.result import closed
-from flightstack.gap.workflow import _nothing_left
+from flightstack.gap.verdict import closed
 
 QUAD = load_vehicle("quad-x")
 NOTHING = Unexplained(False)
@@ -174,11 +172,3 @@ def test_an_earlier_result_is_gone_when_a_run_fails(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
     assert not (out / "gap.json").exists()
-
-
-@pytest.mark.parametrize(("share", "told"), [(None, False), (0.0, True)])
-def test_without_a_gap_nothing_is_unexplained(share: float | None, told: bool) -> None:
-    left = Naming((), (), QUAD, Unexplained(True, ("rate",), 1.0), (), {})
-    assert _nothing_left(left, Gap(figures(1.0, 1.0), figures(1.0, 1.0), figures(1.0, 1.0), share)).unexplained == (
-        Unexplained(True, ("rate",), 1.0) if told else NOTHING
-    )

@@ -60,6 +60,14 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     return max(low, spec.minimum), min(high, spec.maximum)
 
 
+_PHYSICAL_ENDS = {
+    ("thrust_curve", "thrust_model_factor"): (0.0, 1.0),  # thrust linear in the command, or its square
+    ("motor_lag", "time_constant_s"): (0.0,),  # speed control faster than the log shows
+    ("vortex_ring", "strength"): (1.0,),
+}
+"""Ends of ranges at which the true value may well lie: no sign of a stand-in."""
+
+
 def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bool:
     """Whether an estimate has run against the far end of its range: what it stands for is something else.
 
@@ -69,6 +77,8 @@ def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bo
     if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
         return False
     low, high = plausible(vehicle, effect, parameter)
+    if any(end in (low, high) and abs(estimate - end) <= 1e-6 for end in _PHYSICAL_ENDS.get((effect, parameter), ())):
+        return False
     near = 1e-6 * (high - low)
     return (estimate <= low + near and spec.null != low) or (estimate >= high - near and spec.null != high)
 

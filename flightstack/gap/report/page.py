@@ -12,6 +12,7 @@ from flightstack.gap.records import SIGNALS
 from flightstack.gap.report import tables, words
 from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.report.waterfall import waterfall_svg
+from flightstack.gap.verdict import MOSTLY_CLOSED
 from flightstack.types import F64
 from flightstack_logs.report.flight import Samples
 from flightstack_logs.report.page import asset, figures_html, fill, panel_html, safe_json
@@ -74,7 +75,7 @@ def _figures(report: GapReport) -> tuple[Figure, ...]:
     gap = report.gap
     closed = "–" if gap.closed is None else words.percent(gap.closed)
     why = "of the gap over the noise" if gap.closed is not None else "no gap to close"
-    state = "plain" if gap.closed is None else "good" if gap.closed >= 0.9 else "bad"
+    state = "plain" if gap.closed is None else "good" if gap.closed >= MOSTLY_CLOSED else "bad"
 
     def figure(label: str, name: str, unit: str, note: str = "") -> Figure:
         before, after = getattr(gap.before, name), getattr(gap.after, name)
@@ -96,7 +97,7 @@ def _left(report: GapReport) -> str:
     rest = report.unexplained
     if not rest.significant:
         return "nothing significant"
-    return f"depends on {', '.join(rest.depends_on)}" if rest.depends_on else "of unknown kind"
+    return f"depends on {', '.join(rest.depends_on)}" if rest.depends_on else "on nothing that these logs show"
 
 
 def _waterfall(report: GapReport) -> str:

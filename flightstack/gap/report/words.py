@@ -123,7 +123,7 @@ def _rest(unexplained: Unexplained) -> list[str]:
 
 def _depends(unexplained: Unexplained) -> list[str]:
     if not unexplained.depends_on:
-        return []
+        return ["it depends on nothing that these logs show"]
     return [f"it depends on {' and '.join(unexplained.depends_on)}"]
 
 

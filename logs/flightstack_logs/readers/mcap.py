@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack_logs.log_clock import aligned
 from flightstack_logs.mcap_file import Channel, scan
 from flightstack_logs.tables import About, Log, Messages, Table
 from flightstack_logs.topics import LEVELS
@@ -40,7 +41,7 @@ def read_mcap(path: Path, data: bytes) -> Log:
         kind="mcap",
         complete=content.finished and not content.notes,
         notes=tuple(notes),
-        tables=tables,
+        tables=aligned(tables),
         messages=messages,
         about=about,
         metadata=content.metadata,

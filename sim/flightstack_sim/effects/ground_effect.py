@@ -1,4 +1,7 @@
-"""Ground effect: thrust / (1 - s (R / 4 z)^2), z the hub's height over the ground, at least R/2."""
+"""Ground effect: thrust / (1 - s (R / 4 z)^2), z the hub's height, at least R/2, s (R / 4 z)^2 at most 0.75.
+
+The limit keeps the formula below four times the thrust where strong effects are extrapolated to the ground.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from flightstack.types import F64
 from flightstack_sim.layout import P_RADIUS, p_effect
 
 STRENGTH = p_effect("ground_effect", "strength")
+MOST_LOST = 0.75
+"""Greatest s (R / 4 z)^2."""
 
 
 @njit
@@ -16,4 +21,4 @@ def factor(p: F64, height_m: float) -> float:
         return 1.0
     radius = p[P_RADIUS]
     ratio = radius / (4.0 * max(height_m, 0.5 * radius))
-    return float(1.0 / (1.0 - p[STRENGTH] * ratio * ratio))
+    return float(1.0 / (1.0 - min(p[STRENGTH] * ratio * ratio, MOST_LOST)))

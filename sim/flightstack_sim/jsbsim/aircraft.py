@@ -15,6 +15,7 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.battery import FIGURE_OF_MERIT
+from flightstack_sim.effects.ground_effect import MOST_LOST
 from flightstack_sim.ground import FRICTION
 from flightstack_sim.jsbsim import air, text
 from flightstack_sim.jsbsim.text import XYZ, minus, over, prop, times, total
@@ -278,7 +279,7 @@ class _Writer:
             radius = self.vehicle.rotors.radius_m
             height = text.greatest(air.hub_height(self._arm(i)), 0.5 * radius)
             ratio = over(0.25 * radius, height)
-            lost = times(effects("ground_effect", "strength"), ratio, ratio)
+            lost = text.least(times(effects("ground_effect", "strength"), ratio, ratio), MOST_LOST)
             thrust = over(thrust, minus(1.0, lost))
         return thrust
 

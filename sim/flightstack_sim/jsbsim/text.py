@@ -83,6 +83,11 @@ def greatest(*terms: Term) -> str:
     return _call("max", terms)
 
 
+def least(*terms: Term) -> str:
+    """min."""
+    return _call("min", terms)
+
+
 def positive(value: Term) -> str:
     """1 where value > 0, else 0."""
     return _call("gt", (value, 0.0))

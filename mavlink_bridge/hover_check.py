@@ -1,0 +1,61 @@
+"""The first hover decides what no parameter told: is the hover thrust that of the vehicle file?
+
+Only where MPC_THR_HOVER stands at its default and the file is far from it (`flightstack.airframe`).  After the climb
+the vehicle stands still for a moment; the mean of the commanded thrust is then its hover thrust, whatever file the
+command was made with: the position loop asks for what carries the vehicle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from flightstack.airframe import HOVER_TOLERANCE, hover_differs, hover_setpoint, unsettled_hover
+from flightstack.mission import Mission
+from flightstack.model import Model
+from flightstack.types import TickRecord
+from mavlink_bridge.vehicle_view import VehicleView
+
+_FROM_S, _TO_S = 0.4, 1.4
+"""After the climb's end: its last acceleration has died away; the mission waits for 1.5 s."""
+
+
+class HoverCheck:
+    """A planner that changes nothing, and asks for a stop where the first hover contradicts the vehicle file."""
+
+    def __init__(self, model: Model, view: VehicleView, stop: Callable[[str], None]) -> None:
+        self.contradiction = ""
+        """Why the file is another vehicle's, one line; empty while nothing says so."""
+        self._model, self._view, self._stop = model, view, stop
+        self._sum = 0.0
+        self._count = 0
+        self._decided = False
+
+    def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
+        """See Planner."""
+        if self._decided or t_s < mission.takeoff_end_s + _FROM_S:
+            return mission
+        values = self._view.params.values
+        if not unsettled_hover(values, self._model.hover_norm):
+            self._decided = True
+        elif t_s < mission.takeoff_end_s + _TO_S:
+            thrust = record.command.thrust_norm
+            if math.isfinite(thrust):
+                self._sum, self._count = self._sum + thrust, self._count + 1
+        else:
+            self._decide(hover_setpoint(values, self._model.hover_norm))
+        return mission
+
+    def _decide(self, believed: float) -> None:
+        self._decided = True
+        if not self._count:
+            return
+        measured = hover_setpoint(self._view.params.values, self._sum / self._count)
+        if self._view.on_ground:
+            said = f"with {measured:.2f} it has not left the ground"
+        elif hover_differs(believed, measured):
+            said = f"{measured:.2f} in the first hover (more than {HOVER_TOLERANCE:.0%} apart)"
+        else:
+            return
+        self.contradiction = f"hover thrust: {believed:.2f} by the vehicle file, {said}"
+        self._stop(self.contradiction)

@@ -1,0 +1,26 @@
+"""What every attack's test asserts: it really flew, under a filter that was really engaged, and stayed inside."""
+
+from __future__ import annotations
+
+from benchmarks.attack_adversary import Strategy
+from benchmarks.attack_flight import AttackFlight, Outcome
+from benchmarks.attack_worlds import World
+
+
+def attacked(world: World, seed: int, strategy: Strategy, seconds: float = 10.0) -> Outcome:
+    """Learn, certify, attack; the outcome of a flight that counts."""
+    flight = AttackFlight(world, seed)
+    engaged_s = flight.fly_until_engaged(40.0)
+    assert engaged_s is not None, f"never engaged: {flight.ended or 'nothing was certified'}"
+    assert flight.certificate is not None
+    flight.held.hold(flight.certificate)
+    return flight.attack(strategy, seconds)
+
+
+def held(outcome: Outcome) -> None:
+    """No exit, no infeasible step, engaged for at least half of the ticks, and nothing was falsified."""
+    assert outcome.least_h >= 0.0, outcome
+    assert outcome.infeasible == 0, outcome
+    assert outcome.share >= 0.5, outcome
+    assert outcome.falsified == 0, outcome
+    assert outcome.travelled_m > 0.3, outcome

@@ -1,0 +1,151 @@
+"""`offboard --set-params`: set before the flight, put back after it and after Ctrl-C; after kill -9 by the next run."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+from simulator import HOST, free_ports, simulator
+
+GIVE_UP_S = 60.0
+FILE = 'schema = "flightstack.params/1"\n[set]\nCOM_OF_LOSS_T = 0.3\nCOM_RC_IN_MODE = 4\n'
+AT_FIRST = {"COM_OF_LOSS_T": 1.0, "COM_RC_IN_MODE": 1.0}
+"""PX4's defaults."""
+CHANGED = {"COM_OF_LOSS_T": pytest.approx(0.3), "COM_RC_IN_MODE": 4.0}
+
+
+class Station:
+    """Reads the simulator's parameters over its ground station's link, with pymavlink as the codec."""
+
+    def __init__(self, port: int) -> None:
+        self.link = mavutil.mavlink_connection(f"udpin:{HOST}:{port}", source_system=255)
+        assert self.link.wait_heartbeat(timeout=GIVE_UP_S) is not None
+
+    def read(self, name: str) -> float:
+        while self.link.recv_match(blocking=False) is not None:
+            pass  # what was told earlier, to others too
+        for _ in range(50):
+            self.link.mav.param_request_read_send(1, 1, name.encode(), -1)
+            deadline = time.monotonic() + 0.5
+            while time.monotonic() < deadline:
+                message = self.link.recv_match(type="PARAM_VALUE", blocking=True, timeout=0.1)
+                if message is not None and message.param_id == name:
+                    value = message.param_value
+                    return float(struct.unpack("<i", struct.pack("<f", value))[0]) if message.param_type == 6 else value
+        raise AssertionError(f"{name} was not told")
+
+    def values(self) -> dict[str, float]:
+        return {name: self.read(name) for name in AT_FIRST}
+
+
+class Bench:
+    def __init__(self, folder: Path, port: int, station: Station) -> None:
+        self.folder, self.port, self.station = folder, port, station
+        self.journals = folder / "flightstack" / "parameters"
+        self.file = folder / "mine.toml"
+        self.file.write_text(FILE)
+
+    def start(self, *more: str) -> subprocess.Popen[str]:
+        words = [sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", f"udpin:{HOST}:{self.port}"]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "XDG_STATE_HOME": str(self.folder)}
+        return subprocess.Popen(
+            [*words, "--out", str(self.folder / "out"), *more],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=self.folder,
+        )  # fmt: skip
+
+    def wait(self, wanted: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + GIVE_UP_S
+        while not wanted():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[tuple[int, Station]]:
+    port, gcs_port = free_ports()
+    with simulator(port, gcs_port, speed=1.0):
+        station = Station(gcs_port)
+        yield port, station
+        station.link.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path, running: tuple[int, Station]) -> Bench:
+    return Bench(tmp_path, *running)
+
+
+def test_ctrl_c_puts_back_and_kill_9_leaves_a_journal_that_the_next_run_follows(bench: Bench) -> None:
+    """Without --arm the companion waits for the pilot: so long the parameters stand as the file says."""
+    assert bench.station.values() == AT_FIRST
+    with bench.start("--set-params", str(bench.file), "--json", str(bench.folder / "r.json")) as companion:
+        bench.wait(lambda: bench.station.values() == CHANGED)
+        assert len(list(bench.journals.iterdir())) == 1
+        companion.send_signal(signal.SIGINT)
+        _, errors = companion.communicate(timeout=GIVE_UP_S)
+    assert companion.returncode == 130
+    assert "COM_OF_LOSS_T 1 -> 0.3" in errors
+    assert "put back" in errors
+    assert bench.station.values() == AT_FIRST
+    assert not list(bench.journals.iterdir())
+    told = json.loads((bench.folder / "r.json").read_text())["parameters_set"]
+    assert [(row["name"], row["before"], row["set"], row["restored"]) for row in told] == [
+        ("COM_OF_LOSS_T", 1.0, 0.3, True), ("COM_RC_IN_MODE", 1.0, 4.0, True),
+    ]  # fmt: skip
+
+    with bench.start("--set-params", str(bench.file)) as companion:
+        bench.wait(lambda: bench.station.values() == CHANGED)
+        companion.kill()
+    assert bench.station.values() == CHANGED
+    assert len(list(bench.journals.iterdir())) == 1
+    with bench.start("--dry-run") as next_one:
+        _, errors = next_one.communicate(timeout=GIVE_UP_S)
+    assert next_one.returncode == 0, errors
+    assert "put back" in errors
+    assert bench.station.values() == AT_FIRST
+    assert not list(bench.journals.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FILE + "NO_SUCH_PARAM = 1\n", "NO_SUCH_PARAM"),
+        (FILE.replace("= 4", "= 4.5"), "integer"),
+        (FILE.replace("0.3", "5"), "COM_OF_LOSS_T is 5 s"),  # taken, judged like any other value, put back
+    ],
+)
+def test_what_can_not_be_set_or_flown_with_is_one_line_and_nothing_stays_changed(
+    bench: Bench, text: str, said: str
+) -> None:
+    bench.file.write_text(text)
+    with bench.start("--set-params", str(bench.file), "--arm") as companion:
+        _, errors = companion.communicate(timeout=GIVE_UP_S)
+    assert companion.returncode in (1, 2)
+    assert sum(line.startswith("error: ") for line in errors.splitlines()) == 1, errors
+    assert said in errors
+    assert "Traceback" not in errors
+    assert bench.station.values() == AT_FIRST
+    assert not bench.journals.exists() or not list(bench.journals.iterdir())
+
+
+def test_without_a_vehicle_nothing_is_set_and_that_is_said(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind((HOST, 0))
+        port = int(free.getsockname()[1])
+    words = ["offboard", "--connect", f"udpin:{HOST}:{port}", "--timeout", "0.3", "--set-params", "px4-sih-ekf"]
+    done = subprocess.run(
+        [sys.executable, "-m", "flightstack.cli.main", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "XDG_STATE_HOME": str(tmp_path)},
+        capture_output=True, text=True, timeout=GIVE_UP_S, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: no vehicle answered")

@@ -1,0 +1,48 @@
+"""One definition of a gap and of what is left: CONTRACT's `closed`, and that nothing left open goes unsaid."""
+
+import pytest
+
+from flightstack.gap.records import Figures, Unexplained
+from flightstack.gap.report import words
+from flightstack.gap.verdict import gap_of, unexplained
+
+NOTHING = Unexplained(False)
+DRIVEN = Unexplained(True, ("airspeed",), 0.4)
+
+
+def of_force(value: float) -> Figures:
+    return Figures(value, None, None)
+
+
+def test_a_gap_without_a_name_and_without_a_driver_is_said() -> None:
+    """A payload on a real PX4: 1.70 over a floor of 0.80, its name taken back, was "no gap, agree within the noise"."""
+    gap = gap_of(of_force(1.70), of_force(1.70), of_force(0.80))
+    rest = unexplained(NOTHING, gap, named=False)
+    assert rest == Unexplained(True, (), 1.0)
+    assert words.verdict((), gap, rest) == ("bad", "not explained")
+    assert "agree" not in words.sentence((), gap, rest)
+    assert "depends on nothing that these logs show" in words.sentence((), gap, rest)
+
+
+def test_below_twelve_tenths_of_the_floor_there_is_no_gap() -> None:
+    gap = gap_of(of_force(0.95), of_force(0.95), of_force(0.80))
+    assert gap.closed is None
+    assert unexplained(DRIVEN, gap, named=False) == NOTHING
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "rest", "expected"),
+    [
+        (8.0, 0.9, NOTHING, Unexplained(False, (), 1.0 - 7.1 / 7.2)),  # at the floor: nothing is left
+        (8.0, 0.9, DRIVEN, Unexplained(False, (), 1.0 - 7.1 / 7.2)),  # a driver within the noise is a false alarm
+        (8.0, 1.4, NOTHING, Unexplained(False, (), 1.0 - 6.6 / 7.2)),  # nearly closed, and nothing tells more
+        (8.0, 1.4, DRIVEN, Unexplained(True, ("airspeed",), 1.0 - 6.6 / 7.2)),
+        (8.0, 4.4, NOTHING, Unexplained(True, (), 0.5)),  # half of the gap is still open
+    ],
+)
+def test_beside_names_the_share_left_is_what_is_not_closed(
+    before: float, after: float, rest: Unexplained, expected: Unexplained
+) -> None:
+    left = unexplained(rest, gap_of(of_force(before), of_force(after), of_force(0.8)), named=True)
+    assert (left.significant, left.depends_on) == (expected.significant, expected.depends_on)
+    assert left.fraction == pytest.approx(expected.fraction)

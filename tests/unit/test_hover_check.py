@@ -1,0 +1,72 @@
+"""The first hover against the vehicle file, where MPC_THR_HOVER was never set; figures worked out by hand."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from shipped import load_scenario, load_vehicle
+
+from flightstack.mission import plan
+from flightstack.model import Model
+from flightstack.types import Command
+from mavlink_bridge.hover_check import HoverCheck
+from mavlink_bridge.vehicle_view import VehicleView
+
+MISSION = plan(load_scenario("hover"), np.zeros(3))
+MODEL = Model.from_vehicle(load_vehicle("quad-x"))  # 1.2 kg of 26.4 N, speed-controlled: hovers at sqrt(0.4458) = 0.668
+STEP_S = 0.004
+
+
+class _Record(NamedTuple):
+    command: Command
+
+
+def flown(thrust_norm: float, *, landed: int = 2, told: float = 0.5) -> tuple[HoverCheck, list[str]]:
+    """A flight that commands a constant thrust, with noise that averages out."""
+    stops: list[str] = []
+    view = VehicleView()
+    view.landed_state = landed
+    view.params.values |= {"MPC_THR_HOVER": told, "THR_MDL_FAC": 0.0}
+    check = HoverCheck(MODEL, view, stops.append)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, 5000)
+    for tick in range(round((MISSION.takeoff_end_s + 3.0) / STEP_S)):
+        command = Command(0, 1.0, thrust_norm + float(noise[tick]), np.zeros(3))
+        assert check.step(MISSION, tick * STEP_S, _Record(command)) is MISSION  # type: ignore[arg-type]
+    return check, stops
+
+
+@pytest.mark.parametrize(("thrust_norm", "refused"), [(0.49, True), (0.52, True), (0.55, False), (0.86, False)])
+def test_a_hover_thrust_a_quarter_off_stops_the_flight_once(thrust_norm: float, refused: bool) -> None:
+    """0.668 / 1.25 = 0.534 and 0.668 / 0.75 = 0.890 are the bounds."""
+    check, stops = flown(thrust_norm)
+    assert bool(check.contradiction) is refused
+    assert stops == ([check.contradiction] if refused else [])
+    if refused:
+        assert check.contradiction.startswith(f"hover thrust: 0.67 by the vehicle file, {thrust_norm:.2f}")
+
+
+def test_a_vehicle_that_has_not_left_the_ground_is_another_one() -> None:
+    check, stops = flown(0.7, landed=1)
+    assert "has not left the ground" in check.contradiction
+    assert stops == [check.contradiction]
+
+
+@pytest.mark.parametrize("told", [0.668, 0.6, 0.49])
+def test_where_px4_was_told_its_hover_thrust_nothing_is_left_to_decide(told: float) -> None:
+    """A heavier load than the file's is the learner's business, not another vehicle."""
+    check, stops = flown(0.95, told=told)
+    assert not check.contradiction
+    assert not stops
+
+
+def test_thrust_that_is_no_number_decides_nothing() -> None:
+    view = VehicleView()
+    view.landed_state = 2
+    view.params.values |= {"MPC_THR_HOVER": 0.5, "THR_MDL_FAC": 0.0}
+    stops: list[str] = []
+    check = HoverCheck(MODEL, view, stops.append)
+    for tick in range(round((MISSION.takeoff_end_s + 3.0) / STEP_S)):
+        check.step(MISSION, tick * STEP_S, _Record(Command(0, 1.0, float("nan"), np.zeros(3))))  # type: ignore[arg-type]
+    assert not stops
