@@ -24,6 +24,7 @@ class Reaction(Enum):
     STOP = "brakes, then PX4's Land"
     REFUSE = "refuses before the flight, one line says why; no setpoint is sent"
     DROP = "drops the frame and counts it"
+    PX4 = "nothing: PX4's own offboard-loss failsafe acts"
     DEAD_MAN = "the dead-man levels by body rates and commands PX4's Hold"
     RETAKE = "the dead-man levels and commands PX4's Hold; OFFBOARD is taken back, at most once in 10 s"
 
@@ -174,6 +175,11 @@ FAULTS: dict[str, Fault] = {
         "the dead-man's process ends in flight",
         "within 0.1 s; with COM_OF_LOSS_T of 0.5 s or less the flight goes on and the log says so",
         Reaction.LAND, 0.1, _D + "test_without_its_dead_man_a_flight_at_a_long_loss_time_lands",
+    ),
+    "both-dead": Fault(
+        "companion and dead-man die together, or the whole machine freezes or loses its power",
+        "by PX4: COM_OF_LOSS_T after the last setpoint, until then the last rates go on",
+        Reaction.PX4, 1.1, "loopback/test_safety.py::test_both_dead_only_a_short_loss_time_keeps_the_vehicle_upright",
     ),
     "restarted": Fault(
         "the companion is started again while the vehicle still flies",
