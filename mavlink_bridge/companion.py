@@ -308,6 +308,7 @@ class Companion:
         self._stack_state = self._stack.resume(state, measurement)
         self._watch.resume()
         self._notes.begin()
+        self._now.trouble = ""  # judged before the flight went on
         self._now.stalls.taken_back += 1
 
     def _act(self, now_us: int) -> None:

@@ -45,7 +45,8 @@ class Stalls:
     def judge(self, now_us: int) -> str:
         """After `is_held`: why the flight ends in Hold, empty where it is taken back; then it counts as known."""
         self._known_hold_ns = self.report.hold_ns
-        self._stall_us = now_us - self.report.silent_ns // 1000
+        ended_us = max(now_us, self.report.alive_ns // 1000)  # we may have been stopped after looking at the clock
+        self._stall_us = ended_us - self.report.silent_ns // 1000
         if self.report.touched:
             return "somebody else changed the mode meanwhile"
         if self._stall_us >= SHORT_US:

@@ -62,6 +62,8 @@ class RealTimeLoop:
         watch.mark("deciding and flying")
         if self.dead_man is not None:
             self.dead_man.hear()
+        if (later_us := monotonic_us()) - now_us > PERIOD_US:  # stalled in here: what is decided is decided now
+            now_us = later_us
         companion.step(now_us)
         watch.mark("sending and logging")
         for data in companion.link.datagrams_to_send():

@@ -104,6 +104,18 @@ def test_a_short_stall_is_taken_back_and_the_flight_completes(flight: GuardedFli
     assert flight.companion.state is State.LANDED
 
 
+def test_a_short_stall_on_a_slow_machine_is_taken_back(flight: GuardedFlight) -> None:
+    """60 ticks missed within half a second, then 100 in one stall: together more than the watchdog of the pace allows."""
+    for _ in range(30):
+        flight.step()
+        flight.stand_still(0.008)
+    flight.stand_still(0.4)
+    for _ in range(250):
+        flight.step()
+    assert flight.companion.state is State.OFFBOARD
+    assert flight.companion.stalls.taken_back == 1
+
+
 def test_a_long_stall_ends_in_hold(flight: GuardedFlight) -> None:
     flight.stand_still(0.7)
     for _ in range(250):
