@@ -172,7 +172,7 @@ def _stack(prepared: Prepared, pilot: str, task: Task, world: Draw) -> Stack:
     safety_filter = NoFilter() if pilot == "unfiltered" else before.filter
     return Stack(
         before.model, limits, controller=controller, learner=before.learner, certifier=before.certifier,
-        safety_filter=safety_filter,
+        safety_filter=safety_filter, governor=before.governor,
     )  # fmt: skip
 
 

@@ -40,6 +40,8 @@ from flightstack.barrier.qp import NearestPoint
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import M_MODE, new_memory, remember
 from flightstack.barrier.shapes import value
+from flightstack.barrier.torque import within
+from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
@@ -124,9 +126,17 @@ class BarrierFilter:
         before = state.certificate
         if before is not None and _region(before) != _region(certificate) and state.memory[0, M_MODE] == ENGAGED:
             state.memory[0, M_MODE] = DOUBTFUL
-        packed = pack(certificate, self.model, self.limits, self.attitude_p_ps)
+        limits = within(self.limits, self.model, certificate.governor)
+        packed = pack(certificate, self.model, limits, self.attitude_p_ps)
         rest = _rest(certificate) + state.origin_ned_m
         return state._replace(certificate=certificate, packed=packed, rest_ned_m=rest, handed_over=False)
+
+    def governed(self, state: FilterState) -> GovernorLimits | None:
+        """Those of the certificate that is in force, engaged or not: half a second before engaging torque is calm."""
+        certificate = state.certificate
+        if certificate is None or certificate.governor is None or state.handed_over:
+            return None
+        return certificate.governor.limits
 
     def bend(self, state: FilterState, setpoint: FlatOutput) -> FlatOutput:
         """While engaged, the reference brought to the nearest place of rest inside the region, where it is outside.

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from flightstack.barrier.records import Certificate
+from flightstack.governor import GovernorLimits
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal
 
 _NOTHING = Learned.nothing()
@@ -61,6 +62,10 @@ class SafetyFilter(Protocol):
 
     def adopt(self, state: Any, certificate: Certificate) -> Any:
         """From now on keep to this certificate."""
+        ...
+
+    def governed(self, state: Any) -> GovernorLimits | None:
+        """What torque and thrust are to be kept in while what is adopted is in force; None: nothing."""
         ...
 
     def bend(self, state: Any, setpoint: FlatOutput) -> FlatOutput:
@@ -119,6 +124,10 @@ class NoFilter:
     def adopt(self, state: object, certificate: Certificate) -> object:
         """Nothing keeps to it."""
         return state
+
+    def governed(self, state: object) -> GovernorLimits | None:
+        """Nothing is kept."""
+        return None
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
         """The reference as it is."""

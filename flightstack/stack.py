@@ -13,6 +13,7 @@ import numpy as np
 
 from flightstack.applied import Applied
 from flightstack.control.feedback import FlatnessController
+from flightstack.governor import Governor, GovernorState
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
@@ -37,12 +38,14 @@ class StackState(NamedTuple):
     """Vertical thrust of the last second or so: what the guard trusts to carry the vehicle."""
     applied: Applied = Applied()
     """What the motors made of the thrust that was sent."""
+    governor: GovernorState | None = None
+    """The rate loop as modelled; None: there is no governor."""
 
 
 class Stack:
     """The flight stack of one believed vehicle; final, holds only constants."""
 
-    __slots__ = ("certifier", "controller", "filter", "guard", "learner", "limiter", "limits", "model")
+    __slots__ = ("certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model")
 
     def __init__(
         self,
@@ -53,13 +56,16 @@ class Stack:
         learner: Learner | None = None,
         certifier: Certifier | None = None,
         safety_filter: SafetyFilter | None = None,
+        governor: Governor | None = None,
     ) -> None:
+        """`governor`: of rate commands, which has the last word while a certificate that counts on it is in force."""
         self.model = model
         self.limits = limits or Limits()
         self.controller: Controller = controller or FlatnessController(model, limits=self.limits)
         self.learner: Learner = learner or NoLearner()
         self.certifier: Certifier = certifier or NoCertifier()
         self.filter: SafetyFilter = safety_filter or NoFilter()
+        self.governor = governor
         self.guard = Guard(model, self.limits)
         self.limiter = Limiter(model, self.limits)
 
@@ -75,8 +81,9 @@ class Stack:
         filtered = self.filter.init(origin)
         certifier = self.certifier.init()
         return StackState(
-            control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight
-        )
+            control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight,
+            governor=None if self.governor is None else self.governor.init(),
+        )  # fmt: skip
 
     def resume(self, state: StackState, measurement: Measurement) -> StackState:
         """State to go on from after somebody else flew: what was learned and certified stays, control begins anew."""
@@ -91,7 +98,7 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe, before, _, sent, origin, carried, applied = state
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
@@ -106,13 +113,28 @@ class Stack:
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
+        governing, command, governed = self._govern(governing, command, safe)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
-        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered)
-        after = StackState(control, learner, certifier, safe, filtered, seen, command, origin, carried, applied)
+        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
+        after = StackState(
+            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing
+        )
         return after, command, record
+
+    def _govern(
+        self, state: GovernorState | None, command: Command, safe: object
+    ) -> tuple[GovernorState | None, Command, bool]:
+        """The command as torque's bounds leave it, and whether they changed it."""
+        if self.governor is None or state is None:
+            return state, command, False
+        state, norm, rate = self.governor.step(state, command, self.filter.governed(safe))
+        if rate is None and norm == command.thrust_norm:
+            return state, command, False
+        thrust = command.thrust_n if norm == command.thrust_norm else self.model.thrust_of(norm)
+        return state, Command(command.t_us, thrust, norm, command.rate_frd_radps if rate is None else rate), True
 
 
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))

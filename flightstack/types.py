@@ -296,3 +296,5 @@ class TickRecord(NamedTuple):
     guard: str
     """Empty where the guard let the command pass, else the name of what it did instead."""
     filtered: Filtered = Filtered.nothing()
+    governed: bool = False
+    """Whether the governor of rate commands changed the command."""

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from flightstack import ranges as rng
+from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.effect_specs import EFFECT_SPECS, check_effect
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 
@@ -53,7 +54,7 @@ class Battery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vehicle:
-    """A vehicle: body, rotors, battery (or None) and the effects that act on it (name -> parameter -> value)."""
+    """A vehicle: body, rotors, battery (or None), effects that act on it (name -> parameter -> value), autopilot."""
 
     name: str
     mass_kg: float
@@ -62,6 +63,8 @@ class Vehicle:
     rotors: Rotors
     battery: Battery | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    autopilot: Mapping[str, float] = field(default_factory=dict)
+    """What the file states of the autopilot (`autopilot_params`); `autopilot.autopilot_of` has all of it."""
     ranges: Mapping[str, F64] = field(default_factory=dict)
     """What is known of numbers that are given as ranges: "body.mass_kg" -> (..., 2) low and high, read-only."""
 
@@ -120,7 +123,7 @@ _TABLES: dict[str, dict[str, _Key]] = {
         "resistance_ohm": _Key(0.0, 10.0, "ohm"),
     },
 }
-_TOP_KEYS = ("schema", "name", "body", "rotors", "battery", "effects")
+_TOP_KEYS = ("schema", "name", "body", "rotors", "battery", "effects", "autopilot")
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
@@ -158,6 +161,7 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
             radius_m=float(rotors["radius_m"]),
         ),
         battery=None if battery is None else Battery(**{key: float(value) for key, value in battery.items()}),
+        autopilot=_autopilot(data.get("autopilot", {}), source),
         ranges=MappingProxyType(ranges),
     )
     _check_inertia(vehicle, source)
@@ -226,6 +230,12 @@ def vehicle_to_toml(vehicle: Vehicle) -> str:
         lines += ["", "[battery]"]
         cell = vehicle.battery
         lines += [f"{key} = {rng.to_toml(getattr(cell, key), known(f'battery.{key}'))}" for key in _TABLES["battery"]]
+    if vehicle.autopilot:
+        lines += [
+            "",
+            "[autopilot]",
+            *(f"{key} = {rng.to_toml(value, None)}" for key, value in vehicle.autopilot.items()),
+        ]
     for name, values in vehicle.effects.items():
         lines += ["", f"[effects.{name}]"]
         lines += [f"{key} = {rng.to_toml(value, known(f'effects.{name}.{key}'))}" for key, value in values.items()]
@@ -250,6 +260,23 @@ def _table(data: Mapping[str, object], name: str, source: str) -> dict[str, F64]
         if key not in table:
             raise InputError(f"{source}: {name}.{key} is missing; give it in {_allowed(keys[key])}")
     return {key: _numbers(table[key], keys[key], f"{source}: {name}.{key}") for key in keys}
+
+
+def _autopilot(table: object, source: str) -> Mapping[str, float]:
+    """What `[autopilot]` states, in the table's order; any key may be left out."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{source}: autopilot must be a table, not {table!r}")
+    for key in table:
+        if key not in AUTOPILOT_PARAMS:
+            raise InputError(f"{source}: unknown key autopilot.{key}; known are {', '.join(AUTOPILOT_PARAMS)}")
+    stated = {}
+    for key, param in AUTOPILOT_PARAMS.items():
+        if key in table:
+            value = _numbers(table[key], _Key(param.minimum, param.maximum), f"{source}: autopilot.{key}")
+            stated[key] = float(value)
+    if stated.get("airmode", 0.0) % 1.0:
+        raise InputError(f"{source}: autopilot.airmode = {stated['airmode']:g} is not allowed; it must be 0, 1 or 2")
+    return MappingProxyType(stated)
 
 
 def _allowed(key: _Key) -> str:

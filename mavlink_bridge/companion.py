@@ -369,7 +369,8 @@ class Companion:
             self._set_phase(self._phase_now, self._t_us)
         t_s = self._mission_time_s()
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
-        self._notes.take(record.guard, self._watch.resets, self._t_us, now_us)
+        if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
+            self.view.streams.observer.reset()
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:

@@ -20,6 +20,7 @@ from mavlink_bridge.vehicle_view import VehicleView
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
+ROUND_TRIP_MAX_S = 0.04
 """Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
@@ -44,7 +45,7 @@ class CompanionConfig:
     stream_before_offboard_s: float = 0.5
     tick_s: float = 0.004
     """Between two steps of the companion, where nothing is missed."""
-    round_trip_max_s: float = 0.04
+    round_trip_max_s: float = ROUND_TRIP_MAX_S
     """Of the link; a later one is refused before the flight."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""

@@ -25,15 +25,17 @@ class GuardNotes:
         """For how long the guard has flown without a break; 0 where it does not."""
         return 1e-6 * (now_us - self._since_us) if self._since_us >= 0 else 0.0
 
-    def take(self, guard: str, resets: ResetWatch, t_us: int, now_us: int) -> None:
-        """A tick's guard by name (empty: none) and the resets so far; vehicle and local time."""
+    def take(self, guard: str, resets: ResetWatch, t_us: int, now_us: int) -> bool:
+        """A tick's guard by name (empty: none) and the resets so far, vehicle and local time; whether one was new."""
         acts = "" if guard.startswith("clip") else guard
         if acts != self._guard:
             self._guard, self._since_us = acts, (now_us if acts and not self._guard else self._since_us)
             self._since_us = self._since_us if acts else -1
             self._observer.on_event(t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
-        if resets.counted != self._resets:
+        is_new = resets.counted != self._resets
+        if is_new:
             self._resets = resets.counted
             moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
             text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
             self._observer.on_event(t_us, "fault", text, "warning")
+        return is_new

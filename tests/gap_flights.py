@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from flightstack.autopilot import autopilot_of, hover_command
+from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.frames import quat_from_euler
 from flightstack.gap.records import Samples
 from flightstack.model import thrust_to_norm
@@ -19,7 +21,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from flightstack_sim.autopilot.attitude_control import AttitudeControl
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
+from flightstack_sim.autopilot.rate_control import RateControl
 from flightstack_sim.fused import FusedRun
 from flightstack_sim.grade import load_grade
 from flightstack_sim.layout import S_POS, S_RATE
@@ -106,8 +108,8 @@ def fly(
     plant = NativePlant(truth, seed=seed, ground=True)
     sensors = Sensors(load_grade(grade), seed=seed + 1)
     params = Params()
-    for name, gain in default_rate_gains(believed, params).items():
-        params.set(name, gain)
+    for key, value in autopilot_of(believed).items():
+        params.set(AUTOPILOT_PARAMS[key].name, value)
     rates, attitude = RateControl(believed, params), AttitudeControl(params)
     loop = FusedRun(plant, rates, sensors)
     plant.pos_ned_m[:] = reference(0.0)[0]

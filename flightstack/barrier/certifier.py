@@ -44,6 +44,7 @@ from flightstack.barrier.queries import Envelope, budget, lean
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
 from flightstack.barrier.shapes import Barrier, value
+from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -66,7 +67,10 @@ class CertifierConfig:
     axes: tuple[int, ...] = (0, 1, 2)
     gamma_ps: float = 0.5
     inside_ps: float = 20.0
-    """How much steeper the class-K function is inside (`condition`)."""
+    """How much steeper the class-K function is inside (`condition`), vertically."""
+    inside_lateral_ps: float = 4.0
+    """The same sideways: the steeper, the faster the filter turns the thrust round, which the governor's torque bounds.
+    4 asks for 6 to 10 m/s^3 at 1.5 to 2.5 m/s^2, half of what a quadrotor of 450 mm then turns (22 m/s^3)."""
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05
@@ -92,6 +96,8 @@ class CertifierConfig:
     growth: float = 1.02
     surer: float = 0.9
     """Share of the held bounds of acceleration that are worth a certificate of the same size."""
+    governor: GovernorTerms | None = None
+    """What bounds torque while a certificate is in force."""
     most_doubt_mps2: Tuple3 = (math.inf, math.inf, math.inf)
     """Bound of each axis' acceleration that the first certificate may have; one with wider bounds bends what is flown
     well inside."""
@@ -154,8 +160,9 @@ class OnlineCertifier:
         elsewhere: Elsewhere | None = None,
     ) -> None:
         """`safe`: each certified axis' own safe set, in place of the region's; `elsewhere`: who does the work."""
-        self.model, self.limits, self.region, self.initial = model, limits, region, initial
         self.config = config or CertifierConfig()
+        self.model, self.region, self.initial = model, region, initial
+        self.limits = within(limits, model, self.config.governor)
         self.safe = dict(safe) if safe is not None else safe_sets(region, self.config.axes)
         self.elsewhere = elsewhere
         compile_all()
@@ -307,7 +314,7 @@ class OnlineCertifier:
         return Certificate(
             "sound", self.region.centre_ned_m, axes, knowledge.budget, config.delta, knowledge.k_sigma,
             {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **self.doubts._asdict()}},
-            knowledge.version, self._premises(knowledge, axes),
+            knowledge.version, self._premises(knowledge, axes), config.governor,
         )  # fmt: skip
 
     def _premises(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Premises:
@@ -387,7 +394,8 @@ class OnlineCertifier:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
                 accuracy=config.accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
-                coupling_mps=coupling, inside_ps=config.inside_ps,
+                coupling_mps=coupling,
+                inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
             )  # fmt: skip
 
         return Axis(axis, self.safe[axis], authority, response), needs

@@ -21,6 +21,7 @@ import numpy as np
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.frames import quat_to_matrix
+from flightstack.governor import GovernorLimits
 from flightstack.model import Limits, Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement
 
@@ -70,6 +71,10 @@ class PublishedFilter:
     def bend(self, state: PublishedState, setpoint: FlatOutput) -> FlatOutput:
         """As published the reference stays as it is."""
         return setpoint
+
+    def governed(self, state: PublishedState) -> GovernorLimits | None:
+        """Nothing: the paper knows no torque."""
+        return None
 
     def adopt(self, state: PublishedState, certificate: Certificate) -> PublishedState:
         """From now on this region; one that is not made of quadratics is not taken."""

@@ -13,6 +13,7 @@ import numpy as np
 from flightstack.barrier.condition import Reach, Setting
 from flightstack.barrier.premises import Premises
 from flightstack.barrier.shapes import Barrier
+from flightstack.barrier.torque import GovernorTerms
 from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
@@ -150,3 +151,5 @@ class Certificate:
     """Counted up by each that replaces another in flight."""
     premises: Premises | None = None
     """For what it holds; None: as published, or made up: it claims nothing of a flight."""
+    governor: GovernorTerms | None = None
+    """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""

@@ -22,6 +22,7 @@ from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
+from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Model
 from flightstack.region import Region
@@ -57,6 +58,10 @@ class TimedFilter:
         """The filter's own; the steps before it (warming up) are forgotten."""
         self.solve_ns = []
         return self._filter.init(origin_ned_m)
+
+    def governed(self, state: object) -> GovernorLimits | None:
+        """The filter's own."""
+        return self._filter.governed(state)
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
         """The filter's own."""

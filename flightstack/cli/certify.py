@@ -26,6 +26,7 @@ from flightstack.cli.barrier_score import WatchedCertifier
 from flightstack.cli.certified import DOWN, Figures, figures_of
 from flightstack.cli.certified_page import page_of
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
+from flightstack.cli.protection import governor_for
 from flightstack.cli.result import FlightResult
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
 from flightstack.learning.learner import LearnerState, Learnt
@@ -170,6 +171,8 @@ def explored(setup: Setup, options: FlyOptions, config: CertifierConfig = VERTIC
     # The flight is judged by the certificate in force, not by the region that it began with.
     protection, stack = replace(prepared.protection, region=None), prepared.stack
     if not options.as_published:
+        governor = governor_for(prepared.believed, stack.model, stack.limits, options.grade(scenario))
+        config = replace(config, governor=governor)
         certifier = GrowingCertifier(
             stack.model, stack.limits, scenario.region, initial=scenario.knowledge, certifier=config
         )
@@ -177,7 +180,7 @@ def explored(setup: Setup, options: FlyOptions, config: CertifierConfig = VERTIC
         protection = replace(protection, certifier=watched)
         stack = Stack(
             stack.model, stack.limits, controller=stack.controller, learner=stack.learner, certifier=watched,
-            safety_filter=stack.filter,
+            safety_filter=stack.filter, governor=stack.governor,
         )  # fmt: skip
     return replace(setup, flight=replace(prepared, scenario=hovering, protection=protection, stack=stack))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.table import Table
 
+from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
 from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
@@ -150,6 +151,8 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
+    if result.estimator["disagreement_rms_mps"] is not None:
+        yield "estimate", estimate_words(result.estimator)
     yield "protection", f"{_PROTECTION_STYLES[result.protection]}{escape(result.protection_words)}[/]"
     yield "learning", _learning(result.gp)
     yield "barrier filter", _filter(result)

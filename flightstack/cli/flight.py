@@ -112,7 +112,9 @@ def prepare(options: FlyOptions) -> Setup:
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
-    return Setup(flight.with_more(settings, carried), truth, load_grade(sensors), options.plant, faults)
+    companion = CompanionConfig(arm=True, round_trip_max_s=flight.protection.round_trip_max_s)
+    flight = flight.with_more(settings, carried)
+    return Setup(flight, truth, load_grade(sensors), options.plant, faults, companion)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -289,6 +291,7 @@ def _flown(
         seed=options.seed,
         plant=setup.plant,
     )
+    result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
     result.unprotected_ok = options.unprotected_ok
     files.write_flight_report(log_path, out / "report.html", result)
     return result

@@ -17,6 +17,10 @@ from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
+from mavlink_bridge.decide import ROUND_TRIP_MAX_S
+
+COMMAND_INTERVAL_S = 0.004
+"""Of every loop that flies."""
 
 
 def require_checked(path: Path) -> None:
@@ -26,6 +30,34 @@ def require_checked(path: Path) -> None:
         raise InputError(
             f"{path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
         )
+
+
+def require_premises(path: Path, certificate: Certificate, sensors: str) -> None:
+    """InputError, one line, where this flight is known not to keep a premise: grade of sensors, rate of commands.
+
+    The others are watched in flight; the link is measured before take-off (`round_trip_max_s`).
+    """
+    premises = certificate.premises
+    if premises is None:
+        raise InputError(f"{path}: names no premises, so that nobody can say for which flight it holds; certify anew")
+    if premises.sensors != sensors:
+        raise InputError(
+            f"{path}: holds with {premises.sensors} sensors, this flight has {sensors}: another --sensors, or certify "
+            f"with these: `flightstack certify --sensors {sensors}`"
+        )
+    if premises.command_interval_s < COMMAND_INTERVAL_S - 1e-9:
+        raise InputError(
+            f"{path}: holds for a command every {1e3 * premises.command_interval_s:.3g} ms, this loop gives one every "
+            f"{1e3 * COMMAND_INTERVAL_S:.3g} ms; certify with this one"
+        )
+
+
+def round_trip_max_s(certificate: Certificate | None) -> float:
+    """Longest round trip with which a certificate can hold: there and back, each no later than its commands may be."""
+    premises = None if certificate is None else certificate.premises
+    if premises is None:
+        return ROUND_TRIP_MAX_S
+    return min(ROUND_TRIP_MAX_S, 2.0 * (premises.delay_s[1] + premises.jitter_s))
 
 
 def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:

@@ -141,7 +141,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())
-        raise typer.Exit(FAILED)
+        raise typer.Exit(BAD_INPUT if result.link_too_slow else FAILED)
 
 
 def _flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:

@@ -143,6 +143,7 @@ def _offboard(
             heartbeat_timeout_s=options.heartbeat_timeout_s,
             contradictions=inspector.contradictions,
             dead_man=options.dead_man,
+            round_trip_max_s=prepared.protection.round_trip_max_s,
         )
         link = Link(240, 191, framing=framing_for(address), signing=signer)
         companion = Companion(link, stack, scenario, observer, config, inspector)
@@ -174,6 +175,7 @@ def _offboard(
         completed=None if options.dry_run else companion.completed,
         checked=options.as_written,
     )
+    result.link_too_slow = prepared.protection.link_too_slow(companion)
     result.unprotected_ok = options.unprotected_ok
     result.contradictions, result.parameters_set = inspector.found, change.as_json()
     if options.dry_run:

@@ -15,6 +15,7 @@ from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.cli.versions import versions
+from flightstack.governor import Governor
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.learning.stored import parse_stored
 from flightstack.mission import require_run_up
@@ -125,6 +126,7 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         learner=TimedLearner(learner) if learner.enabled else learner,
         certifier=protection.certifier,
         safety_filter=protection.filter,
+        governor=Governor(believed) if protection.filter.enabled else None,
     )
     return Prepared(scenario, believed, stack, protection, settings, carried)
 

@@ -22,18 +22,26 @@ from flightstack.barrier.margins import GPS, MOCAP
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
+from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
-from flightstack.cli.given_certificate import certificate_for, require_checked
+from flightstack.cli.given_certificate import (
+    certificate_for,
+    require_checked,
+    require_premises,
+    round_trip_max_s,
+)
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
-from flightstack.model import Model
+from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.safety_filter import BarrierFilter
 from flightstack.scenario import Scenario
 from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
+from flightstack_sim.grade import load_grade
+from mavlink_bridge.companion import Companion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +86,16 @@ class Protection:
     workshop: Workshop | None = None
     """Where certificates are made, if not in the ticks."""
 
+    @property
+    def round_trip_max_s(self) -> float:
+        """Longest round trip of the link with which the flight may begin."""
+        return round_trip_max_s(self.given)
+
+    def link_too_slow(self, companion: Companion) -> bool:
+        """Whether the flight was refused because its link is slower than the certificate that was given holds for."""
+        slow = 1e-6 * companion.view.round_trip_us > self.round_trip_max_s
+        return self.given is not None and slow and companion.flight_start_us < 0
+
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
         return self.workshop or nullcontext()
@@ -102,6 +120,8 @@ def protect(
         require_checked(options.certificate)
     file = None if options.certificate is None else files.read_text(options.certificate)
     given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
+    if file is not None and given is not None and mode == SOUND:
+        require_premises(file.path, given, sensors)
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region=region)
@@ -113,7 +133,7 @@ def protect(
     else:
         why_not = _not_online(mode, scenario, learner)
         workshop = Workshop() if options.in_real_time and not why_not else None
-        certifier = why_not or _online(mode, scenario, model, sensors, workshop)
+        certifier = why_not or _online(mode, scenario, believed, model, sensors, workshop)
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
     stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
@@ -149,7 +169,9 @@ def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
     return ""
 
 
-def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere: Workshop | None) -> Certifier:
+def _online(
+    mode: str, scenario: Scenario, believed: Vehicle, model: Model, sensors: str, elsewhere: Workshop | None
+) -> Certifier:
     """What certifies in flight."""
     region, limits = scenario.region, scenario.limits
     assert region is not None
@@ -157,11 +179,17 @@ def _online(mode: str, scenario: Scenario, model: Model, sensors: str, elsewhere
         return PublishedCertifier(model, limits, region)
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
+    governor = governor_for(believed, model, limits, sensors)
     accuracy = MOCAP if sensors == "mocap" else GPS
     if region.kind == "ellipsoid":
-        vertical = replace(VERTICAL, accuracy=accuracy)
+        vertical = replace(VERTICAL, accuracy=accuracy, governor=governor)
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(accuracy=accuracy, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(accuracy=accuracy, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
+
+
+def governor_for(believed: Vehicle, model: Model, limits: Limits, sensors: str) -> GovernorTerms:
+    """What bounds torque in a flight with sensors of a grade."""
+    return governor_terms(believed, model, limits, load_grade(sensors).imu.gyro_noise_radps_rthz)

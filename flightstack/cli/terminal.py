@@ -34,6 +34,11 @@ def show(what: Any) -> None:
         output.print(Text(line), soft_wrap=True)
 
 
+def say(text: str) -> None:
+    """One line, as it is: paths are never cut, wrapped or taken for markup."""
+    output.print(text, soft_wrap=True, markup=False)
+
+
 def _lines(what: Any) -> Iterator[str]:
     if isinstance(what, Group):
         for part in what.renderables:

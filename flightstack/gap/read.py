@@ -17,6 +17,7 @@ from flightstack.vehicle import Vehicle
 from flightstack_logs.columns import PLACES, ColumnMap, apply, parse_columns
 from flightstack_logs.reader import Log, read
 from flightstack_logs.readers.csv_file import TABLE
+from flightstack_logs.standard import with_vehicle_topics
 
 _UNIT = 0.1
 """By which a quaternion's length may be off."""
@@ -34,6 +35,8 @@ def flight(path: Path | str, vehicle: Vehicle, columns: Path | str | None = None
         raise InputError(f"log {path}: is {log.kind}, whose topics are known; --columns is for CSV and Crazyflie logs")
     if log.kind == "mcap":
         signals, notes = mcap.signals(log)
+    elif log.kind in ("tlog", "dataflash"):
+        signals, notes = mcap.signals(with_vehicle_topics(log))
     elif log.kind == "ulog":
         signals, notes = ulog.signals(log, vehicle)
     elif log.kind == "cfusdlog":

@@ -19,6 +19,10 @@ from flightstack_logs.topics import Attachment
 
 MAGIC = b"\x89MCAP0\r\n"
 _MAX_CHUNK_BYTES = 1 << 30
+_FOOTER_BYTES = 29
+_COMPRESSIONS = (b"\x03\x00\x00\x00lz4", b"\x04\x00\x00\x00zstd")
+_BEFORE_COMPRESSION = 37
+"""Bytes of a chunk's record before its compression: opcode, size, two times, size and checksum unpacked."""
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 2, 3, 4, 5, 6, 9, 12, 15
 _TOP_LEVEL = (_SCHEMA, _CHANNEL, _MESSAGE, _ATTACHMENT, _METADATA)
 """Records outside chunks that matter here; indexes, header and summary don't."""
@@ -62,6 +66,8 @@ class McapContent:
     finished: bool = False
     """Whether the file was closed properly."""
     notes: list[str] = field(default_factory=list)
+    orphans: int = 0
+    """Messages of channels that nothing describes."""
 
 
 class _Cursor:
@@ -99,13 +105,18 @@ def scan(data: bytes, source: str) -> McapContent:
         raise InputError(f"log {source}: is no MCAP file")
     content = McapContent()
     schemas: dict[int, Schema] = {}
+    _summary(data, content, schemas)
     at = len(MAGIC)
     while at + _OPENING.size <= len(data):
         op, size = _OPENING.unpack_from(data, at)
         begin, at = at, at + _OPENING.size + size
         if op == 0 or at > len(data):
-            content.notes.append(f"cut off: the last {len(data) - begin} bytes are not whole")
-            return content
+            at = _next_chunk(data, begin + 1)
+            if at < 0:
+                content.notes.append(f"cut off: the last {len(data) - begin} bytes are not whole")
+                break
+            content.notes.append(f"damaged: the {at - begin} bytes from byte {begin} on are no record; skipped")
+            continue
         try:
             if op == _CHUNK:
                 _messages(_unpack_chunk(data[begin + _OPENING.size : at]), content, schemas)
@@ -114,11 +125,58 @@ def scan(data: bytes, source: str) -> McapContent:
             elif op in _TOP_LEVEL:
                 _messages(data[begin:at], content, schemas)
         except ValueError as error:
-            content.notes.append(f"damaged: {error} at byte {begin}; skipped")
+            content.notes.append(f"damaged: {error} at byte {begin}{_span_words(op, data, begin)}; skipped")
+    if content.orphans:
+        content.notes.append(f"damaged: {content.orphans} messages belong to topics whose description was lost")
     content.finished = data.endswith(MAGIC) and len(data) > 2 * len(MAGIC)
-    if not content.finished:
+    if not content.finished and not any(note.startswith("cut off") for note in content.notes):
         content.notes.append("cut off: the log was not closed; it ends with the last chunk written")
     return content
+
+
+def _summary(data: bytes, content: McapContent, schemas: dict[int, Schema]) -> None:
+    """Schemas and channels are told once more at the end of a finished file: they survive damage to their chunk."""
+    footer = len(data) - len(MAGIC) - _FOOTER_BYTES
+    if footer < len(MAGIC) or not data.endswith(MAGIC) or data[footer] != _FOOTER:
+        return
+    at = int.from_bytes(data[footer + _OPENING.size : footer + _OPENING.size + 8], "little")
+    while len(MAGIC) <= at < footer:
+        op, size = _OPENING.unpack_from(data, at)
+        body = data[at + _OPENING.size : at + _OPENING.size + size]
+        try:
+            if op in (_SCHEMA, _CHANNEL):
+                _rare_record(op, body, content, schemas)
+        except ValueError:
+            return
+        at += _OPENING.size + size
+
+
+def _next_chunk(data: bytes, at: int) -> int:
+    """Where the next chunk that can be unpacked begins; -1 where there is none."""
+    while True:
+        places = [p - _BEFORE_COMPRESSION for mark in _COMPRESSIONS if (p := data.find(mark, at)) >= 0]
+        places = [p for p in places if p >= at - _BEFORE_COMPRESSION]
+        if not places:
+            return -1
+        begin = min(places)
+        if begin >= at and data[begin] == _CHUNK:
+            size = int.from_bytes(data[begin + 1 : begin + 9], "little")
+            record = data[begin + _OPENING.size : begin + _OPENING.size + size]
+            try:
+                if len(record) == size and _unpack_chunk(record):
+                    return begin
+            except ValueError:
+                pass
+        at = begin + _BEFORE_COMPRESSION + 1
+
+
+def _span_words(op: int, data: bytes, begin: int) -> str:
+    """From when to when a chunk that is lost would have reached, by its own header."""
+    header = data[begin + _OPENING.size : begin + _OPENING.size + 16]
+    if op != _CHUNK or len(header) < 16:
+        return ""
+    first_s, last_s = (1e-9 * int.from_bytes(part, "little") for part in (header[:8], header[8:]))
+    return f" (what was logged from {first_s:.2f} s to {last_s:.2f} s)" if first_s <= last_s < 1e10 else ""
 
 
 def _unpack_chunk(record: bytes) -> bytes:
@@ -161,8 +219,10 @@ def _messages(records: bytes, content: McapContent, schemas: dict[int, Schema]) 
             raise ValueError("a record reaches beyond its chunk")
         if op != _MESSAGE:
             _rare_record(op, padded[begin:at], content, schemas)
-        elif size < _MESSAGE_BYTES or channel_id not in channels:
-            raise ValueError(f"a message of the unknown channel {channel_id}")
+        elif size < _MESSAGE_BYTES:
+            raise ValueError("a message is too short")
+        elif channel_id not in channels:
+            content.orphans += 1
         else:
             channel = channels[channel_id]
             channel.times_ns.append(time_ns)

@@ -1,11 +1,12 @@
 """Logs in: `read(path)` gives any supported log as typed tables; the kind of file is told by its content.
 
-A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  What begins like none of
-them and is text is taken for CSV.  Any of them may be packed with gzip.
+A further kind is one row in `_KINDS`: how its files begin and the function that reads them.  A `.tlog` begins with a
+date and a frame; what begins like none of them and is text is taken for CSV.  Any of them may be packed with gzip.
 """
 
 from __future__ import annotations
 
+import stat
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -13,13 +14,13 @@ from pathlib import Path
 from flightstack.types import InputError
 from flightstack_logs import mcap_file
 from flightstack_logs.columns import ColumnMap
-from flightstack_logs.readers import cfusdlog, csv_file, ulog
+from flightstack_logs.readers import cfusdlog, csv_file, dataflash, tlog, ulog
 from flightstack_logs.readers.mcap import read_mcap
 from flightstack_logs.tables import About, Log, Messages, Table
 
 __all__ = ["About", "Log", "Messages", "Table", "read"]
 
-KNOWN = ".mcap, .ulg, .csv, Crazyflie .cfusdlog, each also as .gz"
+KNOWN = ".mcap, .ulg, .tlog, .BIN, .csv, Crazyflie .cfusdlog, each also as .gz"
 _GZIP = b"\x1f\x8b"
 _MOST_BYTES = 4 << 30
 """Of a log once unpacked: a day at full rate; what claims more is no log."""
@@ -31,12 +32,7 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
     `columns` says what the columns of a CSV mean that hasn't this project's header.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"log {path}: can't be read ({error.strerror}); check the path") from None
-    if not data:
-        raise InputError(f"log {path}: is empty; nothing was ever written to it")
+    data = bytes_of(path)
     if data.startswith(_GZIP):
         data = _unpacked(path, data)
     for beginning, reader in _KINDS:
@@ -44,9 +40,31 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
             return reader(path, data)
         if beginning.startswith(data):
             raise InputError(f"log {path}: is cut off within its first bytes; there is nothing to read in it")
+    if tlog.begins_like_a_tlog(data):
+        return tlog.read_tlog(path, data)
     if csv_file.is_text_table(data):
         return csv_file.read_csv(path, data, columns)
     raise InputError(f"log {path}: is of no known kind (known: {KNOWN}); name a flight log")
+
+
+def bytes_of(path: Path) -> bytes:
+    """All of a log's file; InputError, one line, where it can't be read, is empty, no file or too large to be a log."""
+    try:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise InputError(f"log {path}: is no file; name a flight log")
+        if about.st_size > _MOST_BYTES:
+            raise InputError(
+                f"log {path}: has {about.st_size / 1e9:.0f} GB, more than {_MOST_BYTES >> 30} GB are not read"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"log {path}: can't be read ({error.strerror}); check the path") from None
+    except MemoryError:
+        raise InputError(f"log {path}: does not fit into this machine's memory; cut it") from None
+    if not data:
+        raise InputError(f"log {path}: is empty; nothing was ever written to it")
+    return data
 
 
 def _unpacked(path: Path, data: bytes) -> bytes:
@@ -66,5 +84,6 @@ def _unpacked(path: Path, data: bytes) -> bytes:
 _KINDS: tuple[tuple[bytes, Callable[[Path, bytes], Log]], ...] = (
     (mcap_file.MAGIC, read_mcap),
     (ulog.MAGIC, ulog.read_ulog),
+    (dataflash.MAGIC, dataflash.read_dataflash),
     (cfusdlog.MAGIC, cfusdlog.read_cfusdlog),
 )

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.types import InputError
 from flightstack_logs.topics import Attachment
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +34,37 @@ class Table:
 
     def __getitem__(self, column: str) -> np.ndarray:
         return self.columns[column]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A pandas frame with log time in seconds as its index, `t_s`; parts of a vector are columns `NAME_0`, ...
+
+        InputError where pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("this needs pandas: pip install 'flightstack[pandas]'") from None
+        return pandas.DataFrame(self._flat(), index=pandas.Index(self.t_us / 1e6, name="t_s"))
+
+    def to_polars(self) -> polars.DataFrame:
+        """A polars frame with log time in seconds as its first column, `t_s`; parts of a vector as in `to_pandas`.
+
+        InputError where polars is not installed.
+        """
+        try:
+            import polars
+        except ImportError:
+            raise InputError("this needs polars: pip install 'flightstack[polars]'") from None
+        return polars.DataFrame({"t_s": self.t_us / 1e6, **self._flat()})
+
+    def _flat(self) -> dict[str, np.ndarray]:
+        flat: dict[str, np.ndarray] = {}
+        for name, values in self.columns.items():
+            if values.ndim == 1:
+                flat[name] = values
+            else:
+                flat |= {f"{name}_{part}": np.ascontiguousarray(column) for part, column in enumerate(values.T)}
+        return flat
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +99,7 @@ class Log:
 
     path: Path
     kind: str
-    """Kind of file: mcap, ulog, csv, cfusdlog."""
+    """Kind of file: mcap, ulog, tlog, dataflash, csv, cfusdlog."""
     complete: bool
     """False where the file was cut off or is damaged; `notes` says how."""
     notes: tuple[str, ...]

@@ -338,6 +338,19 @@ _STACK_TOPICS = (
         _LEARNER_FIELDS,
     ),
     Topic(
+        "/estimate",
+        Kind.TABLE,
+        "flightstack.Estimate",
+        25.0,
+        "companion",
+        "how far the vehicle's velocity is from the derivative of its own position, and what of that is used",
+        (
+            _f64("disagreement_ned_mps", 3, "m/s", "c: d(position)/dt less velocity, observed"),
+            _f64("rms_ned_mps", 3, "m/s", "root mean square of c over 15 s: the estimator's health"),
+            _f64("weight", 3, "1", "share of c that is added to the velocity"),
+        ),
+    ),
+    Topic(
         "/filter",
         Kind.TABLE,
         "flightstack.Filter",

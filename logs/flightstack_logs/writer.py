@@ -168,6 +168,7 @@ class FlightLog:
         self._context = foxglove.Context()
         self._sink: MCAPWriter = _open_sink(file, self._context)
         self._channels: dict[str, _Channel] = {}
+        self._declared: dict[str, Topic] = {}
         self._certificate: tuple[int, Certificate] | None = None
         self._silent = False
         self._closed = False
@@ -252,8 +253,13 @@ class FlightLog:
             self._due_us = t_us + FLUSH_PERIOD_US
             self.flush()
 
+    def declare(self, topic: Topic) -> None:
+        """A topic that is not in the table: what another log calls its own."""
+        self._declared[topic.name] = topic
+
     def _open_channel(self, topic: str) -> _Channel:
-        channel = self._channels[topic] = _Channel(TOPICS[topic], self._context)
+        said = self._declared.get(topic)
+        channel = self._channels[topic] = _Channel(TOPICS[topic] if said is None else said, self._context)
         return channel
 
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:

@@ -232,8 +232,8 @@ def _near(north_m: float, east_m: float, down_m: float) -> Callable[[Any], bool]
     return near
 
 
-async def main(url: str) -> None:
-    """Connect and fly."""
+async def main(url: str, *, places: bool = True) -> None:
+    """Connect and fly; without `places` no COMMAND_INT is sent, whose frames not every PX4 takes."""
     async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
         await mavsdk.add_any_connection(url)
         system = await mavsdk.first_autopilot(PATIENCE_S)
@@ -247,9 +247,10 @@ async def main(url: str) -> None:
         await flight.streams()
         await flight.takes_off()
         await flight.flies_offboard()
-        await flight.goes_places()
+        if places:
+            await flight.goes_places()
         await flight.comes_home()
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1]))
+    asyncio.run(main(sys.argv[1], places="--without-places" not in sys.argv))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from certified import for_the_papers_path, unchecked, write
 
 from flightstack.barrier.file import parse_certificate
+from flightstack.barrier.premises import EstimateBounds, Premises
 from flightstack.cli.files import load_vehicle
 from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
 from flightstack_logs.reader import Log, read
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE
@@ -169,3 +172,26 @@ def test_a_filtered_flight_is_the_same_again_byte_for_byte(folder: Path) -> None
         given = folder / "small.json"
         _fly(folder / name, "paper-tracking", duration_s=3.0, seed=24, certificate=given)
     assert (folder / "a" / "flight.mcap").read_bytes() == (folder / "b" / "flight.mcap").read_bytes()
+
+
+def test_a_link_slower_than_a_certificate_holds_for_is_refused_before_take_off(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """15 ms more each way, where the certificate counts commands as late as 10 ms; without the delay it flies."""
+    given = for_the_papers_path()
+    any_speed, anything = ((-9.0, 9.0),) * 3, (0.0, 99.0)
+    premises = Premises(
+        "mocap", "", EstimateBounds(0.02, 0.1, 0.2, 4.3), any_speed, 1.0, anything, anything, anything,
+        (0.004, 0.008), 0.002, 0.004, anything,
+    )  # fmt: skip
+    path = write(folder / "late.json", replace(given, premises=premises), load_vehicle(None)[0])
+    arguments = ["fly", "paper-tracking", "--duration", "2", "--certificate", str(path), "--out", str(folder / "late")]
+    with pytest.raises(SystemExit) as stop:
+        main([*arguments, "--fault", "link-delay:15"])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert "link too slow: " in error
+    assert error.count("\n") == 1
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 0

@@ -105,7 +105,7 @@ def test_a_short_stall_is_taken_back_and_the_flight_completes(flight: GuardedFli
 
 
 def test_a_short_stall_on_a_slow_machine_is_taken_back(flight: GuardedFlight) -> None:
-    """60 ticks missed within half a second, then 100 in one stall: together more than the watchdog of the pace allows."""
+    """60 ticks missed within half a second, then 100 in one stall: together more than the watchdog allows."""
     for _ in range(30):
         flight.step()
         flight.stand_still(0.008)

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flightstack.autopilot import effectiveness, mixer
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Rotors
-from flightstack_sim.autopilot.allocation import allocate, effectiveness, mixer
+from flightstack_sim.autopilot.allocation import allocate
 from tests.recorded_px4 import read_flight
 
 X_QUAD = Rotors(

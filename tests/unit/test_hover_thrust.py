@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from station import vehicle_file
 
+from flightstack.autopilot import hover_command
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import scaled, with_effects
 from flightstack_sim.autopilot.hover_thrust import HoverThrust
 from flightstack_sim.autopilot.params import Params
 from flightstack_sim.autopilot.position_control import PositionControl
-from flightstack_sim.autopilot.rate_control import hover_command
 from flightstack_sim.autopilot.setpoint import LAND, ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
 from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle

@@ -17,7 +17,8 @@ from shipped import ROOT, load_vehicle
 from flightstack.barrier.file import certificate_to_json, parse_certificate
 from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.published_filter import PublishedFilter
-from flightstack.barrier.records import Budget
+from flightstack.barrier.records import Budget, Certificate
+from flightstack.cli import protection
 from flightstack.cli.barrier_score import TimedFilter
 from flightstack.cli.flight import FlyOptions
 from flightstack.cli.offboard import OffboardOptions
@@ -209,14 +210,45 @@ def test_a_certificate_that_the_checker_proves_flies_and_one_that_it_refuses_doe
     assert "mine.json" in said
     assert "the independent checker refuses it: " in refused(certificate=path, filtering=False)
 
-    stamp = {"vehicle": "quad-x", "vehicle_hash": vehicle_hash(load_vehicle("quad-x"))}
-    good = proven()
-    path.write_text(certificate_to_json(dataclasses.replace(good, knowledge={**good.knowledge, **stamp})))
+    path.write_text(certificate_to_json(stamped()))
     assert prepared("hover", certificate=path).stack.filter.enabled
     data = json.loads(path.read_text())
     data["axes"][0]["margins"][0]["mps2"] *= 0.5
     path.write_text(resealed(data))
     assert "the independent checker refuses it: " in refused(scenario="hover", certificate=path)
+
+
+def stamped(**premises: Any) -> Certificate:
+    """A proven one, made out for the shipped vehicle; `premises`: what is changed of them."""
+    good = proven()
+    assert good.premises is not None
+    stamp = {"vehicle": "quad-x", "vehicle_hash": vehicle_hash(load_vehicle("quad-x"))}
+    named = dataclasses.replace(good.premises, vehicle_hash=stamp["vehicle_hash"], **premises)
+    return dataclasses.replace(good, knowledge={**good.knowledge, **stamp}, premises=named)
+
+
+@pytest.mark.checked
+def test_a_certificate_for_other_sensors_or_quicker_commands_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(certificate_to_json(stamped()))
+    said = refused(scenario="hover", certificate=path, sensors="gps")
+    assert "holds with mocap sensors, this flight has gps" in said
+    monkeypatch.setattr(protection, "require_checked", lambda path: None)
+    path.write_text(certificate_to_json(stamped(command_interval_s=0.002)))
+    assert "a command every 2 ms, this loop gives one every 4 ms" in refused(scenario="hover", certificate=path)
+    path.write_text(certificate_to_json(dataclasses.replace(stamped(), premises=None)))
+    assert "names no premises" in refused(scenario="hover", certificate=path)
+
+
+def test_a_certificate_bounds_the_round_trip_of_the_link(tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(certificate_to_json(stamped(delay_s=(0.004, 0.006), jitter_s=0.002)))
+    assert prepared("hover", certificate=path).protection.round_trip_max_s == pytest.approx(0.016)
+    assert prepared("hover").protection.round_trip_max_s == pytest.approx(0.04)
+    path.write_text(certificate_to_json(stamped(delay_s=(0.004, 0.06), jitter_s=0.002)))
+    assert prepared("hover", certificate=path).protection.round_trip_max_s == pytest.approx(0.04)
 
 
 @pytest.mark.checked

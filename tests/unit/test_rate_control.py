@@ -10,19 +10,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from flightstack.autopilot import LOOP_GAIN_MAX, angular_acceleration_per_torque, hover_command, phase_margin_deg
+from flightstack.rate_loop import butterworth2, first_order_alpha
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from flightstack_sim.autopilot.flight_control import airframe_params
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.rate_control import (
-    LOOP_GAIN_MAX,
-    RateControl,
-    angular_acceleration_per_torque,
-    butterworth2,
-    first_order_alpha,
-    hover_command,
-    phase_margin_deg,
-)
+from flightstack_sim.autopilot.rate_control import RateControl
 from tests.recorded_px4 import latest, read_flight
 
 VEHICLES = Path(__file__).parents[2] / "flightstack/data/vehicles"

@@ -1,8 +1,6 @@
 """Control allocation: torque and collective thrust to motor commands, as PX4 does for a multirotor.
 
-The mixing matrix is the pseudo-inverse of the rotors' effectiveness (all rotors alike), with PX4's normalisation: roll
-and pitch share one scale, the larger root of a column's sum of squares over half the rotors; yaw's is its largest
-entry; thrust's is its mean.  For a symmetric X that gives 0.707 for roll and pitch, 1 for yaw and 1 for thrust.
+The mixing matrix is `flightstack.autopilot.mixer`.
 
 Saturation is PX4's sequential desaturation with MC_AIRMODE 0, its order confirmed on a recorded flight: commands of
 roll, pitch and collective thrust are mixed and brought into range by moving along one column after another, thrust
@@ -14,35 +12,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from flightstack.jit import njit
-from flightstack.types import F64, InputError
-from flightstack.vehicle import Rotors
+from flightstack.types import F64
 
-ROLL, PITCH, YAW, THRUST = 0, 1, 2, 3
 YAW_HEADROOM = 0.15
 """Command above 1 that yaw may ask for; thrust makes room for it."""
-
-
-def effectiveness(rotors: Rotors) -> F64:
-    """(4, N): roll, pitch, yaw moment (N m) and thrust (N) per newton of each rotor's thrust along body -z."""
-    x, y = rotors.position_m[:, 0], rotors.position_m[:, 1]
-    return np.stack([-y, x, np.asarray(rotors.torque_ratio_m), np.ones(len(x))])
-
-
-def mixer(rotors: Rotors) -> F64:
-    """(N, 4) motor commands per unit of roll, pitch, yaw torque and collective thrust."""
-    mix = np.linalg.pinv(effectiveness(rotors))
-    mix[np.abs(mix) < 1e-9 * np.abs(mix).max()] = 0.0
-    count = np.count_nonzero(mix, axis=0)
-    if count.min() == 0 or mix[:, THRUST].min() <= 0.0:
-        raise InputError("rotors.position_m and torque_ratio_m: must give thrust and torque about all axes")
-    spread = np.sqrt(np.sum(mix[:, :YAW] ** 2, axis=0) / (count[:YAW] / 2.0))
-    mix[:, :YAW] /= spread.max()
-    mix[:, YAW] /= np.abs(mix[:, YAW]).max()
-    mix[:, THRUST] /= mix[:, THRUST].mean()
-    return np.ascontiguousarray(mix)
 
 
 @njit

@@ -10,6 +10,8 @@ import math
 
 import numpy as np
 
+from flightstack.autopilot import autopilot_of, hover_command
+from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.types import F64, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_sim.autopilot.attitude_control import AttitudeControl
@@ -17,7 +19,7 @@ from flightstack_sim.autopilot.guidance import Guidance
 from flightstack_sim.autopilot.hover_thrust import HoverThrust
 from flightstack_sim.autopilot.land_detector import LandDetector
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.rate_control import RateControl, default_rate_gains, hover_command
+from flightstack_sim.autopilot.rate_control import RateControl
 from flightstack_sim.autopilot.setpoint import OFF, POSITION_KINDS, ControlKind, ControlSetpoint
 
 TICK_S = 0.004
@@ -26,13 +28,13 @@ _OFF, _RATE, _ATTITUDE = ControlKind.OFF, ControlKind.RATE, ControlKind.ATTITUDE
 
 
 def airframe_params(vehicle: Vehicle, flown: Vehicle | None = None) -> Params:
-    """Parameters as an autopilot set up for this vehicle has them: hover thrust, rotor places, rate loop gains.
+    """Parameters as an autopilot set up for this vehicle has them: hover thrust, rotor places, its file's [autopilot].
 
-    The gains are tuned on what is `flown`, as everybody's are; by default the same.
+    Gains that the file does not state are tuned on what is `flown`, as everybody's are; by default the same.
     """
     params = Params()
     values = {"MPC_THR_HOVER": min(0.8, max(0.1, hover_command(vehicle)))}
-    values |= default_rate_gains(vehicle, params, flown)
+    values |= {AUTOPILOT_PARAMS[key].name: value for key, value in autopilot_of(vehicle, flown).items()}
     for index, (place, ratio) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.torque_ratio_m, strict=True)):
         values |= {f"CA_ROTOR{index}_P{axis}": float(place[k]) for k, axis in enumerate("XYZ")}
         values[f"CA_ROTOR{index}_KM"] = float(ratio)

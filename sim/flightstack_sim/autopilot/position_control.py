@@ -18,9 +18,9 @@ import numpy as np
 
 from flightstack.frames import quat_from_euler
 from flightstack.jit import njit
+from flightstack.rate_loop import first_order_alpha
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.rate_control import first_order_alpha
 
 # places in the configuration
 _P_POS, _P, _I, _D, _HOVER, _THR_MIN, _THR_MAX, _MARGIN, _ALPHA_D, _DT = 0, 3, 6, 9, 12, 13, 14, 15, 16, 17

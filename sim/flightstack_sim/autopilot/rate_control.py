@@ -8,11 +8,7 @@ it is held while landed, is limited, doesn't grow further into an axis that the 
 at 0 on arming.  Yaw torque passes a first-order low-pass (MC_YAW_TQ_CUTOFF).  Motor commands are thrusts where
 THR_MDL_FAC is 0; above, they are the commands whose curve gives those thrusts.
 
-PX4's gains are tuned for each airframe through K.  Here K follows from the vehicle file: angular acceleration per unit
-of torque alpha and total lag tau (rotors, gyro filter, yaw's low-pass) make a loop s (tau s + 1) + K P alpha, whose
-damping falls with K P alpha tau.  K = min(1, c / (P alpha tau)) leaves PX4's defaults on ordinary vehicles and
-holds back agile ones.  Nobody flies a vehicle that rings: where what really flies answers later than the file says
-(`flown`), K is the greatest that leaves the loop 35 degrees of phase.
+K is the airframe's where nothing else is set: `flightstack.autopilot`.
 """
 
 from __future__ import annotations
@@ -22,19 +18,16 @@ from struct import Struct
 
 import numpy as np
 
+from flightstack.autopilot import mixer
 from flightstack.jit import njit
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3
+from flightstack.rate_loop import butterworth2, first_order_alpha
+from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from flightstack_sim.autopilot.allocation import allocate, effectiveness, mixer
+from flightstack_sim.autopilot.allocation import allocate
 from flightstack_sim.autopilot.params import Params
 
 AXES = ("ROLLRATE", "PITCHRATE", "YAWRATE")
 INTEGRATOR_LIMITS = ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM")
-LOOP_GAIN_MAX = (1.1, 1.1, 0.6)
-"""Most P K alpha tau of roll, pitch, yaw that the default K allows; yaw has no D to damp it."""
-PHASE_MARGIN_DEG = 35.0
-"""Least of the default K.  A rotor lag of 80 ms leaves PX4's defaults 41 degrees, 20 ms of dead time beside it 15."""
-_FREQUENCIES_RADPS = np.geomspace(0.5, 500.0, 600)
 _INTEGRATOR_FADE_RADPS = math.radians(400.0)
 
 # places in the loop's state
@@ -50,80 +43,6 @@ _CONFIG = _STATE_SIZE
 _MOTORS = _CONFIG + _CONFIG_SIZE
 _ROTORS = 4
 _MIX = _MOTORS + _ROTORS
-
-
-def butterworth2(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float, float, float]:
-    """(b0, b1, b2, a1, a2) of a second-order Butterworth low-pass (bilinear, prewarped); no filter at 0 Hz."""
-    if cutoff_hz <= 0.0 or cutoff_hz >= 0.5 * sample_hz:
-        return 1.0, 0.0, 0.0, 0.0, 0.0
-    k = math.tan(math.pi * cutoff_hz / sample_hz)
-    norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
-    b0 = k * k * norm
-    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
-
-
-def first_order_alpha(cutoff_hz: float, dt_s: float) -> float:
-    """Weight of the new sample in a first-order low-pass; 1 (no filter) at 0 Hz."""
-    return 1.0 if cutoff_hz <= 0.0 else dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
-
-
-def hover_command(vehicle: Vehicle) -> float:
-    """Motor command 0..1 at which the file's rotors carry the file's mass: f u^2 + (1 - f) u = m g / (4 T_max)."""
-    rotors = vehicle.rotors
-    load = vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / (len(rotors.position_m) * rotors.max_thrust_n)
-    f = rotors.thrust_model_factor
-    u = load if f < 1e-9 else (math.sqrt((1.0 - f) ** 2 + 4.0 * f * load) - (1.0 - f)) / (2.0 * f)
-    return min(u, 1.0)
-
-
-def angular_acceleration_per_torque(vehicle: Vehicle) -> F64:
-    """(3,) rad/s^2 per unit of roll, pitch, yaw torque setpoint, linearised at hover."""
-    rotors = vehicle.rotors
-    f = rotors.thrust_model_factor
-    slope_n = rotors.max_thrust_n * (2.0 * f * hover_command(vehicle) + 1.0 - f)
-    moment_nm = np.diag(effectiveness(rotors)[:3] @ mixer(rotors)[:, :3]) * slope_n
-    return moment_nm / np.asarray(vehicle.inertia_kgm2)
-
-
-def default_rate_gains(vehicle: Vehicle, params: Params, flown: Vehicle | None = None) -> dict[str, float]:
-    """MC_*RATE_K for this airframe, as tuned on what is `flown` (see the module's text); by default the airframe."""
-    gyro_hz = params.get("IMU_GYRO_CUTOFF")
-    gyro_s = math.sqrt(2.0) / (2.0 * math.pi * gyro_hz) if gyro_hz > 0.0 else 0.0
-    d_hz = params.get("IMU_DGYRO_CUTOFF")
-    d_s = 1.0 / (2.0 * math.pi * d_hz) if d_hz > 0.0 else 0.0
-    yaw_hz = params.get("MC_YAW_TQ_CUTOFF")
-    effects = (flown or vehicle).effects
-    lag_s = effects.get("motor_lag", {}).get("time_constant_s", vehicle.rotors.time_constant_s)
-    dead_s = effects.get("transport_delay", {}).get("delay_s", 0.0)
-    alpha = angular_acceleration_per_torque(vehicle)
-    gains = {}
-    for axis, name in enumerate(AXES):
-        p, i, d = (params.get(f"MC_{name}_{part}") for part in "PID")
-        yaw_s = 1.0 / (2.0 * math.pi * yaw_hz) if axis == 2 and yaw_hz > 0.0 else 0.0
-        loop = p * float(alpha[axis]) * (vehicle.rotors.time_constant_s + gyro_s + yaw_s)
-        k = max(0.01, min(1.0, LOOP_GAIN_MAX[axis] / loop)) if loop > 0.0 else 1.0
-        lags_s, rate = (lag_s, gyro_s, yaw_s), float(alpha[axis])
-        while k > 0.01 and phase_margin_deg((k * p, k * i, k * d, d_s), rate, lags_s, dead_s) < PHASE_MARGIN_DEG:
-            k *= 0.98
-        gains[f"MC_{name}_K"] = k
-    return gains
-
-
-def phase_margin_deg(gains: tuple[float, float, float, float], alpha: float, lags_s: Tuple3, dead_s: float) -> float:
-    """Of the loop (P + I / s + D s / (1 + s D_s)) alpha e^(-s dead) / (s (1 + s lag) ...), `gains` P, I, D, D_s.
-
-    180 where its gain is below 1 throughout.
-    """
-    p, i, d, d_s = gains
-    s = 1j * _FREQUENCIES_RADPS
-    loop = (p + i / s + d * s / (1.0 + s * d_s)) * alpha / s
-    for lag_s in lags_s:
-        loop = loop / (1.0 + s * lag_s)
-    above = np.flatnonzero(np.abs(loop) >= 1.0)
-    if not above.size:
-        return 180.0
-    at = int(above[-1])
-    return 180.0 + math.degrees(float(np.unwrap(np.angle(loop))[at]) - dead_s * float(_FREQUENCIES_RADPS[at]))
 
 
 class RateControl:

@@ -1,0 +1,292 @@
+"""The governor of rate commands: keeps the torque that PX4's rate loop asks for so small that no rotor saturates.
+
+A rate command makes the autopilot ask for torque, and torque takes thrust: where a rotor reaches the end of its
+command PX4 lowers the collective thrust, and unevenly turning rotors lift more than even ones.  Neither is in a
+certificate's bound of acceleration unless torque itself is bounded.  So while a certificate is in force, the governor
+has the last word on every command, the guard's brake included:
+
+* it runs the rate loop (`rate_loop`, five copies for what is not known of it) on the commands that are sent;
+* it moves wanted rates towards the modelled present rates, as little as does, until the torque predicted for the next
+  40 ms (yaw 200 ms) with the command held is at most r_max (of roll and pitch together, as their hypotenuse) and y_max,
+  in every copy.  Roll and pitch have r_max / sqrt(2) each, and what the other leaves: who shakes one axis does not take
+  from the other what keeps the vehicle in its region;
+* it keeps the collective command in [D, 1 - D], and the rates in what PX4's owner allows (MC_*RATE_MAX).
+
+With no rotor's command further than D from the collective one nothing saturates, so PX4's airmode does not matter
+either, and the loop stays the linear one that is modelled.  What remains of thrust's error is the rotors' curve:
+`barrier.torque` bounds it for the ledger, and chooses the limits.
+
+A command within its bounds passes bit for bit.  With no certificate in force every command does; the model runs all the
+same.  A filter engages half a second after its certificate came at the earliest: by then the loop has calmed down.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.autopilot import autopilot_of
+from flightstack.jit import njit
+from flightstack.model import thrust_to_norm
+from flightstack.rate_loop import (
+    A2,
+    B0,
+    B1,
+    BODY,
+    LAGGED,
+    LANES,
+    MODELS,
+    RATE,
+    STATE,
+    TORQUE,
+    Z1,
+    Z2,
+    constants_of,
+    couple,
+    step_lanes,
+)  # fmt: skip
+from flightstack.types import F64, Command
+from flightstack.vehicle import Vehicle
+
+STEP_US = 1000
+_STEPS_MOST = 100
+"""A pause between commands longer than so many steps counts as this long: the loop has settled by then."""
+_TILT_STEPS = 40
+_YAW_STEP_S, _YAW_STEPS = 0.004, 50
+_TILT, _YAW = 4 * MODELS, 2 * MODELS
+"""Lanes of a prediction: as things are, then the answer to a unit step; of roll and pitch, of yaw."""
+_HALVINGS = 12
+_GOLDEN = 0.5 * (3.0 - math.sqrt(5.0))
+_NEVER = -1
+
+
+class GovernorLimits(NamedTuple):
+    """What is kept, in units of PX4's normalised torque and thrust."""
+
+    roll_pitch_max: float = 0.06
+    """r_max: greatest hypotenuse of roll and pitch torque."""
+    yaw_max: float = 0.03
+    """y_max."""
+    margin: float = 0.1
+    """D: the collective command keeps so far from 0 and from 1, as PX4 mixes it."""
+
+    def command_range(self, undone: float) -> tuple[float, float]:
+        """Least and greatest collective command; `undone`: THR_MDL_FAC, whose curve PX4 undoes after mixing."""
+        return thrust_to_norm(self.margin, 1.0, undone), thrust_to_norm(1.0 - self.margin, 1.0, undone)
+
+
+class GovernorState(NamedTuple):
+    """What one tick hands to the next; the arrays are written in place."""
+
+    memory: F64
+    """(3 + 1 + STATE * LANES,) rates and collective command sent last, then the model's state."""
+    t_us: int = _NEVER
+    """Up to when the model has run."""
+
+
+class Governor:
+    """The governor of one believed vehicle; holds constants and buffers for one tick."""
+
+    __slots__ = (
+        "_constants",
+        "_coupling",
+        "_out",
+        "_rate_max",
+        "_target",
+        "_tilt",
+        "_torques",
+        "_undone",
+        "_work",
+        "_yaw",
+    )
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        autopilot = autopilot_of(vehicle)
+        self._rate_max = np.radians([autopilot[f"mc_{axis}rate_max"] for axis in ("roll", "pitch", "yaw")])
+        self._undone = autopilot["thr_mdl_fac"]
+        self._constants = constants_of(vehicle).ravel()
+        tilt = constants_of(vehicle)[:, : 2 * MODELS]
+        yaw = constants_of(vehicle, step_s=_YAW_STEP_S)[:, 2 * MODELS :]
+        yaw[B0], yaw[B1 : A2 + 1] = (
+            1.0,
+            0.0,
+        )  # the gyro filter's 6 ms are nothing to yaw, and its state is of 1 ms steps
+        self._tilt, self._yaw = np.hstack([tilt, tilt]).ravel(), np.hstack([yaw, yaw]).ravel()
+        self._target, self._coupling = np.zeros(_TILT), np.zeros(_TILT + _YAW)
+        self._work, self._torques, self._out = np.zeros(STATE * _TILT), np.zeros(_YAW_STEPS * _TILT), np.zeros(3)
+        self.step(self.init(), Command(0, 0.0, 0.5, np.full(3, 0.1)), GovernorLimits())
+
+    def init(self) -> GovernorState:
+        """At rest, nothing sent."""
+        return GovernorState(np.zeros(4 + STATE * LANES))
+
+    def step(
+        self, state: GovernorState, command: Command, limits: GovernorLimits | None
+    ) -> tuple[GovernorState, float, F64 | None]:
+        """The state after sending; collective command and rates (3,) to send; rates None where they pass as they are.
+
+        `limits` None: nothing is limited, the model runs all the same.
+        """
+        rate, norm = command.rate_frd_radps, command.thrust_norm
+        if not math.isfinite(norm + rate[0] + rate[1] + rate[2]):  # PX4 does not take it either
+            return state, norm, None
+        if state.t_us == _NEVER:
+            state.memory[4 + LAGGED * LANES : 4 + (LAGGED + 1) * LANES] = norm
+        steps = 0 if state.t_us == _NEVER else min(max((command.t_us - state.t_us) // STEP_US, 0), _STEPS_MOST)
+        behind = command.t_us - state.t_us - steps * STEP_US
+        t_us = command.t_us if state.t_us == _NEVER or not 0 <= behind < STEP_US else command.t_us - behind
+        most = (math.inf, math.inf, 0.0, 1.0)
+        if limits is not None:
+            most = (limits.roll_pitch_max, limits.yaw_max, *limits.command_range(self._undone))
+        norm, changed = govern(
+            state.memory, self._constants, self._tilt, self._yaw, self._rate_max, rate, norm, int(steps),
+            most, self._target, self._coupling, self._work, self._torques, self._out,
+        )  # fmt: skip
+        return GovernorState(state.memory, t_us), norm, self._out.copy() if changed else None
+
+    @staticmethod
+    def torque(state: GovernorState) -> F64:
+        """(3, MODELS) normalised torque of each copy at present."""
+        torque: F64 = state.memory[4:].reshape(STATE, 3, MODELS)[TORQUE]
+        return torque
+
+
+@njit
+def govern(
+    memory: F64, constants: F64, tilt: F64, yaw: F64, rate_max: F64, rate: F64, norm: float, steps: int,
+    bounds: tuple[float, float, float, float], target: F64, coupling: F64, work: F64, torques: F64, out: F64,
+) -> tuple[float, bool]:  # fmt: skip
+    """Run the model for `steps` on what was sent last, then bound what is sent now: rates into `out` (3,)."""
+    state = memory[4:]
+    for axis in range(3):
+        for m in range(MODELS):
+            target[axis * MODELS + m] = memory[axis]
+    for _ in range(steps):
+        couple(state, constants, coupling)
+        step_lanes(state, constants, target, coupling, memory[3], LANES, 0.001)
+    changed = False
+    for axis in range(3):
+        out[axis] = rate[axis]
+    if bounds[0] < np.inf:
+        norm = min(max(norm, bounds[2]), bounds[3])
+        for axis in range(3):
+            most = rate_max[axis]
+            out[axis] = min(max(rate[axis], -most), most)
+        couple(state, constants, coupling)
+        for j in range(MODELS):  # beyond what roll and pitch are predicted with
+            coupling[_TILT + j] = coupling[2 * MODELS + j]
+        present = state[RATE * LANES], state[RATE * LANES + MODELS], state[RATE * LANES + 2 * MODELS]
+        _pack(state, 0, 2 * MODELS, work)
+        _predict_tilt(work, tilt, coupling, target, norm, present, torques)
+        half = bounds[0] * math.sqrt(0.5)
+        most = half
+        for turn in range(3):  # roll, pitch, roll: with what the other leaves
+            axis = turn % 2
+            change = min(max(rate[axis], -rate_max[axis]), rate_max[axis]) - present[axis]
+            share, used = _share_within(torques, _TILT_STEPS, _TILT, axis * MODELS, 2 * MODELS, change, most)
+            if share < 1.0:
+                out[axis] = present[axis] + share * change
+            else:
+                out[axis] = min(max(rate[axis], -rate_max[axis]), rate_max[axis])
+            most = max(math.sqrt(max(bounds[0] * bounds[0] - used * used, 0.0)), half)
+        _pack(state, 2 * MODELS, 3 * MODELS, work)
+        for j in range(_YAW):
+            work[Z1 * _YAW + j] = work[Z2 * _YAW + j] = 0.0
+            work[RATE * _YAW + j] = work[BODY * _YAW + j]
+        _predict_yaw(work, yaw, coupling[_TILT:], target, norm, present[2], torques)
+        change = out[2] - present[2]
+        share, _ = _share_within(torques, _YAW_STEPS, _YAW, 0, MODELS, change, bounds[1])
+        if share < 1.0:
+            out[2] = present[2] + share * change
+        changed = out[0] != rate[0] or out[1] != rate[1] or out[2] != rate[2]
+    for axis in range(3):
+        memory[axis] = out[axis]
+    memory[3] = norm
+    return norm, changed
+
+
+@njit
+def _pack(state: F64, first: int, last: int, work: F64) -> None:
+    """The lanes from first to last, and as many at rest but for the collective command: ready to be predicted."""
+    count = last - first
+    for row in range(STATE):
+        for j in range(count):
+            work[row * 2 * count + j] = state[row * LANES + first + j]
+            work[row * 2 * count + count + j] = state[row * LANES + first + j] if row == LAGGED else 0.0
+
+
+@njit
+def _predict_tilt(
+    work: F64, constants: F64, coupling: F64, target: F64, norm: float, present: tuple[float, float, float],
+    torques: F64,
+) -> None:  # fmt: skip
+    """Torques of the next steps at the present rates, and of a unit step of each axis (`_TILT` lanes a step)."""
+    for j in range(MODELS):
+        target[j], target[MODELS + j] = present[0], present[1]
+        target[2 * MODELS + j] = target[3 * MODELS + j] = 1.0
+        coupling[2 * MODELS + j] = coupling[3 * MODELS + j] = 0.0
+    for k in range(_TILT_STEPS):
+        step_lanes(work, constants, target, coupling, norm, _TILT, 0.001)
+        for j in range(_TILT):
+            torques[k * _TILT + j] = work[TORQUE * _TILT + j]
+
+
+@njit
+def _predict_yaw(
+    work: F64, constants: F64, coupling: F64, target: F64, norm: float, present: float, torques: F64
+) -> None:  # fmt: skip
+    """The same of yaw alone."""
+    for j in range(MODELS):
+        target[j], target[MODELS + j], coupling[MODELS + j] = present, 1.0, 0.0
+    for k in range(_YAW_STEPS):
+        step_lanes(work, constants, target, coupling, norm, _YAW, _YAW_STEP_S)
+        for j in range(_YAW):
+            torques[k * _YAW + j] = work[TORQUE * _YAW + j]
+
+
+@njit
+def _share_within(
+    torques: F64, steps: int, lanes: int, first: int, apart: int, change: float, most: float
+) -> tuple[float, float]:
+    """The greatest share of a change that keeps an axis' torque within `most`, and the greatest torque then.
+
+    torques: `lanes` numbers a step; the axis' copies without a change from `first` on, per unit of change `apart`
+    further.  Where no share does, it is the one with the least peak: the peak is convex in the share.
+    """
+    peak = _peak(torques, steps, lanes, first, apart, change)
+    if peak <= most:
+        return 1.0, peak
+    low, high = 0.0, 1.0
+    held = _peak(torques, steps, lanes, first, apart, 0.0) <= most
+    for _ in range(_HALVINGS):
+        if held:
+            middle = 0.5 * (low + high)
+            if _peak(torques, steps, lanes, first, apart, middle * change) <= most:
+                low = middle
+            else:
+                high = middle
+            continue
+        one, two = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
+        here = _peak(torques, steps, lanes, first, apart, one * change)
+        if here <= _peak(torques, steps, lanes, first, apart, two * change):
+            high = two
+        else:
+            low = one
+    share = low if held else 0.5 * (low + high)
+    return share, _peak(torques, steps, lanes, first, apart, share * change)
+
+
+@njit
+def _peak(torques: F64, steps: int, lanes: int, first: int, apart: int, change: float) -> float:
+    """The greatest torque of any copy in any step."""
+    greatest = 0.0
+    for k in range(steps):
+        at = k * lanes + first
+        for j in range(MODELS):
+            greatest = max(greatest, abs(torques[at + j] + change * torques[at + apart + j]))
+    return greatest
+
+
+__all__ = ["Governor", "GovernorLimits", "GovernorState", "govern"]

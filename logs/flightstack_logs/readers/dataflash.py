@@ -1,0 +1,165 @@
+"""ArduPilot's DataFlash logs (`.BIN`): one table for each message, under its name, `NAME_1`, ... for further instances.
+
+A file is messages of A3 95 and a type; FMT messages (type 128) say name, length, format and columns of each type.  The
+meaning of the format's letters, and what they are scaled by, is pymavlink's (`DFReader.FORMAT_TO_STRUCT`).  Damage is
+left out and counted, and the walk goes on at the next message that is followed by another.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.types import InputError
+from flightstack_logs.tables import About, Log, Table
+
+MAGIC = b"\xa3\x95\x80\x80"
+"""A3 95 and the FMT message that describes FMT itself."""
+_HEAD, _FMT, _FMT_BYTES = b"\xa3\x95", 128, 89
+_LATEST_US = 1 << 52
+
+
+@dataclass(slots=True)
+class _Kind:
+    """One type of message."""
+
+    name: str
+    row: np.dtype[np.void]
+    scales: dict[str, float]
+    at: list[int] = field(default_factory=list)
+
+
+def read_dataflash(path: Path, data: bytes) -> Log:
+    """The log in `data`, a damaged or cut-off one as far as it goes; InputError where there is no row in it."""
+    kinds, lost = _walk(data)
+    tables: dict[str, Table] = {}
+    for kind in kinds.values():
+        tables |= _tables(kind, data)
+    if not tables:
+        raise InputError(f"log {path}: is a DataFlash log without data; set LOG_DISARMED or record a flight")
+    notes = [f"damaged or cut off: {lost} bytes are no whole message"] if lost else []
+    first = min(int(table.t_us[0]) for table in tables.values() if len(table))
+    metadata = {"boot": {"first_us": str(first)}}
+    if "PARM" in tables and {"Name", "Value"} <= tables["PARM"].columns.keys():
+        parameters = tables["PARM"]
+        metadata["parameters"] = {
+            str(name): repr(float(value)) for name, value in zip(parameters["Name"], parameters["Value"], strict=True)
+        }
+    return Log(
+        path=path,
+        kind="dataflash",
+        complete=not lost,
+        notes=tuple(notes),
+        tables=tables,
+        messages={},
+        about={name: About("table", "dataflash", "", "ArduPilot", 0.0) for name in tables},
+        metadata=metadata,
+        attachments=(),
+        size_bytes=len(data),
+    )
+
+
+def _walk(data: bytes) -> tuple[dict[int, _Kind], int]:
+    """Places of every whole message by its type, and how many bytes belong to none."""
+    kinds: dict[int, _Kind] = {}
+    sizes: dict[int, int] = {_FMT: _FMT_BYTES}
+    at = lost = 0
+    end = len(data)
+    while at + 3 <= end:
+        size = sizes.get(data[at + 2]) if data[at : at + 2] == _HEAD else None
+        if size is None or at + size > end:
+            after = _next(data, at + 1, sizes)
+            lost += after - at
+            at = after
+            continue
+        number = data[at + 2]
+        if number == _FMT:
+            _learn(data[at : at + size], kinds, sizes)
+        elif number in kinds:
+            kinds[number].at.append(at)
+        at += size
+    return kinds, lost + end - at
+
+
+def _next(data: bytes, at: int, sizes: dict[int, int]) -> int:
+    """The next message that is whole and followed by another or by the end."""
+    while (at := data.find(_HEAD, at)) >= 0 and at + 3 <= len(data):
+        after = at + sizes.get(data[at + 2], len(data))
+        if after == len(data) or data[after : after + 2] == _HEAD:
+            return at
+        at += 1
+    return len(data)
+
+
+def _learn(message: bytes, kinds: dict[int, _Kind], sizes: dict[int, int]) -> None:
+    """Take an FMT message: type, length, name, format, names of the columns; nonsense is passed over."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
+    number, length, name, letters, names = struct.unpack("<BB4s16s64s", message[3:])
+    said = [part.rstrip(b"\0").decode("ascii", "replace") for part in (name, letters, names)]
+    columns = said[2].split(",") if said[2] else []
+    if length < 3 or not said[0].isalnum() or len(columns) != len(said[1]) or len(set(columns)) != len(columns):
+        return
+    fields: list[Any] = [("_head", "S3")]
+    scales: dict[str, float] = {}
+    for column, letter in zip(columns, said[1], strict=True):
+        if letter not in FORMAT_TO_STRUCT:
+            return
+        code, scale, _ = FORMAT_TO_STRUCT[letter]
+        kind = "<i2" if letter == "a" else f"S{code[:-1]}" if code.endswith("s") else f"<{np.dtype(code).str[1:]}"
+        fields.append((column, kind, (32,)) if letter == "a" else (column, kind))
+        if scale is not None:
+            scales[column] = float(scale)
+    row = np.dtype(fields)
+    if row.itemsize != length or number == _FMT:
+        return
+    sizes[number] = length
+    if number not in kinds:
+        kinds[number] = _Kind(said[0], row, scales)
+
+
+def _tables(kind: _Kind, data: bytes) -> dict[str, Table]:
+    """The messages of a type as tables, one for each instance; those without a time have none."""
+    if not kind.at:
+        return {}
+    raw = np.frombuffer(data, np.uint8)
+    size = kind.row.itemsize
+    rows = raw[np.array(kind.at)[:, None] + np.arange(size)].copy().view(kind.row)[:, 0]
+    names = [name for name in kind.row.names or () if name != "_head"]
+    if "TimeUS" in names:
+        t_us = rows["TimeUS"].astype(np.float64)
+    elif "TimeMS" in names:
+        t_us = 1e3 * rows["TimeMS"].astype(np.float64)
+    else:
+        return {}
+    good = np.flatnonzero((t_us >= 0.0) & (t_us < _LATEST_US))
+    rows, stamps = rows[good], t_us[good].astype(np.int64)
+    instance = next((name for name in ("I", "C", "Instance") if name in names and rows[name].dtype.kind in "iu"), None)
+    if instance is None or kind.name == "PARM":
+        return {kind.name: _table(kind.name, kind, rows, stamps)} if len(rows) else {}
+    found = {}
+    for number in np.unique(rows[instance]).tolist():
+        name = kind.name if number == 0 else f"{kind.name}_{number}"
+        mine = rows[instance] == number
+        found[name] = _table(name, kind, rows[mine], stamps[mine])
+    return found
+
+
+def _table(name: str, kind: _Kind, rows: np.ndarray, stamps: NDArray[np.int64]) -> Table:
+    order = np.argsort(stamps, kind="stable")
+    wanted = [column for column in kind.row.names or () if column not in ("_head", "TimeUS", "TimeMS")]
+    columns = {column: _typed(rows[column][order], kind.scales.get(column)) for column in wanted}
+    return Table(name, stamps[order], columns, {})
+
+
+def _typed(values: np.ndarray, scale: float | None) -> np.ndarray:
+    if values.dtype.kind == "S":
+        return np.array([value.decode("utf-8", "replace") for value in values.tolist()], dtype=np.str_)
+    if scale is not None:
+        return values.astype(np.float64) * scale
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)

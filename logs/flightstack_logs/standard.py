@@ -1,0 +1,373 @@
+"""The vehicle's own words under this project's topics, whoever logged them: `/vehicle/attitude`, `/vehicle/imu`, ...
+
+SI units, NED and FRD, quaternions w x y z body to world; times from 0 at the log's first message, sample stamps on the
+same line.  What a log lacks is left out.  Logs of this project have these topics as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack_logs.readers.csv_file import TABLE as CSV_TABLE
+from flightstack_logs.tables import Log, Table
+from flightstack_logs.topics import TOPICS, severity_names
+from flightstack_logs.turn import euler_to_quaternion
+
+_OUTPUTS = 16
+_LOW_US, _SPAN_US = 1000.0, 1000.0
+"""Pulse widths of a command of 0, and more at one of 1."""
+_ARMED, _IN_AIR = 128, (2, 3, 4)
+"""MAV_MODE_FLAG_SAFETY_ARMED; MAV_LANDED_STATE in the air, taking off, landing."""
+
+Found = dict[str, Table]
+
+
+def with_vehicle_topics(log: Log) -> Log:
+    """The log with the standard topics that can be made of it, times from 0; one of this project as it is."""
+    make = _KINDS.get(log.kind)
+    if make is None:
+        return log
+    first_us = log.span_us[0]
+    tables = {name: replace(table, t_us=table.t_us - first_us) for name, table in log.tables.items()}
+    return replace(log, tables={**tables, **make(tables, first_us)})
+
+
+def _put(found: Found, topic: str, at_us: NDArray[np.int64], /, **columns: np.ndarray) -> None:
+    """One standard table, if it has rows; arrays that may be missing are NaN."""
+    if not len(at_us):
+        return
+    units = {field.name: field.unit for field in TOPICS[topic].fields}
+    found[topic] = Table(topic, at_us, {name: columns[name] for name in units if name in columns}, units)
+
+
+def _columns(table: Table, *names: str) -> F64:
+    """(n, k) of several columns."""
+    return np.stack([table[name].astype(np.float64) for name in names], axis=-1)
+
+
+def _has(table: Table | None, names: Iterable[str]) -> bool:
+    return table is not None and len(table) > 0 and set(names) <= table.columns.keys()
+
+
+def _at(t_us: NDArray[np.int64], table: Table, values: F64) -> F64:
+    """Rows of `values` at the times, by the latest row of `table` up to each; NaN before the first."""
+    entry = np.searchsorted(table.t_us, t_us, side="right") - 1
+    out = values[np.maximum(entry, 0)].astype(np.float64)
+    out[entry < 0] = np.nan
+    return out
+
+
+def _pulses(command: F64) -> NDArray[np.int64]:
+    """(n, 16) pulse widths of normalised commands (n, k); 0 where there is no output."""
+    wide = np.zeros((len(command), _OUTPUTS), np.int64)
+    known = np.where(np.isfinite(command), np.clip(command, 0.0, 1.0) * _SPAN_US + _LOW_US, 0.0)
+    wide[:, : command.shape[1]] = np.round(known)[:, :_OUTPUTS]
+    return wide
+
+
+def _stamps(table: Table, column: str, times: int) -> NDArray[np.int64]:
+    """The vehicle's stamps on the log's line: the least late message of all is taken for one without delay."""
+    boot_us = table[column].astype(np.int64) * times
+    return boot_us - int(np.max(boot_us - table.t_us))
+
+
+# ---------------------------------------------------------------- MAVLink
+
+
+def _mavlink(tables: Found, first_us: int) -> Found:
+    """Of a telemetry log; messages as PX4 and ArduPilot send them."""
+    found: Found = {}
+    quaternion, euler = tables.get("ATTITUDE_QUATERNION"), tables.get("ATTITUDE")
+    rates = ("rollspeed", "pitchspeed", "yawspeed")
+    if quaternion is not None and _has(quaternion, ("time_boot_ms", "q1", "q4", *rates)):
+        _put(
+            found,
+            "/vehicle/attitude",
+            quaternion.t_us,
+            t_boot_us=_stamps(quaternion, "time_boot_ms", 1000),
+            q_ned_frd=_columns(quaternion, "q1", "q2", "q3", "q4"),
+            rate_frd_radps=_columns(quaternion, *rates),
+        )
+    elif euler is not None and _has(euler, ("time_boot_ms", "roll", "pitch", "yaw", *rates)):
+        _put(
+            found,
+            "/vehicle/attitude",
+            euler.t_us,
+            t_boot_us=_stamps(euler, "time_boot_ms", 1000),
+            q_ned_frd=euler_to_quaternion(_columns(euler, "roll", "pitch", "yaw")),
+            rate_frd_radps=_columns(euler, *rates),
+        )
+    local = tables.get("LOCAL_POSITION_NED")
+    if local is not None:
+        _put(
+            found,
+            "/vehicle/local_position",
+            local.t_us,
+            t_boot_us=_stamps(local, "time_boot_ms", 1000),
+            pos_ned_m=_columns(local, "x", "y", "z"),
+            vel_ned_mps=_columns(local, "vx", "vy", "vz"),
+        )
+    _mavlink_imu(tables, found)
+    servo = tables.get("SERVO_OUTPUT_RAW")
+    if servo is not None:
+        names = [f"servo{i}_raw" for i in range(1, _OUTPUTS + 1) if f"servo{i}_raw" in servo.columns]
+        wide = np.zeros((len(servo), _OUTPUTS), np.int64)
+        wide[:, : len(names)] = _columns(servo, *names)
+        _put(found, "/vehicle/motors", servo.t_us, t_us=_stamps(servo, "time_usec", 1), pwm_us=wide)
+    power = tables.get("SYS_STATUS")
+    if power is not None:
+        volts, amperes = power["voltage_battery"].astype(np.float64), power["current_battery"].astype(np.float64)
+        _put(
+            found,
+            "/vehicle/battery",
+            power.t_us,
+            voltage_v=np.where(volts < 65_535, 1e-3 * volts, np.nan),
+            current_a=np.where(amperes >= 0, 1e-2 * amperes, np.nan),
+            remaining=power["battery_remaining"],
+        )
+    _mavlink_status(tables, found)
+    return found
+
+
+def _mavlink_imu(tables: Found, found: Found) -> None:
+    fine, coarse = tables.get("HIGHRES_IMU"), next((t for n in ("RAW_IMU", "SCALED_IMU") if (t := tables.get(n))), None)
+    if fine is not None:
+        _put(
+            found,
+            "/vehicle/imu",
+            fine.t_us,
+            t_us=_stamps(fine, "time_usec", 1),
+            accel_frd_mps2=_columns(fine, "xacc", "yacc", "zacc"),
+            rate_frd_radps=_columns(fine, "xgyro", "ygyro", "zgyro"),
+        )
+    elif coarse is not None:  # milli-g and mrad/s; RAW_IMU too, as ArduPilot sends it
+        stamp, times = ("time_usec", 1) if "time_usec" in coarse.columns else ("time_boot_ms", 1000)
+        _put(
+            found,
+            "/vehicle/imu",
+            coarse.t_us,
+            t_us=_stamps(coarse, stamp, times),
+            accel_frd_mps2=1e-3 * STANDARD_GRAVITY_MPS2 * _columns(coarse, "xacc", "yacc", "zacc"),
+            rate_frd_radps=1e-3 * _columns(coarse, "xgyro", "ygyro", "zgyro"),
+        )
+
+
+def _mavlink_status(tables: Found, found: Found) -> None:
+    heart, landed, said = (tables.get(name) for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "STATUSTEXT"))
+    if heart is not None:
+        state = np.full(len(heart), np.nan)
+        if landed is not None:
+            state = _at(heart.t_us, landed, landed["landed_state"])
+        _put(
+            found,
+            "/vehicle/status",
+            heart.t_us,
+            mode=np.array([f"{mode:#x}" for mode in heart["custom_mode"]]),
+            armed=(heart["base_mode"] & _ARMED) != 0,
+            landed=~np.isin(state, _IN_AIR),
+        )
+    if said is not None:
+        names = [severity_names(int(number)) for number in said["severity"]]
+        _put(
+            found,
+            "/vehicle/statustext",
+            said.t_us,
+            level=np.array([level for level, _ in names]),
+            name=np.array([name for _, name in names]),
+            text=said["text"],
+        )
+
+
+# ---------------------------------------------------------------- ULog
+
+
+def _ulog(tables: Found, first_us: int) -> Found:
+    found: Found = {}
+    attitude, rates = tables.get("vehicle_attitude"), tables.get("vehicle_angular_velocity")
+    if attitude is not None and _has(attitude, ("q",)) and attitude["q"].shape[1:] == (4,):
+        turning = np.full((len(attitude), 3), np.nan)
+        if rates is not None and _has(rates, ("xyz",)):
+            turning = _at(attitude.t_us, rates, rates["xyz"])
+        elif _has(attitude, ("rollspeed", "pitchspeed", "yawspeed")):
+            turning = _columns(attitude, "rollspeed", "pitchspeed", "yawspeed")
+        _put(
+            found,
+            "/vehicle/attitude",
+            attitude.t_us,
+            t_boot_us=_sampled(attitude, first_us),
+            q_ned_frd=attitude["q"].astype(np.float64),
+            rate_frd_radps=turning,
+        )
+    local = tables.get("vehicle_local_position")
+    if local is not None and _has(local, ("x", "y", "z", "vx", "vy", "vz")):
+        _put(
+            found,
+            "/vehicle/local_position",
+            local.t_us,
+            t_boot_us=_sampled(local, first_us),
+            pos_ned_m=_columns(local, "x", "y", "z"),
+            vel_ned_mps=_columns(local, "vx", "vy", "vz"),
+        )
+    imu = tables.get("sensor_combined")
+    if imu is not None and _has(imu, ("gyro_rad", "accelerometer_m_s2")):
+        _put(
+            found,
+            "/vehicle/imu",
+            imu.t_us,
+            t_us=imu.t_us,
+            accel_frd_mps2=imu["accelerometer_m_s2"].astype(np.float64),
+            rate_frd_radps=imu["gyro_rad"].astype(np.float64),
+        )
+    motors, outputs = tables.get("actuator_motors"), tables.get("actuator_outputs")
+    if motors is not None and _has(motors, ("control",)) and motors["control"].ndim == 2:
+        _put(found, "/vehicle/motors", motors.t_us, t_us=_sampled(motors, first_us), pwm_us=_pulses(motors["control"]))
+    elif outputs is not None and _has(outputs, ("output",)) and outputs["output"].ndim == 2:
+        wide = outputs["output"].astype(np.float64)
+        simulated = np.nanmax(np.abs(wide)) <= 1.0
+        pulses = _pulses(wide) if simulated else np.nan_to_num(wide).astype(np.int64)[:, :_OUTPUTS]
+        _put(found, "/vehicle/motors", outputs.t_us, t_us=outputs.t_us, pwm_us=pulses)
+    _ulog_status(tables, found)
+    return found
+
+
+def _ulog_status(tables: Found, found: Found) -> None:
+    power, status, landed = (tables.get(n) for n in ("battery_status", "vehicle_status", "vehicle_land_detected"))
+    if power is not None and _has(power, ("voltage_v",)):
+        amperes = power["current_a"] if "current_a" in power.columns else np.full(len(power), np.nan)
+        left = power["remaining"] if "remaining" in power.columns else np.full(len(power), np.nan)
+        share = np.where(np.isfinite(left) & (left >= 0.0), 100.0 * left, -1.0)
+        _put(
+            found,
+            "/vehicle/battery",
+            power.t_us,
+            voltage_v=power["voltage_v"].astype(np.float64),
+            current_a=amperes.astype(np.float64),
+            remaining=np.round(share).astype(np.int64),
+        )
+    if status is not None and _has(status, ("nav_state", "arming_state")):
+        ground = np.full(len(status), np.nan)
+        if landed is not None and _has(landed, ("landed",)):
+            ground = _at(status.t_us, landed, landed["landed"].astype(np.float64))
+        _put(
+            found,
+            "/vehicle/status",
+            status.t_us,
+            mode=np.array([f"nav_state {n}" for n in status["nav_state"]]),
+            armed=status["arming_state"] == 2,
+            landed=ground > 0.5,
+        )
+
+
+def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:
+    """When the data were sampled, where the topic says so."""
+    if "timestamp_sample" not in table.columns:
+        return table.t_us
+    sampled = table["timestamp_sample"].astype(np.int64) - first_us
+    return np.where(np.abs(sampled - table.t_us) < 1_000_000, sampled, table.t_us)
+
+
+# ---------------------------------------------------------------- DataFlash
+
+
+def _dataflash(tables: Found, first_us: int) -> Found:
+    found: Found = {}
+    attitude, imu = tables.get("ATT"), tables.get("IMU")
+    if attitude is not None and _has(attitude, ("Roll", "Pitch", "Yaw")):
+        turning = np.full((len(attitude), 3), np.nan)
+        if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ")):
+            turning = _at(attitude.t_us, imu, _columns(imu, "GyrX", "GyrY", "GyrZ"))
+        _put(
+            found,
+            "/vehicle/attitude",
+            attitude.t_us,
+            t_boot_us=attitude.t_us,
+            q_ned_frd=euler_to_quaternion(np.deg2rad(_columns(attitude, "Roll", "Pitch", "Yaw"))),
+            rate_frd_radps=turning,
+        )
+    filtered = next((t for n in ("XKF1", "NKF1", "EKF1") if (t := tables.get(n)) is not None), None)
+    if filtered is not None and _has(filtered, ("PN", "PE", "PD", "VN", "VE", "VD")):
+        _put(
+            found,
+            "/vehicle/local_position",
+            filtered.t_us,
+            t_boot_us=filtered.t_us,
+            pos_ned_m=_columns(filtered, "PN", "PE", "PD"),
+            vel_ned_mps=_columns(filtered, "VN", "VE", "VD"),
+        )
+    if imu is not None and _has(imu, ("GyrX", "AccX", "AccY", "AccZ")):
+        _put(
+            found,
+            "/vehicle/imu",
+            imu.t_us,
+            t_us=imu.t_us,
+            accel_frd_mps2=_columns(imu, "AccX", "AccY", "AccZ"),
+            rate_frd_radps=_columns(imu, "GyrX", "GyrY", "GyrZ"),
+        )
+    outputs = tables.get("RCOU")
+    if outputs is not None:
+        names = [f"C{i}" for i in range(1, _OUTPUTS + 1) if f"C{i}" in outputs.columns]
+        wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
+        if names:
+            wide[:, : len(names)] = _columns(outputs, *names)
+        _put(found, "/vehicle/motors", outputs.t_us, t_us=outputs.t_us, pwm_us=wide)
+    power = tables.get("BAT", tables.get("CURR"))
+    if power is not None and _has(power, ("Volt", "Curr")):
+        left = power["RemPct"] if "RemPct" in power.columns else np.full(len(power), -1)
+        _put(
+            found,
+            "/vehicle/battery",
+            power.t_us,
+            voltage_v=power["Volt"],
+            current_a=power["Curr"],
+            remaining=left.astype(np.int64),
+        )
+    said = tables.get("MSG")
+    if said is not None and _has(said, ("Message",)):
+        level = np.full(len(said), "info")
+        _put(found, "/vehicle/statustext", said.t_us, level=level, name=level, text=said["Message"])
+    return found
+
+
+# ---------------------------------------------------------------- CSV
+
+
+def _csv(tables: Found, first_us: int) -> Found:
+    """Of a table of signals in SI, NED and FRD (`readers.csv_file`)."""
+    found: Found = {}
+    flight = tables[CSV_TABLE]
+    t_us, none = flight.t_us, np.full((len(flight), 3), np.nan)
+    if "q_ned_frd" in flight.columns:
+        rates = flight.columns.get("rate_frd_radps", none)
+        _put(found, "/vehicle/attitude", t_us, t_boot_us=t_us, q_ned_frd=flight["q_ned_frd"], rate_frd_radps=rates)
+    if "vel_ned_mps" in flight.columns or "pos_ned_m" in flight.columns:
+        place, speed = (flight.columns.get(name, none) for name in ("pos_ned_m", "vel_ned_mps"))
+        _put(found, "/vehicle/local_position", t_us, t_boot_us=t_us, pos_ned_m=place, vel_ned_mps=speed)
+    if "accel_frd_mps2" in flight.columns or "rate_frd_radps" in flight.columns:
+        force, rates = (flight.columns.get(name, none) for name in ("accel_frd_mps2", "rate_frd_radps"))
+        _put(found, "/vehicle/imu", t_us, t_us=t_us, accel_frd_mps2=force, rate_frd_radps=rates)
+    if "motor" in flight.columns:
+        _put(found, "/vehicle/motors", t_us, t_us=t_us, pwm_us=_pulses(flight["motor"]))
+    if "battery_v" in flight.columns:
+        unknown = np.full(len(flight), np.nan)
+        _put(
+            found,
+            "/vehicle/battery",
+            t_us,
+            voltage_v=flight["battery_v"],
+            current_a=unknown,
+            remaining=np.full(len(flight), -1),
+        )
+    return found
+
+
+_KINDS: dict[str, Callable[[Found, int], Found]] = {
+    "tlog": _mavlink,
+    "ulog": _ulog,
+    "dataflash": _dataflash,
+    "csv": _csv,
+}
