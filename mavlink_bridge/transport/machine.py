@@ -15,11 +15,11 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 def raise_priority() -> None:
     """Ahead of everything else where that is permitted: it runs a few hundred microseconds a second."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+    with contextlib.suppress(AttributeError, OSError):
+        inherited = os.sched_getparam(0).sched_priority  # 0 where it is an ordinary process
+        priority = min(os.sched_get_priority_max(os.SCHED_FIFO), max(_FIFO_PRIORITY, inherited + 1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         return
-    except (AttributeError, OSError):
-        pass
     with contextlib.suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
 
