@@ -27,7 +27,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
-from flightstack.barrier.estimate_bounds import EXACT, EstimateBounds
+from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
@@ -79,9 +79,9 @@ class CertifierConfig:
     nodes: int = 8
     slice_only: bool = False
     """Bounds on the slice of no speed and no lean across each axis alone: the vertical experiment."""
-    sensors: str = "exact"
+    sensors: str = "bench"
     """Name of what the estimate comes from."""
-    estimate: EstimateBounds = EXACT
+    estimate: EstimateBounds = BENCH
     """How far it may be off, at the thrust of hover."""
     jitter_s: float = 0.002
     """By how much a message may come late; half of what the delay is known to, the other half is the learner's."""
@@ -367,13 +367,13 @@ class OnlineCertifier:
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
-        down, _ = learned.at(DOWN, still, thrust, far)
+        down, _, _ = learned.at(DOWN, still, thrust, far)
         gain = max(float(down[0] - down[1]) / (0.8 * g), 0.2)
         hover = max(0.8 * g + float(down[0]) / gain, _LEAST_HOVER_MPS2)
         at = np.array([[0.0, 0.0, hover]])
         force = max(
             abs(float(mean[0])) + 3.0 * float(sigma[0])
-            for mean, sigma in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
+            for mean, sigma, _ in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
         box = budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,

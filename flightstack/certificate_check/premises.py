@@ -31,6 +31,7 @@ _KEYS = (
 _SLACK = 1e-9
 _BOUNDS = ("pos_m", "vel_mps", "acc_mps2")
 _K_SIGMA = 4.3
+_FINEST = np.array([1e-4, 1e-3, 5e-3])
 _STEADIEST = {
     "mocap": np.array([[0.0052, 0.0104, 0.0292], [0.0052, 0.0104, 0.0292], [0.0051, 0.0076, 0.0106]]),
     "gps": np.array([[0.206, 0.0696, 0.0668], [0.209, 0.0873, 0.0750], [0.206, 0.0547, 0.0255]]),
@@ -83,8 +84,8 @@ def estimate_of(premises: Any) -> F64:
     estimate = table_of(table["estimate"], ("pos_m", "vel_mps", "acc_mps2", "k_sigma"), "premises.estimate")
     bounds = np.array([rows([estimate[key]], 3, f"premises.estimate.{key}")[0] for key in _BOUNDS]).T
     k = number(estimate["k_sigma"], "premises.estimate.k_sigma")
-    if not (k >= 0.0 and bounds.min() >= 0.0):
-        raise Refused("premises.estimate: bounds must be at least 0")
+    if not np.all(bounds >= _FINEST):
+        raise Refused("premises.estimate is finer than anything could be known: 0.1 mm, 1 mm/s, 5 mm/s^2")
     least = _STEADIEST.get(table["sensors"])
     if least is not None and not (k >= _K_SIGMA and np.all(bounds >= k * least * (1.0 - _ROUNDED))):
         raise Refused(
