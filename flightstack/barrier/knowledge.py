@@ -126,7 +126,7 @@ class Knowledge:
     ) -> Knowledge:
         """Before any data; with `box` None no thrust across is allowed for (the vertical axis alone)."""
         box = box or budget(model, limits)
-        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3))
+        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3), np.zeros(3))
         *_, hulls = _all_steps(nothing)
         assert hulls is not None
         return _finish(nothing, hulls)
@@ -170,15 +170,18 @@ class Knowledge:
         version: int = 1,
         last: bool = False,
         widen_mps2: F64 | None = None,
+        attitude_mps2: F64 | None = None,
     ) -> Iterator[Knowledge | None]:
         """The same in pieces of about a millisecond: None after each, the knowledge after the last.
 
-        `last`: no certificate will be issued after this one.
+        `last`: no certificate will be issued after this one; `attitude_mps2` (3,): what the attitude's error puts
+        thrust off by, added to each axis' error like `widen_mps2`.
         """
         box = box or budget(model, limits)
         k = confidence(delta, version, statements(envelope, last), last)
         widen = np.zeros(3) if widen_mps2 is None else widen_mps2
-        request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen)
+        attitude = np.zeros(3) if attitude_mps2 is None else attitude_mps2
+        request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen + attitude, attitude)
         for hulls in _all_steps(request):
             yield None if hulls is None else _finish(request, hulls)
 
@@ -196,6 +199,8 @@ class Request(NamedTuple):
     version: int
     last: bool
     widen: F64
+    """All that is added to each axis' error, `attitude` with it."""
+    attitude: F64
 
 
 class _Hull(NamedTuple):
@@ -274,8 +279,8 @@ def _interval(request: Request, axis: int, speed: F64, thrust: F64, near: F64) -
         low, high = known.interval(axis, -thrust[:, axis] - drag * speed[:, axis])
     if request.learned is None:
         return low, high
-    mean, sigma = request.learned.at(axis, speed, thrust, near)
-    least, most = mean - request.k * sigma, mean + request.k * sigma
+    mean, sigma, rest = request.learned.at(axis, speed, thrust, near)
+    least, most = mean - request.k * sigma - rest, mean + request.k * sigma + rest
     apart = np.maximum(low, least) > np.minimum(high, most)
     return (
         np.where(apart, np.minimum(low, least), np.maximum(low, least)),
@@ -290,8 +295,8 @@ def _near_ground(request: Request, speed: F64, thrust: F64) -> F64:
     near = proximity(radius_m, envelope.heights_m[0])
     if not request.learned.knows_ground(near):
         return np.full(len(thrust), -math.inf)
-    mean, sigma = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
-    least: F64 = mean - request.k * sigma - ground_rest_mps2(envelope, radius_m, thrust)
+    mean, sigma, rest = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
+    least: F64 = mean - request.k * sigma - rest - ground_rest_mps2(envelope, radius_m, thrust)
     return least
 
 
@@ -304,7 +309,7 @@ def _bend(request: Request, axis: int, nodes: F64) -> float:
     x[:, 5] = 1.0
     weights = np.array([-0.5, 1.0, -0.5])
     variances = [
-        float(weights @ p.process.kernel.matrix(x) @ weights) * p.process.inflation**2
+        float(weights @ p.process.kernel.matrix(x) @ weights) * float(p.process.colour.inflation.max()) ** 2
         for p in (request.learned.lateral, request.learned.vertical)
     ]
     return math.sqrt(max(*variances, 0.0))
@@ -364,7 +369,9 @@ def _gain_doubt(request: Request) -> float:
     none, one, two = request.learned.vertical.at(x)[
         1
     ].tolist()  # a variance is quadratic in thrust: its bend the slope's
-    sigma = request.learned.vertical.process.inflation * math.sqrt(max(0.5 * (none - 2.0 * one + two), 0.0))
+    sigma = float(request.learned.vertical.process.colour.inflation[0]) * math.sqrt(
+        max(0.5 * (none - 2.0 * one + two), 0.0)
+    )
     return min(doubt, request.k * sigma / _G)
 
 

@@ -17,6 +17,7 @@ from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.sensors import error_statistics
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -112,9 +113,10 @@ def prepare(options: FlyOptions) -> Setup:
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
-    companion = CompanionConfig(arm=True, round_trip_max_s=flight.protection.round_trip_max_s)
-    flight = flight.with_more(settings, carried)
-    return Setup(flight, truth, load_grade(sensors), options.plant, faults, companion)
+    grade = load_grade(sensors)
+    most_s = flight.protection.round_trip_max_s
+    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
+    return Setup(flight.with_more(settings, carried), truth, grade, options.plant, faults, companion)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -249,13 +251,17 @@ def fly_setup(
     planner: Planner | None = None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
 ) -> FlightResult:
-    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
+    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown.
+
+    `at_end` is called after the flight, with its log still open.
+    """
     ensure_compiled(lambda text: on_progress(0.0, text))
     if planner is not None:
         setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     with setup.flight.protection.beside():
-        return _flown(setup, options, planner, stop_requested, on_progress)
+        return _flown(setup, options, planner, stop_requested, on_progress, at_end)
 
 
 def _flown(
@@ -264,6 +270,7 @@ def _flown(
     planner: Planner | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
@@ -280,6 +287,7 @@ def _flown(
                 _run(flight, recorder, timing, stop_requested, on_progress)
         finally:
             flight.close()
+        at_end(recorder, flight.t_us)
     finally:
         recorder.close()
     wall_s = time.perf_counter() - started
@@ -312,12 +320,11 @@ def _run(
     ticks = 0
     while not companion.done:
         if pace is not None and timing is not None:
-            lateness_us = pace.wait()
-            timing.lateness_us.append(lateness_us)
-            timing.missed = pace.missed
+            pace.wait()
+            late_us = timing.tick(pace.between_us, TICK_MS * 1000)
         flight.step()
-        if pace is not None:
-            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        if pace is not None and timing is not None:
+            log.write("/timing", flight.t_us, (late_us, float(pace.busy_us()), timing.missed))
         ticks += 1
         if ticks % 25 == 0:
             if reason := stop_requested():
