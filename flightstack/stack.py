@@ -85,6 +85,13 @@ class Stack:
             governor=None if self.governor is None else self.governor.init(),
         )  # fmt: skip
 
+    def resume(self, state: StackState, measurement: Measurement) -> StackState:
+        """State to go on from after somebody else flew: what was learned and certified stays, control begins anew."""
+        weight = self.model.weight_n
+        sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
+        control = self.controller.init(measurement.t_us)
+        return state._replace(control=control, sent=sent, measurement=measurement, carried_n=weight)
+
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
     ) -> tuple[StackState, Command, TickRecord]:

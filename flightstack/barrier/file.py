@@ -24,7 +24,9 @@ import numpy as np
 
 from flightstack.barrier import records
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.confidence import confidence_table
 from flightstack.barrier.premises import parse_premises, premises_table
+from flightstack.barrier.provenance import parse_provenance
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.checked import number, only, vector, words
@@ -45,6 +47,8 @@ _TOP = (
     "budget",
     "axes",
     "premises",
+    "provenance",
+    "confidence",
     "knowledge",
     "seal",
 )
@@ -65,6 +69,8 @@ def certificate_to_json(certificate: Certificate) -> str:
         "budget": asdict(certificate.budget),
         "axes": [_axis_table(axis) for axis in certificate.axes],
         "premises": None if certificate.premises is None else premises_table(certificate.premises),
+        "provenance": None if certificate.provenance is None else certificate.provenance.as_json(),
+        "confidence": confidence_table(certificate.delta, certificate.k_sigma),
         "knowledge": certificate.knowledge,
     }
     try:
@@ -100,6 +106,9 @@ def parse_certificate(text: str, source: str) -> Certificate:
         knowledge=dict(_table(data["knowledge"], f"{source}: knowledge")),
         version=_whole(data["version"], f"{source}: version"),
         premises=None if data["premises"] is None else parse_premises(data["premises"], f"{source}: premises"),
+        provenance=None
+        if data["provenance"] is None
+        else parse_provenance(data["provenance"], f"{source}: provenance"),
     )
 
 

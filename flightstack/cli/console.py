@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.table import Table
 
+from flightstack.certificate_check import Verdict
 from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
@@ -132,11 +133,12 @@ def show_gap(result: GapResult, out: Path) -> None:
         output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
 
 
-def show_checked(path: str, valid: bool, lines: list[str]) -> None:
-    """What the independent checker said of a file."""
-    for line in lines:
+def show_checked(path: str, verdict: Verdict) -> None:
+    """What the independent checker said of a file; the last line is its verdict."""
+    for line in verdict.lines:
         output.print(f" {line}", soft_wrap=True, markup=False)
-    output.print(f"{path}: {'valid' if valid else 'NOT valid'}", soft_wrap=True, markup=False)
+    said = f"valid, {verdict.level}" if verdict.valid else "NOT valid"
+    output.print(f"{path}: {said}", soft_wrap=True, markup=False)
 
 
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
@@ -161,8 +163,13 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         yield (
             "loop",
             f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
-            f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} ticks missed",
         )
+        if result.loop.get("stalls"):
+            yield "longest stall", escape(result.loop["stalls"][0]["cause"])
+        if (dead_man := result.loop.get("dead_man")) is not None:
+            running = "ran" if dead_man["running"] else "did not run"
+            yield "dead-man", f"{running}, acted {dead_man['acted']} times, {dead_man['taken_back']} taken back"
         trip = result.link["round_trip_us"]
         if trip["p50"] is not None:
             dropped = sum(result.link["dropped"].values())

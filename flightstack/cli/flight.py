@@ -249,11 +249,15 @@ def fly_setup(
     planner: Planner | None = None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
 ) -> FlightResult:
-    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
+    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown.
+
+    `at_end` is called after the flight, with its log still open.
+    """
     ensure_compiled(lambda text: on_progress(0.0, text))
     with setup.flight.protection.beside():
-        return _flown(setup, options, planner, stop_requested, on_progress)
+        return _flown(setup, options, planner, stop_requested, on_progress, at_end)
 
 
 def _flown(
@@ -262,6 +266,7 @@ def _flown(
     planner: Planner | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
@@ -278,6 +283,7 @@ def _flown(
                 _run(flight, recorder, timing, stop_requested, on_progress)
         finally:
             flight.close()
+        at_end(recorder, flight.t_us)
     finally:
         recorder.close()
     wall_s = time.perf_counter() - started
@@ -310,12 +316,11 @@ def _run(
     ticks = 0
     while not companion.done:
         if pace is not None and timing is not None:
-            lateness_us = pace.wait()
-            timing.lateness_us.append(lateness_us)
-            timing.missed = pace.missed
+            pace.wait()
+            late_us = timing.tick(pace.between_us, TICK_MS * 1000)
         flight.step()
-        if pace is not None:
-            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        if pace is not None and timing is not None:
+            log.write("/timing", flight.t_us, (late_us, float(pace.busy_us()), timing.missed))
         ticks += 1
         if ticks % 25 == 0:
             if reason := stop_requested():

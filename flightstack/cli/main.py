@@ -208,6 +208,9 @@ def offboard(
     set_params: SetParamsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
+    no_dead_man: Annotated[
+        bool, typer.Option("--no-dead-man", help="Nobody answers the companion's silence: COM_OF_LOSS_T <= 0.5 s.")
+    ] = False,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -225,6 +228,7 @@ def offboard(
         set_params=set_params,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
+        dead_man=not no_dead_man,
         **common,
     )
 
@@ -245,6 +249,9 @@ def certify(
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="With --check: derive the file anew from this log of its flight.")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Learn the largest certified region in flight, or check a certificate."""
@@ -254,12 +261,17 @@ def certify(
     from flightstack.cli.flight import FlyOptions
 
     if check is not None:
-        found = check_file(check)
-        console.show_checked(str(check), found.valid, found.lines)
+        found = check_file(check, log, None if vehicle is None else files.find("vehicles", vehicle).path)
+        console.show_checked(str(check), found)
         if json is not None:
-            said = {"certificate": str(check), "valid": found.valid, "lines": found.lines}
+            level = found.level if found.valid else None
+            said = {"certificate": str(check), "valid": found.valid, "level": level, "lines": found.lines}
             files.write_json(json, {"schema": "flightstack.check/1", **said})
         raise typer.Exit(OK if found.valid else FAILED)
+    if log is not None:
+        from flightstack.types import InputError
+
+        raise InputError("--log belongs to --check: the log of a new flight lies in --out")
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,

@@ -213,6 +213,8 @@ class LogObserver:
             self._log.scene(self._clock.t_us, scene)
         self._on_certificates(record.t_us)
         self._log.tick(record, self._clock.t_us)
+        if self._certifier is not None:
+            self._certifier.trail.add(record)
         self._on_estimate(record.t_us)
         self._learner_events.on_learned(record.t_us, record.learned)
         self._filter_events.on_filtered(record.t_us, record.filtered)

@@ -62,7 +62,7 @@ class FlightScore:
         companion = self.companion
         landing = companion is not None and companion.land_command_us >= 0
         if self._by_estimate and landing and isinstance(message, LocalPositionNed):
-            self.ascent.estimated_descent(t_us, float(message.vel_ned_mps[2]))
+            self.ascent.estimated_descent(float(message.pos_ned_m[2]), float(message.vel_ned_mps[2]))
 
     def on_truth(self, truth: Truth) -> None:
         """The truth of a tick, from the start of the take-off to the very end."""
