@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.barrier.premise_watch import NAMES
 from flightstack.guard import stale
 from flightstack.mission import Mission, plan, run_up_of
 from flightstack.predictor import predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack, StackState
+from flightstack.state_observer import StateObserver
 from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
@@ -44,6 +46,8 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
+_AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
+"""After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
 _ANSWERS = (m.CommandAck, m.Timesync)
 _MODES = (m.Heartbeat, m.CurrentMode)
 _RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext})
@@ -86,6 +90,8 @@ class Companion:
         self._now = Situation(config, self.view, self._commands)
         self._voice = Voice(link)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
+        errs = config.estimate
+        self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
@@ -100,6 +106,8 @@ class Companion:
         """Row of the fault table that ended the flight; empty: none."""
         self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
+        self._resting_since_us = -1
+        """Vehicle time at which a broken premise ended the certificate; -1: none did."""
 
     # ---------------------------------------------------------------- outside
 
@@ -221,7 +229,14 @@ class Companion:
         """The state of the vehicle and of the mission at this step."""
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
-        self._measurement = predict(self.view.streams, t_us)
+        self._measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
+        if self._measurement is not None:
+            self._measurement.battery_v = self.view.battery_v
+        if self._measurement is not None and self._refiner is not None:
+            self._measurement = self._refiner.refine(self._measurement)
+        if self._measurement is not None and self.view.on_ground and not self.view.armed:
+            self._rested = min(self._rested + 1, _REST_TICKS)
+            self._rest_ned_m += (self._measurement.pos_ned_m - self._rest_ned_m) / self._rested
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
         now.unfit, now.trouble = self._watch.judge()
@@ -353,9 +368,6 @@ class Companion:
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
             self._voice.stand(t_us)
-            if measurement is not None and self.view.on_ground:
-                self._rested = min(self._rested + 1, _REST_TICKS)
-                self._rest_ned_m += (measurement.pos_ned_m - self._rest_ned_m) / self._rested
             return
         self._rested = 0
         if self._stack_state is None or self._hold is None:
@@ -371,10 +383,26 @@ class Companion:
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
+        self._end_at_rest(record)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
+
+    def _end_at_rest(self, record: TickRecord) -> None:
+        """Once a certificate's premise has ended it, the flight ends when the vehicle has come to rest."""
+        ended = record.filtered.ended_by
+        if not ended > 0.0:
+            self._resting_since_us = -1
+            return
+        if self._resting_since_us < 0:
+            self._resting_since_us = record.t_us
+            text = f"premise broken: {NAMES[int(ended)]}: braking, to rest"
+            self._observer.on_event(record.t_us, "filter", f"filter: {text}", "warning")
+        calm = float(np.abs(record.measurement.vel_ned_mps).max()) < _AT_REST_MPS
+        waited_us = record.t_us - self._resting_since_us
+        if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
+            self.stop(f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed")
 
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None

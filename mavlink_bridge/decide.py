@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from flightstack.error_statistics import ErrorStatistics
 from mavlink_bridge import px4
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import Event, State
@@ -47,6 +48,8 @@ class CompanionConfig:
     """Between two steps of the companion, where nothing is missed."""
     round_trip_max_s: float = ROUND_TRIP_MAX_S
     """Of the link; a later one is refused before the flight."""
+    estimate: ErrorStatistics | None = None
+    """How the autopilot's estimate errs; None: it is taken as it is reported."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
@@ -17,6 +17,7 @@ from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.sensors import error_statistics
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -112,9 +113,10 @@ def prepare(options: FlyOptions) -> Setup:
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
-    companion = CompanionConfig(arm=True, round_trip_max_s=flight.protection.round_trip_max_s)
-    flight = flight.with_more(settings, carried)
-    return Setup(flight, truth, load_grade(sensors), options.plant, faults, companion)
+    grade = load_grade(sensors)
+    most_s = flight.protection.round_trip_max_s
+    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
+    return Setup(flight.with_more(settings, carried), truth, grade, options.plant, faults, companion)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -256,6 +258,8 @@ def fly_setup(
     `at_end` is called after the flight, with its log still open.
     """
     ensure_compiled(lambda text: on_progress(0.0, text))
+    if planner is not None:
+        setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     with setup.flight.protection.beside():
         return _flown(setup, options, planner, stop_requested, on_progress, at_end)
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.estimate_bounds import does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
-from flightstack.barrier.margins import GPS, MOCAP
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
@@ -31,6 +31,7 @@ from flightstack.cli.given_certificate import (
     require_premises,
     round_trip_max_s,
 )
+from flightstack.cli.sensors import error_statistics
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
@@ -131,7 +132,7 @@ def protect(
     elif options.in_real_time and options.as_published and region is not None:
         certifier = "what the paper publishes is certified within a tick, for which real time does not wait"
     else:
-        why_not = _not_online(mode, scenario, learner)
+        why_not = _not_online(mode, scenario, learner, sensors)
         workshop = Workshop() if options.in_real_time and not why_not else None
         certifier = why_not or _online(mode, scenario, believed, model, sensors, workshop)
     if isinstance(certifier, str):
@@ -156,7 +157,7 @@ FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 _NO_FILTER = "off: --no-filter"
 
 
-def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
+def _not_online(mode: str, scenario: Scenario, learner: str, sensors: str) -> str:
     """Why nothing can be certified in flight; empty where it can."""
     if scenario.region is None:
         return "the scenario has no region, and no --certificate was given"
@@ -166,7 +167,9 @@ def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
         return "a learner of the state alone can't certify (--as-published flies it), and no --certificate was given"
     if learner == NONE:
         return "nothing is certified without the learner, and no --certificate was given"
-    return ""
+    axes = VERTICAL.axes if scenario.region.kind == "ellipsoid" else CertifierConfig().axes
+    unfit = does_not_fit(estimate_bounds(error_statistics(load_grade(sensors))), scenario.region, axes)
+    return f"with {sensors} sensors nothing can be certified: {unfit}" if unfit else ""
 
 
 def _online(
@@ -180,13 +183,13 @@ def _online(
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
     governor = governor_for(believed, model, limits, sensors)
-    accuracy = MOCAP if sensors == "mocap" else GPS
+    estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     if region.kind == "ellipsoid":
-        vertical = replace(VERTICAL, accuracy=accuracy, governor=governor)
+        vertical = replace(VERTICAL, sensors=sensors, estimate=estimate, governor=governor)
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(accuracy=accuracy, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
 
