@@ -123,6 +123,7 @@ NO_GP: dict[str, Any] = {
     "coverage_simultaneous": None,
     "conformal": None,
     "thrust_gain": None,
+    "thrust_gain_sigma": None,
     "latency_s": None,
     "refused": None,
     "changes": None,
