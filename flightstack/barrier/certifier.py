@@ -298,6 +298,7 @@ class OnlineCertifier:
         yield from Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
             delta=self.config.delta, version=version, last=last, widen_mps2=widen_mps2,
+            torque_mps2=self.torque_mps2,
         )  # fmt: skip
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
@@ -305,7 +306,7 @@ class OnlineCertifier:
         box = self._budget(Accelerations.live(learner, self.model), self.config.thrust_shares[turn])
         return Knowledge.from_learner(
             learner, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=self.config.delta, version=version,
+            delta=self.config.delta, version=version, torque_mps2=self.torque_mps2,
         )  # fmt: skip
 
     def certificate(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Certificate:
@@ -337,6 +338,11 @@ class OnlineCertifier:
             command_interval_s=config.dt_s,
             battery_v=ANY_BATTERY_V,
         )
+
+    @property
+    def torque_mps2(self) -> float:
+        """Specific thrust that torque may add or take."""
+        return 0.0 if self.config.governor is None else self.config.governor.worst_mps2
 
     @property
     def doubts(self) -> Doubts:
@@ -394,6 +400,7 @@ class OnlineCertifier:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
                 accuracy=config.accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+                torque_part_mps2=knowledge.torque_part_mps2[axis],
                 coupling_mps=coupling,
                 inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
             )  # fmt: skip

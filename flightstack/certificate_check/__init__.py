@@ -1,7 +1,8 @@
 """The checker of certificate files: proves anew what a file claims, and shares no code with what made it.
 
 Only numpy and the standard library are used.  In this order: the seal; the thrust budget; the knowledge and each axis'
-`authority` from its points; the premises; the ledger with eta and b; the cells' claims and that they cover the region.
+`authority` from its points; the premises; the governor; the ledger with eta and b; the cells' claims and that they
+cover the region.
 
 A number that is changed under a new seal is refused, unless nothing that is claimed becomes untrue:
 
@@ -25,12 +26,25 @@ import numpy as np
 from . import knowledge
 from .cells import check_cells
 from .condition import Condition, Piece
+from .governor import check_governor
 from .intervals import F64, Interval
 from .ledger import check_ledger
 from .premises import check_premises
 from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
 
-_TOP = ("schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge")
+_TOP = (
+    "schema",
+    "mode",
+    "version",
+    "centre_ned_m",
+    "delta",
+    "k_sigma",
+    "budget",
+    "axes",
+    "premises",
+    "governor",
+    "knowledge",
+)
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
 _BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
@@ -89,6 +103,7 @@ def _check(text: str, lines: list[str]) -> None:
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
+    lines.append(check_governor(data["governor"], data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
         nodes = _nodes(axis["authority"], name)
