@@ -65,6 +65,9 @@ KNOWN = Strategy(
     1.6, 1.6, 0.0, 10.8, 1.0, 0.0, SINE, 2.0, INNER, GRADIENT, 0.3, 8.0, 1.0, 0.0, 0.0, 4, 1.0, 0.0, False
 )  # fmt: skip
 """The attack that broke the first three-axis certificates: 10.8 Hz, 1.6 rad/s, thrust at its ends."""
+TIMED = KNOWN._replace(roll_radps=4.0, pitch_radps=4.0, hz=8.0, wave=SQUARE, gate_h=0.3)
+"""It waits for the edge, then dithers: nothing is falsified before."""
+TIMED_FAST = KNOWN._replace(roll_radps=6.0, pitch_radps=6.0, hz=15.0, phase_rad=0.5 * math.pi, gate_h=0.25)
 PUSH = Strategy(
     0.0, 0.0, 0.0, 5.0, 1.0, 0.0, SINE, 0.0, GRADIENT, GRADIENT, 0.5, 8.0, 1.0, 0.0, 0.0, 7, 1.0, 0.0, False
 )

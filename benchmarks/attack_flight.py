@@ -12,6 +12,7 @@ import math
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,12 +30,13 @@ from flightstack.cli import files
 from flightstack.cli.barrier_score import FALLBACKS, SOLVED, GivenCertificate, WatchedCertifier
 from flightstack.cli.flight import FlyOptions, Setup, prepare
 from flightstack.frames import quat_to_matrix
+from flightstack.guard import Guard
 from flightstack.jit import njit
 from flightstack.mission import plan
-from flightstack.model import Model
+from flightstack.model import Limiter, Model
 from flightstack.predictor import Streams, predict
-from flightstack.stack import Stack, StackState
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, TickRecord
+from flightstack.stack import StackState
+from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -42,6 +44,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 HARMLESS = ("", "clip: command beyond its limits")
 """Of the guard: with any other name the companion lands."""
 _THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
+_REST_TICKS = 250
 _SETTLING_US = 1_000_000
 """Engaged for so long before the attack begins."""
 
@@ -85,6 +88,9 @@ class Outcome:
     """When that was, since the attack began."""
     ended: str = ""
     """Why it ended early."""
+    broken: int = 0
+    """Number of the premise whose breach ended the certificate (`barrier.premise_watch.NAMES`); the attack goes on."""
+    broken_s: float = -1.0
     falsified: int = 0
     premises: int = 0
     """Ticks of the stack that were engaged, and those of them in which every estimate was as good as declared."""
@@ -116,11 +122,8 @@ def setup_of(world: World, seed: int, given: Path | None = None, **more: Any) ->
 class AttackFlight:
     """One flight; `tick` is 4 ms of both ends."""
 
-    def __init__(
-        self, world: World, seed: int, *, given: Path | None = None,
-        changed: Callable[[Stack, World], Stack] = lambda stack, world: stack,
-    ) -> None:  # fmt: skip
-        """`changed`: the stack as it is to fly, from the stack as prepared."""
+    def __init__(self, world: World, seed: int, *, given: Path | None = None, torque: bool = True) -> None:
+        """`torque` False: the torque margin is planted away, governor and line of the ledger."""
         self.world = world
         setup = setup_of(world, seed, given)
         self.scenario = setup.flight.scenario
@@ -132,32 +135,50 @@ class AttackFlight:
         watched = setup.flight.protection.watched
         assert watched is not None, setup.flight.protection.words
         self.watched: WatchedCertifier = watched
-        self.held = Held(for_link(watched._certifier, world.held_s), before.model)
+        self.held = Held(told(watched._certifier, lambda config: _for(config, world, torque)), before.model)
         watched._certifier = self.held
         adversary = Adversary(
             before.controller, self.seen, seed, before.model.thrust_range_n(limits), np.array(limits.rate_max_radps)
         )
-        stack = Stack(
-            before.model, limits, controller=adversary, learner=before.learner, certifier=before.certifier,
-            safety_filter=before.filter,
-        )  # fmt: skip
-        self.stack = changed(stack, world)
+        self.stack = copy(before)
+        self.stack.controller, self.stack.limits = adversary, limits
+        self.stack.guard, self.stack.limiter = Guard(before.model, limits), Limiter(before.model, limits)
+        self.stack.certifier = self.watched
         self._streams, self._count, self._setpoint = Streams(), 0, _idle()
+        errors = getattr(setup.companion, "estimate", None)
+        self._refiner: Any = None
+        if errors is not None and errors.independent:
+            from flightstack.state_observer import StateObserver
+
+            self._refiner = StateObserver(errors)
         rng = np.random.default_rng([9, seed])
         self._down, self._up = (Wire(ms, world.jitter_ms, rng) for ms in (world.down_ms, world.up_ms))
         self._begin()
 
     def _begin(self) -> None:
-        for _ in range(25 + int(self.world.down_ms)):
+        """At rest as long as a companion takes to begin, its place by the mean of what it sees."""
+        places, first = [], None
+        for _ in range(_REST_TICKS + int(self.world.down_ms)):
             self._advance()
-        first = predict(self._streams, self.t_us)
+            if (seen := self._measured()) is not None:
+                first = seen
+                places.append(seen.pos_ned_m.copy())
         assert first is not None
         self.seen.origin_ned_m = self.vehicle.plant.pos_ned_m.copy()
-        self.mission = plan(self.scenario, first.pos_ned_m)
-        self.state: StackState = self.stack.init(first)
+        origin = np.mean(places[-_REST_TICKS:], axis=0)
+        self.mission = plan(self.scenario, origin)
+        self.state: StackState = self.stack.init(first, origin)
         self.start_us = self.t_us
         self.record: TickRecord | None = None
         self.ended = ""
+
+    def _measured(self) -> Measurement | None:
+        """As a companion hands it to the stack."""
+        measured = predict(self._streams, self.t_us)
+        if measured is None or self._refiner is None:
+            return measured
+        refined: Measurement = self._refiner.refine(measured)
+        return refined
 
     @property
     def t_us(self) -> int:
@@ -194,7 +215,7 @@ class AttackFlight:
         record = None
         if self._count % self.world.period_ticks == 0:
             reference = self.mission.reference(1e-6 * (now_us - self.start_us))
-            measured = predict(self._streams, now_us)
+            measured = self._measured()
             self.state, command, record = self.stack.tick(self.state, measured, reference, now_us)
             rates = (
                 float(command.rate_frd_radps[0]),
@@ -240,7 +261,7 @@ class AttackFlight:
         seen.strategy, seen.since_us = strategy, self.t_us
         count = round(1e3 * seconds / TICK_MS)
         states = np.empty((count, 6))
-        errors: list[tuple[float, float, float]] = []
+        errors: list[F64] = []
         in_force, engaged = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=bool)
         out.ticks, flown, status = count, 0, 0.0
         adopted_before = len(self.watched.adopted)
@@ -253,6 +274,8 @@ class AttackFlight:
                     errors.append(self._estimate_error(record, *before))
                 out.infeasible += status in FALLBACKS
                 out.intervened += record.filtered.intervened == 1.0
+                if not out.broken and (ended_by := getattr(record.filtered, "ended_by", 0.0)) > 0.0:
+                    out.broken, out.broken_s = int(ended_by), 1e-3 * TICK_MS * k
                 if each is not None:
                     each(record)
             states[k, :3], states[k, 3:] = plant.pos_ned_m, plant.vel_ned_mps
@@ -274,20 +297,20 @@ class AttackFlight:
             out.least_h, out.at_s, out.outside = float(h[worst]), 1e-3 * TICK_MS * worst, int((h < 0.0).sum())
         return out
 
-    def _estimate_error(self, record: TickRecord, pos: F64, vel: F64, q: F64) -> tuple[float, float, float]:
-        """Greatest of the axes' errors of position (m), velocity (m/s) and gravity's direction (m/s^2)."""
+    def _estimate_error(self, record: TickRecord, pos: F64, vel: F64, q: F64) -> F64:
+        """(9,) errors of position (m), velocity (m/s) and of what thrust along the axis as estimated gives (m/s^2)."""
         seen = record.measurement
         off = (seen.pos_ned_m - self.state.origin_ned_m) - (pos - self.seen.origin_ned_m)
         lean = quat_to_matrix(seen.q_ned_frd)[:, 2] - quat_to_matrix(q)[:, 2]
-        speed = float(np.abs(seen.vel_ned_mps - vel).max())
-        return float(np.abs(off).max()), speed, STANDARD_GRAVITY_MPS2 * float(np.abs(lean).max())
+        thrust_mps2 = float(np.linalg.norm(seen.specific_force_frd_mps2))
+        return np.abs(np.concatenate([off, seen.vel_ned_mps - vel, thrust_mps2 * lean]))
 
-    def _as_declared(self, errors: list[tuple[float, float, float]]) -> int:
+    def _as_declared(self, errors: list[F64]) -> int:
         certificate = self.certificate
-        if certificate is None or not errors:
+        if certificate is None or certificate.premises is None or not errors:
             return 0
-        doubts: Any = certificate.knowledge["doubts"]
-        most = [float(doubts[name]) for name in ("pos_m", "vel_mps", "acc_mps2")]
+        bounds = certificate.premises.estimate
+        most = np.concatenate([np.broadcast_to(each, 3) for each in (bounds.pos_m, bounds.vel_mps, bounds.acc_mps2)])
         return int((np.array(errors) <= most).all(axis=1).sum())
 
     def _true_h(self, states: F64, in_force: np.ndarray) -> F64:
@@ -346,27 +369,30 @@ class Held:
         return state, ended
 
 
-def for_link(certifier: Any, held_s: float) -> Any:
-    """The certifier, told how long a command may be held."""
+def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -> Any:
+    """The certifier with other constants."""
     if isinstance(certifier, GrowingCertifier):
-        certifier._first = for_link(certifier._first, held_s)
+        certifier._first = told(certifier._first, change)
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
-    config = dataclasses.replace(certifier.config, dt_s=max(held_s, certifier.config.dt_s), most_doubt_mps2=most)
-    if config.thrust_shares == CertifierConfig().thrust_shares:
-        config = dataclasses.replace(config, thrust_shares=_THRUST_SHARES)
     return OnlineCertifier(
-        certifier.model, certifier.limits, certifier.region, initial=certifier.initial, config=config,
-        safe=certifier.safe,
+        certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
+        config=change(certifier.config), safe=certifier.safe,
     )  # fmt: skip
 
 
-def planted(*, torque: bool) -> Callable[[Stack, World], Stack]:
-    """The change that plants the torque margin away, or none."""
-    del torque
-    return lambda stack, world: stack
+def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig:
+    """How long a command may be held, and with less thrust where more does not close."""
+    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
+    changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "most_doubt_mps2": most}
+    if config.thrust_shares == CertifierConfig().thrust_shares:
+        changes["thrust_shares"] = _THRUST_SHARES
+    if hasattr(config, "jitter_s"):
+        changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
+    if not torque and hasattr(config, "governor"):
+        changes["governor"] = None
+    return dataclasses.replace(config, **changes)
 
 
 def _idle() -> ControlSetpoint:

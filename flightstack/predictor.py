@@ -13,6 +13,7 @@ from struct import Struct
 
 import numpy as np
 
+from flightstack.estimate_observer import EstimateObserver
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
 from flightstack.jit import njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, Tuple4
@@ -28,13 +29,15 @@ class Streams:
     A sample older than the one held (reordered on the way) is not taken.
     """
 
-    __slots__ = ("_bytes", "_samples", "attitude_us", "imu_us", "motors_us", "position_us")
+    __slots__ = ("_bytes", "_samples", "attitude_us", "imu_us", "motors_us", "observer", "position_us")
 
     def __init__(self) -> None:
         self._samples = np.zeros(23)  # q 4, rates 3, position 3, velocity 3, gyro 3, specific force 3, motors 4
         self._samples[19:23] = math.nan
         self._bytes = self._samples.data.cast("B")  # packing into it takes a third of a numpy assignment
         self.attitude_us = self.position_us = self.imu_us = self.motors_us = _NEVER
+        self.observer = EstimateObserver()
+        """Fed with every position; who hears of a reset tells it."""
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION: attitude and body rates."""
@@ -47,6 +50,7 @@ class Streams:
         if t_us > self.position_us:
             self.position_us = t_us
             _SIX(self._bytes, 7 * 8, *pos_ned_m, *vel_ned_mps)
+            self.observer.position(t_us, pos_ned_m, vel_ned_mps)
 
     def imu(self, t_us: int, accel_frd_mps2: Tuple3, rate_frd_radps: Tuple3) -> None:
         """HIGHRES_IMU: specific force and body rates."""
@@ -78,6 +82,7 @@ def predict(streams: Streams, now_us: int) -> Measurement | None:
     _predict(
         streams._samples, position_age * 1e-6, attitude_age * 1e-6, streams.imu_us > streams.attitude_us, out
     )  # the gyro counts where it is newer than the attitude's own rates
+    streams.observer.correct(out[3:6])
     return Measurement(now_us, out, position_age, attitude_age, now_us - streams.imu_us)
 
 

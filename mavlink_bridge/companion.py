@@ -364,6 +364,7 @@ class Companion:
         resets = self._watch.resets
         if resets.counted != self._resets:
             self._resets = resets.counted
+            self.view.streams.observer.reset()
             moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
             text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
             self._observer.on_event(self._t_us, "fault", text, "warning")

@@ -369,13 +369,13 @@ class OnlineCertifier:
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
-        down, _ = learned.at(DOWN, still, thrust, far)
+        down, _, _ = learned.at(DOWN, still, thrust, far)
         gain = max(float(down[0] - down[1]) / (0.8 * g), 0.2)
         hover = max(0.8 * g + float(down[0]) / gain, _LEAST_HOVER_MPS2)
         at = np.array([[0.0, 0.0, hover]])
         force = max(
             abs(float(mean[0])) + 3.0 * float(sigma[0])
-            for mean, sigma in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
+            for mean, sigma, _ in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
         return budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,

@@ -25,7 +25,9 @@ import numpy as np
 
 from flightstack.barrier import records
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.confidence import confidence_table
 from flightstack.barrier.premises import parse_premises, premises_table
+from flightstack.barrier.provenance import parse_provenance
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.barrier.torque import parse_governor
@@ -48,6 +50,8 @@ _TOP = (
     "axes",
     "premises",
     "governor",
+    "provenance",
+    "confidence",
     "knowledge",
     "seal",
 )
@@ -69,6 +73,8 @@ def certificate_to_json(certificate: Certificate) -> str:
         "axes": [_axis_table(axis) for axis in certificate.axes],
         "premises": None if certificate.premises is None else premises_table(certificate.premises),
         "governor": None if certificate.governor is None else asdict(certificate.governor),
+        "provenance": None if certificate.provenance is None else certificate.provenance.as_json(),
+        "confidence": confidence_table(certificate.delta, certificate.k_sigma),
         "knowledge": certificate.knowledge,
     }
     try:
@@ -105,6 +111,9 @@ def parse_certificate(text: str, source: str) -> Certificate:
         version=_whole(data["version"], f"{source}: version"),
         premises=None if data["premises"] is None else parse_premises(data["premises"], f"{source}: premises"),
         governor=None if data["governor"] is None else parse_governor(data["governor"], f"{source}: governor"),
+        provenance=None
+        if data["provenance"] is None
+        else parse_provenance(data["provenance"], f"{source}: provenance"),
     )
 
 

@@ -281,8 +281,8 @@ def _interval(request: Request, axis: int, speed: F64, thrust: F64, near: F64) -
         low, high = known.interval(axis, -thrust[:, axis] - drag * speed[:, axis])
     if request.learned is None:
         return low, high
-    mean, sigma = request.learned.at(axis, speed, thrust, near)
-    least, most = mean - request.k * sigma, mean + request.k * sigma
+    mean, sigma, rest = request.learned.at(axis, speed, thrust, near)
+    least, most = mean - request.k * sigma - rest, mean + request.k * sigma + rest
     apart = np.maximum(low, least) > np.minimum(high, most)
     return (
         np.where(apart, np.minimum(low, least), np.maximum(low, least)),
@@ -297,8 +297,8 @@ def _near_ground(request: Request, speed: F64, thrust: F64) -> F64:
     near = proximity(radius_m, envelope.heights_m[0])
     if not request.learned.knows_ground(near):
         return np.full(len(thrust), -math.inf)
-    mean, sigma = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
-    least: F64 = mean - request.k * sigma - ground_rest_mps2(envelope, radius_m, thrust)
+    mean, sigma, rest = request.learned.at(DOWN, speed, thrust, np.full(len(thrust), near))
+    least: F64 = mean - request.k * sigma - rest - ground_rest_mps2(envelope, radius_m, thrust)
     return least
 
 
@@ -311,7 +311,7 @@ def _bend(request: Request, axis: int, nodes: F64) -> float:
     x[:, 5] = 1.0
     weights = np.array([-0.5, 1.0, -0.5])
     variances = [
-        float(weights @ p.process.kernel.matrix(x) @ weights) * p.process.inflation**2
+        float(weights @ p.process.kernel.matrix(x) @ weights) * float(p.process.colour.inflation.max()) ** 2
         for p in (request.learned.lateral, request.learned.vertical)
     ]
     return math.sqrt(max(*variances, 0.0))
@@ -381,7 +381,9 @@ def _gain_doubt(request: Request) -> float:
     none, one, two = request.learned.vertical.at(x)[
         1
     ].tolist()  # a variance is quadratic in thrust: its bend the slope's
-    sigma = request.learned.vertical.process.inflation * math.sqrt(max(0.5 * (none - 2.0 * one + two), 0.0))
+    sigma = float(request.learned.vertical.process.colour.inflation[0]) * math.sqrt(
+        max(0.5 * (none - 2.0 * one + two), 0.0)
+    )
     return min(doubt, request.k * sigma / _G)
 
 

@@ -12,18 +12,21 @@ length F and its direction b = f / F,
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),      R(b): the shortest turn of down onto b, D = drag / mass
 
 so that a's standard deviation along an axis is that of a row of R(b) times three independent outputs; x and y share
-one store's variance, each with its own excess.  The calibrated variance of an output is inflation^2 (variance +
-excess), as the learner's own bound (`learning.store`).
+one store's variance, each with its own i_B, excess and remainder.  The calibrated variance of an output is i_B^2
+variance + excess, the latter as in the learner's own bound (`learning.store`), and beside it there is what no named
+effect explains, rho (1 + sum |w|), w the posterior weights of the points (`confidence`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack, solve_triangular
 
+from flightstack.barrier.confidence import Colour, colour
 from flightstack.barrier.initial import DOWN
 from flightstack.gp import Kernel, Matern, SquaredExponential
 from flightstack.gp.kernels import Product, Sum
@@ -37,6 +40,9 @@ _SIZES = 6
 _LIKELY = 1.92
 """Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
 _NEGLIGIBLE = 1e-18
+_CHUNK = 64
+_COLOURED = 500
+"""Windows whose residuals are looked at: half a minute."""
 _NEWEST = 100
 """Points, some seconds."""
 _LEAST_GROUND = 0.5
@@ -54,26 +60,34 @@ class Process:
     y: F64
     """(N, P) residuals, tilt axes."""
     excess: F64
-    """(P,) variance that the kernel does not know, (m/s^2)^2."""
-    inflation: float = INFLATION
-    """Factor on the standard deviation."""
+    """(P,) variance that the kernel does not know, (m/s^2)^2, with the learner's inflation."""
+    colour: Colour = field(default_factory=lambda: Colour.white(1))
+    """Factors on the posterior standard deviation, and remainders."""
+    spans_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
 
     @classmethod
     def of(cls, store: Store, x: F64, y: F64) -> Process:
         """These points with the store's kernel, noise and calibration."""
-        return cls(store.gp.kernel, store.gp.noise_var, x, y, store.excess.copy())
+        excess = INFLATION**2 * store.excess
+        return cls(store.gp.kernel, store.gp.noise_var, x, y, excess, Colour.white(len(excess)))
 
     @classmethod
     def resting_on(cls, evidence: Evidence) -> Process:
         """As many points as a store holds, that reach as far as all of the evidence."""
-        x, y = evidence.certificate_set(evidence.capacity)
-        return cls(evidence.kernel, evidence.noise_var, x, y, evidence.excess)
+        chosen = evidence.chosen(evidence.capacity)
+        x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]
+        excess = INFLATION**2 * evidence.excess
+        return cls(evidence.kernel, evidence.noise_var, x, y, excess, Colour.white(len(excess)), spans_us)
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
+        inflation, remainder = (np.broadcast_to(part, self.excess.shape).tolist() for part in self.colour)
         return {
-            "kernel": self.kernel.to_dict(), "noise_var": self.noise_var, "inflation": self.inflation,
+            "kernel": self.kernel.to_dict(), "noise_var": self.noise_var,
+            "inflation": inflation, "remainder_mps2": remainder,
             "excess": self.excess.tolist(), "x": self.x.tolist(), "y": self.y.tolist(),
+            "windows_us": self.spans_us.tolist(),
         }  # fmt: skip
 
     @property
@@ -109,14 +123,33 @@ class Posterior:
         if not len(x):
             return self
         error = y - self.at(x)[0]
-        beyond = np.einsum("ij,ij->j", error, error) / len(x) - self.process.noise_var
-        return self._with_excess(np.maximum(self.process.excess, beyond))
+        beyond = INFLATION**2 * (np.einsum("ij,ij->j", error, error) / len(x) - self.process.noise_var)
+        return self._with(replace(self.process, excess=np.maximum(self.process.excess, beyond)))
 
-    def _with_excess(self, excess: F64) -> Posterior:
+    def coloured_steps(self, evidence: Evidence) -> Iterator[Posterior]:
+        """The same with the colour that the newest windows' residuals show; valid after the last piece of work."""
+        x, y = evidence.pooled(_COLOURED)
+        off: list[F64] = []
+        for start in range(0, len(x), _CHUNK):
+            yield self
+            part = slice(start, start + _CHUNK)
+            off.append(y[part] - self.at(x[part])[0])
+        if off:
+            found = colour(np.concatenate(off), evidence.spans_us[-_COLOURED:], self.process.noise_var)
+            yield self._with(replace(self.process, colour=found))
+
+    def _with(self, process: Process) -> Posterior:
         other = object.__new__(Posterior)
-        other.process = replace(self.process, excess=excess)
+        other.process = process
         other._factor, other._weights = self._factor, self._weights
         return other
+
+    def weight_sums(self, x: F64) -> F64:
+        """(M,) sum of the absolute weights that a mean gives to the points."""
+        cross = self.process.kernel.matrix(self.process.x, x)
+        weights, _ = lapack.dpotrs(self._factor, cross, lower=1)
+        found: F64 = np.abs(weights).sum(axis=0)
+        return found
 
     def at(self, x: F64) -> tuple[F64, F64]:
         """Means (M, P) and latent variance (M,) at x (M, D)."""
@@ -165,6 +198,10 @@ class Live:
         mean, variance = self._gp.predict(x)
         return mean, variance[:, 0]
 
+    def weight_sums(self, x: F64) -> F64:
+        """As Posterior: of a process without a remainder nobody asks."""
+        raise NotImplementedError
+
 
 class Accelerations:
     """The true acceleration as both processes see it; final, holds only constants."""
@@ -194,7 +231,11 @@ class Accelerations:
             for posterior in sized_steps(copy):
                 sized = posterior
                 yield None
-            found.append(sized.widened(*store.evidence().pooled(_NEWEST)))
+            evidence = store.evidence()
+            for posterior in sized.coloured_steps(evidence):
+                sized = posterior
+                yield None
+            found.append(sized.widened(*evidence.pooled(_NEWEST)))
         yield cls(found[0], found[1], model)
 
     def knows_ground(self, near: float) -> bool:
@@ -204,9 +245,10 @@ class Accelerations:
         far, close = self.vertical.process.kernel.diagonal(x).tolist()
         return bool(close - far >= (_LEAST_GROUND * near * STANDARD_GRAVITY_MPS2) ** 2)
 
-    def at(self, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:
-        """Mean and standard deviation (M,) along an axis at velocities (M, 3), thrust vectors f (M, 3), nearness (M,).
+    def at(self, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64, F64]:
+        """Mean, standard deviation and remainder (M,) along an axis.
 
+        At velocities (M, 3), thrust vectors f (M, 3) and nearness (M,).
         With upright thrust the down axis sees the vertical process alone, which saves half the work.
         """
         x = inputs(speed, thrust, near)
@@ -214,14 +256,17 @@ class Accelerations:
         along = turn[:, axis, :]
         mean = -thrust[:, axis] - np.einsum("mk,mjk,mj->m", along * self._drag_per_s, turn, speed)
         mean[:] += STANDARD_GRAVITY_MPS2 if axis == DOWN else 0.0
-        variance = np.zeros(len(x))
+        variance, rest = np.zeros(len(x)), np.zeros(len(x))
         for process, columns in ((self.lateral, slice(0, 2)), (self.vertical, slice(2, 3))):
             if along[:, columns].any():
                 residual, spread = process.at(x)
                 mean += np.einsum("mk,mk->m", along[:, columns], residual)
-                calibrated = process.process.inflation**2 * (spread[:, None] + process.process.excess)
+                known = process.process.colour
+                calibrated = known.inflation**2 * spread[:, None] + process.process.excess
                 variance += np.einsum("mk,mk->m", along[:, columns] ** 2, calibrated)
-        return mean, np.sqrt(variance)
+                if known.remainder_mps2.any():
+                    rest += np.abs(along[:, columns]) @ known.remainder_mps2 * (1.0 + process.weight_sums(x))
+        return mean, np.sqrt(variance), rest
 
 
 def inputs(speed: F64, thrust: F64, near: F64) -> F64:

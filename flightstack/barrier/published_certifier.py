@@ -104,7 +104,8 @@ class PublishedCertifier:
             thrust[:, :2] = self._balance(known)
             across = np.hypot(thrust[:, 0], thrust[:, 1])
             thrust[:, _DOWN] = np.sqrt(np.maximum(thrust_mps2**2 - across**2, (0.1 * thrust_mps2) ** 2))
-        return known.at(axis, speed, thrust, np.zeros(len(v_mps)))
+        mean, sigma, _ = known.at(axis, speed, thrust, np.zeros(len(v_mps)))
+        return mean, sigma
 
     def _balance(self, known: Accelerations) -> F64:
         """(2,) north and east parts of the thrust vector that balance what pushes aside at rest."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting
 from flightstack.barrier.premises import Premises
+from flightstack.barrier.provenance import Provenance
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.types import F64, Tuple3
@@ -153,3 +154,5 @@ class Certificate:
     """For what it holds; None: as published, or made up: it claims nothing of a flight."""
     governor: GovernorTerms | None = None
     """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""
+    provenance: Provenance | None = None
+    """The flight that it was learned in; None: nothing ties it to one."""

@@ -19,32 +19,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from . import knowledge
+from . import floors, knowledge
 from .cells import check_cells
 from .condition import Condition, Piece
+from .confidence import check_confidence
 from .governor import check_governor
 from .intervals import F64, Interval
 from .ledger import check_ledger
+from .log import Recording
 from .premises import check_premises
-from .reading import Refused, Unreadable, number, numbers, rows, table_of, unsealed
+from .provenance import check_flight, check_keys
+from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
 
 _TOP = (
-    "schema",
-    "mode",
-    "version",
-    "centre_ned_m",
-    "delta",
-    "k_sigma",
-    "budget",
-    "axes",
-    "premises",
-    "governor",
-    "knowledge",
-)
+    "schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "provenance",
+    "confidence", "governor", "knowledge",
+)  # fmt: skip
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
 _BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
@@ -56,6 +50,10 @@ _KINDS = {
 }
 
 
+SELF_CONSISTENT = "self-consistent, not tied to a flight"
+DERIVED = "derived from the log of its flight"
+
+
 @dataclass
 class Verdict:
     """What was found: `lines` say what was verified, with counts; where it is not valid, the last one says why."""
@@ -64,18 +62,22 @@ class Verdict:
     lines: list[str] = field(default_factory=list)
     readable: bool = True
     """False where it is no certificate file, or larger than any; then there is one line."""
+    level: str = SELF_CONSISTENT
+    """How far what is true of a valid file reaches."""
 
 
-def check(text: str) -> Verdict:
-    """Verify a certificate file's text; never raises.
+def check(text: str, log: BinaryIO | Recording | None = None, vehicle: bytes | None = None) -> Verdict:
+    """Verify a certificate file's text, and against a flight's log where one is given; never raises.
+
+    `vehicle`: the vehicle file; without it the one that the log carries.
 
     Memory and time are bounded by what `bounds` lets pass; whoever wants a hard limit calls it in a process of its own.
     """
     verdict = Verdict(False)
     try:
         with np.errstate(all="ignore"):
-            _check(text, verdict.lines)
-        verdict.valid = True
+            _check(text, verdict.lines, log, vehicle)
+        verdict.valid, verdict.level = True, SELF_CONSISTENT if log is None else DERIVED
     except Unreadable as unreadable:
         verdict.lines, verdict.readable = [str(unreadable)], False
     except Refused as refused:
@@ -85,7 +87,7 @@ def check(text: str) -> Verdict:
     return verdict
 
 
-def _check(text: str, lines: list[str]) -> None:
+def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicle: bytes | None) -> None:
     data = table_of(unsealed(text), _TOP, "certificate")
     lines.append("seal: fits")
     if data["mode"] != "sound":
@@ -102,10 +104,18 @@ def _check(text: str, lines: list[str]) -> None:
     names = [axis["axis"] for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    check_confidence(data["confidence"], delta, k)
+    check_keys(data["provenance"], known.stores)
+    sensors = data["premises"].get("sensors") if isinstance(data["premises"], dict) else None
+    floors.check_noise([store.noise_var for store in known.stores], sensors)
+    floors.check_radius(float(known.data["rotor_radius_m"]))
+    if known.stores:
+        floors.check_doubts(known.data.get("doubts"))
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
     lines.append(check_governor(data["governor"], data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
+        floors.check_hold(condition.dt)
         nodes = _nodes(axis["authority"], name)
         if _AXES.index(name) not in tables:
             raise Refused(f"{name} is not among knowledge.axes")
@@ -115,6 +125,8 @@ def _check(text: str, lines: list[str]) -> None:
             _check_heights(condition, float(centre[2]), known)
         cells = rows(axis["cells"], 6, f"{name}.cells")
         lines.append(check_cells(condition, cells, nodes[[0, 3, 4, 5, 6]], middle, name))
+    if log is not None:
+        lines += check_flight(data, known, log, vehicle, seal_of(text))
 
 
 def _budget(value: Any, lines: list[str]) -> knowledge.Box:

@@ -12,6 +12,9 @@ import numpy as np
 from .intervals import F64
 from .reading import Refused, column, number
 
+_AT_ONCE = 300
+"""Queries in one go: a kernel's matrices then take some megabytes."""
+
 
 def kernel(spec: Any, x: F64, y: F64, where: str, deep: int = 0) -> F64:
     """(n, m) covariances between rows of x (n, d) and y (m, d), of a kernel as plain JSON."""
@@ -52,10 +55,19 @@ def factor(spec: Any, x: F64, noise: float, where: str) -> F64:
     return np.asarray(np.linalg.cholesky(kernel(spec, x, x, where) + noise * np.eye(len(x))), np.float64)
 
 
-def posterior(spec: Any, x: F64, y: F64, lower: F64, queries: F64, where: str) -> tuple[F64, F64]:
-    """Means (m, outputs) and variance (m,) at `queries` (m, d), given y (n, outputs) at x (n, d) and their `factor`."""
-    solved = np.asarray(np.linalg.solve(lower, np.hstack([kernel(spec, x, queries, where), y])), np.float64)
+def posterior(spec: Any, x: F64, y: F64, lower: F64, queries: F64, where: str) -> tuple[F64, F64, F64]:
+    """Means (m, outputs), variance and sum of absolute weights (m,) at `queries` (m, d).
+
+    Given y (n, outputs) at x (n, d) and their `factor`.
+    """
+    if len(queries) > _AT_ONCE:
+        parts = [queries[i : i + _AT_ONCE] for i in range(0, len(queries), _AT_ONCE)]
+        found = [posterior(spec, x, y, lower, part, where) for part in parts]
+        return tuple(np.concatenate(each) for each in zip(*found, strict=True))  # type: ignore[return-value]
+    cross = kernel(spec, x, queries, where)
+    solved = np.asarray(np.linalg.solve(lower, np.hstack([cross, y])), np.float64)
     half, weights = solved[:, : len(queries)], solved[:, len(queries) :]
     prior = np.diag(kernel(spec, queries, queries, where))
     mean: F64 = half.T @ weights
-    return mean, np.asarray(np.maximum(prior - (half * half).sum(axis=0), 0.0))
+    sums = np.abs(np.linalg.solve(lower.T, half)).sum(axis=0)
+    return mean, np.asarray(np.maximum(prior - (half * half).sum(axis=0), 0.0)), sums

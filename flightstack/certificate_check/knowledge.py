@@ -6,7 +6,8 @@ and a down part F from low to high.  The true acceleration at velocity v, R(b) t
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (v, b_n, b_e, |f| / g, near |f| / g)
 
 residual: three independent Gaussian processes, the first two on one store, each with the variance
-inflation^2 (posterior variance + excess).  Also, with mass ratio r and force |w| <= W,
+inflation^2 posterior variance + excess, and beside it remainder (1 + sum of its absolute weights).  Also, with mass
+ratio r and force |w| <= W,
 a = g e_d - (f + drag v) / r + w.
 
 At each node of speed and at both ends of the command the intervals (mean -+ k sigma, cut with what mass and force
@@ -29,10 +30,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from . import floors
 from .gaussian import factor, kernel, posterior
 from .intervals import F64
-from .reading import Refused, number, rows, table_of
+from .reading import Refused, Unreadable, number, rows, table_of
 
 NEAR = 1e-6
 """What two correct computations of a posterior may differ by, m/s^2."""
@@ -45,7 +48,7 @@ _KEYS = (
 )  # fmt: skip
 _LEARNED = ("lateral", "vertical", "sha256")
 _ALSO = ("doubts", "falsified", "hand_over", "last", "vehicle", "vehicle_hash")
-_PROCESS = ("kernel", "noise_var", "inflation", "excess", "x", "y")
+_PROCESS = ("kernel", "noise_var", "inflation", "remainder_mps2", "excess", "x", "y", "windows_us")
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
 
@@ -64,15 +67,19 @@ class Process:
 
     spec: Any
     lower: F64
-    inflation: float
+    inflation: F64
+    remainder: F64
     excess: F64
     x: F64
     y: F64
+    noise_var: float
+    windows_us: NDArray[np.int64]
+    """(n, 2) of each point, or none."""
 
-    def at(self, queries: F64, where: str) -> tuple[F64, F64]:
-        """Means and calibrated variances (m, outputs)."""
-        mean, variance = posterior(self.spec, self.x, self.y, self.lower, queries, where)
-        return mean, self.inflation**2 * (variance[:, None] + self.excess)
+    def at(self, queries: F64, where: str) -> tuple[F64, F64, F64]:
+        """Means, calibrated variances and remainders (m, outputs)."""
+        mean, variance, sums = posterior(self.spec, self.x, self.y, self.lower, queries, where)
+        return mean, self.inflation**2 * variance[:, None] + self.excess, (1.0 + sums[:, None]) * self.remainder
 
 
 @dataclass
@@ -116,7 +123,7 @@ class Knowledge:
             x[:, axis] = self.speeds[axis, 0] + step * np.array([0.0, 0.5, 1.0])
             x[:, 5] = 1.0
             weights = np.array([-0.5, 1.0, -0.5])
-            grams = [store.inflation**2 * kernel(store.spec, x, x, "kernel") for store in self.stores]
+            grams = [float(store.inflation.max()) ** 2 * kernel(store.spec, x, x, "kernel") for store in self.stores]
             out.append(math.sqrt(max([0.0, *(float(weights @ gram @ weights) for gram in grams)])))
         return out
 
@@ -195,19 +202,22 @@ class Knowledge:
         )
 
     def _learned(self, axis: int, v: F64, f: F64, near: float) -> tuple[F64, F64]:
-        """Mean and k sigma of the acceleration along an axis at each query."""
+        """Mean, and k sigma with the remainder, of the acceleration along an axis at each query."""
         g = float(self.data["gravity_mps2"])
         size = np.linalg.norm(f, axis=1)
         b = f / size[:, None]
         x = np.column_stack([v, b[:, :2], size / g, near * size / g])
-        (side, side_var), (up, up_var) = (s.at(x, n) for s, n in zip(self.stores, _LEARNED, strict=False))
+        (side, side_var, side_rest), (up, up_var, up_rest) = (
+            s.at(x, n) for s, n in zip(self.stores, _LEARNED, strict=False)
+        )
         mean, variance = np.column_stack([side, up]), np.column_stack([side_var, up_var])
         turn = _turns(b)
         drag = np.array(self.data["drag_per_s"])
         drag[:2] = drag[:2].mean()
         body = np.einsum("qji,qj->qi", turn, v)
         a = np.einsum("qj,qj->q", turn[:, axis], mean - drag * body) - f[:, axis] + (g if axis == DOWN else 0.0)
-        return a, self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance))
+        rest = np.einsum("qj,qj->q", np.abs(turn[:, axis]), np.column_stack([side_rest, up_rest]))
+        return a, self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance)) + rest
 
 
 def _turns(b: F64) -> F64:
@@ -304,15 +314,30 @@ def _process(value: Any, outputs: int, name: str) -> Process:
     where = f"knowledge.{name}"
     table_of(value, _PROCESS, where)
     x, y = rows(value["x"], 7, f"{where}.x"), rows(value["y"], outputs, f"{where}.y")
-    excess = rows([value["excess"]], outputs, f"{where}.excess")[0]
-    noise, inflation = (
-        number(value["noise_var"], f"{where}.noise_var"),
-        number(value["inflation"], f"{where}.inflation"),
+    excess, inflation, rest = (
+        rows([value[key]], outputs, f"{where}.{key}")[0] for key in ("excess", "inflation", "remainder_mps2")
     )
-    if len(x) != len(y) or len(x) > 2000 or not (noise > 0.0 and inflation >= 1.0 and excess.min() >= 0.0):
-        raise Refused(f"{where}: as many x as y, noise above 0, inflation at least 1, excess at least 0")
+    noise = number(value["noise_var"], f"{where}.noise_var")
+    if len(x) != len(y):
+        raise Refused(f"{where}: {len(x)} x belong to {len(y)} y")
+    floors.check_process(noise, inflation, excess, rest, where)
     lower = factor(value["kernel"], x, noise, f"{where}.kernel")
-    return Process(value["kernel"], lower, inflation, excess, x, y)
+    floors.check_fit(y, lower, inflation, where)
+    return Process(
+        value["kernel"], lower, inflation, rest, excess, x, y, noise, _windows(value["windows_us"], len(x), where)
+    )
+
+
+def _windows(value: Any, count: int, where: str) -> NDArray[np.int64]:
+    """(n, 2) stamps; none where none are named."""
+    if value == []:
+        return np.zeros((0, 2), np.int64)
+    named = isinstance(value, list) and len(value) == count
+    if not named or not all(isinstance(row, list) and len(row) == 2 for row in value):
+        raise Unreadable(f"{where}.windows_us must be as many pairs of stamps as points, or none")
+    if not all(type(stamp) is int and 0 <= stamp < 2**53 for row in value for stamp in row):
+        raise Refused(f"{where}.windows_us: a stamp is no whole number from 0")
+    return np.array(value, np.int64)
 
 
 def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> None:

@@ -103,6 +103,11 @@ def parsed(text: str) -> dict[str, Any]:
     return data
 
 
+def seal_of(text: str) -> Any:
+    """What the file is sealed with."""
+    return json.loads(text)["seal"]
+
+
 def unsealed(text: str) -> dict[str, Any]:
     """The file's table once its seal has been found right."""
     data = parsed(text)

@@ -19,6 +19,7 @@ import numpy as np
 from flightstack.barrier.certifier import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
+from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
@@ -127,6 +128,8 @@ class WatchedCertifier:
         self._stamp = dict(stamp or {})
         self.adopted: list[Certificate] = []
         """Since the last `init`, in their order."""
+        self.trail = Trail()
+        """Of the flight's ticks: what a certificate made in flight names as its log."""
         self.seen: tuple[object, object, Learned] | None = None
         """The certifier's state, the learner's and what it said, as of the last tick; None where none was."""
         self._seeing = True
@@ -135,6 +138,7 @@ class WatchedCertifier:
     def init(self) -> object:
         """The certifier's own; certificates before it (warming up) are forgotten."""
         self.adopted, self.seen, self._seeing = [], None, True
+        self.trail.begin()
         return self._certifier.init()
 
     def step(
@@ -160,11 +164,14 @@ class WatchedCertifier:
             self.seen, self._seeing = (state, learner, learned), False
 
     def stamped(self, certificate: Certificate) -> Certificate:
-        """The same, made for the vehicle of `stamp`."""
+        """The same, made for the vehicle of `stamp` and in this flight, where its points are of this flight."""
         premises, stamped = certificate.premises, {**certificate.knowledge, **self._stamp}
         if premises is not None:
             premises = replace(premises, vehicle_hash=str(stamped.get("vehicle_hash", "")))
-        return replace(certificate, knowledge=stamped, premises=premises)
+        provenance = certificate.provenance
+        if provenance is None and "sha256" in stamped:
+            provenance = self.trail.provenance()
+        return replace(certificate, knowledge=stamped, premises=premises, provenance=provenance)
 
 
 def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:
@@ -212,11 +219,13 @@ class RegionScore:
             self._true.append(true)
 
     def summary(self) -> dict[str, Any]:
-        """Which region, from when on it counts (s after take-off), the least h then, ticks outside; null if unknown."""
+        """Which region, from when on it counts (s after take-off), the least h then, ticks outside.
+
+        Null where it is not known: without a truth, and where h never was what it begins to count from.
+        """
         start = engaged_from(self._t_us, estimated := self._values(self._estimated))
         found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
-        found["violations"] = 0 if self._true else None
-        found["left_s"] = None
+        found["violations"] = found["left_s"] = None
         if start is None:
             return found
         since_s = (np.array(self._t_us[start:]) - self._t_us[0]) * 1e-6

@@ -17,7 +17,7 @@ from flightstack.barrier import viability
 from flightstack.barrier.design import slice_area, worst_slice_area
 from flightstack.barrier.physics import Plant, mu_physics
 from flightstack.barrier.published import of_authority
-from flightstack.barrier.records import AxisCertificate, Certificate
+from flightstack.barrier.records import AxisCertificate, Budget, Certificate
 from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.cli.flight import Setup
@@ -45,7 +45,13 @@ class Figures:
     area_worst_m2ps: float | None
     """On the worst slice."""
     area_kernel_m2ps: float | None
-    """Of the exact viability kernel with the same acceleration and margins."""
+    """Of the exact viability kernel with the same margins, cut to the accelerations that the certificate counts on."""
+    area_kernel_vehicle_m2ps: float | None
+    """Of the same with all the thrust that the vehicle may give in this flight."""
+    share_kernel: float | None
+    """Of the certified area in the first."""
+    share_kernel_vehicle: float | None
+    """Of the certified area in the second."""
     samples: int | None
     """That a certificate by the published sampling takes where they are placed adaptively."""
     samples_uniform: int | None
@@ -82,6 +88,20 @@ def counted_mps2(axis: AxisCertificate) -> tuple[float, float]:
     return low + other, high - other
 
 
+def vehicle_mps2(
+    axis: AxisCertificate, budget: Budget, setup: Setup, counted: tuple[float, float]
+) -> tuple[float, float]:
+    """The same with all the thrust that the flight allows: what lies beyond the certificate's range counts in full.
+
+    With the certificate's own gain and bounds, which are as good there as at its range's ends.
+    """
+    flight = setup.flight
+    model, gain = flight.stack.model, float(axis.authority.gain.min())
+    least, greatest = (n / model.mass_kg for n in model.thrust_range_n(flight.scenario.limits))
+    low, high = counted
+    return low - gain * max(greatest - budget.high_mps2, 0.0), high + gain * max(budget.low_mps2 - least, 0.0)
+
+
 def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     """From the certificates of a flight, the first and the last."""
     region = setup.flight.scenario.region
@@ -90,7 +110,7 @@ def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     limit = region.semi_axes_m[DOWN]
     mu_initial = region.semi_axes_mps[DOWN] ** -2
     if last is None or first is None:
-        return Figures(mu_initial, None, None, None, None, None, None, None, None, {})
+        return Figures(**{**Figures.nothing(), "mu_initial": mu_initial, "margins": {}})
     published = adopted[-1].mode != "sound"
     low, high = counted_mps2(last)
     other = 0.0 if published else sum(m.mps2 for m in last.margins if m.name not in KNOWLEDGE)
@@ -98,14 +118,20 @@ def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     mu_final = last.barrier.p22 if published and isinstance(last.barrier, Quadratic) else proven
     reach = last.authority.reach(0.0)
     samples = _samples(last, limit, mu_final)
+    area = slice_area(last.barrier, last.response, inner=last.setting.inner)
+    kernel = viability.area(-limit, limit, low, high)
+    whole = viability.area(-limit, limit, *vehicle_mps2(last, adopted[-1].budget, setup, (low, high)))
     return Figures(
         mu_initial=mu_initial,
         mu_final=mu_final,
         mu_physics=mu_physics(plant_of(setup), region, (0.0, 0.0, other), lateral=False),
         area_initial_m2ps=slice_area(first.barrier, first.response, inner=first.setting.inner),
-        area_m2ps=slice_area(last.barrier, last.response, inner=last.setting.inner),
+        area_m2ps=area,
         area_worst_m2ps=worst_slice_area(last.barrier, last.response, reach.u_low, reach.u_high, last.setting.inner),
-        area_kernel_m2ps=viability.area(-limit, limit, low, high),
+        area_kernel_m2ps=kernel,
+        area_kernel_vehicle_m2ps=whole,
+        share_kernel=area / kernel,
+        share_kernel_vehicle=area / whole,
         samples=samples[0],
         samples_uniform=samples[1],
         margins={margin.name: margin.mps2 for margin in last.margins},

@@ -40,8 +40,10 @@ def figures(result: CertifyResult) -> tuple[tuple[str, str, str], ...]:
     found, flight = result.figures, result.flight
     if found is None:
         return ()
-    share = "" if not found.area_kernel_m2ps or found.area_m2ps is None else (
-        f"{100.0 * found.area_m2ps / found.area_kernel_m2ps:.0f} % of the kernel's {found.area_kernel_m2ps:.2f}"
+    share = "" if found.share_kernel is None or found.share_kernel_vehicle is None else (
+        f"{100.0 * found.share_kernel_vehicle:.0f} % of the kernel of the vehicle's own limits, "
+        f"{_shown(found.area_kernel_vehicle_m2ps, 2)}; {100.0 * found.share_kernel:.0f} % of the kernel's "
+        f"{_shown(found.area_kernel_m2ps, 2)} within the certificate's thrust"
     )  # fmt: skip
     rounds = 0 if result.state is None else len(result.state.rounds)
     exits = flight.barrier["violations"]

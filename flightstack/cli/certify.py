@@ -36,6 +36,7 @@ from flightstack.stack import Stack
 from flightstack.trajectory import hover
 from flightstack.types import InputError, TickRecord
 from flightstack.vehicle import Vehicle
+from flightstack_logs.writer import Recorder
 
 TIME_LIMIT_S = 300.0
 """Of the exploration; it mostly ends by its own rule."""
@@ -177,6 +178,7 @@ def explored(setup: Setup, options: FlyOptions, config: CertifierConfig = VERTIC
             stack.model, stack.limits, scenario.region, initial=scenario.knowledge, certifier=config
         )
         watched = WatchedCertifier(certifier, _stamp(prepared.believed))
+        watched.trail = prepared.protection.watched.trail
         protection = replace(protection, certifier=watched)
         stack = Stack(
             stack.model, stack.limits, controller=stack.controller, learner=stack.learner, certifier=watched,
@@ -203,14 +205,23 @@ def certify(
     began = time.perf_counter()
     out = options.out or files.new_run_folder("certify", options.seed)
     planner = ExplorationPlanner(Explorer(config), certifier)
+    adopted: list[Certificate] = []
+
+    def settle_in(log: Recorder, t_us: int) -> None:
+        """While the log is open: it holds the certificate that comes out."""
+        adopted.extend(certifier.adopted)
+        if adopted and planner.state is not None and not planner.state.failed:
+            on_progress(1.0, "settling")
+            adopted.extend(settle(certifier, adopted[-1]))
+        held = unfalsified(adopted)
+        if held is not None:
+            log.certificate(t_us, held)
+
     flight = fly_setup(
-        setup, replace(options, out=out), planner=planner, stop_requested=stop_requested, on_progress=on_progress
-    )
+        setup, replace(options, out=out), planner=planner, stop_requested=stop_requested, on_progress=on_progress,
+        at_end=settle_in,
+    )  # fmt: skip
     _put_aside(flight, out / "flight.html")
-    adopted = list(certifier.adopted)
-    if adopted and planner.state is not None and not planner.state.failed:
-        on_progress(1.0, "settling")
-        adopted += settle(certifier, adopted[-1])
     path, verdict = write_certificate(adopted, out / CERTIFICATE)
     figures = figures_of(adopted, setup) if adopted else None
     result = CertifyResult(flight, planner.state, figures, path, 0.0, options.as_published, verdict)
@@ -241,18 +252,24 @@ def settle(certifier: WatchedCertifier, last: Certificate) -> list[Certificate]:
     return [certifier.stamped(found)]
 
 
+def unfalsified(adopted: list[Certificate]) -> Certificate | None:
+    """The last certificate that no observation has falsified."""
+    held = [certificate for certificate in adopted if not certificate.knowledge.get(FALSIFIED)]
+    return held[-1] if held else None
+
+
 def write_certificate(adopted: list[Certificate], path: Path) -> tuple[str | None, list[str]]:
     """The file of the last certificate that no observation has falsified, once the checker has accepted it.
 
     Its path and the checker's lines; no path where there is no such certificate.  What the checker refuses is kept
     beside it under another name, for whoever wants to know why.
     """
-    held = [certificate for certificate in adopted if not certificate.knowledge.get(FALSIFIED)]
-    if not held:
+    held = unfalsified(adopted)
+    if held is None:
         return None, []
-    text = certificate_to_json(held[-1])
+    text = certificate_to_json(held)
     verdict = check(text)
-    published = held[-1].mode != "sound"  # nothing covers it: for the record only, and it says so itself
+    published = held.mode != "sound"  # nothing covers it: for the record only, and it says so itself
     target = path if verdict.valid or published else path.with_name("refused.json")
     files.write_text(target, text)
     return (str(path) if verdict.valid or published else None), list(verdict.lines)

@@ -12,6 +12,7 @@ import os
 import stat
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,29 @@ from flightstack.types import InputError
 MEMORY_BYTES = 430_000_000
 """Of data; with the code itself, some 60 MB, it stays below 500 MB resident."""
 TIME_LIMIT_S = 30.0
+LOG_TIME_LIMIT_S = 120.0
+LOG_BYTES = 1_000_000_000
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Threads of a linear algebra library reserve memory, each."""
 
 
-def check_file(path: Path) -> Verdict:
-    """The checker's word on a file; InputError, one line, where it can't be read or no verdict was reached."""
-    _readable(path, FILE_BYTES)
-    found = _in_child([str(path)], TIME_LIMIT_S, f"{path}")
+def check_file(path: Path, log: Path | None = None, vehicle: Path | None = None) -> Verdict:
+    """The checker's word on a file, and against the log of its flight where one is given.
+
+    InputError, one line, where one of the files can't be read or no verdict was reached.  `vehicle`: the vehicle file;
+    without it the one that the log carries.
+    """
+    if vehicle is not None and log is None:
+        raise InputError("--vehicle belongs to --log: without the log nothing is derived from it")
+    given = [(path, FILE_BYTES)] + [(log, LOG_BYTES)] * (log is not None)
+    for one, most_bytes in [*given, *([(vehicle, FILE_BYTES)] if vehicle is not None else [])]:
+        assert one is not None
+        _readable(one, most_bytes)
+    arguments = [str(one) for one in (path, log, vehicle) if one is not None]
+    found = _in_child(arguments, TIME_LIMIT_S if log is None else LOG_TIME_LIMIT_S, f"{path}")
     if not found["readable"]:
         raise InputError(f"{path}: {found['lines'][-1]}")
-    return Verdict(found["valid"], found["lines"])
+    return Verdict(found["valid"], found["lines"], level=found["level"])
 
 
 def _readable(path: Path, most_bytes: int) -> None:
@@ -72,12 +85,17 @@ def main(arguments: list[str]) -> None:
     _limit_memory()
     try:
         text = Path(arguments[0]).read_bytes()[: FILE_BYTES + 1].decode("utf-8")
-        verdict = check(text)
+        if len(arguments) == 1:
+            verdict = check(text)
+        else:
+            vehicle = Path(arguments[2]).read_bytes() if len(arguments) > 2 else None
+            with Path(arguments[1]).open("rb") as log:
+                verdict = check(text, log, vehicle)
     except UnicodeDecodeError:
         verdict = Verdict(False, ["not a text file (UTF-8 expected)"], readable=False)
     except OSError as error:
         verdict = Verdict(False, [error.strerror or str(error)], readable=False)
-    print(json.dumps({"valid": verdict.valid, "lines": verdict.lines, "readable": verdict.readable}))
+    print(json.dumps(asdict(verdict)))
 
 
 def _limit_memory() -> None:

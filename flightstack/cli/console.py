@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.table import Table
 
+from flightstack.certificate_check import Verdict
+from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
 from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
@@ -131,11 +133,12 @@ def show_gap(result: GapResult, out: Path) -> None:
         output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
 
 
-def show_checked(path: str, valid: bool, lines: list[str]) -> None:
-    """What the independent checker said of a file."""
-    for line in lines:
+def show_checked(path: str, verdict: Verdict) -> None:
+    """What the independent checker said of a file; the last line is its verdict."""
+    for line in verdict.lines:
         output.print(f" {line}", soft_wrap=True, markup=False)
-    output.print(f"{path}: {'valid' if valid else 'NOT valid'}", soft_wrap=True, markup=False)
+    said = f"valid, {verdict.level}" if verdict.valid else "NOT valid"
+    output.print(f"{path}: {said}", soft_wrap=True, markup=False)
 
 
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
@@ -150,6 +153,8 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
             f"rms {_length(tracking['rmse_m'])}, settled half {_length(tracking['rmse_settled_m'])}, "
             f"most {_length(tracking['max_m'])}",
         )
+    if result.estimator["disagreement_rms_mps"] is not None:
+        yield "estimate", estimate_words(result.estimator)
     yield "protection", f"{_PROTECTION_STYLES[result.protection]}{escape(result.protection_words)}[/]"
     yield "learning", _learning(result.gp)
     yield "barrier filter", _filter(result)

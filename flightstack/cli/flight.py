@@ -249,11 +249,15 @@ def fly_setup(
     planner: Planner | None = None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
 ) -> FlightResult:
-    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown."""
+    """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown.
+
+    `at_end` is called after the flight, with its log still open.
+    """
     ensure_compiled(lambda text: on_progress(0.0, text))
     with setup.flight.protection.beside():
-        return _flown(setup, options, planner, stop_requested, on_progress)
+        return _flown(setup, options, planner, stop_requested, on_progress, at_end)
 
 
 def _flown(
@@ -262,6 +266,7 @@ def _flown(
     planner: Planner | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
     warm_up_all(setup)
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
@@ -278,6 +283,7 @@ def _flown(
                 _run(flight, recorder, timing, stop_requested, on_progress)
         finally:
             flight.close()
+        at_end(recorder, flight.t_us)
     finally:
         recorder.close()
     wall_s = time.perf_counter() - started

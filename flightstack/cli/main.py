@@ -245,6 +245,9 @@ def certify(
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="With --check: derive the file anew from this log of its flight.")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Learn the largest certified region in flight, or check a certificate."""
@@ -254,12 +257,17 @@ def certify(
     from flightstack.cli.flight import FlyOptions
 
     if check is not None:
-        found = check_file(check)
-        console.show_checked(str(check), found.valid, found.lines)
+        found = check_file(check, log, None if vehicle is None else files.find("vehicles", vehicle).path)
+        console.show_checked(str(check), found)
         if json is not None:
-            said = {"certificate": str(check), "valid": found.valid, "lines": found.lines}
+            level = found.level if found.valid else None
+            said = {"certificate": str(check), "valid": found.valid, "level": level, "lines": found.lines}
             files.write_json(json, {"schema": "flightstack.check/1", **said})
         raise typer.Exit(OK if found.valid else FAILED)
+    if log is not None:
+        from flightstack.types import InputError
+
+        raise InputError("--log belongs to --check: the log of a new flight lies in --out")
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,

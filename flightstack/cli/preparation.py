@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from flightstack.barrier.provenance import Trail
 from flightstack.cli import files
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
@@ -102,6 +103,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if learned is not None:
         learner = _learner(learned, name, believed, model, options)
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
+    if protection.watched is not None:
+        protection.watched.trail = Trail(vehicle_file.text)
     if protection.given is not None:  # settle inside it first, so that the filter engages before the track begins
         scenario = replace(scenario, climb_to_m=-protection.given.centre_ned_m[2])
     settings = {

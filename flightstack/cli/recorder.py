@@ -10,6 +10,7 @@ import numpy as np
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
+from flightstack.estimate_observer import POOR_MPS
 from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
@@ -30,6 +31,8 @@ _TOPIC_OF: dict[type, str] = {
 _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
 _STAGE_PERIOD_US = 100_000
+_ESTIMATE_PERIOD_US = 40_000
+_JUDGED_FROM_US = 5_000_000
 _SURPRISING_TICKS = 8
 """Ticks over which the error is averaged that says on which axis a change lies."""
 
@@ -145,6 +148,24 @@ def certified_words(certificate: Certificate) -> str:
     return "; ".join(parts)
 
 
+class EstimateEvents:
+    """Tells once that the vehicle's velocity and position disagree by more than they may."""
+
+    def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
+        self._tell = tell
+        self._told = False
+        self._from_us = -1
+
+    def on_estimate(self, t_us: int, rms_ned_mps: F64) -> None:
+        """rms(c) at one tick; judged once there are some seconds of it."""
+        self._from_us = t_us if self._from_us < 0 else self._from_us
+        if self._told or t_us < self._from_us + _JUDGED_FROM_US or not float(rms_ned_mps.max()) > POOR_MPS:
+            return
+        self._told = True
+        text = f"estimate: velocity and position disagree by {_vector(rms_ned_mps)} m/s rms (north, east, down)"
+        self._tell(t_us, "estimate", f"{text}, more than {POOR_MPS:g}: look at the estimator's sensors", "warning")
+
+
 class LogObserver:
     """The companion's observer: everything goes to the log, and each tick to `on_record`.
 
@@ -170,6 +191,8 @@ class LogObserver:
         self._on_record, self._on_message = on_record, on_message
         self._learner_events = LearnerEvents(self._tell)
         self._filter_events = FilterEvents(self._tell)
+        self._estimate_events = EstimateEvents(self._tell)
+        self._estimate_due_us = 0
         self._certifier = certifier
         self._certificates, self._lost = 0, False
         self._placed = False
@@ -190,10 +213,23 @@ class LogObserver:
             self._log.scene(self._clock.t_us, scene)
         self._on_certificates(record.t_us)
         self._log.tick(record, self._clock.t_us)
+        if self._certifier is not None:
+            self._certifier.trail.add(record)
+        self._on_estimate(record.t_us)
         self._learner_events.on_learned(record.t_us, record.learned)
         self._filter_events.on_filtered(record.t_us, record.filtered)
         if self._on_record is not None:
             self._on_record(record)
+
+    def _on_estimate(self, t_us: int) -> None:
+        """The estimate's agreement with itself, 25 times a second."""
+        if self.companion is None or t_us < self._estimate_due_us:
+            return
+        self._estimate_due_us = t_us + _ESTIMATE_PERIOD_US
+        observed = self.companion.view.streams.observer
+        rms = observed.rms_ned_mps
+        self._log.write("/estimate", self._clock.t_us, (observed.disagreement_ned_mps, rms, observed.weight))
+        self._estimate_events.on_estimate(t_us, rms)
 
     def _on_certificates(self, t_us: int) -> None:
         """Each new certificate: told, shown in the 3-D view and kept for the log's end."""

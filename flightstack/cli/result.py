@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.cli.estimate_score import NO_ESTIMATE
 from flightstack.cli.verdict import HELD, LEFT, OFF, spans_words
 from flightstack.scenario import Check
 from flightstack.types import F64, Tuple3
@@ -149,6 +150,7 @@ class FlightResult:
     qp: dict[str, Any] = field(default_factory=lambda: dict(NO_QP))
     region: dict[str, Any] = field(default_factory=lambda: dict(NO_REGION))
     link: dict[str, Any] = field(default_factory=lambda: dict(NO_LINK))
+    estimator: dict[str, Any] = field(default_factory=lambda: dict(NO_ESTIMATE))
     flown: dict[str, Any] = field(default_factory=dict)
     """Heights and speed by which it counts as flown (`verdict.Flown`)."""
     protection: str = OFF
@@ -261,6 +263,7 @@ class FlightResult:
             "region": self.region,
             "loop": self.loop,
             "link": self.link,
+            "estimator": self.estimator,
             "checks": self.checks,
             "checklist": self.checklist,
             "parameters_set": self.parameters_set,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, qp_summary
 from flightstack.cli.calibration import gp_summary
+from flightstack.cli.estimate_score import EstimateScore
 from flightstack.cli.preparation import Prepared
 from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
@@ -39,6 +41,7 @@ class FlightScore:
         self._filtering = prepared.stack.filter.enabled
         self._filter = FilterScore()
         self.ascent = Ascent()
+        self.estimate = EstimateScore()
 
     def on_record(self, record: TickRecord) -> None:
         """A tick of the stack; of an estimated flight it is scored at once."""
@@ -59,7 +62,7 @@ class FlightScore:
         companion = self.companion
         landing = companion is not None and companion.land_command_us >= 0
         if self._by_estimate and landing and isinstance(message, LocalPositionNed):
-            self.ascent.estimated_descent(t_us, float(message.vel_ned_mps[2]))
+            self.ascent.estimated_descent(float(message.pos_ned_m[2]), float(message.vel_ned_mps[2]))
 
     def on_truth(self, truth: Truth) -> None:
         """The truth of a tick, from the start of the take-off to the very end."""
@@ -87,6 +90,15 @@ class FlightScore:
         if not 0.0 <= track_s <= self._duration_s:
             return
         self.tracking.add((pos_ned_m, start_ned_m), (record.reference.pos_ned_m, companion.start_ned_m))
+        estimated = record.measurement.pos_ned_m
+        error = None
+        if truth is not None:
+            (n, e, d), (tn, te, td) = _relative(estimated, companion.start_ned_m), _relative(pos_ned_m, start_ned_m)
+            error = n - tn, e - te, d - td
+        self.estimate.add(
+            companion.view.streams.observer.disagreement_ned_mps,
+            math.dist(estimated.tolist(), record.reference.pos_ned_m.tolist()), error,
+        )  # fmt: skip
         if self._learning:
             self._learned_rows.append(record.learned.row)
             if truth is not None:
@@ -138,6 +150,7 @@ class FlightScore:
             qp=qp_summary(stack.filter, self._filter.infeasible),
             region=region,
             link=link_summary(companion),
+            estimator=self.estimate.summary(),
             flown=flown.as_json(),
             protection=protection_of(prepared.protection.asked and completed is not None, self._filter.spans, region),
             filter_words=prepared.protection.words,

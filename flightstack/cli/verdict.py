@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from flightstack.types import F64
@@ -23,10 +23,11 @@ MOST_RMS_M = 0.5
 MOST_RMS_ROUGH_M = 1.0
 """With GPS, and on a real vehicle, whose own estimate is all that is known."""
 MOST_TOUCHDOWN_MPS = 1.5
-_SINKING_MPS = 0.3
-"""An estimate that sinks faster is still on its way down: twice what one at rest shows on a real EKF."""
-_IMPACT_US = 300_000
-"""The estimate's greatest speed within so long before it stops sinking is that of the touchdown."""
+_NEAR_GROUND_M = 0.5
+"""The estimate's greatest speed downwards so near to where it comes to rest is that of the touchdown.
+
+Above, a descent may be faster, and an estimate at rest wanders.
+"""
 
 HELD, LEFT, NONE, OFF = "held", "left", "none", "off"
 """Verdicts on the protection: kept to, left, asked for but never there, not asked for."""
@@ -43,7 +44,7 @@ class Ascent:
     _impact_mps: float | None = None
     _on_ground: bool = True
     _speed_mps: float = 0.0
-    _sinking: list[tuple[int, float]] | None = None
+    _descent: list[tuple[float, float]] = field(default_factory=list)
 
     def height(self, height_m: float) -> None:
         """One tick before the command to land: height above the start."""
@@ -55,21 +56,17 @@ class Ascent:
             self._impact_mps = max(self._impact_mps or 0.0, self._speed_mps)
         self._on_ground, self._speed_mps = on_ground, math.hypot(*vel_ned_mps)
 
-    def estimated_descent(self, t_us: int, down_mps: float) -> None:
-        """One sample of the estimated speed downwards after the command to land."""
-        if self._sinking is None:
-            self._sinking = []
-        self._sinking.append((t_us, down_mps))
+    def estimated_descent(self, pos_down_m: float, down_mps: float) -> None:
+        """One sample of the estimate after the command to land: where it is and how fast, downwards."""
+        self._descent.append((pos_down_m, down_mps))
 
     @property
     def touchdown_mps(self) -> float | None:
         """Speed at which the ground was touched; None where that is not known."""
-        if self._impact_mps is not None or not self._sinking:
+        if self._impact_mps is not None or not self._descent:
             return self._impact_mps
-        last_us = max((t for t, down in self._sinking if down > _SINKING_MPS), default=None)
-        if last_us is None:
-            return max(0.0, *(down for _, down in self._sinking))
-        return max(down for t, down in self._sinking if last_us - _IMPACT_US <= t <= last_us)
+        rest_m = self._descent[-1][0]
+        return max((down for at_m, down in self._descent if rest_m - at_m <= _NEAR_GROUND_M), default=0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
     __slots__ = (
-        "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
+        "began_us", "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
         "forward", "forward_us", "gain_variance", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
         "rates", "refused", "sample", "steps", "valid_us", "variance", "vertical", "watch",
     )  # fmt: skip
@@ -108,6 +108,8 @@ class LearnerState:
         self.fed_forward = np.zeros(6)
         """Acceleration and jerk fed forward, as the next tick's fixed-point step takes them."""
         self.fit_us = self.valid_us = -1
+        self.began_us = 0
+        """When the present window began."""
         self.changed_us = -_RECOVERY_US
         """When a change was noticed last."""
         self.fed = self.refused = self.changes = self.steps = 0
@@ -213,6 +215,7 @@ class GpLearner:
         state.fit_us = t_us
         state.fed += 1
         watch, sample = state.watch, state.sample
+        state.began_us = state.began_us if watch.held else t_us
         alarm = watch.step(sample, expected, allowed)
         changes = state.changes
         if alarm and state.valid_us >= 0:
@@ -230,8 +233,9 @@ class GpLearner:
             state.lateral.hear(max(noise[0], noise[1]))
             state.vertical.hear(noise[2])
             x, y = mean[: s.D], mean[s.D : s.D + 3]
-            state.lateral.take(x, y[:2])
-            state.vertical.take(x, y[2:])
+            span_us = state.began_us, t_us
+            state.lateral.take(x, y[:2], span_us)
+            state.vertical.take(x, y[2:], span_us)
             state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
             rates = sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3]
             state.rate_mean, spread = state.rates.expect(rates)

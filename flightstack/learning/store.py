@@ -25,12 +25,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
 from flightstack.learning.priors import Prior
 from flightstack.types import F64
 
 Relevance = Literal["oldest", "kernel"]
+Span = tuple[int, int]
+"""Stamps of a window's first and last sample, us."""
 
 INFLATION = 1.05
 """What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
@@ -71,12 +74,16 @@ class Evidence:
     """(N, D), the oldest first."""
     values: F64
     """(N, P)."""
+    spans_us: NDArray[np.int64]
+    """(N, 2) stamps of the first and the last sample of each point's window."""
+
+    def chosen(self, count: int) -> NDArray[np.int64]:
+        """Indices of `count` pooled points that reach as far as all of them."""
+        return spread(self.places, count) if len(self.places) else np.arange(0)
 
     def certificate_set(self, count: int) -> tuple[F64, F64]:
         """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
-        if not len(self.places):
-            return self.places, self.values
-        chosen = spread(self.places, count)
+        chosen = self.chosen(count)
         return self.places[chosen], self.values[chosen]
 
     def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
@@ -92,8 +99,8 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_fast", "_fresh", "_heard", "_next", "_outlier", "_places", "_pooled", "_slow", "_values",
-        "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
+        "_age", "_block", "_fast", "_fresh", "_heard", "_next", "_outlier", "_places", "_pooled", "_slow", "_spans",
+        "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -110,11 +117,12 @@ class Store:
         self._next = 0
         self._heard = -_NOISE_EVERY
         self._wanted = 0
-        self._fresh: list[tuple[F64, F64]] = []
+        self._fresh: list[tuple[F64, F64, Span]] = []
         self.calm_excess = self.excess.copy()
         """The same without what single errors have widened: what a sudden change must be compared with, for the first
         window that it falls into widens the bound by as much."""
         self._places, self._values = np.zeros((_POOL, inputs)), np.zeros((_POOL, outputs))
+        self._spans = np.zeros((_POOL, 2), np.int64)
         self._pooled = 0
         """Points in the pool."""
 
@@ -158,10 +166,10 @@ class Store:
         if len(before):
             self.gp.add(before.x, before.y)
 
-    def take(self, x: F64, y: F64) -> None:
-        """A new point: test the prediction with it, then learn it."""
+    def take(self, x: F64, y: F64, span_us: Span = (0, 0)) -> None:
+        """A new point of a window between two stamps: test the prediction with it, then learn it."""
         if self.renewing:
-            self._fresh.append((x.copy(), y.copy()))
+            self._fresh.append((x.copy(), y.copy(), span_us))
             if len(self._fresh) < self._wanted:
                 return
             self._wanted = 0
@@ -175,20 +183,21 @@ class Store:
         if len(self.gp):
             mean, variance = self.expect(x)
             self._calibrate(y - mean, variance)
-        self._add(x, y)
+        self._add(x, y, span_us)
 
     def evidence(self) -> Evidence:
         """What a certificate needs of it, as of now; learning on does not change it."""
         places, values = self._places[: self._pooled].copy(), self._values[: self._pooled].copy()
-        return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values)
+        spans = self._spans[: self._pooled].copy()
+        return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values, spans)
 
-    def _add(self, x: F64, y: F64) -> None:
+    def _add(self, x: F64, y: F64, span_us: Span) -> None:
         if len(self.gp) >= self.gp.capacity:
             self._drop(x)
         if self.gp.add(x, y):
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
-            self._places[self._pooled], self._values[self._pooled] = x, y
+            self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
             self._pooled += 1
             if self._pooled >= _POOL:
                 self._thin()
@@ -197,7 +206,8 @@ class Store:
         chosen = spread(self._places[:_THINNED], _KEPT)
         kept = np.concatenate([chosen, np.arange(_THINNED, self._pooled)])
         self._pooled = len(kept)
-        self._places[: self._pooled], self._values[: self._pooled] = self._places[kept], self._values[kept]
+        for held in (self._places, self._values, self._spans):
+            held[: self._pooled] = held[kept]
 
     def _calibrate(self, error: F64, variance: float) -> None:
         """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""

@@ -90,6 +90,14 @@ def _f32(name: str, size: int, unit: str, text: str) -> Field:
     return Field(name, "float", size, unit, text)
 
 
+def _measured(name: str, size: int, unit: str, text: str) -> Field:
+    return _f64(name, size, unit, text, f"measurement.{name}")
+
+
+def _proposed(name: str, size: int, unit: str, text: str) -> Field:
+    return _f64(name, size, unit, text, f"proposal.{name}")
+
+
 def _sample_time(name: str) -> Field:
     return Field(name, "int64", 0, "us", "sample time by the vehicle's clock, since its boot")
 
@@ -112,36 +120,22 @@ _COMMAND_FIELDS = (
 
 _TICK_FIELDS = (
     Field("vehicle_us", "int64", 0, "us", "the tick's time by the vehicle's clock, since its boot", "t_us"),
-    _f64("pos_ned_m", 3, "m", "measured position, predicted to the tick", "measurement.pos_ned_m"),
-    _f64("vel_ned_mps", 3, "m/s", "measured velocity, predicted to the tick", "measurement.vel_ned_mps"),
-    _f64("q_ned_frd", 4, "1", "measured attitude (w, x, y, z), body to world", "measurement.q_ned_frd"),
-    _f64("rate_frd_radps", 3, "rad/s", "measured body rates", "measurement.rate_frd_radps"),
-    _f64("specific_force_frd_mps2", 3, "m/s^2", "measured specific force", "measurement.specific_force_frd_mps2"),
-    _f64("motor_command", 4, "1", "motor commands last reported, NaN if not", "measurement.motor_command"),
+    _measured("pos_ned_m", 3, "m", "measured position, predicted to the tick"),
+    _measured("vel_ned_mps", 3, "m/s", "measured velocity, predicted to the tick"),
+    _measured("q_ned_frd", 4, "1", "measured attitude (w, x, y, z), body to world"),
+    _measured("rate_frd_radps", 3, "rad/s", "measured body rates"),
+    _measured("specific_force_frd_mps2", 3, "m/s^2", "measured specific force"),
+    _measured("motor_command", 4, "1", "motor commands last reported, NaN if not"),
     Field("position_age_us", "int64", 0, "us", "age of the position sample", "measurement.position_age_us"),
     Field("attitude_age_us", "int64", 0, "us", "age of the attitude sample", "measurement.attitude_age_us"),
     Field("imu_age_us", "int64", 0, "us", "age of the IMU sample", "measurement.imu_age_us"),
-    _f64(
-        "nominal_acc_ned_mps2",
-        3,
-        "m/s^2",
-        "nominal acceleration that the command realises",
-        "proposal.nominal_acc_ned_mps2",
-    ),
-    _f64(
-        "nominal_jerk_ned_mps3", 3, "m/s^3", "nominal jerk that the command realises", "proposal.nominal_jerk_ned_mps3"
-    ),
-    _f64("thrust_ff_n", 0, "N", "feed-forward part of the thrust", "proposal.thrust_ff_n"),
-    _f64("thrust_fb_n", 0, "N", "feedback part of the thrust", "proposal.thrust_fb_n"),
-    _f64("rate_ff_frd_radps", 3, "rad/s", "feed-forward part of the body rates", "proposal.rate_ff_frd_radps"),
-    _f64("rate_fb_frd_radps", 3, "rad/s", "feedback part of the body rates", "proposal.rate_fb_frd_radps"),
-    _f64(
-        "attitude_error_rad",
-        3,
-        "rad",
-        "rotation vector from the measured to the wanted attitude",
-        "proposal.attitude_error_rad",
-    ),
+    _proposed("nominal_acc_ned_mps2", 3, "m/s^2", "nominal acceleration that the command realises"),
+    _proposed("nominal_jerk_ned_mps3", 3, "m/s^3", "nominal jerk that the command realises"),
+    _proposed("thrust_ff_n", 0, "N", "feed-forward part of the thrust"),
+    _proposed("thrust_fb_n", 0, "N", "feedback part of the thrust"),
+    _proposed("rate_ff_frd_radps", 3, "rad/s", "feed-forward part of the body rates"),
+    _proposed("rate_fb_frd_radps", 3, "rad/s", "feedback part of the body rates"),
+    _proposed("attitude_error_rad", 3, "rad", "rotation vector from the measured to the wanted attitude"),
     Field("thrust_saturated", "bool", 0, "", "whether thrust was limited"),
     Field("guard", "string", 0, "", "what the guard did instead of the command; empty if nothing"),
 )
@@ -336,6 +330,19 @@ _STACK_TOPICS = (
         "companion",
         "what the learner knows at this tick; absent where nothing learns",
         _LEARNER_FIELDS,
+    ),
+    Topic(
+        "/estimate",
+        Kind.TABLE,
+        "flightstack.Estimate",
+        25.0,
+        "companion",
+        "how far the vehicle's velocity is from the derivative of its own position, and what of that is used",
+        (
+            _f64("disagreement_ned_mps", 3, "m/s", "c: d(position)/dt less velocity, observed"),
+            _f64("rms_ned_mps", 3, "m/s", "root mean square of c over 15 s: the estimator's health"),
+            _f64("weight", 3, "1", "share of c that is added to the velocity"),
+        ),
     ),
     Topic(
         "/filter",

@@ -128,6 +128,8 @@ def _left_by_margins(found: dict[str, Any]) -> Cell:
 def _violations(found: dict[str, Any]) -> Cell:
     exits, infeasible = found["exits"], found["infeasible"]
     least = found["min_h_truth"]
+    if exits is None or least is None:
+        return math.nan, False, "the region never counted: nothing was kept to"
     return float(exits), exits == 0, (
         f"of the true state, {found['flight_time_s']:.0f} s of flight; least h {least:.3f}, {infeasible} infeasible "
         f"steps, {found['interventions']} commands changed"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from certificates import MODEL, resealed
 
+from flightstack.barrier.confidence import Colour
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
@@ -189,7 +190,7 @@ def supported(data: dict[str, Any]) -> bool:
     processes = [
         Posterior(Process(
             kernel_from_dict(part["kernel"]), part["noise_var"], np.array(part["x"]), np.array(part["y"]),
-            np.array(part["excess"]), part["inflation"],
+            np.array(part["excess"]), Colour(np.array(part["inflation"]), np.array(part["remainder_mps2"])),
         ))
         for part in (known["lateral"], known["vertical"])
     ]  # fmt: skip

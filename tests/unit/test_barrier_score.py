@@ -162,9 +162,9 @@ def test_it_is_the_truth_that_counts_and_not_the_estimate() -> None:
     assert blind["min_h_estimate"] == seen["min_h_estimate"]
 
 
-def test_a_flight_that_never_came_inside_has_no_violations_and_no_h() -> None:
+def test_of_a_flight_that_never_came_inside_neither_violations_nor_h_are_known() -> None:
     seen = scored(BOX, np.zeros(500))
-    assert (seen["violations"], seen["min_h_truth"], seen["engaged_s"]) == (0, None, None)
+    assert (seen["violations"], seen["min_h_truth"], seen["engaged_s"]) == (None, None, None)
     assert set(scored(None, np.zeros(500)).values()) <= {None, 0}
 
 

@@ -263,7 +263,7 @@ def test_bounds_at_the_nodes_are_mean_and_k_sigma_of_an_independent_computation(
         cross = kernel.matrix(x, queries)
         mean = G - thrust + (cross.T @ np.linalg.solve(gram, y))[:, 0]
         latent = kernel.diagonal(queries) - np.einsum("ij,ij->j", cross, np.linalg.solve(gram, cross))
-        half = known.k_sigma * store["inflation"] * np.sqrt(latent + store["excess"][0])
+        half = known.k_sigma * np.sqrt(store["inflation"][0] ** 2 * latent + store["excess"][0])
         low, high = (mean - half).min() - 2.0 * close * thrust, (mean + half).max()
         assert middle[1] == pytest.approx(0.5 * (low + high), abs=1e-7)
         assert error[1] >= 0.5 * (high - low) - 1e-9

@@ -81,20 +81,30 @@ def test_one_that_stays_on_the_ground_has_no_touchdown_and_no_height() -> None:
     assert ascent.rose_m == pytest.approx(0.001)
 
 
-@pytest.mark.parametrize(("speed_mps", "rest_mps"), [(0.7, 0.05), (5.8, -0.2), (3.3, 0.0)])
-def test_the_estimated_touchdown_is_the_speed_at_which_it_stopped_sinking(speed_mps: float, rest_mps: float) -> None:
-    """Two seconds of descent, then the ground: what an estimate at rest wanders by is no descent."""
+def descend(ascent: Ascent, speeds_mps: list[float], *, height_m: float) -> None:
+    """Samples of a descent from a height, 8 ms apart; on the ground the place stays."""
+    for speed in speeds_mps:
+        height_m = max(0.0, height_m - 0.008 * speed)
+        ascent.estimated_descent(-height_m, speed)
+
+
+@pytest.mark.parametrize(("speed_mps", "rest_mps"), [(0.7, 0.05), (5.8, -0.2), (3.3, 0.4)])
+def test_the_estimated_touchdown_is_the_speed_at_which_the_ground_was_reached(
+    speed_mps: float, rest_mps: float
+) -> None:
+    """What an estimate at rest wanders by afterwards hides nothing."""
     ascent = Ascent()
-    for k in range(600):
-        ascent.estimated_descent(8_000 * k, speed_mps if k < 250 else rest_mps)
+    descend(ascent, [speed_mps] * 250 + [rest_mps] * 300, height_m=2.0 * speed_mps)
     assert ascent.touchdown_mps == pytest.approx(speed_mps)
 
 
-def test_a_slow_descent_before_a_drop_does_not_hide_the_drop() -> None:
-    ascent = Ascent()
-    for k in range(500):
-        ascent.estimated_descent(8_000 * k, 0.7 if k < 250 else min(0.7 + 0.08 * (k - 250), 4.0) if k < 300 else 0.0)
-    assert ascent.touchdown_mps == pytest.approx(4.0)
+def test_a_fast_descent_high_up_is_no_hard_touchdown_and_a_drop_at_its_end_is_one() -> None:
+    slowing, dropping = Ascent(), Ascent()
+    descend(slowing, [2.0] * 300 + [0.7] * 200 + [0.0] * 100, height_m=0.008 * (2.0 * 300 + 0.7 * 200))
+    assert slowing.touchdown_mps == pytest.approx(0.7)
+    drop = [0.7] * 250 + [min(0.7 + 0.0785 * k, 4.0) for k in range(60)]
+    descend(dropping, [*drop, *[0.0] * 100], height_m=0.008 * sum(drop))
+    assert dropping.touchdown_mps == pytest.approx(4.0)
 
 
 # ---------------------------------------------------------------- protected

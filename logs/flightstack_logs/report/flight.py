@@ -195,6 +195,10 @@ class Outcome:
     protection: str = ""
     """held, left, none or off; empty where it is not said."""
     protection_words: str = ""
+    disagreement_mps: tuple[float, ...] = ()
+    """d(position)/dt less velocity of the estimate, rms north, east, down."""
+    control_rmse_settled_m: float | None = None
+    """Of the estimated position from the reference."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,6 +290,8 @@ def outcome_from_result(result: Mapping[str, object] | None) -> Outcome:
         filter=_filter(result),
         lockstep=_number(lateness.get("p50")) is None if loop else None,
         checks=_checks(result.get("checks")),
+        disagreement_mps=_numbers(_part(result, "estimator").get("disagreement_rms_mps")),
+        control_rmse_settled_m=_number(_part(result, "estimator").get("control_rmse_settled_m")),
     )
 
 

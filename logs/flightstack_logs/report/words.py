@@ -136,10 +136,23 @@ def figures(flight: FlightReport) -> tuple[Figure, ...]:
         Figure("Tracking error, rms", length(outcome.rmse_m), of),
         Figure("Largest error", length(outcome.max_m), of),
         Figure("Settled error, rms", length(outcome.rmse_settled_m), "second half"),
+        *_estimate(flight),
         _saturation(flight),
         _speed(flight),
         _barrier(flight),
         _learner(flight),
+    )
+
+
+def _estimate(flight: FlightReport) -> tuple[Figure, ...]:
+    """The estimate's disagreement with itself and the control's own error; nothing where they are unknown."""
+    outcome = flight.outcome
+    if not outcome.disagreement_mps:
+        return ()
+    apart = ", ".join(f"{value:.2f}" for value in outcome.disagreement_mps)
+    return (
+        Figure("Control error, settled", length(outcome.control_rmse_settled_m), "of the estimate"),
+        Figure("Estimate's disagreement", f"{apart} m/s", "d(position)/dt less velocity, rms N, E, D; 0.15 is good"),
     )
 
 

@@ -1,0 +1,293 @@
+"""A certificate and the log of its flight: the honest one is derived, every forgery is refused.
+
+The flight is real (simulator, companion, UDP, log); the forger has the maker's code, the seal and the log's own copy.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+from certificate_oracle import CHANGES, leaves
+from certificates import resealed
+
+from flightstack.barrier.provenance import Provenance
+from flightstack.certificate_check import DERIVED, SELF_CONSISTENT, check
+from flightstack.certificate_check.log import Recording, read_log
+from flightstack.certificate_check.samples import WANTED
+from flightstack.cli.certify import certify
+from flightstack.cli.flight import FlyOptions
+from flightstack.cli.main import main
+from flightstack.explore import ExploreConfig
+
+FINAL = "certificate-final.json"
+FORGERIES = 200
+
+
+class Flown(NamedTuple):
+    """A flight and what came of it."""
+
+    text: str
+    certificate: Path
+    log: Path
+    recording: Recording
+    json: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    out = tmp_path_factory.mktemp("provenance")
+    result = certify(
+        FlyOptions(scenario="paper-barrier", seed=22, duration_s=30.0, out=out), stop_requested=lambda: "",
+        config=ExploreConfig(axes=(2,), rounds_max=2),
+    )  # fmt: skip
+    assert result.certificate is not None
+    assert result.flight.log is not None
+    path, log = Path(result.certificate), Path(result.flight.log)
+    with log.open("rb") as file:
+        return Flown(path.read_text(), path, log, read_log(file, WANTED), result.as_json())
+
+
+def with_seal_of(recording: Recording, text: str) -> Recording:
+    """The same log, but that it ends with this certificate: what a forger of both would make."""
+    forged = copy.copy(recording)
+    forged.attachments = {**recording.attachments, FINAL: text.encode()}
+    return forged
+
+
+def test_the_honest_certificate_is_derived_from_its_log(flown: Flown) -> None:
+    alone = check(flown.text)
+    assert alone.valid, alone.lines[-1]
+    assert alone.level == SELF_CONSISTENT
+    with flown.log.open("rb") as file:
+        verdict = check(flown.text, file)
+    assert verdict.valid, verdict.lines[-1]
+    assert verdict.level == DERIVED
+    assert any("derived anew from their windows" in line for line in verdict.lines)
+    assert flown.json["log"] == str(flown.log)
+    named = json.loads(flown.text)["provenance"]
+    assert Provenance(**named).from_us < Provenance(**named).until_us
+
+
+def test_the_verb_says_which(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "other.toml"
+    other.write_bytes(flown.recording.attachments["vehicle.toml"] + b"\n# another\n")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flown.log.read_bytes()[:-300_000])
+    log = ["--log", str(flown.log)]
+    for more, code, words in (
+        ([], 0, "valid, self-consistent, not tied to a flight"),
+        (log, 0, "valid, derived from the log of its flight"),
+        ([*log, "--vehicle", "quad-x"], 0, "valid, derived from the log of its flight"),
+        ([*log, "--vehicle", str(other)], 1, "NOT valid"),
+        (["--log", str(cut)], 2, "ends early"),
+        (["--log", str(flown.certificate)], 2, "is no MCAP file"),
+        (["--log", str(tmp_path / "none.mcap")], 2, "No such file"),
+        (["--vehicle", "quad-x"], 2, "belongs to --log"),
+    ):
+        with pytest.raises(SystemExit) as done:
+            main(["certify", "--check", str(flown.certificate), *more])
+        said = capsys.readouterr()
+        assert done.value.code == code, (more, said)
+        last = (said.err if code == 2 else said.out).strip().splitlines()[-1]
+        assert words in last, (more, last)
+        if code == 2:
+            assert said.err.startswith("error: ")
+            assert said.err.count("\n") == 1
+
+
+def kind_of(path: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What a number is, whichever of many alike."""
+    return tuple("#" if isinstance(part, int) else part for part in path)
+
+
+def tampered(text: str, count: int) -> Iterator[tuple[tuple[Any, ...], str, dict[str, Any]]]:
+    """Files with one number changed, every kind of number among them, in turn until there are so many."""
+    data = json.loads(text)
+    kinds: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
+    for path in leaves(data):
+        kinds.setdefault(kind_of(path), []).append(path)
+    rng = np.random.default_rng(3)
+    made = 0
+    while made < count:
+        for paths in kinds.values():
+            path = paths[int(rng.integers(len(paths)))]
+            name = list(CHANGES)[int(rng.integers(len(CHANGES)))]
+            changed = copy.deepcopy(data)
+            inner = changed
+            for key in path[:-1]:
+                inner = inner[key]
+            before = inner[path[-1]]
+            inner[path[-1]] = CHANGES[name](before)
+            if inner[path[-1]] != before:
+                made += 1
+                yield path, name, changed
+
+
+def test_any_number_changed_under_a_new_seal_is_refused_with_the_log(flown: Flown) -> None:
+    kinds = set()
+    for path, name, data in tampered(flown.text, FORGERIES):
+        kinds.add(kind_of(path))
+        verdict = check(resealed(data), flown.recording)
+        assert not verdict.valid, (path, name)
+        assert verdict.readable, (path, name, verdict.lines)
+    assert len(kinds) > 60
+
+
+HARMLESS = ("centre_ned_m", "lateral_mps2", "cells", "premises", "widen_mps2", "setting")
+"""Numbers that may change so that nothing that is claimed becomes untrue (`certificate_check`)."""
+
+
+def test_what_ties_to_the_flight_is_derived_and_not_only_sealed(flown: Flown) -> None:
+    """The forger has changed the log's own copy too: what the log's ticks tell is refused nevertheless."""
+    told = ("x", "y", "windows_us", "drag_per_s", "rotor_radius_m", "provenance", "noise_var")
+    seen = 0
+    for path, name, data in tampered(flown.text, 2 * FORGERIES):
+        if not any(part in told for part in path):
+            continue
+        if path[1] in ("lateral", "vertical") and path[2] in ("x", "y"):
+            data["knowledge"]["sha256"] = digest(data["knowledge"])
+        text = resealed(data)
+        verdict = check(text, with_seal_of(flown.recording, text))
+        assert not verdict.valid, (path, name)
+        seen += 1
+    assert seen > 25
+
+
+def digest(knowledge: dict[str, Any]) -> str:
+    import hashlib
+
+    parts = (knowledge[name][key] for name in ("lateral", "vertical") for key in ("x", "y"))
+    return hashlib.sha256(b"".join(np.array(part, "<f8").tobytes() for part in parts)).hexdigest()
+
+
+def nothing_doubted(knowledge: dict[str, Any]) -> None:
+    knowledge["doubts"] = dict.fromkeys(knowledge["doubts"], 0.0)
+
+
+def hardly_any_noise(knowledge: dict[str, Any]) -> None:
+    for name in ("lateral", "vertical"):
+        knowledge[name]["noise_var"] *= 1e-6
+        scale(knowledge[name]["kernel"], 1e-6)
+
+
+def scale(kernel: dict[str, Any], by: float) -> None:
+    if "variance" in kernel:
+        kernel["variance"] *= by
+    for side in ("left", "right"):
+        if side in kernel:
+            scale(kernel[side], by)
+
+
+def nothing_learned(knowledge: dict[str, Any]) -> None:
+    for name in ("lateral", "vertical"):
+        knowledge[name]["y"] = (0.0 * np.array(knowledge[name]["y"])).tolist()
+
+
+def no_rotors(knowledge: dict[str, Any]) -> None:
+    knowledge["rotor_radius_m"] = 1e-9
+
+
+def quieter(knowledge: dict[str, Any]) -> None:
+    knowledge["vertical"]["noise_var"] *= 0.25
+
+
+def smaller_excess(knowledge: dict[str, Any]) -> None:
+    knowledge["vertical"]["excess"] = [0.0]
+
+
+def no_inflation(knowledge: dict[str, Any]) -> None:
+    knowledge["vertical"]["inflation"] = [1.0]
+
+
+FROM_THE_FILE: dict[str, Callable[[dict[str, Any]], None]] = {
+    "doubts": nothing_doubted, "noise": hardly_any_noise, "variance": nothing_learned, "rotor_radius": no_rotors,
+    "excess": smaller_excess, "inflation": no_inflation,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("why", FROM_THE_FILE)
+def test_consistent_forgeries_are_refused_from_the_file_alone(flown: Flown, why: str) -> None:
+    """Whatever else was made to agree with them is not even looked at: the knowledge is checked before it is used."""
+    data = json.loads(flown.text)
+    FROM_THE_FILE[why](data["knowledge"])
+    data["knowledge"]["sha256"] = digest(data["knowledge"])
+    if why == "doubts":
+        data["premises"]["estimate"].update(pos_m=0.0, vel_mps=0.0, acc_mps2=0.0)
+    verdict = check(resealed(data))
+    assert not verdict.valid
+    assert why in verdict.lines[-1], verdict.lines[-1]
+
+
+def test_commands_held_for_no_time_are_refused(flown: Flown) -> None:
+    data = json.loads(flown.text)
+    data["axes"][0]["setting"]["dt_s"] = data["premises"]["command_interval_s"] = 0.0
+    verdict = check(resealed(data))
+    assert not verdict.valid
+    assert "dt_s" in verdict.lines[-1]
+
+
+def test_a_log_of_other_ticks_is_refused(flown: Flown) -> None:
+    """One bit of one measurement, a tick left out, a command, a delay: each is another log."""
+    for topic, column in (
+        ("/tick", "vel_ned_mps"),
+        ("/tick", "imu_age_us"),
+        ("/command", "thrust_norm"),
+        ("/learner", "latency_s"),
+    ):
+        forged = copy.deepcopy(flown.recording)
+        values = forged.tables[topic][column] = np.array(forged.tables[topic][column])
+        values[2000] = np.nextafter(values[2000], 1e9) if values.dtype.kind == "f" else values[2000] + 1
+        verdict = check(flown.text, forged)
+        assert not verdict.valid
+        assert "hash" in verdict.lines[-1]
+    forged = copy.deepcopy(flown.recording)
+    for table in forged.tables.values():
+        for name in table:
+            table[name] = np.delete(table[name], 2000, axis=0)
+    assert not check(flown.text, forged).valid
+
+
+def test_a_vehicle_with_another_lag_is_refused_by_the_logs_own_forces(flown: Flown) -> None:
+    """The forger also rewrites vehicle file and points; what thrust did to the force tells."""
+    from flightstack.certificate_check import provenance as checker
+    from flightstack.certificate_check.reading import Refused
+
+    data = json.loads(flown.text)
+    ticks = checker.Ticks.of(flown.recording, data["provenance"]["from_us"], data["provenance"]["until_us"])
+    import tomllib
+
+    believed = checker.Believed.of(tomllib.loads(flown.recording.attachments["vehicle.toml"].decode()))
+    found = checker.samples(ticks, believed)
+
+    class Known:
+        data = json.loads(flown.text)["knowledge"]
+
+    assert "lag and delay" in checker._check_delay(data, Known, found, believed)  # type: ignore[arg-type]
+    for lag_s in (0.006, 0.05):
+        data["axes"][0]["response"]["c1_s"] = lag_s
+        with pytest.raises(Refused, match="the log shows"):
+            checker._check_delay(data, Known, found, replace(believed, lag_s=lag_s))  # type: ignore[arg-type]
+
+
+def test_a_log_whose_rates_do_not_turn_it_is_refused(flown: Flown) -> None:
+    from flightstack.certificate_check import provenance as checker
+    from flightstack.certificate_check.reading import Refused
+
+    data = json.loads(flown.text)
+    named, estimate = data["provenance"], data["premises"]["estimate"]
+    for column, change in (("rate_frd_radps", 0.1), ("specific_force_frd_mps2", 0.6)):
+        forged = copy.deepcopy(flown.recording)
+        forged.tables["/tick"][column] = forged.tables["/tick"][column] + change
+        ticks = checker.Ticks.of(forged, named["from_us"], named["until_us"])
+        with pytest.raises(Refused, match="do not explain"):
+            checker._check_itself(ticks, estimate)
