@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,13 @@ _ACC_MAX_MPS2 = 4.0
 _SPEED_MAX_MPS = 4.0
 _PEAKS_S = 60.0
 _PEAKS_POINTS = 601
+_REJOINS_S = (1.5, 2.25, 3.4, 5.0, 7.0)
+"""Durations of the way back to the reference, tried in their order."""
+_REJOIN_ACC_MPS2 = 2.5
+"""At most, where the reference itself asks for less: drag comes on top, and both are tilt."""
+_REJOIN_SPEED_MPS = 2.0
+_REJOIN_SINK_M = 0.1
+"""It may lead so far below both of its ends."""
 _BRAKE_MPS2 = 2.5
 _SHORTEST_BRAKE_S = 0.6
 
@@ -56,10 +64,14 @@ class Mission:
     """From here on the scenario's trajectory is flown (and its clock runs)."""
     track_end_s: float
     """Land from here on."""
+    detour: _Leg | None = None
+    """Flown instead of the legs while it lasts."""
 
     def reference(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s` seconds since take-off began."""
-        leg = self._leg(t_s)
+        leg = self.detour
+        if leg is None or not leg.start_s <= t_s < leg.start_s + leg.trajectory.duration_s:
+            leg = self._leg(t_s)
         return leg.trajectory.at(max(t_s - leg.start_s, 0.0))
 
     def phase(self, t_s: float) -> str:
@@ -79,12 +91,28 @@ class Mission:
         after = tuple(leg for leg in self.legs if leg.start_s >= max(t_s, self.track_end_s))
         return replace(self, legs=(*before, _Leg("track", t_s, trajectory), *after))
 
+    def rejoin(self, t_s: float, state: FlatOutput) -> Mission:
+        """The same mission from where the vehicle is at `t_s`: a smooth way back to its reference, no shorter than
+        comfortable; phases and times stay."""
+        whole = replace(self, detour=None)
+        path = None
+        for duration in _REJOINS_S:
+            goal = whole.reference(t_s + duration)
+            yaw = goal.yaw_rad + math.remainder(state.yaw_rad - goal.yaw_rad, 2.0 * math.pi)
+            ends = np.stack([np.append(state.pos_ned_m, yaw), np.append(goal.pos_ned_m, goal.yaw_rad)])
+            times = np.array([0.0, duration])
+            path = minimum_snap(ends, times, start=Boundary.of(state), end=Boundary.of(goal))
+            if _is_comfortable(path, state, goal):
+                break
+        return replace(self, detour=None if path is None else _Leg("rejoin", t_s, path))
+
     def stop(self, t_s: float, state: FlatOutput | None = None) -> Mission:
         """The same mission, broken off at `t_s`: brake smoothly from `state` (default: the reference) and hover."""
         kept = tuple(leg for leg in self.legs if leg.start_s < t_s) or self.legs[:1]
         brake = _Leg("done", t_s, _braking(state or self.reference(t_s), self.ground_down_m))
         return replace(
             self,
+            detour=None,
             legs=(*kept, brake),
             takeoff_end_s=min(self.takeoff_end_s, t_s),
             track_start_s=min(self.track_start_s, t_s),
@@ -92,8 +120,26 @@ class Mission:
         )
 
 
-def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -> Mission:
-    """The mission that flies `scenario` from where the vehicle stands (3,) with its present heading."""
+class RunUp(NamedTuple):
+    """The way from above the start to the trajectory's first state; the same wherever the vehicle stands."""
+
+    path: Polynomial | None
+    """None: the trajectory begins there."""
+    is_comfortable: bool
+    """False: none is, and this is the shortest."""
+
+
+def run_up_of(scenario: Scenario) -> RunUp:
+    """The run-up of a scenario; takes some 20 ms, too long for a tick."""
+    first = scenario.trajectory.at(0.0)
+    return _run_up(_above(scenario, first), first, *_peaks(scenario))
+
+
+def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, run_up: RunUp | None = None) -> Mission:
+    """The mission that flies `scenario` from where the vehicle stands (3,) with its present heading.
+
+    `run_up`: of `run_up_of`, where it was worked out before.
+    """
     start = np.array(start_pos_ned_m, dtype=np.float64)
     first = scenario.trajectory.at(0.0)
     turn = math.remainder(first.yaw_rad - start_yaw_rad, 2.0 * math.pi)
@@ -107,12 +153,12 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0) -
     climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
     ready_s = climb_s + _SETTLE_S
     legs = [_Leg("takeoff", 0.0, climb.moved(start))]
-    run_up, _ = _run_up(above, first, *_peaks(scenario))
-    track_start_s = ready_s if run_up is None else ready_s + run_up.duration_s
+    path = (run_up or run_up_of(scenario)).path
+    track_start_s = ready_s if path is None else ready_s + path.duration_s
     settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
     legs.append(_Leg("approach", climb_s, settled.moved(start)))
-    if run_up is not None:
-        legs.append(_Leg("approach", ready_s, run_up.moved(start)))
+    if path is not None:
+        legs.append(_Leg("approach", ready_s, path.moved(start)))
     legs.append(_Leg("track", track_start_s, scenario.trajectory.moved(start)))
     track_end_s = track_start_s + scenario.duration_s
     braking = _braking(scenario.trajectory.at(scenario.duration_s), 0.0)
@@ -141,8 +187,7 @@ def _peaks(scenario: Scenario) -> tuple[float, float]:
 def require_run_up(scenario: Scenario) -> None:
     """InputError in one line where no run-up reaches the trajectory's first state in the air and within limits."""
     first = scenario.trajectory.at(0.0)
-    above = _above(scenario, first)
-    if not _run_up(above, first, *_peaks(scenario))[1]:
+    if not run_up_of(scenario).is_comfortable:
         speed, height = float(np.linalg.norm(first.vel_ned_mps)), -float(first.pos_ned_m[2])
         raise InputError(
             f"scenario {scenario.name}: no run-up reaches its start ({speed:.3g} m/s at a height of {height:.3g} m) "
@@ -150,16 +195,27 @@ def require_run_up(scenario: Scenario) -> None:
         )
 
 
-def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> tuple[Polynomial | None, bool]:
-    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable; None: it is there.
+def _is_comfortable(path: Polynomial, start: FlatOutput, goal: FlatOutput) -> bool:
+    """Whether a way back is gentle, or no harder than its ends, and does not sink below them."""
+    ends = (start, goal)
+    speed_max = max(_REJOIN_SPEED_MPS, *(1.1 * float(np.linalg.norm(end.vel_ned_mps)) for end in ends))
+    acc_max = max(_REJOIN_ACC_MPS2, *(1.02 * float(np.linalg.norm(end.acc_ned_mps2)) for end in ends))
+    lowest = max(float(end.pos_ned_m[2]) for end in ends) + _REJOIN_SINK_M
+    return all(
+        float(np.linalg.norm(point.vel_ned_mps)) <= speed_max
+        and float(np.linalg.norm(point.acc_ned_mps2)) <= acc_max
+        and point.pos_ned_m[2] <= lowest
+        for point in map(path.at, np.linspace(0.0, path.duration_s, 31))
+    )
 
-    False beside it: none is comfortable, and this is the shortest.
-    """
+
+def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> RunUp:
+    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable."""
     goal = np.append(first.pos_ned_m, first.yaw_rad)
     end = Boundary.of(first)
     moving = max(float(np.abs(part).max()) for part in (end.velocity, end.acceleration, end.jerk))
     if moving < 1e-9 and np.allclose(goal, above, atol=1e-9):
-        return None, True
+        return RunUp(None, True)
     speed_max = max(_SPEED_MAX_MPS, 1.2 * speed_mps)
     acc_max = max(_ACC_MAX_MPS2, acc_mps2)
     lowest = max(-_LEAST_HEIGHT_M + 1e-6, first.pos_ned_m[2])
@@ -173,9 +229,9 @@ def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) ->
             and p.pos_ned_m[2] <= lowest
             for p in points
         ):
-            return path, True
+            return RunUp(path, True)
         shortest = path
-    return shortest, False
+    return RunUp(shortest, False)
 
 
 def _braking(state: FlatOutput, ground_down_m: float) -> Polynomial:

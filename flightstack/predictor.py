@@ -70,9 +70,10 @@ class Streams:
         return self.attitude_us >= 0 and self.position_us >= 0 and self.imu_us >= 0
 
 
-def predict(streams: Streams, now_us: int) -> Measurement | None:
+def predict(streams: Streams, now_us: int, *, corrected: bool = True) -> Measurement | None:
     """The state at `now_us`, or None until every stream (but the motors') has been heard; ages are in the result.
 
+    `corrected` False: the velocity as it is reported, for whoever weighs it against the rest of the state.
     Nothing here judges freshness: `flightstack.guard.stale` does, by the ages.
     """
     if not streams.complete:
@@ -82,7 +83,8 @@ def predict(streams: Streams, now_us: int) -> Measurement | None:
     _predict(
         streams._samples, position_age * 1e-6, attitude_age * 1e-6, streams.imu_us > streams.attitude_us, out
     )  # the gyro counts where it is newer than the attitude's own rates
-    streams.observer.correct(out[3:6])
+    if corrected:
+        streams.observer.correct(out[3:6])
     return Measurement(now_us, out, position_age, attitude_age, now_us - streams.imu_us)
 
 

@@ -35,11 +35,12 @@ from flightstack.barrier.assess import (
     settle,
     steer,
 )  # fmt: skip
+from flightstack.barrier.condition import doubt_of
 from flightstack.barrier.falsify import HAND_OVER
 from flightstack.barrier.qp import NearestPoint
-from flightstack.barrier.records import Certificate
+from flightstack.barrier.records import AxisCertificate, Certificate
 from flightstack.barrier.response import M_MODE, new_memory, remember
-from flightstack.barrier.shapes import value
+from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.torque import within
 from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
@@ -215,13 +216,19 @@ def _rest(certificate: Certificate) -> F64:
     for axis in certificate.axes:
         low, high = axis.barrier.box[:2]
         places = np.linspace(low, high, _PLACES)
-        room = axis.setting.inner + axis.setting.eta + _ROOM_H
-        ends = [
-            next((e for e in way.tolist() if value(axis.barrier, e, 0.0) >= room), 0.0)
-            for way in (places, places[::-1])
-        ]
+        ends = [next((e for e in way.tolist() if _rests(axis, e)), 0.0) for way in (places, places[::-1])]
         rest[:, axis.axis] = certificate.centre_ned_m[axis.axis] + np.array(ends)
     return rest
+
+
+def _rests(axis: AxisCertificate, e_m: float) -> bool:
+    """Whether the vehicle may rest at a distance from the centre, with room."""
+    setting = axis.setting
+    for row in axis.barrier.rows:
+        h, he, hv = piece_at(row, e_m, 0.0)
+        if not h - setting.inner - doubt_of(row, he, hv, setting.off_m, setting.off_mps) >= _ROOM_H:
+            return False
+    return True
 
 
 def _region(certificate: Certificate) -> tuple[object, ...]:

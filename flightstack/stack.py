@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flightstack.applied import Applied
+from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
+from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.governor import Governor, GovernorState
 from flightstack.guard import Guard, carried_thrust, stale
@@ -40,6 +42,8 @@ class StackState(NamedTuple):
     """What the motors made of the thrust that was sent."""
     governor: GovernorState | None = None
     """The rate loop as modelled; None: there is no governor."""
+    watch: WatchState = WatchState()
+    """Of the premises of the certificate in force."""
 
 
 class Stack:
@@ -85,13 +89,20 @@ class Stack:
             governor=None if self.governor is None else self.governor.init(),
         )  # fmt: skip
 
+    def resume(self, state: StackState, measurement: Measurement) -> StackState:
+        """State to go on from after somebody else flew: what was learned and certified stays, control begins anew."""
+        weight = self.model.weight_n
+        sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
+        control = self.controller.init(measurement.t_us)
+        return state._replace(control=control, sent=sent, measurement=measurement, carried_n=weight)
+
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
     ) -> tuple[StackState, Command, TickRecord]:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing = state
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing, premises = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
@@ -100,11 +111,18 @@ class Stack:
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, before)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
+                premises = _watched(certificate)
+            if premises.version >= 0 and before.status >= _ENGAGED:
+                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6)
+                premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
+            setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
             control, proposal = self.controller.step(control, seen, bent, learned, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
+            if premises.version >= 0:
+                filtered.row[_PREMISE : _PREMISE + 2] = premises.broken, premises.ended
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
         governing, command, governed = self._govern(governing, command, safe)
         if guard and not self.controller.healthy(control):
@@ -113,7 +131,7 @@ class Stack:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
         after = StackState(
-            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing
+            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises
         )
         return after, command, record
 
@@ -133,3 +151,12 @@ class Stack:
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()
+_ENGAGED = 2.0
+_PREMISE = 33
+"""Place of `Filtered.premise` in its row; `ended_by` follows."""
+
+
+def _watched(certificate: Certificate) -> WatchState:
+    """The watch of a certificate that is taken; one without premises is not watched."""
+    premises = certificate.premises
+    return WatchState() if premises is None else watched(certificate.version, premises)

@@ -11,6 +11,7 @@ made; that is a rule and not `frozen`, which makes a record three times as slowl
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, TypeVar, overload
 
@@ -103,6 +104,8 @@ class Measurement:
     position_age_us: int
     attitude_age_us: int
     imu_age_us: int
+    battery_v: float = math.nan
+    """NaN where none is reported."""
     pos_ned_m = Part(0, 3)
     vel_ned_mps = Part(3, 6)
     q_ned_frd = Part(6, 10)
@@ -210,7 +213,7 @@ class Filtered:
     """What the safety filter did with a command, and by what margins; what does not apply is NaN."""
 
     row: F64
-    """(33,) the parts below in their order; axes are north, east, down."""
+    """(35,) the parts below in their order; axes are north, east, down."""
     h = Element(0)
     """Least barrier value of the predicted state: at least 0 inside the certified region."""
     h_state = Element(1)
@@ -245,11 +248,15 @@ class Filtered:
     """How far the acceleration may be off, as the certificate says."""
     wanted_thrust_n = Element(32)
     """The thrust asked for before filtering."""
+    premise = Element(33)
+    """Number of the certificate's premise that is broken at this tick (`barrier.premise_watch.NAMES`), 0 none."""
+    ended_by = Element(34)
+    """Number of the premise whose breach ended the certificate: the flight is at rest, or on its way there; 0 none."""
 
     @classmethod
     def nothing(cls) -> Filtered:
         """Without a filter."""
-        row = np.full(33, np.nan)
+        row = np.full(35, np.nan)
         row[2], row[7] = -1.0, 0.0
         return cls(row)
 

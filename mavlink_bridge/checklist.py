@@ -63,7 +63,7 @@ def _checks(view: VehicleView, found: Inspection, config: CompanionConfig, limit
         yield Check("version", False, "AUTOPILOT_VERSION was not answered")
         return
     yield Check("version", True, version_words(view.version))
-    yield from _parameters(view)
+    yield from _parameters(view, config.dead_man)
     yield Check(
         "vehicle file", not found.contradictions, "; ".join(found.contradictions) or found.unsettled or _agreed(view)
     )
@@ -74,11 +74,11 @@ def _checks(view: VehicleView, found: Inspection, config: CompanionConfig, limit
     yield Check("round trip", 0.0 < trip_s <= config.round_trip_max_s, f"{1e3 * trip_s:.1f} ms")
 
 
-def _parameters(view: VehicleView) -> Iterator[Check]:
+def _parameters(view: VehicleView, dead_man: bool) -> Iterator[Check]:
     values = view.params.values
     for name in view.params.missing:
         yield Check(name, False, "not told, and nobody flies without it")
-    for name, problem in findings(values):
+    for name, problem in findings(values, dead_man=dead_man):
         if name in values:
             yield Check(name, not problem, problem or f"{values[name]:g}")
     for name in ("THR_MDL_FAC", "MPC_THR_HOVER"):

@@ -11,20 +11,26 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.barrier.premise_watch import NAMES
 from flightstack.guard import stale
-from flightstack.mission import Mission, plan
+from flightstack.mission import Mission, plan, run_up_of
 from flightstack.predictor import predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack, StackState
+from flightstack.state_observer import StateObserver
 from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
 from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, Event, State, transition
+from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link, Received
+from mavlink_bridge.notes import GuardNotes
 from mavlink_bridge.onlookers import Observer, Planner
-from mavlink_bridge.requests import CommandQueue, stream_requests
+from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
+from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
@@ -40,6 +46,8 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
+_AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
+"""After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
 _ANSWERS = (m.CommandAck, m.Timesync)
 _MODES = (m.Heartbeat, m.CurrentMode)
 _RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext})
@@ -82,6 +90,8 @@ class Companion:
         self._now = Situation(config, self.view, self._commands)
         self._voice = Voice(link)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
+        errs = config.estimate
+        self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
         self._mode_seen = -1
@@ -94,10 +104,10 @@ class Companion:
         self._phase_now = ""
         self._fault = ""
         """Row of the fault table that ended the flight; empty: none."""
-        self._guard = ""
-        self._guard_since_us = -1
-        """Local time from which the guard has flown without a break; -1: it does not."""
-        self._resets = 0
+        self._notes = GuardNotes(observer)
+        self._run_up = run_up_of(scenario)
+        self._resting_since_us = -1
+        """Vehicle time at which a broken premise ended the certificate; -1: none did."""
 
     # ---------------------------------------------------------------- outside
 
@@ -124,6 +134,26 @@ class Companion:
     def receive_datagram(self, data: bytes, now_us: int) -> None:
         """Take what arrived from the wire."""
         self.link.receive_datagram(data, now_us)
+
+    def hear_dead_man(self, report: DeadManRecord, ended: str = "") -> None:
+        """Take what the dead-man did of late, before each step; `ended`: why there is none any more."""
+        self._now.stalls.hear(report)
+        self.view.note_mode(report.mode, report.mode_ns // 1000)
+        if ended and not self._now.dead_man_lost:
+            self._now.dead_man_lost = ended
+            self._observer.on_event(self._t_us, "fault", f"dead-man-lost: {ended}", "warning")
+
+    def last_word(self, sent_us: int) -> CompanionRecord:
+        """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
+        state = self._stack_state
+        carried = self._stack.model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n
+        thrust = self._stack.model.norm_of(carried)
+        return companion_record(self._now, self._voice, self.link, self._measurement, thrust, (sent_us, self._t_us))
+
+    @property
+    def stalls(self) -> Stalls:
+        """What the dead-man did, and what became of it."""
+        return self._now.stalls
 
     def step(self, now_us: int) -> None:
         """One period: read, decide, act."""
@@ -153,7 +183,7 @@ class Companion:
         self.reason = reason
         self._observer.on_event(self._t_us, "fault", f"exception: {reason}: last words, asking for Hold", "warning")
         self._calm()
-        self._commands.insist(_set_mode(px4.MODE_HOLD))
+        self._commands.insist(set_mode(px4.MODE_HOLD))
 
     # ---------------------------------------------------------------- read
 
@@ -199,11 +229,23 @@ class Companion:
         """The state of the vehicle and of the mission at this step."""
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
-        self._measurement = predict(self.view.streams, t_us)
+        self._measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
+        if self._measurement is not None:
+            self._measurement.battery_v = self.view.battery_v
+        if self._measurement is not None and self._refiner is not None:
+            self._measurement = self._refiner.refine(self._measurement)
+        if self._measurement is not None and self.view.on_ground and not self.view.armed:
+            self._rested = min(self._rested + 1, _REST_TICKS)
+            self._rest_ned_m += (self._measurement.pos_ned_m - self._rest_ned_m) / self._rested
         lost = stale(self._measurement, self._stack.limits)
         now.fresh = not lost
         now.unfit, now.trouble = self._watch.judge()
-        if self._guard_since_us >= 0 and now_us - self._guard_since_us > now.config.blind_s * SECOND_US:
+        if now.dead_man_lost and self.view.params.needs_dead_man:
+            now.trouble = now.trouble or "dead-man-lost"
+        if now.state is State.LANDING and not self._landing and now.stalls.is_held and not now.stalls.judge(now_us):
+            now.entered_us = now_us  # the Hold is ours: landing goes on
+            self._commands.insist(set_mode(px4.MODE_LAND))
+        if self._notes.guard_s(now_us) > now.config.blind_s:
             now.trouble = f"stale-{lost}" if lost else "guard"
         if now.state is State.OFFBOARD and self.mission is not None:
             self._phase_now = self.mission.phase(self._mission_time_s())
@@ -231,6 +273,10 @@ class Companion:
             self._voice.thrust_model_factor = params.values["THR_MDL_FAC"]
             self._voice.rate_max_radps = params.rate_max_radps
             self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
+        elif state is State.RETAKING:
+            self._observer.on_event(t_us, "fault", f"stalled: {self._now.stalls.words}; taking back", "warning")
+        elif state is State.OFFBOARD and event is Event.RETAKEN:
+            self._resume(t_us)
         elif state is State.OFFBOARD:
             self._engage(t_us)
         elif state is State.LANDING:
@@ -258,12 +304,27 @@ class Companion:
         self.start_ned_m = measurement.pos_ned_m.copy()
         if self._rested:  # at rest the mean says better where the vehicle stands than any one noisy sample
             self.start_ned_m = self._rest_ned_m.copy()
-        self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd))
+        self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd), self._run_up)
         self._stack_state = self._stack.init(measurement, self.start_ned_m)
         self._watch.begin()
-        self._guard_since_us = -1
+        self._notes.begin()
         self.flight_start_us = t_us
         self._phase_now = self.mission.phase(0.0)
+
+    def _resume(self, t_us: int) -> None:
+        """Go on after a stall: from where the vehicle is back to the reference."""
+        measurement, mission, state = self._measurement, self.mission, self._stack_state
+        assert measurement is not None
+        assert mission is not None
+        assert state is not None
+        t_s = self._mission_time_s()
+        if mission.phase(t_s) != "done":
+            self.mission = mission.rejoin(t_s, state_now(measurement))
+        self._stack_state = self._stack.resume(state, measurement)
+        self._watch.resume()
+        self._notes.begin()
+        self._now.trouble = ""  # judged before the flight went on
+        self._now.stalls.taken_back += 1
 
     def _act(self, now_us: int) -> None:
         """What happens in every period of a state."""
@@ -273,6 +334,10 @@ class Companion:
         self._voice.keep_in_touch(now_us)
         if state is State.OFFBOARD:
             self._fly(now_us)
+        elif state is State.RETAKING:
+            self._calm(turning=True)
+            if self._now.fresh and self._now.stalls.hold_is_settled(self.view):
+                self._command_mode(px4.MODE_OFFBOARD, now_us)
         elif state is State.IDENTIFYING:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
         elif state is State.STANDBY:
@@ -303,14 +368,11 @@ class Companion:
         if measurement is None or self.view.on_ground or not self.view.armed:
             self._stack_state = self._hold = None
             self._voice.stand(t_us)
-            if measurement is not None and self.view.on_ground:
-                self._rested = min(self._rested + 1, _REST_TICKS)
-                self._rest_ned_m += (measurement.pos_ned_m - self._rest_ned_m) / self._rested
             return
         self._rested = 0
         if self._stack_state is None or self._hold is None:
             self._stack_state = self._stack.init(measurement, self.start_ned_m)
-            self._hold = _hover_at(measurement)
+            self._hold = hover_at(measurement)
         self._tick(measurement, self._hold, t_us)
 
     def _fly(self, now_us: int) -> None:
@@ -319,11 +381,28 @@ class Companion:
             self._set_phase(self._phase_now, self._t_us)
         t_s = self._mission_time_s()
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
-        self._note(record, now_us)
+        if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
+            self.view.streams.observer.reset()
+        self._end_at_rest(record)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
+
+    def _end_at_rest(self, record: TickRecord) -> None:
+        """Once a certificate's premise has ended it, the flight ends when the vehicle has come to rest."""
+        ended = record.filtered.ended_by
+        if not ended > 0.0:
+            self._resting_since_us = -1
+            return
+        if self._resting_since_us < 0:
+            self._resting_since_us = record.t_us
+            text = f"premise broken: {NAMES[int(ended)]}: braking, to rest"
+            self._observer.on_event(record.t_us, "filter", f"filter: {text}", "warning")
+        calm = float(np.abs(record.measurement.vel_ned_mps).max()) < _AT_REST_MPS
+        waited_us = record.t_us - self._resting_since_us
+        if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
+            self.stop(f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed")
 
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
@@ -346,28 +425,13 @@ class Companion:
         """Of late the vehicle was in OFFBOARD: it is ours to command."""
         return self.view.in_offboard and now_us - self.view.mode_at_us <= _MODE_KNOWN_US
 
-    def _calm(self) -> None:
-        """Safe words: what PX4 may go on with until its own failsafe acts."""
+    def _calm(self, *, turning: bool = False) -> None:
+        """Safe words: what PX4 may go on with until its own failsafe acts; `turning`: body rates, zero."""
         state, model = self._stack_state, self._stack.model
         carried = model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n
-        measurement = self._measurement if self._fault not in _BLIND else None
+        measurement = self._measurement if self._fault not in _BLIND and not turning else None
         yaw_rad = None if measurement is None else yaw_of(measurement.q_ned_frd)
         self._voice.calm(self._t_us, model.norm_of(carried), yaw_rad)
-
-    def _note(self, record: TickRecord, now_us: int) -> None:
-        """What the guard and the watch of resets did, told once."""
-        acts = "" if record.guard.startswith("clip") else record.guard
-        if acts != self._guard:
-            self._guard, self._guard_since_us = acts, (now_us if acts and not self._guard else self._guard_since_us)
-            self._guard_since_us = self._guard_since_us if acts else -1
-            self._observer.on_event(self._t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
-        resets = self._watch.resets
-        if resets.counted != self._resets:
-            self._resets = resets.counted
-            self.view.streams.observer.reset()
-            moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
-            text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
-            self._observer.on_event(self._t_us, "fault", text, "warning")
 
     def _mission_time_s(self) -> float:
         return (self._t_us - self.flight_start_us) / SECOND_US
@@ -380,16 +444,7 @@ class Companion:
     # ---------------------------------------------------------------- send
 
     def _command_mode(self, custom_mode: int, now_us: int) -> None:
-        self._commands.ensure(_set_mode(custom_mode), now_us)
+        self._commands.ensure(set_mode(custom_mode), now_us)
 
     def _request(self, message: type) -> tuple[px4.Cmd, tuple[float, ...]]:
         return px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(message)),)
-
-
-def _set_mode(custom_mode: int) -> tuple[px4.Cmd, tuple[float, ...]]:
-    return px4.Cmd.DO_SET_MODE, (1.0, float(px4.main_mode(custom_mode)), float(px4.sub_mode(custom_mode)))
-
-
-def _hover_at(measurement: Measurement) -> FlatOutput:
-    zero = np.zeros(3)
-    return FlatOutput.of(measurement.pos_ned_m, zero, zero, zero, zero, yaw_of(measurement.q_ned_frd))

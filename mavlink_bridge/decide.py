@@ -6,13 +6,15 @@ Pure: `decide` looks and says; the changes of state stand in `handshake.TRANSITI
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from flightstack.error_statistics import ErrorStatistics
 from mavlink_bridge import px4
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import Event, State
 from mavlink_bridge.requests import CommandQueue
+from mavlink_bridge.stalls import RETAKE_LIMIT_US, Stalls
 from mavlink_bridge.vehicle_params import unsafe
 from mavlink_bridge.vehicle_view import VehicleView
 
@@ -46,6 +48,10 @@ class CompanionConfig:
     """Between two steps of the companion, where nothing is missed."""
     round_trip_max_s: float = ROUND_TRIP_MAX_S
     """Of the link; a later one is refused before the flight."""
+    estimate: ErrorStatistics | None = None
+    """How the autopilot's estimate errs; None: it is taken as it is reported."""
+    dead_man: bool = True
+    """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
     """What PX4's parameters (by name) say against the vehicle file, one line each."""
 
@@ -77,6 +83,10 @@ class Situation:
     mission_done: bool = False
     landing_for: str = ""
     """Why the landing began before the mission's end; empty: it did not."""
+    dead_man_lost: str = ""
+    """Why the dead-man is gone; empty: it is there, or there is none."""
+    stalls: Stalls = field(default_factory=Stalls)
+    """What the dead-man did."""
 
 
 class Verdict(NamedTuple):
@@ -149,7 +159,7 @@ def _standby(now: Situation, now_us: int) -> Verdict | None:
             Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
         )
     if view.params.settled and not config.dry_run:  # a dry run goes on and tells everything that it finds
-        if danger := unsafe(view.params.values):
+        if danger := unsafe(view.params.values, dead_man=config.dead_man):
             return Verdict(Event.UNFIT, danger)
         if wrong := config.contradictions(view.params.values):
             return Verdict(Event.UNFIT, "; ".join(wrong))
@@ -228,6 +238,8 @@ def _offboard(now: Situation, now_us: int) -> Verdict | None:
     view = now.view
     if view.heartbeat_at_us > now.entered_us and not view.armed:
         return Verdict(Event.TOOK_OVER, "the vehicle was disarmed by someone else")
+    if now.stalls.is_held:
+        return _held(now, now_us)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
         return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
@@ -236,6 +248,36 @@ def _offboard(now: Situation, now_us: int) -> Verdict | None:
         event = Event.FAULT_HOLD if fault.reaction is Reaction.HOLD else Event.FAULT_LAND
         return Verdict(event, f"{now.trouble}: {fault.what}")
     return Verdict(Event.MISSION_DONE) if now.mission_done else None
+
+
+def _held(now: Situation, now_us: int) -> Verdict:
+    """The dead-man commanded Hold: taken back after a short stall, else the flight is over."""
+    why = now.stalls.judge(now_us)
+    if not why:
+        return Verdict(Event.STALLED)
+    if now.stalls.report.touched:
+        return Verdict(Event.TOOK_OVER, f"{now.stalls.words}: {why}: hands off")
+    now.trouble = "stalled-long"
+    return Verdict(Event.FAULT_HOLD, f"stalled-long: {now.stalls.words}: {why}")
+
+
+def _retaking(now: Situation, now_us: int) -> Verdict | None:
+    view, stalls = now.view, now.stalls
+    if view.heartbeat_at_us > now.entered_us and not view.armed:
+        return Verdict(Event.TOOK_OVER, "the vehicle was disarmed by someone else")
+    if stalls.is_held:
+        return _held(now, now_us)
+    asked_us = now.commands.status(px4.Cmd.DO_SET_MODE).sent_us
+    seen = view.mode_at_us > now.entered_us
+    if seen and not view.in_offboard and not stalls.own_hold(view.custom_mode):
+        reason = f"after a stall the vehicle is in {view.mode_name}, not by this companion: hands off"
+        return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
+    if seen and view.in_offboard and (now.entered_us <= asked_us < view.mode_at_us or stalls.hold_was_lost(view)):
+        return Verdict(Event.RETAKEN)
+    if now_us - now.entered_us > RETAKE_LIMIT_US:
+        now.trouble = "stalled-long"
+        return Verdict(Event.FAULT_HOLD, f"stalled-long: {stalls.words}: OFFBOARD could not be taken back")
+    return None
 
 
 def _landing(now: Situation, now_us: int) -> Verdict | None:
@@ -287,6 +329,7 @@ _LOOKS: dict[State, Callable[[Situation, int], Verdict | None]] = {
     State.STANDBY: _standby,
     State.STREAMING: _streaming,
     State.OFFBOARD: _offboard,
+    State.RETAKING: _retaking,
     State.LANDING: _landing,
     State.HOLDING: _holding,
 }

@@ -25,6 +25,8 @@ class Reaction(Enum):
     REFUSE = "refuses before the flight, one line says why; no setpoint is sent"
     DROP = "drops the frame and counts it"
     PX4 = "nothing: PX4's own offboard-loss failsafe acts"
+    DEAD_MAN = "the dead-man levels by body rates and commands PX4's Hold"
+    RETAKE = "the dead-man levels and commands PX4's Hold; OFFBOARD is taken back, at most once in 10 s"
 
 
 class Fault(NamedTuple):
@@ -46,6 +48,7 @@ _L = "unit/test_ways_out.py::"
 _S = "unit/test_signing.py::"
 _C = "unit/test_companion.py::"
 _P = "unit/test_vehicle_params.py::"
+_D = "loopback/test_dead_companion.py::"
 
 FAULTS: dict[str, Fault] = {
     "stale-position": Fault(
@@ -154,9 +157,29 @@ FAULTS: dict[str, Fault] = {
         Reaction.STOP, 0.0, _C + "test_stop_in_flight_lands_and_is_no_completed_flight",
     ),
     "killed": Fault(
-        "the companion is killed in flight (SIGKILL, power)",
-        "by PX4: COM_OF_LOSS_T after the last setpoint",
-        Reaction.PX4, 1.1, "loopback/test_safety.py::test_a_companion_killed_in_a_manoeuvre_is_caught_by_px4s_failsafe",
+        "the companion is killed in flight (SIGKILL)",
+        "by the dead-man: 50 ms after the last setpoint",
+        Reaction.DEAD_MAN, 0.06, _D + "test_kills_at_random_moments_of_a_figure_8_are_harmless",
+    ),
+    "stalled": Fault(
+        "the companion stands still for 50 ms to 0.5 s (SIGSTOP, a busy machine)",
+        "by the dead-man: 50 ms after the last setpoint",
+        Reaction.RETAKE, 0.06, _D + "test_a_short_stall_is_taken_back_and_the_flight_completes",
+    ),
+    "stalled-long": Fault(
+        "the companion stands still for longer, or again within 10 s, or somebody else changed the mode meanwhile",
+        "by the dead-man: 50 ms after the last setpoint",
+        Reaction.HOLD, 0.06, _D + "test_a_long_stall_ends_in_hold",
+    ),
+    "dead-man-lost": Fault(
+        "the dead-man's process ends in flight",
+        "within 0.1 s; with COM_OF_LOSS_T of 0.5 s or less the flight goes on and the log says so",
+        Reaction.LAND, 0.1, _D + "test_without_its_dead_man_a_flight_at_a_long_loss_time_lands",
+    ),
+    "both-dead": Fault(
+        "companion and dead-man die together, or the whole machine freezes or loses its power",
+        "by PX4: COM_OF_LOSS_T after the last setpoint, until then the last rates go on",
+        Reaction.PX4, 1.1, "loopback/test_safety.py::test_both_dead_only_a_short_loss_time_keeps_the_vehicle_upright",
     ),
     "restarted": Fault(
         "the companion is started again while the vehicle still flies",
@@ -211,7 +234,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "parameters": Fault(
         "the vehicle's parameters would make the flight unsafe",
-        "COM_OF_LOSS_T outside 0.1 to 2 s, COM_OBL_RC_ACT terminate or disarm, MC_*RATE_MAX below 30, or not told",
+        "COM_OF_LOSS_T not 0.1 to 2 s (0.5 s: no dead-man), COM_OBL_RC_ACT 6 or 7, MC_*RATE_MAX < 30, or not told",
         Reaction.REFUSE, None, _P + "test_unsafe_parameters_are_refused_with_the_reason",
     ),
 }  # fmt: skip

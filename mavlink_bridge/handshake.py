@@ -17,6 +17,7 @@ States in the order of a good flight:
 * STREAMING: setpoints go out that do nothing on the ground and hold the place in the air.  With leave to arm the
   companion selects OFFBOARD and arms, else it waits for the pilot to do so.
 * OFFBOARD: armed, in OFFBOARD, flown by the stack.
+* RETAKING: after a short stall of ours the dead-man gave the vehicle to PX4's Hold; OFFBOARD is commanded again.
 * LANDING: AUTO.LAND is commanded; PX4 lands and disarms.
 * HOLDING: a watchdog barked and PX4's Hold is commanded; safe setpoints until PX4 is seen in it.
 * LANDED: disarmed on the ground, Hold selected so that OFFBOARD isn't left standing.
@@ -41,6 +42,7 @@ class State(Enum):
     STANDBY = "standby"
     STREAMING = "streaming"
     OFFBOARD = "offboard"
+    RETAKING = "retaking"
     LANDING = "landing"
     HOLDING = "holding"
     LANDED = "landed"
@@ -68,6 +70,8 @@ class Event(Enum):
     UNFIT = "its state or its parameters are not fit to fly with"
     FAULT_LAND = "a watchdog barked: PX4 is to land"
     FAULT_HOLD = "a watchdog barked: PX4 is to hold"
+    STALLED = "a short stall: the dead-man commanded Hold"
+    RETAKEN = "the vehicle is in OFFBOARD again"
     HANDED_OVER = "PX4 has taken the vehicle"
 
 
@@ -107,6 +111,14 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
             _E.MISSION_DONE: _S.LANDING,
             _E.STOP: _S.LANDING,
             _E.FAULT_LAND: _S.LANDING,
+            _E.FAULT_HOLD: _S.HOLDING,
+            _E.TOOK_OVER: _S.PILOT,
+            _E.LINK_LOST: _S.LOST,
+            _E.STALLED: _S.RETAKING,
+        },
+        _S.RETAKING: {
+            _E.RETAKEN: _S.OFFBOARD,
+            _E.STOP: _S.LANDING,
             _E.FAULT_HOLD: _S.HOLDING,
             _E.TOOK_OVER: _S.PILOT,
             _E.LINK_LOST: _S.LOST,

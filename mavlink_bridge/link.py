@@ -175,6 +175,14 @@ class Link:
         self._outgoing.append(frame)
         self.stats.sent += 1
 
+    def next_sequence(self, component: int) -> int:
+        """Sequence number of the next message as that component."""
+        return self._next_sequence.get(component, 0)
+
+    def skip_sequence(self, sequence: int, component: int) -> None:
+        """Somebody else spoke as that component: go on from `sequence`."""
+        self._next_sequence[component] = sequence & 0xFF
+
     def datagrams_to_send(self, max_bytes: int = 0) -> list[bytes]:
         """What to send now, in order: a datagram per message, or packed into datagrams of at most `max_bytes`."""
         if not self._outgoing:

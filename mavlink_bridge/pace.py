@@ -24,8 +24,10 @@ class Pace:
         self._patience_us = patience_us
         self.missed = 0
         """Deadlines that passed without a tick."""
+        self.between_us = 0
+        """From the tick before to the last one; 0 before the second."""
         self._deadline_us = -1.0
-        self._began_us = 0
+        self._began_us = -1
 
     def wait(self) -> int:
         """Sleep to the next deadline; how late the return is, in microseconds."""
@@ -40,7 +42,8 @@ class Pace:
             self.missed += skipped
             self._deadline_us += skipped * self.period_us
         sleep_until_us(int(self._deadline_us))
-        self._began_us = monotonic_us()
+        before_us, self._began_us = self._began_us, monotonic_us()
+        self.between_us = self._began_us - before_us if before_us >= 0 else 0
         return max(0, self._began_us - int(self._deadline_us))
 
     def busy_us(self) -> int:

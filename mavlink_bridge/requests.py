@@ -25,7 +25,7 @@ STREAMS: tuple[tuple[type, int], ...] = (
     (m.LocalPositionNed, 8_000),  # its source is 125 Hz
     (m.HighresImu, 4_000),  # near 246 Hz
     (m.ServoOutputRaw, 10_000),
-    (m.CurrentMode, 100_000),  # a change of mode is seen within 0.1 s; HEARTBEAT takes up to 1 s
+    (m.CurrentMode, 20_000),  # a change of mode is seen within 20 ms, by the dead-man too; HEARTBEAT takes up to 1 s
     (m.ExtendedSysState, 100_000),
     (m.EstimatorStatus, 200_000),
     (m.GlobalPositionInt, 200_000),  # for the map only
@@ -41,6 +41,11 @@ def stream_requests() -> list[Request]:
         (px4.Cmd.SET_MESSAGE_INTERVAL, (float(m.id_of(message)), float(interval_us)))
         for message, interval_us in STREAMS
     ]
+
+
+def set_mode(custom_mode: int) -> Request:
+    """DO_SET_MODE."""
+    return px4.Cmd.DO_SET_MODE, (1.0, float(px4.main_mode(custom_mode)), float(px4.sub_mode(custom_mode)))
 
 
 @dataclass(slots=True)

@@ -51,6 +51,10 @@ class SecretKey:
         """The signature's own 6 bytes for a frame (CRC included) and its link id and stamp."""
         return sha256(self._bytes + frame + head).digest()[:_HASH_SIZE]
 
+    def secret(self) -> bytes:
+        """The bytes themselves, for a process of ours that signs too; never to be shown or stored."""
+        return self._bytes
+
 
 def parse_key(data: bytes, where: str) -> SecretKey:
     """A key file's content: 32 bytes as they are, or 64 hexadecimal digits; InputError (without the content) if not."""
@@ -87,6 +91,16 @@ class Signer:
         """No stamp from here on has been used."""
         self.seen: dict[Stream, int] = dict(seen or {})
         """The newest stamp of each stream."""
+
+    def secret(self) -> bytes:
+        """The key's bytes, for the dead-man, which signs with a link id of its own."""
+        return self._key.secret()
+
+    def newest_of(self, system: int, component: int) -> int:
+        """Newest stamp heard of a sender, 0 before the first."""
+        return max(
+            (stamp for (one, other, _), stamp in self.seen.items() if (one, other) == (system, component)), default=0
+        )
 
     def signature(self, frame: bytes) -> bytes:
         """The 13 bytes to append to an outgoing frame whose signed flag is set."""

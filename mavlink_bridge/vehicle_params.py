@@ -31,6 +31,8 @@ _RETRY_US = 300_000
 _TRIES_NEEDED = 20
 _TRIES_OPTIONAL = 3
 _LOSS_T_RANGE_S = (0.1, 2.0)
+_LOSS_T_ALONE_S = 0.5
+"""Longest COM_OF_LOSS_T without a dead-man: in half a second a figure of eight tilts by some 60 degrees."""
 _LEAST_RATE_DEGPS = 30.0
 _DEADLY = {6: "terminate", 7: "disarm"}
 
@@ -92,6 +94,11 @@ class ParamReader:
             self._absent.add(message.param_id)
 
     @property
+    def needs_dead_man(self) -> bool:
+        """Whether PX4 would go on with the last body rates for too long."""
+        return self.values.get("COM_OF_LOSS_T", math.inf) > _LOSS_T_ALONE_S
+
+    @property
     def missing(self) -> list[str]:
         """The needed ones that were not told."""
         return [name for name in NEEDED if name not in self.values]
@@ -141,9 +148,12 @@ class ParamReader:
         ]
 
 
-def findings(values: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Every parameter that is judged, and one line why the vehicle should not be flown with it, empty where it may."""
-    judged = [("COM_OF_LOSS_T", _loss_time_problem(values.get("COM_OF_LOSS_T", math.nan)))]
+def findings(values: Mapping[str, float], *, dead_man: bool = True) -> list[tuple[str, str]]:
+    """Every parameter that is judged, and one line why the vehicle should not be flown with it, empty where it may.
+
+    dead_man: somebody answers the companion's silence before PX4 does.
+    """
+    judged = [("COM_OF_LOSS_T", loss_time_problem(values, dead_man=dead_man))]
     for name in RATE_LIMITS:
         too_low = values.get(name, math.inf) < _LEAST_RATE_DEGPS
         judged.append(
@@ -161,8 +171,15 @@ def findings(values: Mapping[str, float]) -> list[tuple[str, str]]:
     return [*judged, ("COM_OBL_RC_ACT", problem)]
 
 
-def _loss_time_problem(loss_t_s: float) -> str:
+def loss_time_problem(values: Mapping[str, float], *, dead_man: bool) -> str:
+    """Why COM_OF_LOSS_T is not as it has to be, one line; empty where it is."""
     low, high = _LOSS_T_RANGE_S
+    loss_t_s = values.get("COM_OF_LOSS_T", math.nan)
+    if _LOSS_T_ALONE_S < loss_t_s <= high and not dead_man:
+        return (
+            f"COM_OF_LOSS_T is {loss_t_s:g} s and no dead-man runs: PX4 would go on with the last body rates for so "
+            f"long; fly with the dead-man or set it to {low:g} to {_LOSS_T_ALONE_S:g} s"
+        )
     if low <= loss_t_s <= high:
         return ""
     return (
@@ -171,9 +188,9 @@ def _loss_time_problem(loss_t_s: float) -> str:
     )
 
 
-def unsafe(values: Mapping[str, float]) -> str:
+def unsafe(values: Mapping[str, float], *, dead_man: bool = True) -> str:
     """Why the vehicle should not be flown as it is set, one line; empty where it may."""
-    return next((problem for _, problem in findings(values) if problem), "")
+    return next((problem for _, problem in findings(values, dead_man=dead_man) if problem), "")
 
 
 def remarks(values: Mapping[str, float], model: Model) -> str:

@@ -76,6 +76,11 @@ class VehicleView:
         """The mode in PX4's words."""
         return describe_mode(self.custom_mode)
 
+    def note_mode(self, custom_mode: int, at_us: int) -> None:
+        """A mode that somebody else heard of at a local time; counts where it is news."""
+        if at_us > self.mode_at_us:
+            self.custom_mode, self.mode_at_us = custom_mode, at_us
+
     def update(self, message: object, now_us: int) -> None:
         """Take one message of the identified vehicle, received at local time `now_us`."""
         self.heard_at_us = now_us

@@ -151,6 +151,11 @@ class Watchdogs:
         self.pace.begin()
         self._clock_jumps = self._clock.jumps
 
+    def resume(self) -> None:
+        """The flight goes on after a stall: what was missed meanwhile means nothing."""
+        self.pace.begin()
+        self.estimate.forgive()
+
     def see(self, message: object) -> object:
         """Take a message; the same one back, a position without the jumps of the flight."""
         look = _LOOKS.get(type(message))

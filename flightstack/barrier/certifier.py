@@ -27,15 +27,15 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
+from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
-from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, ledger
+from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import (
     ANY_BATTERY_V,
     APPLIED_AS_SENT,
-    EstimateBounds,
     Premises,
     gain_of,
     speeds_of,
@@ -57,6 +57,8 @@ _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
 _LEAST_HOVER_MPS2 = 1.0
 """What a vehicle out of hand has taught of its hover may be below zero."""
+_HOVER_OFF = 1.05
+"""The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
 
 
@@ -77,11 +79,10 @@ class CertifierConfig:
     nodes: int = 8
     slice_only: bool = False
     """Bounds on the slice of no speed and no lean across each axis alone: the vertical experiment."""
-    sensors: str = "mocap"
+    sensors: str = "bench"
     """Name of what the estimate comes from."""
-    accuracy: Accuracy = MOCAP
-    estimate_k_sigma: float = 0.4
-    """Standard deviations of these sensors that `accuracy` is."""
+    estimate: EstimateBounds = BENCH
+    """How far it may be off, at the thrust of hover."""
     jitter_s: float = 0.002
     """By how much a message may come late; half of what the delay is known to, the other half is the learner's."""
     doubts: Doubts = USUAL
@@ -258,7 +259,8 @@ class OnlineCertifier:
         """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
         held = state.certificate
         if held is None:
-            return all(doubt(each) <= self.config.most_doubt_mps2[each.axis] for each in ready.axes)
+            most = self.config.most_doubt_mps2
+            return all(doubt(each) <= most[each.axis] + _attitude(ready, each.axis) for each in ready.axes)
         if area > self.config.growth * state.area:
             return True
         before = {each.axis: doubt(each) for each in held.axes}
@@ -293,17 +295,18 @@ class OnlineCertifier:
         `last`: no certificate will be issued after this one.
         """
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box = self._budget(accelerations, thrust_share)
+        box, hover_mps2 = self._budget(accelerations, thrust_share)
         yield None
         yield from Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
             delta=self.config.delta, version=version, last=last, widen_mps2=widen_mps2,
+            attitude_mps2=np.array(self.config.estimate.acc_mps2) * _HOVER_OFF * box.thrust_max_mps2 / hover_mps2,
             torque_mps2=self.torque_mps2,
         )  # fmt: skip
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
         """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
-        box = self._budget(Accelerations.live(learner, self.model), self.config.thrust_shares[turn])
+        box, _ = self._budget(Accelerations.live(learner, self.model), self.config.thrust_shares[turn])
         return Knowledge.from_learner(
             learner, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
             delta=self.config.delta, version=version, torque_mps2=self.torque_mps2,
@@ -314,7 +317,7 @@ class OnlineCertifier:
         config = self.config
         return Certificate(
             "sound", self.region.centre_ned_m, axes, knowledge.budget, config.delta, knowledge.k_sigma,
-            {**knowledge.as_json(), "doubts": {**config.accuracy._asdict(), **self.doubts._asdict()}},
+            {**knowledge.as_json(), "doubts": self.doubts._asdict()},
             knowledge.version, self._premises(knowledge, axes), config.governor,
         )  # fmt: skip
 
@@ -325,8 +328,8 @@ class OnlineCertifier:
         return Premises(
             sensors=config.sensors,
             vehicle_hash="",
-            estimate=EstimateBounds(*config.accuracy, k_sigma=config.estimate_k_sigma),
-            speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.accuracy.vel_mps),
+            estimate=replace(config.estimate, acc_mps2=_three(knowledge.request.attitude)),
+            speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.estimate.vel_mps),
             lean=lean(knowledge.budget),
             thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
             applied_share=APPLIED_AS_SENT,
@@ -364,8 +367,9 @@ class OnlineCertifier:
             self.config.axes,
         )
 
-    def _budget(self, learned: Accelerations, thrust_share: tuple[float, float]) -> Budget:
-        """The budget that balances what is known and leaves the need, with thrust from so many to so many hovers."""
+    def _budget(self, learned: Accelerations, thrust_share: tuple[float, float]) -> tuple[Budget, float]:
+        """The budget that balances what is known and leaves the need, with thrust from so many to so many hovers; and
+        the specific thrust of hover."""
         g, config = STANDARD_GRAVITY_MPS2, self.config
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
@@ -377,10 +381,11 @@ class OnlineCertifier:
             abs(float(mean[0])) + 3.0 * float(sigma[0])
             for mean, sigma, _ in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
-        return budget(
+        box = budget(
             self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
             low_mps2=thrust_share[0] * hover, high_mps2=thrust_share[1] * hover, hover_mps2=hover,
         )  # fmt: skip
+        return box, hover
 
     def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
         """One axis to be designed, and what a barrier on it needs."""
@@ -388,6 +393,9 @@ class OnlineCertifier:
         delay = learned.latency_s if learned.latency_s > 0.0 else model.transport_delay_s
         steer = 1.0 / config.attitude_p_ps
         authority, coupling = knowledge.authorities[axis], 0.0
+        accuracy = Accuracy(
+            config.estimate.pos_m[axis], config.estimate.vel_mps[axis], float(knowledge.request.attitude[axis])
+        )
         if axis == DOWN:
             response = Response(model.motor_lag_s, 0.0, delay)
         else:
@@ -399,7 +407,7 @@ class OnlineCertifier:
         def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
-                accuracy=config.accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+                accuracy=accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
                 torque_part_mps2=knowledge.torque_part_mps2[axis],
                 coupling_mps=coupling,
                 inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
@@ -436,6 +444,16 @@ def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 
         v = float(measurement.vel_ned_mps[i])
         least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v) - each.setting.inner)
     return least
+
+
+def _attitude(certificate: Certificate, axis: int) -> float:
+    """What of the bounds of acceleration is the attitude's error, m/s^2."""
+    return 0.0 if certificate.premises is None else certificate.premises.estimate.acc_mps2[axis]
+
+
+def _three(values: F64) -> Tuple3:
+    north, east, down = values.tolist()
+    return north, east, down
 
 
 def area_of(certificate: Certificate) -> float:

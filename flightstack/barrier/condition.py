@@ -14,21 +14,24 @@ and curvature at most K, at every time t from 0 to dt,
 
 and the condition is
 
-    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(h - inner - eta) - b - off(u) >= 0
+    q(u) = q0(u) - (|hv| + |he| dt / 2 + kappa) E(u) + alpha(x) - b - off(u) >= 0,     x = h - inner - doubt
     alpha(x) = gamma x + inside max(x - 0.05, 0)
+    doubt    = |he| eps_e + |hv| eps_v + (Kee eps_e^2 + 2 |Kev| eps_e eps_v + Kvv eps_v^2) / 2
     off(u)   = eps_e |Kee v + Kev u| + eps_v |he - Kev v - Kvv u| + rest
 
 z itself is known to (eps_e, eps_v), of estimate, delay and lag: `off` is by how much q0 and its doubt may be smaller at
 the true state than at the known one, exact to first order on an ellipse (on a stopping way, whose slope has a kink,
-eps_v (|he| + Kvv |u|)); rest holds the second order, Kee eps_e eps_v + |Kev| eps_v^2, and the small parts.  eta: by how
-much h of the known state may be above h of the true one.  b: what else may be wrong in q, 1/s.  inner: h that z keeps,
+eps_v (|he| + Kvv |u|)); rest holds the second order, Kee eps_e eps_v + |Kev| eps_v^2, and the small parts.  doubt: by
+how much h of the known state may be above h of the true one; eta: the most of it anywhere, so known states lie in
+{h >= inner - eta}.  b: what else may be wrong in q, 1/s.  inner: h that z keeps,
 so that (p, v), off from means of z by what z leaves out, keeps h >= 0.  q is concave in u, so the commands that meet it
 are an interval, in closed form, and concave along e and v as every term is.
 
-Where q >= 0 holds, x = h - inner - eta falls in a time t by t alpha(x) at most, less than itself: the true h never
-becomes negative, neither between two commands nor where they come early.  alpha is flat near the edge, which the tips
-of a region need, where no command changes h at once, and steep inside, where something may move outwards at a fair
-speed and a command far from the edge is left alone.  It is convex, the greater of two lines, so either line proves.
+Where q >= 0 holds, the true h - inner, which is x at least, falls in a time t by t alpha(x) at most, less than itself:
+the true h never becomes negative, neither between two commands nor where they come early.  alpha is flat near the edge,
+which the tips of a region need, where no command changes h at once, and steep inside, where something may move outwards
+at a fair speed and a command far from the edge is left alone.  It is convex, the greater of two lines, so either line
+proves.
 The published form is dt = 0, E = k sigma, eta = inner = b = eps = inside = 0.
 """
 
@@ -52,7 +55,7 @@ class Setting(NamedTuple):
     gamma_ps: float
     """Class-K gain."""
     eta: float
-    """Doubt about h itself."""
+    """Greatest doubt about h itself, anywhere in the region: so far outside it a known state may lie."""
     rate_ps: float
     """b: doubt about q in 1/s."""
     dt_s: float
@@ -85,7 +88,7 @@ def coefficients(
     `steep`: with one line of alpha only, the steep or the flat one; None: with the greater of them.
     """
     h, he, hv = piece_at(row, e, v)
-    gamma, eta, rate, dt, off_m, inner, inside, off_mps = setting
+    gamma, _, rate, dt, off_m, inner, inside, off_mps = setting
     u_low, u_high, error_low, error_high = reach
     kee, kev, kvv, half = row[K_EE], row[K_EV], row[K_VV], 0.5 * dt
     most = max(abs(u_low), abs(u_high))
@@ -101,7 +104,7 @@ def coefficients(
     a = -half * (kvv + abs(kev) * dt + kee * half * half)
     b = hv - dt * kev * v + swing - doubt * slope
     c = he * v - half * kee * abs(v) * (abs(v) + dt * most) - doubt * start - rate
-    x = h - inner - eta
+    x = h - inner - doubt_of(row, he, hv, off_m, off_mps)
     if (x > NEAR_H) if steep is None else steep:
         c += inside * (x - NEAR_H)
     c += gamma * x
@@ -110,6 +113,14 @@ def coefficients(
     if row[0] == 0.0:
         return a, b, c, off_m * kee * v, off_m * kev, off_mps * (he - kev * v), -off_mps * kvv
     return a, b, c - off_mps * abs(he), 0.0, 0.0, 0.0, off_mps * kvv
+
+
+@njit
+def doubt_of(row: F64, he: float, hv: float, off_m: float, off_mps: float) -> float:
+    """By how much h of the true state may be less than h of the known one, where its gradient is (he, hv)."""
+    kee, kev, kvv = row[K_EE], abs(row[K_EV]), row[K_VV]
+    bent = 0.5 * (kee * off_m * off_m + kvv * off_mps * off_mps) + kev * off_m * off_mps
+    return abs(he) * off_m + abs(hv) * off_mps + bent  # type: ignore[no-any-return]
 
 
 @njit

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.barrier.condition import NEAR_H, Reach, Setting, coefficients, interval
+from flightstack.barrier.condition import NEAR_H, Reach, Setting, coefficients, doubt_of, interval
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic, Stopping, piece_at
 from flightstack.jit import njit, njit_called
@@ -194,8 +194,8 @@ def best_command(
     """
     quad = np.empty((4 * rows.shape[0], 7))
     for i in range(rows.shape[0]):
-        middle = piece_at(rows[i], 0.5 * (e_low + e_high), 0.5 * (v_low + v_high))[0]
-        steep = middle - setting.inner - setting.eta > NEAR_H
+        h, he, hv = piece_at(rows[i], 0.5 * (e_low + e_high), 0.5 * (v_low + v_high))
+        steep = h - setting.inner - doubt_of(rows[i], he, hv, setting.off_m, setting.off_mps) > NEAR_H
         slope = setting.gamma_ps + (setting.inside_ps if steep else 0.0)
         lift = curvature_lift(rows[i], setting, slope, v_high - v_low)
         for j in range(4):

@@ -129,7 +129,7 @@ class Knowledge:
     ) -> Knowledge:
         """Before any data; with `box` None no thrust across is allowed for (the vertical axis alone)."""
         box = box or budget(model, limits)
-        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3))
+        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3), np.zeros(3))
         *_, hulls = _all_steps(nothing)
         assert hulls is not None
         return _finish(nothing, hulls)
@@ -174,16 +174,21 @@ class Knowledge:
         version: int = 1,
         last: bool = False,
         widen_mps2: F64 | None = None,
+        attitude_mps2: F64 | None = None,
         torque_mps2: float = 0.0,
     ) -> Iterator[Knowledge | None]:
         """The same in pieces of about a millisecond: None after each, the knowledge after the last.
 
-        `last`: no certificate will be issued after this one.
+        `last`: no certificate will be issued after this one; `attitude_mps2` (3,): what the attitude's error puts
+        thrust off by, added to each axis' error like `widen_mps2`.
         """
         box = box or budget(model, limits)
         k = confidence(delta, version, statements(envelope, last), last)
         widen = np.zeros(3) if widen_mps2 is None else widen_mps2
-        request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen, torque_mps2)
+        attitude = np.zeros(3) if attitude_mps2 is None else attitude_mps2
+        request = Request(
+            learned, initial, model, box, envelope, k, delta, version, last, widen + attitude, attitude, torque_mps2
+        )
         for hulls in _all_steps(request):
             yield None if hulls is None else _finish(request, hulls)
 
@@ -201,6 +206,8 @@ class Request(NamedTuple):
     version: int
     last: bool
     widen: F64
+    """All that is added to each axis' error, `attitude` with it."""
+    attitude: F64
     torque_mps2: float = 0.0
     """Specific thrust that torque may add or take."""
 

@@ -17,7 +17,7 @@ reach.  S is the span between the ends of the command, A the hardest of them, E 
 Measurement-robust barrier functions: all sources together are a box about z^ in which the true state lies.  The
 condition itself takes from q what may be lost in that box (`condition`: off); h may be less there by
 
-    eta = sup |dh/de| eps_e + sup |dh/dv| eps_v + t sup |dh/de v + dh/dv a|
+    eta = sup (|dh/de| eps_e + |dh/dv| eps_v + t |dh/de v + dh/dv a|)
 
 over all accelerations a in reach and all states of the region.  (h is concave: h(z^) <= h(z) + grad h(z) (z^ - z), so
 the slopes at the true state bound it.)  Source: S. Dean, A. Taylor, R. Cosner, B. Recht, A. Ames, "Guaranteeing safety
@@ -70,8 +70,8 @@ class Doubts(NamedTuple):
 
 
 USUAL = Doubts()
-MOCAP = Accuracy(0.002, 0.01, 0.035)
-GPS = Accuracy(0.2, 0.15, 0.1)
+KNOWN = Accuracy(0.0, 0.0, 0.0)
+"""The state is the truth itself."""
 
 
 class Slopes(NamedTuple):
@@ -101,19 +101,11 @@ def slopes(
 def _piece_slopes(
     barrier: Barrier, piece: int, ends: tuple[float, float], error: float, dt: float, eta: float
 ) -> Slopes:  # fmt: skip
-    row, low, high = barrier.rows[piece], barrier.box[2], barrier.box[3]
+    row = barrier.rows[piece]
     kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
     command = max(abs(end) for end in ends)
-    if isinstance(barrier, Quadratic):
-        e, v = _edge(barrier, eta)
-        speed = float(np.abs(v).max())
-        h_e = -kee * (e - barrier.centre_m) - row[K_EV] * (v - barrier.centre_mps)
-        h_v = -row[K_EV] * (e - barrier.centre_m) - kvv * (v - barrier.centre_mps)
-    else:
-        speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
-        v = np.array([-speed, speed])
-        h_e = np.full(2, -row[1] / row[5])
-        h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
+    v, h_e, h_v = _steepest(barrier, row, eta)
+    speed = float(np.abs(v).max())
     flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
     kappa += half * (kvv + kev * dt + kee * half * half) * error
@@ -146,6 +138,33 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
     return float(lost[0]), float(lost[1]), float(lost[2])
 
 
+def _eta_together(
+    barrier: Barrier, ends: tuple[float, float], eta: float, sources: tuple[_Source, ...]
+) -> float:  # fmt: skip
+    """By how much h may be less at the true state, for all sources at once: where their sum is greatest."""
+    eps_e, eps_v, late = (sum(getattr(source, part) for source in sources) for part in ("eps_e", "eps_v", "late_s"))
+    worst = 0.0
+    for row in barrier.rows:
+        v, h_e, h_v = _steepest(barrier, row, eta)
+        flow = np.max([np.abs(h_e * v + h_v * a) for a in ends], axis=0)
+        worst = max(worst, float(np.max(np.abs(h_e) * eps_e + np.abs(h_v) * eps_v + late * flow)))
+    return worst
+
+
+def _steepest(barrier: Barrier, row: F64, eta: float) -> tuple[F64, F64, F64]:
+    """Speeds and slopes of one piece of h at points on the edge of {h >= -eta}, where slopes are greatest."""
+    if isinstance(barrier, Quadratic):
+        e, v = _edge(barrier, eta)
+        h_e = -row[K_EE] * (e - barrier.centre_m) - row[K_EV] * (v - barrier.centre_mps)
+        h_v = -row[K_EV] * (e - barrier.centre_m) - row[K_VV] * (v - barrier.centre_mps)
+        return v, h_e, h_v
+    low, high = barrier.box[2:]
+    speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
+    v = np.array([-speed, speed])
+    h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
+    return v, np.full(2, -row[1] / row[5]), h_v
+
+
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
     """Points on the edge of {h >= -eta}, an ellipse grown by 1e-4 for what lies between them."""
     angle = np.linspace(0.0, 2.0 * math.pi, 361)
@@ -176,7 +195,7 @@ def ledger(
     *,
     gamma_ps: float,
     dt_s: float,
-    accuracy: Accuracy = MOCAP,
+    accuracy: Accuracy = KNOWN,
     doubts: Doubts = USUAL,
     gain_part_mps2: float = 0.0,
     torque_part_mps2: float = 0.0,
@@ -192,11 +211,11 @@ def ledger(
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
     span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
     hardest = max(abs(least), abs(most))
-    sources = _sources(axis, response, span, hardest, error, accuracy, doubts, coupling_mps)
+    sources = _sources(axis, response, span, hardest, error - accuracy.acc_mps2, accuracy, doubts, coupling_mps)
     eta, at = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         at = slopes(barrier, least, most, error, dt_s, eta)
-        eta = sum(_eta(at, source) for source in sources)
+        eta = _eta_together(barrier, (least, most), eta, sources)
     offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
     claim = sum(source.claim for source in sources)
     per_m, per_mps, steep = brakes(barrier, least, most)
@@ -211,8 +230,8 @@ def ledger(
     low = float(authority.error_low_mps2.max())
     lines = {
         "gp_error": (
-            low - gain_part_mps2 - torque_part_mps2,
-            "bound of the acceleration's error at the braking end, less the gain's and torque's part",
+            low - gain_part_mps2 - torque_part_mps2 - accuracy.acc_mps2,
+            "bound of the acceleration's error at the braking end, less the gain's, torque's and the attitude's parts",
         ),
         "torque": (torque_part_mps2, "thrust that torque adds through the rotors' curve, within the governor's limits"),
         "thrust_gain": (gain_part_mps2, "bound of the thrust gain's error times the thrust beyond hover"),
@@ -220,6 +239,8 @@ def ledger(
         "zero_order_hold": (at.hold / at.h_v, f"a command holds {1e3 * dt_s:.3g} ms at most: part of the condition"),
         **priced,
     }
+    worth, because = lines["estimate_error"]
+    lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
     margins = tuple(Margin(name, *lines[name]) for name in MARGINS)
     off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))
     return Setting(gamma_ps, eta, 0.0, dt_s, off_m, at.h_v * claim, inside_ps, off_mps), margins

@@ -19,8 +19,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 
-from flightstack.checked import number, only
-from flightstack.types import F64, InputError
+from flightstack.barrier.estimate_bounds import EstimateBounds
+from flightstack.checked import number, only, vector
+from flightstack.types import F64, InputError, Tuple3
 
 Range = tuple[float, float]
 ANY_BATTERY_V: Range = (0.0, 1000.0)
@@ -28,19 +29,8 @@ ANY_BATTERY_V: Range = (0.0, 1000.0)
 APPLIED_AS_SENT: Range = (0.97, 1.03)
 """What the motors report to make of the thrust sent where nothing on its way changes it (`applied`)."""
 _LARGEST = 1e6
+_BOUNDS = ("pos_m", "vel_mps", "acc_mps2")
 _RANGES = ("thrust_mps2", "applied_share", "thrust_gain", "delay_s", "battery_v")
-
-
-@dataclass(frozen=True, slots=True)
-class EstimateBounds:
-    """How far truth and estimate may be apart: each component (north, east, down) by so much."""
-
-    pos_m: float
-    vel_mps: float
-    acc_mps2: float
-    """Of the acceleration that thrust along the axis as estimated gives."""
-    k_sigma: float
-    """Standard deviations of the sensors' statistics that the bounds are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +60,13 @@ class Premises:
     battery_v: Range
 
 
-def speeds_of(asked_mps: Sequence[Range], certified: Collection[int], vel_mps: float) -> tuple[Range, Range, Range]:
+def speeds_of(asked_mps: Sequence[Range], certified: Collection[int], vel_mps: Tuple3) -> tuple[Range, Range, Range]:
     """Speeds that the estimate may show, for true ones within those that the bounds were asked for.
 
     On a certified axis the region holds the true speed, the estimate may lie beyond it by its bound `vel_mps`; on
     another the estimate has to keep that far inside.
     """
-    spare = [-vel_mps if i in certified else vel_mps for i in range(3)]
+    spare = [-vel_mps[i] if i in certified else vel_mps[i] for i in range(3)]
     north, east, down = ((low + s, high - s) for (low, high), s in zip(asked_mps, spare, strict=True))
     return north, east, down
 
@@ -89,7 +79,8 @@ def gain_of(gain: F64, error_mps2: float, thrust_mps2: float) -> Range:
 
 def premises_table(premises: Premises) -> dict[str, object]:
     """The premises as plain JSON."""
-    return {key: _plain(value) for key, value in asdict(premises).items()}
+    table: dict[str, object] = _plain(asdict(premises))  # type: ignore[assignment]
+    return table
 
 
 def parse_premises(value: object, where: str) -> Premises:
@@ -101,11 +92,12 @@ def parse_premises(value: object, where: str) -> Premises:
         raise InputError(f"{where}.speeds_mps must be a list of three ranges: north, east, down")
     north, east, down = (_range(each, f"{where}.speeds_mps[{i}]") for i, each in enumerate(speeds))
     ranges = {key: _range(table[key], f"{where}.{key}") for key in _RANGES}
-    bounds = {key: number(part, f"{where}.estimate.{key}", 0.0, _LARGEST) for key, part in estimate.items()}
+    pos, vel, acc = (vector(estimate[key], f"{where}.estimate.{key}", 0.0, _LARGEST) for key in _BOUNDS)
+    k_sigma = number(estimate["k_sigma"], f"{where}.estimate.k_sigma", 0.0, _LARGEST)
     return Premises(
         sensors=_word(table["sensors"], f"{where}.sensors"),
         vehicle_hash=_word(table["vehicle_hash"], f"{where}.vehicle_hash"),
-        estimate=EstimateBounds(**bounds),
+        estimate=EstimateBounds(pos, vel, acc, k_sigma),
         speeds_mps=(north, east, down),
         lean=number(table["lean"], f"{where}.lean", 0.0, 1.0),
         thrust_mps2=ranges["thrust_mps2"],
@@ -119,6 +111,8 @@ def parse_premises(value: object, where: str) -> Premises:
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
     return [_plain(part) for part in value] if isinstance(value, tuple) else value
 
 

@@ -163,7 +163,7 @@ def _engaged(state: PublishedState, h: float, now_us: int) -> PublishedState:
 
 def _filtered(status: float, wanted: Command, row: Row | None = None) -> Filtered:
     """What the filter says, all else NaN."""
-    filtered = Filtered(np.full(33, np.nan))
+    filtered = Filtered(np.full(len(Filtered.nothing().row), np.nan))
     filtered.row[Filtered.status.place] = status
     filtered.row[Filtered.intervened.place] = 0.0
     filtered.row[Filtered.wanted_thrust_n.place] = wanted.thrust_n

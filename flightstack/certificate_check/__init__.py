@@ -31,7 +31,7 @@ from .governor import check_governor
 from .intervals import F64, Interval
 from .ledger import check_ledger
 from .log import Recording
-from .premises import check_premises
+from .premises import check_premises, estimate_of
 from .provenance import check_flight, check_keys
 from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
 
@@ -104,6 +104,7 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
     names = [axis["axis"] for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) != len(names):
         raise Refused(f"axes must be of {', '.join(_AXES)}, each once")
+    estimate = estimate_of(data["premises"])
     check_confidence(data["confidence"], delta, k)
     check_keys(data["provenance"], known.stores)
     sensors = data["premises"].get("sensors") if isinstance(data["premises"], dict) else None
@@ -120,7 +121,7 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
         if _AXES.index(name) not in tables:
             raise Refused(f"{name} is not among knowledge.axes")
         _compare(nodes, tables[_AXES.index(name)], known, name, lines)
-        lines.append(check_ledger(condition, axis, nodes, known, name))
+        lines.append(check_ledger(condition, axis, nodes, known, name, estimate[_AXES.index(name)]))
         if name == "down":
             _check_heights(condition, float(centre[2]), known)
         cells = rows(axis["cells"], 6, f"{name}.cells")

@@ -4,10 +4,11 @@ u: commanded acceleration; dt: longest time to the next one; E: how far the true
 over the range of u; U, Emax: the largest |u| and E; h concave with gradient (he, hv) and curvature at most K:
 
     q = he v + hv u + c - dt/2 (Kee v^2 + 2 Kev v u + (Kvv + |Kev| dt + Kee dt^2/4) u^2) - dt^2/2 Kee |v| U
-        - (|hv| + |he| dt/2 + kappa) E + alpha(h - inner - eta) - b - off
+        - (|hv| + |he| dt/2 + kappa) E + alpha(h - inner - doubt) - b - off
+    doubt = |he| x + |hv| y + (Kee x^2 + 2 |Kev| x y + Kvv y^2) / 2,  x, y: offsets of e and v
     alpha(x) = gamma x + inside max(x - 0.05, 0)
     c = chord over the range of u of min(0, he u dt/2)
-    off = x |Kee v + Kev u| + y |he - Kev v - Kvv u| + Kee x y + |Kev| y^2 + x ke + y kv,  x, y: offsets of e and v;
+    off = x |Kee v + Kev u| + y |he - Kev v - Kvv u| + Kee x y + |Kev| y^2 + x ke + y kv;
         of a stopping distance y (|he| + Kvv |u|) in place of the first two
     ke = Kee U dt/2 + (|Kev| + Kee dt/2) Emax
     kv = dt (Kee (|v| + y) + |Kev| U) + dt/2 (Kee dt + |Kev|) U + (Kvv + |Kev| dt/2 + dt (Kee dt/2 + |Kev|)) Emax
@@ -148,11 +149,17 @@ class Condition:
         early = -(-(he * half * low)).at_least(0.0) * (1.0 - share) - (-(he * half * high)).at_least(0.0) * share
         bent = (kee * v * v + 2.0 * kev * v * u + turn * u * u + dt * kee * abs(v) * most) * half
         q = he * v + hv * u + early - bent - (abs(hv) + abs(he) * half + kappa) * error
-        x = h - self.inner - self.eta
+        x = h - self.inner - self._doubt(piece, he, hv)
         beyond = (x - NEAR_H) * self.inside
         if line is None or line:
             q = q + (beyond if line else beyond.at_least(0.0))
         return q + x * self.gamma - self.rate - self._off(piece, he, v, u, (most, worst)), h
+
+    def _doubt(self, piece: Piece, he: Interval, hv: Interval) -> Interval:
+        """By how much h may be less where the state is off."""
+        (kee, kev, kvv), x, y = piece.curvature(), self.off_m, self.off_mps
+        bent = (kee * (x * x) + kvv * (y * y)) * 0.5 + abs(kev) * (x * y)
+        return abs(he) * x + abs(hv) * y + bent
 
     def _off(self, piece: Piece, he: Interval, v: Interval, u: Interval, ends: tuple[F64, F64]) -> Interval:
         """By how much q may be less where the state is off."""

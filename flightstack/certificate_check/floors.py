@@ -4,7 +4,7 @@ noise       of a point: of a grade that is known 0.7 of what its accelerometer's
             1 mm/s^2; inflation at least 1.1 and excess at least (1.05 * 3 mm/s^2)^2, by the rule that sets them
 points      y as likely under kernel and noise as n Gaussian numbers: y' (K + noise I)^-1 y / n between 0.05 and
             what the inflation says
-doubts      0.1 mm, 1 mm/s, 5 mm/s^2, 0.5 ms, 1 %: below the resolution of what measures them
+doubts      0.5 ms, 1 % (of the estimate: `premises`): below the resolution of what measures them
 vehicle     rotors of 1 cm; commands held for 1 ms
 """
 
@@ -23,7 +23,7 @@ _SHARE = 0.7
 _WINDOW_S = 0.06
 _DENSITIES = {"mocap": (5.0e-3, 8.0e-3), "gps": (1.0e-2, 1.5e-2)}
 """Least of the accelerometer's across, and along the thrust axis, m/s^2/sqrt(Hz), by grade."""
-_DOUBTS = {"pos_m": 1e-4, "vel_mps": 1e-3, "acc_mps2": 5e-3, "delay_s": 5e-4, "lag_share": 0.01, "rate_lag_share": 0.01}
+_DOUBTS = {"delay_s": 5e-4, "lag_share": 0.01, "rate_lag_share": 0.01}
 _RADIUS_M, _DT_S = 0.01, 1e-3
 _LEAST_FIT, _LEAST_POINTS = 0.05, 20
 

@@ -9,14 +9,16 @@ E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of d
     estimate_error  pos + (c1 + delay) vel + c2 acc,  vel + (c1 + delay) acc
 
     off_m, off_mps = sum of x + t sup |v|,  sum of y + t A
-    eta = sum of sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|,  suprema over {h >= -eta}
+    eta = sup (|dh/de| x + |dh/dv| y + t |dh/de v + dh/dv a|), x, y, t the sums of all, over {h >= -eta}
     inner = sup |dh/dv| w,  w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
+    its part of eta = sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|
     a margin in m/s^2 = (what `off` takes for its x + t sup |v| and y + t A where braking is hardest, without the small
     parts, + gamma its part of eta) / sup |dh/dv| there; to the lag's comes gamma w
 
 Each supremum is on the edge of an ellipse, and at the greatest speed of a stopping distance; braking is hardest at the
 greatest speed that there is at the centre's e, and at the greatest speed of a stopping distance.
-What holding a command costs (`zero_order_hold`) is part of q itself.  The three parts of the error make up its greatest
+The attitude's error acc is part of every error: it counts to estimate_error, and E is what is left without it.
+What holding a command costs (`zero_order_hold`) is part of q itself.  The other parts of the error make up its greatest
 value at u_low.
 """
 
@@ -36,39 +38,45 @@ MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
     "estimate_error", "torque",
 )  # fmt: skip
-_DOUBTS = ("pos_m", "vel_mps", "acc_mps2", "delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
+_DOUBTS = ("delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
 _AXES = ("north", "east", "down")
 _CLOSE = 1e-3
 """Share by which a stated constant may differ; beyond it, whatever lies between three rounds of eta and all of them."""
 _NEAR = 1e-6
 
 
-def check_ledger(condition: Condition, axis: dict[str, Any], nodes: F64, known: Knowledge, name: str) -> str:
-    """Verify an axis' margins; what was verified, in words."""
+def check_ledger(
+    condition: Condition, axis: dict[str, Any], nodes: F64, known: Knowledge, name: str, estimate: F64
+) -> str:
+    """Verify an axis' margins; what was verified, in words.  `estimate` (3,): bounds of position, velocity and of the
+    acceleration that thrust gives along this axis."""
     stated = _margins(axis["margins"], name)
     response = numbers(axis["response"], ("c1_s", "c2_s2", "delay_s"), f"{name}.response")
     if min(response) < 0.0:
         raise Refused(f"{name}.response: lags and delay must be at least 0")
-    low = float(nodes[5].max())
+    low, acc = float(nodes[5].max()), float(estimate[2])
     torque = torque_of(known, _AXES.index(name))
     if not abs(stated["torque"] - torque) <= _NEAR:
         raise Refused(f"{name}: margin torque = {stated['torque']:.9g} m/s^2, the governor's limits give {torque:.9g}")
-    if not abs(stated["gp_error"] + stated["thrust_gain"] + torque - low) <= _NEAR:
-        raise Refused(f"{name}: gp_error, thrust_gain and torque do not make up the error at u_low, {low:.9g} m/s^2")
+    if not abs(stated["gp_error"] + stated["thrust_gain"] + torque + acc - low) <= _NEAR:
+        raise Refused(
+            f"{name}: gp_error, thrust_gain, torque and attitude's error do not make up the error at u_low, {low:.9g}"
+        )
     doubts = known.data.get("doubts")
     if doubts is None:
         raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
-    claim, eta = _claim(name == "down", response, nodes, known), 0.0
-    sources, hardest = _sources(name == "down", response, nodes, doubts), float(np.abs(nodes[3:5]).max())
+    claim, eta = _claim(name == "down", response, nodes, known, acc), 0.0
+    sources, hardest = _sources(name == "down", response, nodes, doubts, estimate), float(np.abs(nodes[3:5]).max())
     per_m, per_mps, steep = _hardest(condition, nodes)
     rounds = list[tuple[tuple[float, float, float, float], dict[str, float]]]()
     for _ in range(30):  # eta widens the region whose suprema it comes from
         at = _suprema(condition, nodes, eta)
         eta_of = {key: at["he"] * x + at["hv"] * y + at["flow_h"] * t for key, (x, y, t) in sources.items()}
         off = {key: (x + t * at["speed"], y + t * hardest) for key, (x, y, t) in sources.items()}
-        eta = min(sum(eta_of.values()), 1.0)
+        eta = min(_eta_together(condition, nodes, eta, sources), 1.0)
         found = {key: per_m * x + per_mps * y + condition.gamma * eta_of[key] / steep for key, (x, y) in off.items()}
         found["rotor_lag" if name == "down" else "attitude_lag"] += condition.gamma * claim
+        found["estimate_error"] += acc
         found |= {"discretisation": 0.0, "zero_order_hold": at["hold"] / at["hv"]}
         off_m, off_mps = (sum(each[i] for each in off.values()) for i in range(2))
         rounds.append(((eta, off_m, at["hv"] * claim, off_mps), found))
@@ -103,13 +111,16 @@ def _margins(value: Any, name: str) -> dict[str, float]:
     return stated
 
 
-def _sources(vertical: bool, response: list[float], nodes: F64, doubts: Any) -> dict[str, tuple[float, float, float]]:
+def _sources(
+    vertical: bool, response: list[float], nodes: F64, doubts: Any, estimate: F64
+) -> dict[str, tuple[float, float, float]]:
     """(x, y, t) by name."""
-    pos, vel, acc, late, share, rate_share, rotor = numbers(doubts, _DOUBTS, "knowledge.doubts")
-    if min(pos, vel, acc, late, share, rate_share, rotor) < 0.0:
+    pos, vel, acc = (float(each) for each in estimate)
+    late, share, rate_share, rotor = numbers(doubts, _DOUBTS, "knowledge.doubts")
+    if min(late, share, rate_share, rotor) < 0.0:
         raise Refused("knowledge.doubts must be at least 0")
     c1, c2, delay = response
-    error, span = float(nodes[5:].max()), float((nodes[4] - nodes[3]).max())
+    error, span = float(nodes[5:].max()) - acc, float((nodes[4] - nodes[3]).max())
     lag, turn = share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
     most, none = float(np.abs(nodes[3:5]).max()), (0.0, 0.0, 0.0)
     late += 0.0 if vertical else share * rotor
@@ -121,9 +132,9 @@ def _sources(vertical: bool, response: list[float], nodes: F64, doubts: Any) -> 
     }
 
 
-def _claim(vertical: bool, response: list[float], nodes: F64, known: Knowledge) -> float:
+def _claim(vertical: bool, response: list[float], nodes: F64, known: Knowledge, acc: float) -> float:
     """How far v may be from what z keeps, m/s: acceleration that is not known, and thrust that is not the lead's."""
-    error, span = float(nodes[5:].max()), float((nodes[4] - nodes[3]).max())
+    error, span = float(nodes[5:].max()) - acc, float((nodes[4] - nodes[3]).max())
     apart = max(known.box.high - known.lead, known.lead - known.box.low) / known.lead
     return response[0] * error + (0.0 if vertical else response[0] * 0.5 * span * apart)
 
@@ -147,6 +158,19 @@ def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:
         }  # fmt: skip
         most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
     return most
+
+
+def _eta_together(
+    condition: Condition, nodes: F64, eta: float, sources: dict[str, tuple[float, float, float]]
+) -> float:
+    """Where all sources together put h off by most."""
+    x, y, t = (sum(each[i] for each in sources.values()) for i in range(3))
+    worst = 0.0
+    for piece in condition.pieces:
+        v, he, hv = _edge(condition, piece, eta)
+        flow = np.maximum(*(np.abs(he * v + hv * a) for a in (nodes[3].min(), nodes[4].max())))
+        worst = max(worst, float((np.abs(he) * x + np.abs(hv) * y + t * flow).max()))
+    return worst
 
 
 def _hardest(condition: Condition, nodes: F64) -> tuple[float, float, float]:

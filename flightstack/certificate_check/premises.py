@@ -18,14 +18,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
+from .intervals import F64
 from .knowledge import DOWN, NEAR, Knowledge, tables
-from .reading import Refused, number, numbers, rows, table_of
+from .reading import Refused, number, rows, table_of
 
 _KEYS = (
     "sensors", "vehicle_hash", "estimate", "speeds_mps", "lean", "thrust_mps2", "applied_share", "thrust_gain",
     "delay_s", "jitter_s", "command_interval_s", "battery_v",
 )  # fmt: skip
 _SLACK = 1e-9
+_BOUNDS = ("pos_m", "vel_mps", "acc_mps2")
+_K_SIGMA = 4.3
+_FINEST = np.array([1e-4, 1e-3, 5e-3])
+_STEADIEST = {
+    "mocap": np.array([[0.0052, 0.0104, 0.0292], [0.0052, 0.0104, 0.0292], [0.0051, 0.0076, 0.0106]]),
+    "gps": np.array([[0.206, 0.0696, 0.0668], [0.209, 0.0873, 0.0750], [0.206, 0.0547, 0.0255]]),
+    "px4-sih": np.array([[0.162, 0.169, 0.145], [0.333, 0.349, 0.145], [0.230, 0.169, 0.0374]]),
+}
+"""One sigma of position (m), velocity (m/s) and thrust's acceleration (m/s^2) along each axis: what the best linear
+estimate can reach with these grades' sensors, rounded down."""
+_ROUNDED = 0.01
 _ANY_V = (0.0, 1000.0)
 _WIDEST = 1.25
 _AXES = ("north", "east", "down")
@@ -39,11 +53,12 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: K
             raise Refused(f"premises.{key} must be a word")
     if table["vehicle_hash"] != known.data.get("vehicle_hash", table["vehicle_hash"]):
         raise Refused("premises.vehicle_hash is not the one of knowledge")
-    pos, vel, acc, k = numbers(table["estimate"], ("pos_m", "vel_mps", "acc_mps2", "k_sigma"), "premises.estimate")
-    doubts = known.data.get("doubts", {})
-    stated = [doubts.get(key) for key in ("pos_m", "vel_mps", "acc_mps2")] if isinstance(doubts, dict) else []
-    if [pos, vel, acc] != stated:
-        raise Refused("premises.estimate is not what the ledger rests on, knowledge.doubts")
+    doubts = known.data.get("doubts")
+    if not isinstance(doubts, dict):
+        raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
+    pos, vel, acc = estimate_of(table).T
+    if not np.all(acc <= known.widen + _SLACK):
+        raise Refused("knowledge.widen_mps2 does not hold premises.estimate.acc_mps2")
     _check_ranges(table, axes, budget, known, vel)
     delay_doubt = number(doubts.get("delay_s"), "knowledge.doubts.delay_s")
     low, high = _range(table["delay_s"], "premises.delay_s")
@@ -57,18 +72,35 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: K
         )
     _most(number(table["jitter_s"], "premises.jitter_s"), delay_doubt, "premises.jitter_s", "the delay's doubt")
     return (
-        f"premises: sensors {table['sensors'][:40]} ({pos:.3g} m, {vel:.3g} m/s, {acc:.3g} m/s^2 at {k:.3g} sigma), "
+        f"premises: sensors {table['sensors'][:40]} ({pos.max():.3g} m, {vel.max():.3g} m/s, "
+        f"{acc.max():.3g} m/s^2 at {table['estimate']['k_sigma']:.3g} sigma), "
         "speeds, lean, thrust, delay and commands within what the bounds were made for"
     )
 
 
-def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: float) -> None:
+def estimate_of(premises: Any) -> F64:
+    """(3, 3) bounds of position, velocity and acceleration for north, east and down."""
+    table = table_of(premises, _KEYS, "premises")
+    estimate = table_of(table["estimate"], ("pos_m", "vel_mps", "acc_mps2", "k_sigma"), "premises.estimate")
+    bounds = np.array([rows([estimate[key]], 3, f"premises.estimate.{key}")[0] for key in _BOUNDS]).T
+    k = number(estimate["k_sigma"], "premises.estimate.k_sigma")
+    if not np.all(bounds >= _FINEST):
+        raise Refused("premises.estimate is finer than anything could be known: 0.1 mm, 1 mm/s, 5 mm/s^2")
+    least = _STEADIEST.get(table["sensors"])
+    if least is not None and not (k >= _K_SIGMA and np.all(bounds >= k * least * (1.0 - _ROUNDED))):
+        raise Refused(
+            f"premises.estimate is less than {_K_SIGMA:g} sigma of what {table['sensors']} sensors are known to"
+        )
+    return bounds
+
+
+def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: F64) -> None:
     certified = {axis["axis"] for axis in axes}
     if not isinstance(table["speeds_mps"], list) or len(table["speeds_mps"]) != len(_AXES):
         raise Refused("premises.speeds_mps must be three ranges")
     for i, entry in enumerate(table["speeds_mps"]):
         least, greatest = _range(entry, f"premises.speeds_mps[{i}]")
-        spare = -vel if _AXES[i] in certified else vel
+        spare = float(-vel[i] if _AXES[i] in certified else vel[i])
         _least(float(known.speeds[i, 0]), least - spare, f"premises.speeds_mps[{i}]", "the speeds asked for")
         _most(greatest + spare, float(known.speeds[i, 1]), f"premises.speeds_mps[{i}]", "the speeds asked for")
     _most(number(table["lean"], "premises.lean"), known.box.lean, "premises.lean", "the lean asked for")

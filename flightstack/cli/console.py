@@ -163,8 +163,13 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         yield (
             "loop",
             f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
-            f"{lateness['max']:.0f} us at most; {result.loop['missed']} deadlines missed",
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} ticks missed",
         )
+        if result.loop.get("stalls"):
+            yield "longest stall", escape(result.loop["stalls"][0]["cause"])
+        if (dead_man := result.loop.get("dead_man")) is not None:
+            running = "ran" if dead_man["running"] else "did not run"
+            yield "dead-man", f"{running}, acted {dead_man['acted']} times, {dead_man['taken_back']} taken back"
         trip = result.link["round_trip_us"]
         if trip["p50"] is not None:
             dropped = sum(result.link["dropped"].values())

@@ -17,6 +17,7 @@ from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
+from flightstack.cli.sensors import error_statistics
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -112,9 +113,10 @@ def prepare(options: FlyOptions) -> Setup:
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
-    companion = CompanionConfig(arm=True, round_trip_max_s=flight.protection.round_trip_max_s)
-    flight = flight.with_more(settings, carried)
-    return Setup(flight, truth, load_grade(sensors), options.plant, faults, companion)
+    grade = load_grade(sensors)
+    most_s = flight.protection.round_trip_max_s
+    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
+    return Setup(flight.with_more(settings, carried), truth, grade, options.plant, faults, companion)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -316,12 +318,11 @@ def _run(
     ticks = 0
     while not companion.done:
         if pace is not None and timing is not None:
-            lateness_us = pace.wait()
-            timing.lateness_us.append(lateness_us)
-            timing.missed = pace.missed
+            pace.wait()
+            late_us = timing.tick(pace.between_us, TICK_MS * 1000)
         flight.step()
-        if pace is not None:
-            log.write("/timing", flight.t_us, (float(lateness_us), float(pace.busy_us()), pace.missed))
+        if pace is not None and timing is not None:
+            log.write("/timing", flight.t_us, (late_us, float(pace.busy_us()), timing.missed))
         ticks += 1
         if ticks % 25 == 0:
             if reason := stop_requested():

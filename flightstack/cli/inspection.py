@@ -14,6 +14,7 @@ from mavlink_bridge.checklist import Inspection, checklist
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.hover_check import HoverCheck
+from mavlink_bridge.vehicle_params import loss_time_problem
 
 _INSPECTION_S = 2.0
 """A dry run counts the streams for so long after all else has been found."""
@@ -22,8 +23,8 @@ _INSPECTION_S = 2.0
 class Inspector:
     """Judges one vehicle; a planner, so that the first hover can be judged too."""
 
-    def __init__(self, prepared: Prepared, *, believe_file: bool, dry_run: bool) -> None:
-        self._believed, self._stack = prepared.believed, prepared.stack
+    def __init__(self, prepared: Prepared, *, believe_file: bool, dry_run: bool, dead_man: bool = True) -> None:
+        self._believed, self._stack, self._dead_man = prepared.believed, prepared.stack, dead_man
         self._believe_file, self._dry_run = believe_file, dry_run
         self._companion: Companion | None = None
         self._hover: HoverCheck | None = None
@@ -66,7 +67,12 @@ class Inspector:
         if self._hover is not None and self._hover.contradiction:
             return [self._hover.contradiction]
         judged = self._dry_run or companion.state is State.REFUSED
-        return self.contradictions(companion.view.params.values) if judged else []
+        if not judged:
+            return []
+        values = companion.view.params.values
+        alone = companion.view.params.settled and not self._dead_man
+        needed = loss_time_problem(values, dead_man=False) if alone else ""
+        return [*([needed] if needed else []), *self.contradictions(values)]
 
     def checklist(self, config: CompanionConfig) -> list[dict[str, Any]]:
         """A dry run's `checklist`."""

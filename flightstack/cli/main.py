@@ -208,6 +208,9 @@ def offboard(
     set_params: SetParamsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
+    no_dead_man: Annotated[
+        bool, typer.Option("--no-dead-man", help="Nobody answers the companion's silence: COM_OF_LOSS_T <= 0.5 s.")
+    ] = False,
     *,
     common: dict[str, Any],
 ) -> tuple[Callable[..., Any], Any]:
@@ -225,6 +228,7 @@ def offboard(
         set_params=set_params,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
+        dead_man=not no_dead_man,
         **common,
     )
 

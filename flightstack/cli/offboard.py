@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.console import say
 from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
@@ -21,12 +22,10 @@ from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
-from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig
-from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
 from mavlink_bridge.transport.address import (
     Serial,
@@ -38,13 +37,11 @@ from mavlink_bridge.transport.address import (
     parse_address,
 )
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
+from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.key_file import KeyFile
+from mavlink_bridge.transport.machine import lock_memory
 
-PERIOD_US = 4_000
-_LEAST_PERIOD_US = 500
 _LEAST_BAUD = 500_000
-_LAST_WORDS_S = 0.3
-"""After the end the link stays open for so long, for the last command and its answer."""
 _LAST_WORDS_TIMES = 5
 """A program that ends without warning says them so often: a link may lose one."""
 
@@ -62,6 +59,8 @@ class OffboardOptions(FlightOptions):
     set_params: str | None = None
     """Parameters to set for the flight: name or file."""
     heartbeat_timeout_s: float = 10.0
+    dead_man: bool = True
+    """A process of its own answers the companion's silence."""
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
 
@@ -117,6 +116,7 @@ def _offboard(
             "dry_run": str(options.dry_run),
             "pace": "realtime",
             "signing": "off" if signer is None else "on",
+            "dead_man": "on" if options.dead_man else "off",
             "set_params": options.set_params or "none",
         }
         began_us = utc_us()
@@ -134,12 +134,15 @@ def _offboard(
             on_message=score.on_message,
             certifier=prepared.protection.watched,
         )
-        inspector = Inspector(prepared, believe_file=options.believe_file, dry_run=options.dry_run)
+        inspector = Inspector(
+            prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
+        )
         config = CompanionConfig(
             arm=options.arm,
             dry_run=options.dry_run,
             heartbeat_timeout_s=options.heartbeat_timeout_s,
             contradictions=inspector.contradictions,
+            dead_man=options.dead_man,
             round_trip_max_s=prepared.protection.round_trip_max_s,
         )
         link = Link(240, 191, framing=framing_for(address), signing=signer)
@@ -149,8 +152,18 @@ def _offboard(
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
         try:
-            with undisturbed(), last_words(companion, transport):
-                _loop(companion, transport, recorder, line, timing, stop_requested, on_progress, inspector)
+            with ExitStack() as watched, undisturbed():
+                dead_man = None
+                if options.dead_man and not options.dry_run:
+                    process = watched.enter_context(DeadManProcess(transport.fileno(), signer))
+                    dead_man = DeadManWatch(process, companion, transport)
+                loop = RealTimeLoop(
+                    companion, transport, recorder, line, timing, inspector, dead_man, stop_requested, on_progress
+                )
+                lock_memory()
+                with last_words(companion, transport):
+                    loop.run()
+                timing.dead_man = NO_DEAD_MAN if dead_man is None else dead_man.summary()
         finally:
             recorder.close()
     wall_s = time.perf_counter() - started
@@ -203,52 +216,3 @@ def last_words(companion: Companion, transport: Transport) -> Iterator[None]:
                 for data in companion.link.datagrams_to_send():
                     transport.send(data)
         raise
-
-
-def _loop(
-    companion: Companion,
-    transport: Transport,
-    log: Recorder,
-    line: LogClock,
-    timing: LoopTiming,
-    stop_requested: Callable[[], str],
-    on_progress: Callable[[float, str], None],
-    inspector: Inspector,
-) -> None:
-    pace = Pace(PERIOD_US)
-    done_at_us, linger_s = -1, max(_LAST_WORDS_S, inspector.lasts_s)
-    ticks = timing_seen = 0
-    while True:
-        lateness_us = pace.wait()
-        now_us = monotonic_us()
-        clock = companion.view.clock
-        t_us = line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
-        for data in transport.receive_all():
-            log.mavlink("rx", t_us, data)
-            companion.receive_datagram(data, now_us)
-        companion.step(now_us)
-        for data in companion.link.datagrams_to_send():
-            log.mavlink("tx", t_us, data)
-            transport.send(data)
-        if companion.state in (State.STREAMING, State.OFFBOARD, State.LANDING):
-            timing.lateness_us.append(lateness_us)
-            timing.missed += pace.missed - timing_seen
-            log.write("/timing", t_us, (float(lateness_us), float(pace.busy_us()), timing.missed))
-        timing_seen = pace.missed
-        ticks += 1
-        if ticks % 25 == 0:
-            pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, clock.rate))
-            if reason := stop_requested():
-                companion.stop(reason)
-            on_progress(_progress(companion), companion.phase)
-        if companion.done:
-            done_at_us = now_us if done_at_us < 0 else done_at_us
-            inspector.count(now_us)
-            if now_us - done_at_us > linger_s * 1e6:
-                return
-
-
-def _progress(companion: Companion) -> float:
-    if companion.mission is None:
-        return 0.0
-    return min(1.0, (companion.last_t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
-from flightstack.barrier.margins import GPS, MOCAP
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Certificate
@@ -31,6 +31,7 @@ from flightstack.cli.given_certificate import (
     require_premises,
     round_trip_max_s,
 )
+from flightstack.cli.sensors import error_statistics
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
@@ -180,13 +181,13 @@ def _online(
     if scenario.knowledge is not None:
         require_authority(scenario.knowledge, model, limits, f"scenario {scenario.name}: knowledge")
     governor = governor_for(believed, model, limits, sensors)
-    accuracy = MOCAP if sensors == "mocap" else GPS
+    estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     if region.kind == "ellipsoid":
-        vertical = replace(VERTICAL, accuracy=accuracy, governor=governor)
+        vertical = replace(VERTICAL, sensors=sensors, estimate=estimate, governor=governor)
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(accuracy=accuracy, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
 

@@ -51,17 +51,45 @@ def _relative(places: list[tuple[Place, Place]]) -> list[list[float]]:
     return relative
 
 
+_STALLS_KEPT = 20
+
+
 @dataclass(slots=True)
 class LoopTiming:
-    """Lateness of the real-time loop against its absolute deadlines."""
+    """What is known of a real-time loop's punctuality: the time between two ticks."""
 
     rate_hz: int
-    lateness_us: list[int] = field(default_factory=list)
+    lateness_us: list[float] = field(default_factory=list)
+    """Time between two ticks beyond the period, each."""
     missed: int = 0
+    stalls: list[dict[str, Any]] = field(default_factory=list)
+    """The longest ones: seconds between two ticks, and what kept the later one."""
+    dead_man: dict[str, Any] | None = None
+    """None: there can be none, simulator and companion being one process."""
+
+    def tick(self, between_us: int, period_us: int) -> float:
+        """Count a tick so long after the one before; how late it was, microseconds."""
+        late_us = float(max(0, between_us - period_us))
+        self.lateness_us.append(late_us)
+        self.missed += int(late_us // period_us)
+        return late_us
+
+    def stall(self, between_us: int, words: str) -> None:
+        """Remember a long one."""
+        self.stalls.append({"s": 1e-6 * between_us, "cause": words})
+        self.stalls.sort(key=lambda stall: -float(stall["s"]))
+        del self.stalls[_STALLS_KEPT:]
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `loop`."""
-        return {"rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed}
+        late = percentiles(self.lateness_us)
+        return {
+            "rate_hz": self.rate_hz,
+            "lateness_us": late,
+            "missed": self.missed,
+            "stalls": self.stalls,
+            "dead_man": self.dead_man,
+        }
 
 
 def percentiles(values: Collection[float]) -> dict[str, float | None]:

@@ -179,6 +179,8 @@ _FILTER_FIELDS = (
     _f64("rate_ned_mps", 3, "m/s", "its rate"),
     _f64("bound_ned_mps2", 3, "m/s^2", "how far the acceleration may be off, as the certificate says"),
     _f64("wanted_thrust_n", 0, "N", "thrust asked for before filtering"),
+    _f64("premise", 0, "1", "number of the certificate's premise that is broken, 0 none (docs/barrier.md)"),
+    _f64("ended_by", 0, "1", "number of the premise whose breach ended the certificate, 0 none"),
 )
 
 FILTER_STATUS = ("nothing certified", "not engaged", "passed", "changed", "infeasible", "not solved", "falsified")

@@ -57,6 +57,9 @@ class Transport(Protocol):
     def wait(self, timeout_s: float) -> bool:
         """Wait until something can be received; whether it can."""
 
+    def fileno(self) -> int:
+        """The file descriptor."""
+
     def close(self) -> None:
         """Give the port back."""
 

@@ -34,6 +34,10 @@ class SerialPort:
         except (OSError, ValueError) as error:
             raise InputError(f"serial line {device} can't be opened at {baud} baud: {error}") from error
 
+    def fileno(self) -> int:
+        """The file descriptor."""
+        return int(self._port.fileno())
+
     def receive(self) -> bytes | None:
         """What has arrived (any piece of the stream), None where nothing has."""
         try:

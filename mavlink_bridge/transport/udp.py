@@ -80,6 +80,10 @@ class UdpSocket:
         """The port this socket is bound to."""
         return self.address[1]
 
+    def fileno(self) -> int:
+        """The file descriptor."""
+        return self._socket.fileno()
+
     def receive(self) -> bytes | None:
         """The next datagram that has arrived, None where there is none."""
         if not self._connected:

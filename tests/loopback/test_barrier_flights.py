@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from certified import for_the_papers_path, unchecked, write
 
+from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.file import parse_certificate
-from flightstack.barrier.premises import EstimateBounds, Premises
+from flightstack.barrier.premises import Premises
 from flightstack.cli.files import load_vehicle
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.main import main
@@ -181,8 +182,8 @@ def test_a_link_slower_than_a_certificate_holds_for_is_refused_before_take_off(
     given = for_the_papers_path()
     any_speed, anything = ((-9.0, 9.0),) * 3, (0.0, 99.0)
     premises = Premises(
-        "mocap", "", EstimateBounds(0.02, 0.1, 0.2, 4.3), any_speed, 1.0, anything, anything, anything,
-        (0.004, 0.008), 0.002, 0.004, anything,
+        "mocap", "", EstimateBounds((0.02,) * 3, (0.1,) * 3, (0.2,) * 3, 4.3), any_speed, 1.0,
+        anything, anything, anything, (0.004, 0.008), 0.002, 0.004, anything,
     )  # fmt: skip
     path = write(folder / "late.json", replace(given, premises=premises), load_vehicle(None)[0])
     arguments = ["fly", "paper-tracking", "--duration", "2", "--certificate", str(path), "--out", str(folder / "late")]

@@ -51,7 +51,8 @@ def narrower(before: dict[str, Any], data: dict[str, Any]) -> bool:
     ranges += list(zip(old["speeds_mps"], new["speeds_mps"], strict=True))
     inside = all(a[0] - 1e-8 <= b[0] <= b[1] <= a[1] + 1e-8 for a, b in ranges)
     single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "command_interval_s"))
-    return inside and single and new["estimate"] == old["estimate"] and new["thrust_gain"] == old["thrust_gain"]
+    down = all(new["estimate"][key][2] == old["estimate"][key][2] for key in Accuracy._fields)  # alone is certified
+    return inside and single and down and new["thrust_gain"] == old["thrust_gain"]
 
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -87,18 +88,23 @@ def changes(
             inner[path[-1]], inner[path[-1] + 1] = before, inner[path[-1]]
 
 
-def h_at(barrier: Barrier, e: F64, v: F64) -> F64:
-    """h written down once more, for arrays."""
+def ways_at(barrier: Barrier, e: F64, v: F64) -> list[F64]:
+    """h written down once more, for arrays: of an ellipse, or towards either limit of a stopping distance."""
     if isinstance(barrier, Quadratic):
         e, v = e - barrier.centre_m, v - barrier.centre_mps
-        return 1.0 - barrier.p11 * e * e - 2.0 * barrier.p12 * e * v - barrier.p22 * v * v
+        return [np.asarray(1.0 - barrier.p11 * e * e - 2.0 * barrier.p12 * e * v - barrier.p22 * v * v)]
     b, t = barrier, barrier.reaction_s
     up, down = np.maximum(v, -b.brake_high_mps2 * t), np.maximum(-v, -b.brake_low_mps2 * t)
-    room = np.minimum(
+    rooms = (
         b.high_m - e - t * up - up * up / (2.0 * b.brake_high_mps2),
         e - b.low_m - t * down - down * down / (2.0 * b.brake_low_mps2),
     )
-    return np.asarray(2.0 * room / (b.high_m - b.low_m))
+    return [np.asarray(2.0 * room / (b.high_m - b.low_m)) for room in rooms]
+
+
+def h_at(barrier: Barrier, e: F64, v: F64) -> F64:
+    """The least of them."""
+    return np.asarray(np.min(ways_at(barrier, e, v), axis=0))
 
 
 def untrue(text: str) -> str:
@@ -118,28 +124,43 @@ def untrue(text: str) -> str:
 def broken(axis: AxisCertificate, cell: F64, low: float, high: float) -> str:
     """Where a vehicle that obeys the cell's command loses h faster than the cell claims; empty if nowhere."""
     gamma, eta, rate, dt, off_m, inner, more, off_mps = axis.setting
-    if isinstance(axis.barrier, Stopping):
-        off_m = 0.0  # h falls as fast at any e
     reach = axis.authority.reach(0.5 * (low + high))
     share = (cell[4] - reach.u_low) / (reach.u_high - reach.u_low)
     error = reach.error_low + share * (reach.error_high - reach.error_low)
     e, v = np.meshgrid(np.linspace(cell[0], cell[1], 6), np.linspace(low, high, 6))
-    h = h_at(axis.barrier, e, v)
-    inside = h >= inner - eta + 1e-8
-    x = h - inner - eta
-    alpha = np.maximum(gamma * x, (gamma + more) * x - 0.05 * more)
+    inside = h_at(axis.barrier, e, v) >= inner - eta + 1e-8
     if not inside.any():
         return ""
     if not reach.u_low - 1e-6 <= cell[4] <= reach.u_high + 1e-6:
         return f"command {cell[4]} is not to be had"
+    xs = [h - inner - lost for h, lost in zip(ways_at(axis.barrier, e, v), lost_by_doubt(axis, e, v), strict=True)]
+    alphas = [np.maximum(gamma * x, (gamma + more) * x - 0.05 * more) for x in xs]
+    if isinstance(axis.barrier, Stopping):
+        off_m = 0.0  # h falls as fast at any e
     for a, x, y in itertools.product((cell[4] - error, cell[4] + error), (-off_m, off_m), (-off_mps, off_mps)):
         there_e, there_v = e + x, v + y
-        before = h_at(axis.barrier, there_e, there_v)
+        before = ways_at(axis.barrier, there_e, there_v)
         for t in (0.3 * dt, dt) if dt > 0.0 else (1e-7,):
-            after = h_at(axis.barrier, there_e + there_v * t + 0.5 * a * t * t, there_v + a * t)
-            if np.any((after - before + t * alpha)[inside] / t - rate < cell[5] - 1e-5):
-                return f"cell {cell}"
+            after = ways_at(axis.barrier, there_e + there_v * t + 0.5 * a * t * t, there_v + a * t)
+            for now, then, alpha in zip(before, after, alphas, strict=True):
+                if np.any((then - now + t * alpha)[inside] / t - rate < cell[5] - 1e-5):
+                    return f"cell {cell}"
     return ""
+
+
+def lost_by_doubt(axis: AxisCertificate, e: F64, v: F64) -> list[F64]:
+    """By how much h of each way may be less where the true state is."""
+    off_m, off_mps = axis.setting.off_m, axis.setting.off_mps
+    if isinstance(axis.barrier, Quadratic):
+        h = h_at(axis.barrier, e, v)
+        corners = [(x * off_m, y * off_mps) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+        return [np.asarray(np.max([h - h_at(axis.barrier, e + x, v + y) for x, y in corners], axis=0))]
+    b, scale = axis.barrier, 0.5 * (axis.barrier.high_m - axis.barrier.low_m)
+    lost = []
+    for speed, brake in ((v, b.brake_high_mps2), (-v, b.brake_low_mps2)):
+        slope = (b.reaction_s + np.maximum(speed, -brake * b.reaction_s) / brake) / scale
+        lost.append(off_m / scale + slope * off_mps + off_mps**2 / (2.0 * brake * scale))
+    return lost
 
 
 def uncovered(axis: AxisCertificate) -> str:
@@ -210,7 +231,7 @@ def supported(data: dict[str, Any]) -> bool:
     doubts = known["doubts"]
     _, margins = ledger(
         2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
-        accuracy=Accuracy(*(doubts[key] for key in Accuracy._fields)),
+        accuracy=Accuracy(*(data["premises"]["estimate"][key][2] for key in Accuracy._fields)),
         doubts=Doubts(*(doubts[key] for key in Doubts._fields)), gain_part_mps2=axis.margins[1].mps2,
         torque_part_mps2=axis.margins[-1].mps2,
     )  # fmt: skip

@@ -11,10 +11,11 @@ import numpy as np
 from shipped import load_vehicle
 
 from flightstack.barrier.condition import Reach, Setting, coefficients
+from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, budget
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
-from flightstack.barrier.premises import EstimateBounds, Premises
+from flightstack.barrier.premises import Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, value
 from flightstack.barrier.torque import GovernorTerms, governor_terms
@@ -27,6 +28,7 @@ ELLIPSE = Quadratic(0.0, 0.0, 1.0 / 0.36 + 1.2**2 / 1.2, 1.2, 1.2)
 STOPPING = Stopping(-0.5, 0.5, 0.4, 1.1, 1.5)
 RESPONSE = Response(0.02, 0.0, 0.005)
 DOUBTS, ACCURACY = Doubts(0.0005, 0.02, 0.02), Accuracy(0.0005, 0.002, 0.01)
+ESTIMATE = EstimateBounds((0.0005,) * 3, (0.002,) * 3, (0.01,) * 3, 4.3)
 
 
 def uniform_cells(barrier: Barrier, setting: Setting, table: Authority, across: int = 40) -> F64:
@@ -99,6 +101,7 @@ def knowledge(points: int = 60, axes: tuple[int, ...] = (2,), version: int = 1, 
     box = budget(MODEL, limits, lateral_mps2=0.5, low_mps2=3.0)
     *_, known = Knowledge.steps(
         known_vehicle(points), MODEL, limits, envelope, initial=InitialKnowledge(), box=box, version=version, last=last,
+        attitude_mps2=np.array(ESTIMATE.acc_mps2),
         torque_mps2=governor().worst_mps2,
     )  # fmt: skip
     assert known is not None
@@ -126,7 +129,7 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
     axis = AxisCertificate(
         2, barrier, setting, RESPONSE, table, margins, uniform_cells(barrier, setting, table, across)
     )
-    rests_on = {**known.as_json(), "doubts": {**ACCURACY._asdict(), **DOUBTS._asdict()}}
+    rests_on = {**known.as_json(), "doubts": DOUBTS._asdict()}
     return Certificate(
         "sound", (0.0, 0.0, -2.0), (axis,), known.budget, known.delta, known.k_sigma, rests_on, known.version,
         premises_for(known), governor(),
@@ -149,7 +152,7 @@ def premises_for(known: Knowledge) -> Premises:
     off = max(table.error_low_mps2.max(), table.error_high_mps2.max()) / box.high_mps2
     lean = np.sin(box.tilt_max_rad) * np.cos(np.pi / 8.0) / np.sqrt(2.0)
     return Premises(
-        "mocap", "", EstimateBounds(*ACCURACY, 4.3), (north, east, down), float(lean),
+        "made up", "", ESTIMATE, (north, east, down), float(lean),
         (box.low_mps2, box.thrust_max_mps2),
         (0.97, 1.03), (float(table.gain.min() - off), float(table.gain.max() + off)),
         (RESPONSE.delay_s - DOUBTS.delay_s, RESPONSE.delay_s + DOUBTS.delay_s), DOUBTS.delay_s, 0.004, (14.0, 16.8),

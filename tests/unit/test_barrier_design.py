@@ -157,13 +157,13 @@ def test_growth_stops_where_the_next_size_fails(change: object, shape: Barrier) 
 
 def test_growth_with_knowledge() -> None:
     """Less doubt, larger region; too much of it, none."""
-    shape = cross_term(2.0, 1.0)
+    shape, margins = cross_term(2.0, 1.0), MARGINS._replace(off_m=0.005, off_mps=0.01)
     areas = []
     for error in (0.8, 0.4, 0.2, 0.1, 0.0):
-        areas.append(_barrier(grow(shape, STRIP, MARGINS, constant(*PAPER, error), change=at_speed)).area_m2ps)
+        areas.append(_barrier(grow(shape, STRIP, margins, constant(*PAPER, error), change=at_speed)).area_m2ps)
     assert areas == sorted(areas)
     assert areas[-1] > 1.1 * areas[0]
-    assert grow(shape, STRIP, MARGINS, constant(*PAPER, 2.79), change=at_speed).barrier is None
+    assert grow(shape, STRIP, margins, constant(*PAPER, 2.79), change=at_speed).barrier is None
 
 
 def test_a_shape_too_wide_at_any_speed_does_not_grow() -> None:

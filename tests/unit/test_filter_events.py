@@ -99,7 +99,7 @@ def logged(tmp_path: Path, *records: TickRecord) -> Log:
 
 def filtered_record(t_us: int, **changes: Any) -> TickRecord:
     rng = np.random.default_rng(t_us)
-    filtered = changed(Filtered(rng.normal(size=33)), status=3.0, **changes)
+    filtered = changed(Filtered(rng.normal(size=len(Filtered.nothing().row))), status=3.0, **changes)
     return tick_record(t_us, (1.0, 2.0, -3.0))._replace(filtered=filtered)
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from flightstack.barrier.condition import Reach, Setting, coefficients, margin_at
-from flightstack.barrier.margins import MOCAP, USUAL, Accuracy, Doubts, _sources, ledger, slopes
+from flightstack.barrier.margins import USUAL, Accuracy, Doubts, _sources, ledger, slopes
 from flightstack.barrier.records import MARGINS, Authority, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, piece_at
 
+FINE = Accuracy(0.002, 0.01, 0.035)
 SHAPES = [
     Quadratic(0.0, 0.0, 1 / 0.36, 0.0, 0.6),
     Quadratic(0.0, 0.0, 3.122, 0.365, 0.386),
@@ -97,7 +98,7 @@ def test_a_lag_and_the_delay_that_was_fitted_with_it_put_the_state_off_by_no_mor
     assert margins[5].name == "rotor_lag"
     worst_v = 0.5 * (HIGH - LOW) * float(np.abs(speed).sum()) * dt
     worst_e = max(-LOW, HIGH) * float(np.abs(place).sum()) * dt
-    source = _sources(2, Response(lag, 0.0, delay), HIGH - LOW, max(-LOW, HIGH), ERROR, MOCAP, USUAL, 0.0)[1]
+    source = _sources(2, Response(lag, 0.0, delay), HIGH - LOW, max(-LOW, HIGH), ERROR, FINE, USUAL, 0.0)[1]
     assert source.eps_v == pytest.approx(worst_v, rel=0.02)
     assert 0.8 * source.eps_e < worst_e <= source.eps_e * 1.001
 
@@ -106,17 +107,17 @@ def test_every_margin_is_named_once_and_grows_with_its_own_doubt() -> None:
     barrier, response = SHAPES[1], Response(0.03, 0.0, 0.02)
 
     def lines(**changes: object) -> dict[str, float]:
-        given = {"gamma_ps": 2.0, "dt_s": DT, "gain_part_mps2": 0.1, **changes}
+        given = {"gamma_ps": 2.0, "dt_s": DT, "gain_part_mps2": 0.1, "accuracy": FINE, **changes}
         _, margins = ledger(2, barrier, authority(), response, **given)  # type: ignore[arg-type]
         assert tuple(each.name for each in margins) == MARGINS
         assert all(each.because for each in margins)
         return {each.name: each.mps2 for each in margins}
 
     plain = lines()
-    assert plain["gp_error"] + plain["thrust_gain"] == pytest.approx(ERROR)
+    assert plain["gp_error"] + plain["thrust_gain"] == pytest.approx(ERROR - FINE.acc_mps2)
     for name, changes in (
         ("delay", {"doubts": Doubts(delay_s=0.008)}), ("rotor_lag", {"doubts": Doubts(lag_share=0.4)}),
-        ("estimate_error", {"accuracy": Accuracy(*(2.0 * each for each in MOCAP))}),
+        ("estimate_error", {"accuracy": Accuracy(*(2.0 * each for each in FINE))}),
         ("zero_order_hold", {"dt_s": 0.02}), ("thrust_gain", {"gain_part_mps2": 0.2}),
     ):  # fmt: skip
         changed = lines(**changes)

@@ -223,7 +223,8 @@ def stamped(**premises: Any) -> Certificate:
     good = proven()
     assert good.premises is not None
     stamp = {"vehicle": "quad-x", "vehicle_hash": vehicle_hash(load_vehicle("quad-x"))}
-    named = dataclasses.replace(good.premises, vehicle_hash=stamp["vehicle_hash"], **premises)
+    given = {"sensors": "mocap", "vehicle_hash": stamp["vehicle_hash"], **premises}
+    named = dataclasses.replace(good.premises, **given)
     return dataclasses.replace(good, knowledge={**good.knowledge, **stamp}, premises=named)
 
 
@@ -232,9 +233,9 @@ def test_a_certificate_for_other_sensors_or_quicker_commands_is_refused_in_one_l
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "mine.json"
-    path.write_text(certificate_to_json(stamped()))
+    path.write_text(certificate_to_json(stamped(sensors="made up")))
     said = refused(scenario="hover", certificate=path, sensors="gps")
-    assert "holds with mocap sensors, this flight has gps" in said
+    assert "holds with made up sensors, this flight has gps" in said
     monkeypatch.setattr(protection, "require_checked", lambda path: None)
     path.write_text(certificate_to_json(stamped(command_interval_s=0.002)))
     assert "a command every 2 ms, this loop gives one every 4 ms" in refused(scenario="hover", certificate=path)

@@ -1,0 +1,156 @@
+"""The companion's death and stalls at random moments of figure8, at default parameters, by ground truth."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import signal
+import subprocess
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.px4.companion import start
+from benchmarks.px4.records import Bench, Row
+from benchmarks.px4.station import Px4, Truth, log_folder
+
+ASKED = (
+    "figure8 at default parameters (COM_OF_LOSS_T 1 s), the companion killed (SIGKILL) or stopped for 0.1 to 3 s "
+    "(SIGSTOP) at a random moment: no ground contact, tilt at most 35 degrees, height lost in the first second 0.5 m "
+    "in the median, 0.8 m at worst."
+)
+RUNS = 50
+TILT_MAX_DEG, LOST_MEDIAN_M, LOST_MAX_M = 35.0, 0.5, 0.8
+SHORT_S = 0.5
+"""Stalls below are taken back."""
+_LAP_S = 8.0
+_WATCH_S = 4.0
+_CONTACT_M = 0.15
+_READY_LIMIT_S, _LAND_LIMIT_S = 60.0, 40.0
+_ATTEMPTS = 3
+"""A flight that ends before its moment (a busy machine) is flown again."""
+_LAND = (176, 129.0, 4.0, 6.0)
+_OFFBOARD_MAIN = 6
+
+
+class Seen(NamedTuple):
+    """Ground truth after a moment."""
+
+    stall_s: float
+    """Infinite: killed."""
+    tilt_before_deg: float
+    tilt_deg: float
+    """Greatest of the first `_WATCH_S` seconds."""
+    lost_m: float
+    """Height lost in the first second."""
+    touched_mps: float
+    """Fastest sink rate near the ground while nobody landed; 0: no contact."""
+    taken_back: bool
+    said: str
+
+
+def run(bench: Bench, runs: int) -> list[Row]:
+    """`runs` kills and `runs` stalls, all on one PX4."""
+    draw = random.Random(1)
+    with Px4(bench) as px4:
+        kills = [_trial(bench, px4, draw, math.inf) for _ in range(runs)]
+        stalls = [_trial(bench, px4, draw, draw.uniform(0.1, 3.0)) for _ in range(runs)]
+    short = [seen for seen in stalls if seen.stall_s < SHORT_S - 0.05]
+    back = Row(
+        f"stalls below {SHORT_S:g} s taken back", f"{sum(seen.taken_back for seen in short)} of {len(short)}",
+        all(seen.taken_back for seen in short), len(short),
+        [f"{seen.stall_s:.2f} s: {seen.said}" for seen in short if not seen.taken_back],
+    )  # fmt: skip
+    return [_row("killed (SIGKILL)", kills), _row("stopped for 0.1 to 3 s (SIGSTOP)", stalls), back]
+
+
+def _row(what: str, trials: list[Seen]) -> Row:
+    tilt, lost = np.array([seen.tilt_deg for seen in trials]), np.array([seen.lost_m for seen in trials])
+    contacts = sum(seen.touched_mps > 0.0 for seen in trials)
+    before = np.array([seen.tilt_before_deg for seen in trials])
+    measured = (
+        f"{contacts} ground contacts; tilt median {np.median(tilt):.0f}, worst {tilt.max():.0f} degrees "
+        f"({before.max():.0f} before); height lost median {np.median(lost):.2f}, worst {lost.max():.2f} m"
+    )
+    good = not contacts and tilt.max() <= TILT_MAX_DEG and np.median(lost) <= LOST_MEDIAN_M and lost.max() <= LOST_MAX_M
+    notes = [
+        f"run {number}: stall {seen.stall_s:.2f} s, tilt {seen.tilt_deg:.0f} deg ({seen.tilt_before_deg:.0f} before), "
+        f"lost {seen.lost_m:.2f} m, contact at {seen.touched_mps:.1f} m/s; {seen.said}"
+        for number, seen in enumerate(trials)
+        if seen.tilt_deg > TILT_MAX_DEG or seen.lost_m > LOST_MAX_M or seen.touched_mps > 0.0
+    ]
+    return Row(what, measured, bool(good), len(trials), notes)
+
+
+def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> Seen:
+    for _ in range(_ATTEMPTS):
+        if (seen := _attempt(bench, px4, draw, stall_s)) is not None:
+            return seen
+    raise RuntimeError(f"{_ATTEMPTS} flights in a row ended before their moment: see {bench.out}")
+
+
+def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> Seen | None:
+    folder = log_folder(bench, "kills")
+    process = start(px4, folder, "figure8")
+    try:
+        began = px4.wait(lambda: _on_track(px4) or process.poll() is not None, _READY_LIMIT_S)
+        if not began or process.poll() is not None:
+            print(f"the flight did not begin: see {folder}/companion.txt", flush=True)
+            return None
+        time.sleep(draw.uniform(0.0, _LAP_S))
+        if process.poll() is not None:
+            return None
+        began_s = time.monotonic()
+        os.kill(process.pid, signal.SIGKILL if math.isinf(stall_s) else signal.SIGSTOP)
+        if not math.isinf(stall_s):
+            time.sleep(stall_s)
+            os.kill(process.pid, signal.SIGCONT)
+        time.sleep(max(0.0, began_s + _WATCH_S - time.monotonic()))
+        taken_back = not math.isinf(stall_s) and px4.mode >> 16 & 0xFF == _OFFBOARD_MAIN
+        seen = _judge(list(px4.truth), began_s, stall_s, taken_back)
+    finally:
+        _bring_down(px4, process)
+    said = " ".join((folder / "companion.txt").read_text().split())[-160:]
+    seen = seen._replace(said=said)
+    print(seen, flush=True)
+    return seen
+
+
+def _on_track(px4: Px4) -> bool:
+    """At the speed of the figure, in the air."""
+    last = px4.truth[-1]
+    return px4.armed and last.up_m > 1.0 and math.hypot(last.vel_n_mps, last.vel_e_mps) > 2.0
+
+
+def _judge(truth: list[Truth], began_s: float, stall_s: float, taken_back: bool) -> Seen:
+    before = [sample for sample in truth if began_s - 0.1 <= sample.at_s <= began_s]
+    after = [sample for sample in truth if began_s < sample.at_s <= began_s + _WATCH_S]
+    first = [sample.up_m for sample in after if sample.at_s <= began_s + 1.0]
+    low = [sample for sample in after if sample.up_m < _CONTACT_M]
+    fastest = max((sample.vel_d_mps for sample in after if sample.up_m < 2.0 * _CONTACT_M), default=0.0)
+    return Seen(
+        stall_s,
+        math.degrees(before[-1].tilt_rad),
+        math.degrees(max(sample.tilt_rad for sample in after)),
+        before[-1].up_m - min(first),
+        max(fastest, 0.01) if low else 0.0,
+        taken_back,
+        "",
+    )
+
+
+def _bring_down(px4: Px4, process: subprocess.Popen[bytes]) -> None:
+    """Land by the companion where it flies, else by PX4, and wait until it is disarmed."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(_LAND_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+    deadline = time.monotonic() + _LAND_LIMIT_S
+    while px4.armed and time.monotonic() < deadline:
+        px4.command(*_LAND)
+        px4.wait(lambda: not px4.armed, 2.0)

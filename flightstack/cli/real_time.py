@@ -1,0 +1,102 @@
+"""The companion in real time: a tick every 4 ms over a transport, its time between ticks watched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from flightstack.cli.inspection import Inspector
+from flightstack.cli.result import LoopTiming
+from flightstack_logs.log_clock import LogClock
+from flightstack_logs.writer import Recorder
+from mavlink_bridge.companion import Companion
+from mavlink_bridge.handshake import State
+from mavlink_bridge.pace import Pace
+from mavlink_bridge.transport.address import Transport
+from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.dead_man import DeadManWatch
+from mavlink_bridge.transport.stall_watch import WAITING, StallWatch
+
+PERIOD_US = 4_000
+STALL_US = 8_000
+"""Two periods too late: told in the log with what kept the tick."""
+_LEAST_PERIOD_US = 500
+_LAST_WORDS_S = 0.3
+"""After the end the link stays open for so long, for the last command and its answer."""
+_COUNTED = frozenset({State.STREAMING, State.OFFBOARD, State.RETAKING, State.LANDING, State.HOLDING})
+
+
+@dataclass(slots=True)
+class RealTimeLoop:
+    """`run` ticks until the companion is done."""
+
+    companion: Companion
+    transport: Transport
+    log: Recorder
+    line: LogClock
+    timing: LoopTiming
+    inspector: Inspector
+    dead_man: DeadManWatch | None
+    stop_requested: Callable[[], str]
+    on_progress: Callable[[float, str], None]
+    _ticks: int = 0
+    _done_at_us: int = field(default=-1)
+
+    def run(self) -> None:
+        """Until nothing more will happen and the last command has had its time."""
+        pace = Pace(PERIOD_US)
+        with StallWatch(PERIOD_US, told_from_us=STALL_US) as watch:
+            while not self._is_over():
+                watch.mark(WAITING)
+                pace.wait()
+                self._tick(watch, pace)
+
+    def _tick(self, watch: StallWatch, pace: Pace) -> None:
+        stall = watch.tick("receiving")
+        companion, now_us = self.companion, monotonic_us()
+        clock, counted = companion.view.clock, companion.state in _COUNTED
+        t_us = self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
+        for data in self.transport.receive_all():
+            self.log.mavlink("rx", t_us, data)
+            companion.receive_datagram(data, now_us)
+        watch.mark("deciding and flying")
+        if self.dead_man is not None:
+            self.dead_man.hear()
+        if (later_us := monotonic_us()) - now_us > PERIOD_US:  # stalled in here: what is decided is decided now
+            now_us = later_us
+        companion.step(now_us)
+        watch.mark("sending and logging")
+        for data in companion.link.datagrams_to_send():
+            self.log.mavlink("tx", t_us, data)
+            self.transport.send(data)
+        if self.dead_man is not None:
+            self.dead_man.tell()
+        if counted:  # by the state before the step: the tick that ends a flight counts too
+            late_us = self.timing.tick(watch.between_us, PERIOD_US)
+            self.log.write("/timing", t_us, (late_us, float(pace.busy_us()), self.timing.missed))
+            if stall is not None:
+                self.timing.stall(stall.between_us, stall.words)
+                self.log.event(t_us, "stall", f"stall: {stall.words}", "warning")
+        self._now_and_then(now_us, pace)
+
+    def _now_and_then(self, now_us: int, pace: Pace) -> None:
+        companion = self.companion
+        self._ticks += 1
+        if self._ticks % 25 == 0:
+            pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, companion.view.clock.rate))
+            if reason := self.stop_requested():
+                companion.stop(reason)
+            self.on_progress(_progress(companion), companion.phase)
+        if companion.done:
+            self._done_at_us = now_us if self._done_at_us < 0 else self._done_at_us
+            self.inspector.count(now_us)
+
+    def _is_over(self) -> bool:
+        linger_s = max(_LAST_WORDS_S, self.inspector.lasts_s)
+        return self._done_at_us >= 0 and monotonic_us() - self._done_at_us > linger_s * 1e6
+
+
+def _progress(companion: Companion) -> float:
+    if companion.mission is None:
+        return 0.0
+    return min(1.0, (companion.last_t_us - companion.flight_start_us) * 1e-6 / companion.mission.track_end_s)

@@ -1,0 +1,41 @@
+"""What the guard and the watch of resets did in flight, told once each."""
+
+from __future__ import annotations
+
+from mavlink_bridge.faults import FAULTS
+from mavlink_bridge.onlookers import Observer
+from mavlink_bridge.watchdogs import ResetWatch
+
+
+class GuardNotes:
+    """Tells the observer when the guard begins to act and lets go, and each counted reset."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._guard = ""
+        self._since_us = -1
+        """Local time from which the guard has flown without a break; -1: it does not."""
+        self._resets = 0
+
+    def begin(self) -> None:
+        """The flight begins, or goes on after somebody else flew."""
+        self._since_us = -1
+
+    def guard_s(self, now_us: int) -> float:
+        """For how long the guard has flown without a break; 0 where it does not."""
+        return 1e-6 * (now_us - self._since_us) if self._since_us >= 0 else 0.0
+
+    def take(self, guard: str, resets: ResetWatch, t_us: int, now_us: int) -> bool:
+        """A tick's guard by name (empty: none) and the resets so far, vehicle and local time; whether one was new."""
+        acts = "" if guard.startswith("clip") else guard
+        if acts != self._guard:
+            self._guard, self._since_us = acts, (now_us if acts and not self._guard else self._since_us)
+            self._since_us = self._since_us if acts else -1
+            self._observer.on_event(t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
+        is_new = resets.counted != self._resets
+        if is_new:
+            self._resets = resets.counted
+            moved = ", ".join(f"{part:z.2f}" for part in resets.shift_ned_m)
+            text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
+            self._observer.on_event(t_us, "fault", text, "warning")
+        return is_new
