@@ -334,7 +334,8 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
         for axis in hulls
     }
     parts = {
-        axis: min(part, float(authorities[axis].error_low_mps2.max()) - torque[axis]) for axis, part in parts.items()
+        axis: min(part, float(authorities[axis].error_low_mps2.max() - request.attitude[axis]) - torque[axis])
+        for axis, part in parts.items()
     }
     return Knowledge(
         authorities, parts, torque, request.box, request.delta, request.k, request.version, hover, request
