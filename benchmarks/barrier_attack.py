@@ -77,9 +77,21 @@ def first_seed() -> int:
 def jobs_of(quick: bool) -> list[Job]:
     """Blocks of all kinds, mixed: wherever the campaign is cut, each kind has had its share."""
     base = first_seed()
-    counts = {name: 1 if quick else kind.blocks for name, kind in KINDS.items()}
+    counts = {name: 1 if quick else kind.blocks for name, kind in KINDS.items() if there(kind.scenario)}
     ordered = [((k + 0.5) / count, name, 1000 * base + k) for name, count in counts.items() for k in range(count)]
     return [(name, seed) for _, name, seed in sorted(ordered)]
+
+
+def there(scenario: str) -> bool:
+    """Whether it is among those that come with the stack."""
+    from flightstack.cli.files import load_scenario
+    from flightstack.types import InputError
+
+    try:
+        load_scenario(scenario, None)
+    except InputError:
+        return False
+    return True
 
 
 def run(job: Job) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from flightstack.estimate_observer import EstimateObserver
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
+from flightstack.imu_bias import ImuBias
 from flightstack.jit import njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, Tuple4
 
@@ -29,7 +30,7 @@ class Streams:
     A sample older than the one held (reordered on the way) is not taken.
     """
 
-    __slots__ = ("_bytes", "_samples", "attitude_us", "imu_us", "motors_us", "observer", "position_us")
+    __slots__ = ("_bytes", "_samples", "attitude_us", "imu_bias", "imu_us", "motors_us", "observer", "position_us")
 
     def __init__(self) -> None:
         self._samples = np.zeros(23)  # q 4, rates 3, position 3, velocity 3, gyro 3, specific force 3, motors 4
@@ -38,6 +39,7 @@ class Streams:
         self.attitude_us = self.position_us = self.imu_us = self.motors_us = _NEVER
         self.observer = EstimateObserver()
         """Fed with every position; who hears of a reset tells it."""
+        self.imu_bias = ImuBias()
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION: attitude and body rates."""
@@ -57,6 +59,11 @@ class Streams:
         if t_us > self.imu_us:
             self.imu_us = t_us
             _SIX(self._bytes, 13 * 8, *rate_frd_radps, *accel_frd_mps2)
+            self.imu_bias.reported(accel_frd_mps2)
+
+    def raw_imu(self, t_us: int, accel_frd_mps2: Tuple3) -> None:
+        """SCALED_IMU: specific force without the correction of the accelerometer's bias."""
+        self.imu_bias.raw(t_us, accel_frd_mps2)
 
     def motors(self, t_us: int, command: Tuple4) -> None:
         """SERVO_OUTPUT_RAW: normalised motor commands 0..1."""
@@ -85,6 +92,7 @@ def predict(streams: Streams, now_us: int, *, corrected: bool = True) -> Measure
     )  # the gyro counts where it is newer than the attitude's own rates
     if corrected:
         streams.observer.correct(out[3:6])
+        out[13:16] += streams.observer.distrust * streams.imu_bias.bias_frd_mps2
     return Measurement(now_us, out, position_age, attitude_age, now_us - streams.imu_us)
 
 

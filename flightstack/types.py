@@ -186,7 +186,7 @@ class Learned:
     applied_thrust_n = Element(25)
     """Thrust that acted by the model: after latency and the rotors' lag."""
     latency_s = Element(26)
-    """From sending a command to its first effect, as identified."""
+    """From sending a command to its first effect, as identified; NaN until it is evident."""
     points = Element(27)
     """Points held."""
     fed = Element(28)

@@ -138,8 +138,8 @@ FAULTS: dict[str, Fault] = {
     ),
     "overrun-rate": Fault(
         "the machine is too slow: ticks are missed all the time",
-        "150 of 250 missed within 1 s (shown with two of three)",
-        Reaction.HOLD, 0.9, _W + "test_too_many_missed_ticks_hand_back_to_hold",
+        "210 of 250 missed within 1 s (shown with nine of ten)",
+        Reaction.HOLD, 0.96, _W + "test_too_many_missed_ticks_hand_back_to_hold",
     ),
     "guard": Fault(
         "outside the envelope, tipped over, or a command that is no number",

@@ -24,6 +24,7 @@ STREAMS: tuple[tuple[type, int], ...] = (
     (m.AttitudeQuaternion, 4_000),  # PX4 tops out near 198 Hz
     (m.LocalPositionNed, 8_000),  # its source is 125 Hz
     (m.HighresImu, 4_000),  # near 246 Hz
+    (m.ScaledImu, 40_000),  # for the accelerometer bias alone, which HIGHRES_IMU lacks and this one has
     (m.ServoOutputRaw, 10_000),
     (m.CurrentMode, 20_000),  # a change of mode is seen within 20 ms, by the dead-man too; HEARTBEAT takes up to 1 s
     (m.ExtendedSysState, 100_000),

@@ -36,7 +36,7 @@ class Stalls:
     @property
     def is_held(self) -> bool:
         """Whether the dead-man commanded a Hold that nothing was made of yet."""
-        return bool(self.report.hold_ns != self._known_hold_ns)
+        return bool(self.report.hold_ns) and self.report.hold_ns != self._known_hold_ns
 
     def own_hold(self, custom_mode: int) -> bool:
         """Whether the vehicle is in a Hold of the dead-man's that nobody else touched."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flightstack.airframe import GEOMETRY, hover_setpoint
+from flightstack.airframe import GEOMETRY, hover_setpoint, unsettled_hover
 from flightstack.model import Model
 from flightstack.types import Tuple3, Tuple4
 from mavlink_bridge import messages as m
@@ -202,6 +202,8 @@ def remarks(values: Mapping[str, float], model: Model) -> str:
         f"THR_MDL_FAC {factor:g}",
         f"MPC_THR_HOVER {values.get('MPC_THR_HOVER', math.nan):.2f}, by the vehicle file {believed:.2f}",
     ]
+    if unsettled := unsettled_hover(values, model.hover_norm):
+        parts.append(unsettled)
     if values.get("MC_BAT_SCALE_EN", 0.0):
         parts.append("MC_BAT_SCALE_EN is on: PX4 changes thrust with the battery, too; better switch it off")
     return "; ".join(parts)

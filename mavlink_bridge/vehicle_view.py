@@ -111,6 +111,9 @@ class VehicleView:
         self.streams.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
         self.clock.observe(message.t_us, now_us)  # the one stream whose stamps have microseconds, not milliseconds
 
+    def _on_raw_imu(self, message: m.ScaledImu, now_us: int) -> None:
+        self.streams.raw_imu(message.t_boot_us, message.accel_frd_mps2)
+
     def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
         if message.port == 0:
             self.streams.motors(message.t_us, self.params.outputs_now.commands(message.pwm_us))
@@ -155,6 +158,7 @@ _HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
     m.AttitudeQuaternion: VehicleView._on_attitude,
     m.LocalPositionNed: VehicleView._on_position,
     m.HighresImu: VehicleView._on_imu,
+    m.ScaledImu: VehicleView._on_raw_imu,
     m.ServoOutputRaw: VehicleView._on_motors,
     m.ExtendedSysState: VehicleView._on_landed,
     m.EstimatorStatus: VehicleView._on_estimator,

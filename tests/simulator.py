@@ -34,10 +34,10 @@ def free_ports() -> tuple[int, int]:
 
 
 @contextmanager
-def simulator(port: int, gcs_port: int, *, speed: float = SPEED) -> Iterator[None]:
-    """Up and running inside."""
+def simulator(port: int, gcs_port: int, *more: str, speed: float = SPEED) -> Iterator[None]:
+    """Up and running inside; `more` goes to its command line."""
     command = [sys.executable, "-m", "flightstack.cli.main", "sim", "--port", port, "--gcs-port", gcs_port]
-    command += ["--speed", speed, "--duration", SIM_ENDS_AFTER_S]
+    command += ["--speed", speed, "--duration", SIM_ENDS_AFTER_S, *more]
     with subprocess.Popen(
         [str(word) for word in command],
         env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,

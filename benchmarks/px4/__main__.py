@@ -28,6 +28,7 @@ def main() -> int:
     parser.add_argument("--instance", type=int, default=0, help="PX4's instance; ports follow from it")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--out", type=Path, default=Path("runs/px4"))
+    parser.add_argument("--prefix", default="", metavar="WORDS", help="before the companion's command, as `chrt -f 20`")
     given = parser.parse_args()
     if unknown := set(given.subject) - set(names):
         parser.error(f"no subject {', '.join(sorted(unknown))}: choose from {', '.join(names)}")
@@ -35,15 +36,17 @@ def main() -> int:
     if not os.access(home / "run.sh", os.X_OK):
         print("error: set PX4_HOME to a folder with an executable run.sh INSTANCE [sih|hil]", file=sys.stderr)
         return 2
-    bench = Bench(home.resolve(), given.out.resolve(), given.instance)
+    prefix = tuple(given.prefix.split())
+    bench = Bench(home.resolve(), given.out.resolve(), given.instance, prefix)
     with Px4(bench) as px4:
         px4.wait(lambda: bool(px4.version), 5.0)
         version = px4.version or "unknown version"
+    priority = f", companion by `{given.prefix}`" if given.prefix else ""
     reached = True
     for name in given.subject or names:
         module = importlib.import_module(f"{subjects.__name__}.{name}")
         rows = module.run(bench, given.runs or module.RUNS)
-        made_with = f"{time.strftime('%Y-%m-%d')}, PX4 {version}, flightstack {_commit()}."
+        made_with = f"{time.strftime('%Y-%m-%d')}, PX4 {version}, flightstack {_commit()}{priority}."
         text = block(name, module.ASKED, rows, made_with)
         print(text, flush=True)
         put(given.page, name, text)

@@ -27,7 +27,7 @@ class Flown(NamedTuple):
 
 def command(px4: Px4, folder: Path, scenario: str, *more: str, arm: bool = True) -> list[str]:
     """`flightstack offboard` for this PX4, its files in `folder`."""
-    words = [sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", px4.address]
+    words = [*px4.bench.prefix, sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", px4.address]
     words += ["--scenario", scenario, "--out", str(folder), "--json", str(folder / "flight.json")]
     if "--vehicle" not in more:
         words += ["--vehicle", VEHICLE]

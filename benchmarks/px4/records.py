@@ -16,6 +16,8 @@ class Bench:
     """Folder for logs and results."""
     instance: int = 0
     """Of the first PX4; ports follow from it."""
+    prefix: tuple[str, ...] = ()
+    """Words before every command of the companion, such as a scheduling policy."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ class Px4:
         """(local time, custom_mode, armed) of every HEARTBEAT that differs from the one before."""
         self.texts: list[tuple[float, str]] = []
         self.version = ""
-        self._bench, self._params = bench, params or {}
+        self.bench, self._params = bench, params or {}
         self._values: dict[str, float] = {}
         self._types: dict[str, int] = {}
         self._origin: tuple[float, float, float] | None = None
@@ -77,9 +77,9 @@ class Px4:
         return HIL_PORT + self.instance
 
     def __enter__(self) -> Self:
-        command = [str(self._bench.home / "run.sh"), str(self.instance), self.kind]
-        self._bench.out.mkdir(parents=True, exist_ok=True)
-        self._log = (self._bench.out / f"px4-{self.instance}.log").open("wb")
+        command = [str(self.bench.home / "run.sh"), str(self.instance), self.kind]
+        self.bench.out.mkdir(parents=True, exist_ok=True)
+        self._log = (self.bench.out / f"px4-{self.instance}.log").open("wb")
         self._process = subprocess.Popen(
             command, env={**os.environ, "FRESH": "1"}, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL
         )

@@ -70,9 +70,9 @@ class CertifierConfig:
     gamma_ps: float = 0.5
     inside_ps: float = 20.0
     """How much steeper the class-K function is inside (`condition`), vertically."""
-    inside_lateral_ps: float = 4.0
-    """The same sideways: the steeper, the faster the filter turns the thrust round, which the governor's torque bounds.
-    4 asks for 6 to 10 m/s^3 at 1.5 to 2.5 m/s^2, half of what a quadrotor of 450 mm then turns (22 m/s^3)."""
+    inside_lateral_ps: float = 20.0
+    """The same sideways.  The steeper, the faster the filter turns the thrust round, which the governor's torque bounds;
+    the gentler, the earlier it holds back what is flown well inside."""
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05

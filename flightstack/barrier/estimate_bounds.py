@@ -17,10 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.error_statistics import ErrorStatistics
+from flightstack.region import Region
 from flightstack.state_observer import steady
 from flightstack.types import Tuple3
 
 K_SIGMA = 4.3
+_GROWN_MPS = 1.4
+"""A region that grows begins with this speed (`growing`)."""
 REST_S = 0.5
 """The companion streams for so long at rest before it may take off."""
 
@@ -55,6 +58,26 @@ def estimate_bounds(statistics: ErrorStatistics, k_sigma: float = K_SIGMA, rest_
     return EstimateBounds(
         _three(k_sigma * np.sqrt(pos**2 + origin)), _three(k_sigma * vel), _three(k_sigma * acc), k_sigma
     )
+
+
+def does_not_fit(bounds: EstimateBounds, region: Region, axes: tuple[int, ...]) -> str:
+    """The bound that is too wide for a region, in words; empty where all fit.
+
+    At the edge of an ellipse h falls by 2 / semi-axis for each m or m/s: bounds of half a semi-axis or more leave no
+    state of which anything could be promised.
+    """
+    for axis in axes:
+        name = ("north", "east", "down")[axis]
+        for of, bound, semi, unit in (
+            ("position", bounds.pos_m[axis], region.semi_axes_m[axis], "m"),
+            ("velocity", bounds.vel_mps[axis], max(region.semi_axes_mps[axis], _GROWN_MPS), "m/s"),
+        ):
+            if 2.0 * bound >= semi:
+                return (
+                    f"{of} {name} is known to {bound:.2f} {unit} ({bounds.k_sigma:g} sigma), the region's semi-axis is "
+                    f"{semi:.2f} {unit}: at least twice the bound is needed"
+                )
+    return ""
 
 
 def _mean_share(times: float) -> float:

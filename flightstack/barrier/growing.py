@@ -20,8 +20,10 @@ from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import Filtered, Learned, Measurement
 
-VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=0.3, thrust_shares=((0.6, math.inf), (0.6, 1.4)))
-"""The vertical axis alone: little thrust across."""
+VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=1.4, thrust_shares=((0.6, math.inf), (0.6, 1.4)))
+"""The vertical axis alone, while it is explored: thrust across as far as the identification leans."""
+SETTLED_NEED_MPS2, SETTLED_ACROSS_MPS = 0.3, 0.35
+"""The same of what comes of it: little thrust across, little speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,9 @@ class GrowthConfig:
     """Speed that the first certificate may reach, where the region's own is less: in a slow region the doubt about the
     estimated speed is a large share of h, and nothing is left to certify."""
     most_mps: float = 3.0
-    across_mps: float = 0.35
-    """Speed along an axis that is not certified, up to which the bounds of the others are asked for."""
+    across_mps: float = 0.55
+    """Speed along an axis that is not certified, up to which the bounds of the others are asked for: the identification
+    and the doubt about it."""
 
 
 @dataclass(slots=True)
@@ -64,12 +67,26 @@ class GrowingCertifier:
     ) -> None:  # fmt: skip
         inner = certifier or CertifierConfig()
         self.config = config or GrowthConfig()
-        safe = {axis: SafeSet(region.semi_axes_m[axis], self.config.across_mps) for axis in range(3)}
+        across = [max(self.config.across_mps, 2.0 * doubt_mps) for doubt_mps in inner.estimate.vel_mps]
+        safe = {axis: SafeSet(region.semi_axes_m[axis], across[axis]) for axis in range(3)}
         for axis, each in safe_sets(region, inner.axes).items():
             safe[axis] = replace(each, limit_mps=max(each.limit_mps or 0.0, self.config.first_mps))
         self._first = OnlineCertifier(
             model, limits, region, initial=initial, config=inner, safe=safe, elsewhere=elsewhere
         )
+
+    @staticmethod
+    def settled(certifier: OnlineCertifier) -> OnlineCertifier:
+        """The same for what is flown afterwards: less lean and less speed along the axes that are not certified."""
+        doubt_mps, config = certifier.config.estimate.vel_mps, certifier.config
+        safe = {
+            i: each if i in config.axes else replace(each, limit_mps=max(SETTLED_ACROSS_MPS, 2.0 * doubt_mps[i]))
+            for i, each in certifier.safe.items()
+        }
+        return OnlineCertifier(
+            certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
+            config=replace(config, lateral_need_mps2=SETTLED_NEED_MPS2), safe=safe,
+        )  # fmt: skip
 
     def init(self) -> GrowthState:
         """Nothing certified yet."""

@@ -19,6 +19,7 @@ import numpy as np
 from flightstack.barrier.certifier import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
+from flightstack.barrier.premises import Premises
 from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
@@ -276,6 +277,8 @@ class FilterScore:
     """Ticks in which it was engaged, its fallbacks included."""
     interventions: int = 0
     infeasible: int = 0
+    premises_broken: int = 0
+    """Engaged ticks in which a premise did not hold: as measured, or, of the estimate, by the truth."""
     spans: list[tuple[float, float]] = field(default_factory=list)
     """From when to when (s after take-off) the command was one that the certificate allows."""
     _ticks: int = 0
@@ -288,7 +291,7 @@ class FilterScore:
         self.acting += status >= SOLVED
         self.interventions += filtered.intervened == 1.0
         self.infeasible += status in FALLBACKS
-        protecting = SOLVED <= status < FALLBACKS[0]
+        protecting = SOLVED <= status < FALLBACKS[0] and not filtered.ended_by > 0.0
         if not climbing:
             self._ticks += 1
             self._solved += protecting
@@ -297,6 +300,14 @@ class FilterScore:
         elif protecting:
             self.spans.append((flight_s, flight_s))
         self._protecting = protecting
+
+    def judge(self, filtered: Filtered, premises: Premises | None, off: Sequence[float] | None) -> None:
+        """The premises at one tick; `off` (6,): truth less estimate, position and velocity, None where unknown."""
+        if premises is None or not filtered.status >= SOLVED:
+            return
+        bounds = (*premises.estimate.pos_m, *premises.estimate.vel_mps)
+        strayed = off is not None and any(abs(x) > bound for x, bound in zip(off, bounds, strict=True))
+        self.premises_broken += strayed or filtered.premise > 0.0
 
     @property
     def engaged_share(self) -> float | None:
@@ -315,6 +326,7 @@ def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -
         "interventions": score.interventions,
         "protected": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in score.spans],
         "engaged_share": score.engaged_share,
+        "premises_broken": score.premises_broken,
     }
 
 

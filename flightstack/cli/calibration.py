@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _ROW = len(Learned.nothing().row)
 _COUNTS = ("points", "fed", "refused", "changes")
-_NUMBERS = ("thrust_gain", "latency_s")
+_NUMBERS = ("thrust_gain", "thrust_gain_sigma", "latency_s")
 
 
 class TimedLearner:

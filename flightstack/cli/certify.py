@@ -222,7 +222,9 @@ def certify(
         at_end=settle_in,
     )  # fmt: skip
     _put_aside(flight, out / "flight.html")
-    path, verdict = write_certificate(adopted, out / CERTIFICATE)
+    kept = flight.completed and not flight.left_region and planner.state is not None and not planner.state.failed
+    (out / CERTIFICATE).unlink(missing_ok=True)  # of an earlier run: a run that failed leaves none
+    path, verdict = write_certificate(adopted if kept else [], out / CERTIFICATE)
     figures = figures_of(adopted, setup) if adopted else None
     result = CertifyResult(flight, planner.state, figures, path, 0.0, options.as_published, verdict)
     result.adopted, result.span_us = adopted, (planner.from_us, planner.to_us)
@@ -245,7 +247,12 @@ def settle(certifier: WatchedCertifier, last: Certificate) -> list[Certificate]:
     if alone is None or not isinstance(state, GrowthState) or not isinstance(learner, LearnerState | Learnt):
         return []
     found = settled(
-        state.certifier, learner, learned, alone.axis, version=last.version + 1, widen_mps2=state.inner.widen_mps2
+        GrowingCertifier.settled(state.certifier),
+        learner,
+        learned,
+        alone.axis,
+        version=last.version + 1,
+        widen_mps2=state.inner.widen_mps2,
     )
     if found is None or worst_area(found.axes[0]) <= worst_area(alone):
         return []

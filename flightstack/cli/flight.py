@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
@@ -258,6 +258,8 @@ def fly_setup(
     `at_end` is called after the flight, with its log still open.
     """
     ensure_compiled(lambda text: on_progress(0.0, text))
+    if planner is not None:
+        setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     with setup.flight.protection.beside():
         return _flown(setup, options, planner, stop_requested, on_progress, at_end)
 

@@ -125,6 +125,28 @@ def export(
         files.write_json(json, {"schema": "flightstack.logexport/1", "files": [str(path) for path in made]})
 
 
+@log_app.command("replay")
+def replay(
+    log: Annotated[Path, typer.Argument(help="A log of `flightstack fly` in lockstep (.mcap).", metavar="LOG")],
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Numbers count as the same up to this (other machines: 1e-9).")
+    ] = 0.0,
+    json: JsonOption = None,
+) -> None:
+    """Run a flight's recorded inputs through today's stack: exit code 1 where an output differs, the first one told."""
+    from flightstack.cli import files, terminal
+    from flightstack.cli.replay import replay as run
+
+    with terminal.progress(f"replaying {log}") as show:
+        result = run(log, tolerance=tolerance, on_progress=show)
+    for line in result.lines:
+        terminal.say(line)
+    if json is not None:
+        files.write_json(json, result.as_json())
+    if result.differences:
+        raise typer.Exit(1)
+
+
 @log_app.command("recover")
 def recover(
     log: Annotated[Path, typer.Argument(help="A cut-off or damaged .mcap.", metavar="LOG")],

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
-from flightstack.barrier.estimate_bounds import estimate_bounds
+from flightstack.barrier.estimate_bounds import does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -132,7 +132,7 @@ def protect(
     elif options.in_real_time and options.as_published and region is not None:
         certifier = "what the paper publishes is certified within a tick, for which real time does not wait"
     else:
-        why_not = _not_online(mode, scenario, learner)
+        why_not = _not_online(mode, scenario, learner, sensors)
         workshop = Workshop() if options.in_real_time and not why_not else None
         certifier = why_not or _online(mode, scenario, believed, model, sensors, workshop)
     if isinstance(certifier, str):
@@ -157,7 +157,7 @@ FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 _NO_FILTER = "off: --no-filter"
 
 
-def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
+def _not_online(mode: str, scenario: Scenario, learner: str, sensors: str) -> str:
     """Why nothing can be certified in flight; empty where it can."""
     if scenario.region is None:
         return "the scenario has no region, and no --certificate was given"
@@ -167,7 +167,9 @@ def _not_online(mode: str, scenario: Scenario, learner: str) -> str:
         return "a learner of the state alone can't certify (--as-published flies it), and no --certificate was given"
     if learner == NONE:
         return "nothing is certified without the learner, and no --certificate was given"
-    return ""
+    axes = VERTICAL.axes if scenario.region.kind == "ellipsoid" else CertifierConfig().axes
+    unfit = does_not_fit(estimate_bounds(error_statistics(load_grade(sensors))), scenario.region, axes)
+    return f"with {sensors} sensors nothing can be certified: {unfit}" if unfit else ""
 
 
 def _online(

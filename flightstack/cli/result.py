@@ -109,9 +109,10 @@ NO_BARRIER: dict[str, Any] = {
     "interventions": None,
     "protected": None,
     "engaged_share": None,
+    "premises_broken": None,
 }
 """`protected`: from when to when (s after take-off) the filter kept to a certificate; `engaged_share`: its share of the
-ticks from the end of the climb to the command to land."""
+ticks from the end of the climb to the command to land; `premises_broken`: engaged ticks in which one did not hold."""
 NO_GP: dict[str, Any] = {
     "enabled": False,
     "points": None,
@@ -122,6 +123,7 @@ NO_GP: dict[str, Any] = {
     "coverage_simultaneous": None,
     "conformal": None,
     "thrust_gain": None,
+    "thrust_gain_sigma": None,
     "latency_s": None,
     "refused": None,
     "changes": None,

@@ -87,6 +87,10 @@ class FlightScore:
             state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
             true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
             self.region.add(record.t_us, state, true)
+            watched = self.prepared.protection.watched
+            if watched is not None and watched.adopted:
+                off = None if true is None else [a - b for a, b in zip(true, state, strict=True)]
+                self._filter.judge(record.filtered, watched.adopted[-1].premises, off)
         if not 0.0 <= track_s <= self._duration_s:
             return
         self.tracking.add((pos_ned_m, start_ned_m), (record.reference.pos_ned_m, companion.start_ned_m))

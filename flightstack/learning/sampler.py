@@ -11,8 +11,9 @@ q' = (velocity, thrust direction) alone, whatever the heading.
 
 Latency.  A bank of candidate delays runs beside each other; each one's delayed and lagged thrust is regressed on the
 measured specific force along the thrust axis, both without what is slower than 0.1 s (what the state does to the force
-is slow), forgetting over some seconds.  The delay with the least residual wins once thrust has been excited enough and
-its lead is clear.
+is slow), forgetting over some seconds.  The delay with the least residual wins once thrust has been excited enough, it
+explains half of the force's fast part, and its lead is clear.  It is unknown (NaN), and the delay of the file stands,
+until so much is explained and delays two steps away leave clearly more: PX4's simulator's IMU is too noisy to show it.
 """
 
 from __future__ import annotations
@@ -42,6 +43,12 @@ _EXCITED_MPS2 = 0.2
 """Standard deviation that the fast part of applied thrust per mass must have before latencies are compared."""
 _LEAD = 0.9
 """A candidate must leave less than this share of the present one's residual variance."""
+_SETTLED_S = 0.5
+"""Of samples in a row before the regressions begin: until then the slow parts are not what they will be."""
+_EXPLAINED = 0.5
+"""Share of the fast force's variance that the delayed thrust must explain before delays are told apart."""
+_CURVED = 1.02
+"""What delays two steps away must leave at least, of the chosen one's residual variance."""
 _GAP_MAX_S = 0.05
 _THRUST_LEAST_WEIGHTS = 0.3
 _AWAY_M = 0.1
@@ -55,7 +62,9 @@ _M_RING = 11  # time, norm, rates: 5 each
 _M_SLOW = _M_RING + 5 * _RING  # slow part of the force
 _M_BANK = _M_SLOW + 1  # lagged u, slow part of the thrust, then sums n, TT, TF, FF
 _BANK = 6
-_MEMORY = _M_BANK + _BANK * _CANDIDATES
+_M_EVIDENT = _M_BANK + _BANK * _CANDIDATES
+_M_RUN_S = _M_EVIDENT + 1
+_MEMORY = _M_RUN_S + 1
 
 # What a sample is, one row.
 S_OK = 0
@@ -88,7 +97,7 @@ class Sampler:
         """State before the first measurement."""
         memory = np.zeros(_MEMORY)
         memory[_M_IMU_S] = -1.0
-        memory[_M_RING:_M_BANK:5] = -1.0
+        memory[_M_RING:_M_SLOW:5] = -1.0
         memory[_M_PICK] = min(round(self._constants[9] / _CANDIDATE_STEP_S), _CANDIDATES - 1)
         return memory
 
@@ -159,6 +168,8 @@ def _advance(constants: F64, memory: F64, now: float, dt: float, force_z: float,
     forget = math.exp(-dt / _FORGET_S)
     slow = 1.0 - math.exp(-dt / _SLOW_S)
     middle = now - 0.5 * dt
+    memory[_M_RUN_S] = memory[_M_RUN_S] + dt if learn else 0.0
+    learn = learn and memory[_M_RUN_S] > _SETTLED_S
     pick = int(memory[_M_PICK])
     memory[_M_SLOW] += slow * (force_z - memory[_M_SLOW])
     force = force_z - memory[_M_SLOW]
@@ -203,8 +214,16 @@ def _choose_latency(memory: F64) -> None:
         left, _ = _left(memory, k)
         if left < least:
             best, least = k, left
-    if best >= 0:
-        memory[_M_PICK] = best
+    pick = best if best >= 0 else int(memory[_M_PICK])
+    left = min(least, present)
+    b = _M_BANK + _BANK * pick
+    if left > (1.0 - _EXPLAINED) * memory[b + 5] / memory[b + 2]:
+        return
+    memory[_M_PICK] = pick
+    for k in (pick - 2, pick + 2):
+        if 0 <= k < _CANDIDATES and _left(memory, k)[0] < _CURVED * _left(memory, pick)[0]:
+            return
+    memory[_M_EVIDENT] = 1.0
 
 
 @njit
@@ -283,7 +302,7 @@ def _sample(
         out[S_RATE_INPUT + i] = memory[_M_RATE + i]
         out[S_RATE_TARGET + i] = rate[i] - memory[_M_RATE + i]
     out[S_APPLIED] = thrust
-    out[S_LATENCY] = pick * _CANDIDATE_STEP_S
+    out[S_LATENCY] = pick * _CANDIDATE_STEP_S if memory[_M_EVIDENT] != 0.0 else math.nan
     out[S_HEADING], out[S_HEADING + 1] = c, s
     out[S_HEIGHT] = height
     upright = r[2, 2] > 0.0

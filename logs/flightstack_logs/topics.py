@@ -153,7 +153,7 @@ _LEARNER_FIELDS = (
     _f64("rate_residual_frd_radps", 3, "rad/s", "expected body rates less those of the rate loop's model"),
     _f64("rate_sigma_frd_radps", 3, "rad/s", "its standard deviation"),
     _f64("applied_thrust_n", 0, "N", "thrust that acted by the model, after latency and lag"),
-    _f64("latency_s", 0, "s", "from sending a command to its first effect, as identified"),
+    _f64("latency_s", 0, "s", "from sending a command to its first effect, NaN until it is evident"),
     _f64("points", 0, "1", "points held"),
     _f64("fed", 0, "1", "samples taken so far"),
     _f64("refused", 0, "1", "samples refused so far"),

@@ -132,7 +132,20 @@ def test_hovering_says_nothing_of_latency() -> None:
     run, rng = Run(), np.random.default_rng(2)
     for _ in range(2000):
         sample = run.tick(np.array([0.0, 0.0, -G + rng.normal(scale=0.18)]), MODEL.weight_n)
-    assert sample[s.S_LATENCY] == 0.0
+    assert math.isnan(sample[s.S_LATENCY])
+
+
+def test_an_imu_that_shows_no_latency_leaves_it_unknown() -> None:
+    """The noise of PX4's simulator, 1 m/s^2, and thrust that follows it a little, as in closed loop."""
+    run, rng = Run(), np.random.default_rng(3)
+    thrust, noise = MODEL.weight_n, 0.0
+    for _ in range(3000):
+        before, noise = noise, rng.normal(scale=1.4)
+        seen_noise = 0.5 * (noise + before)
+        thrust += 0.02 * (MODEL.weight_n - thrust) + 0.06 * MODEL.mass_kg * seen_noise
+        sample = run.tick(np.array([0.0, 0.0, -G + seen_noise]), thrust)
+    assert math.isnan(sample[s.S_LATENCY])
+    assert run.memory[s._M_PICK] == 0.0, "and the file's delay stands"
 
 
 @pytest.mark.parametrize("part", ["pos_ned_m", "vel_ned_mps", "q_ned_frd", "specific_force_frd_mps2"])

@@ -30,7 +30,17 @@ def _row(bench: Bench, scenario: str, limit_m: float, more: tuple[str, ...], run
     for seed in range(runs):
         folder = log_folder(bench, f"hil-{scenario}")
         with Px4(bench, "hil") as px4:
-            words = [sys.executable, "-m", "flightstack.cli.main", "fly", scenario, "--px4-hil", "--seed", str(seed)]
+            words = [
+                *bench.prefix,
+                sys.executable,
+                "-m",
+                "flightstack.cli.main",
+                "fly",
+                scenario,
+                "--px4-hil",
+                "--seed",
+                str(seed),
+            ]
             words += ["--hil-port", str(px4.hil_port), "--out", str(folder), "--json", str(folder / "flight.json")]
             done = subprocess.run([*words, *more], capture_output=True, text=True, timeout=LIMIT_S, check=False)
         (folder / "said.txt").write_text(done.stdout + done.stderr)

@@ -14,6 +14,7 @@ ASKED = (
 )
 RUNS = 10
 ENGAGED_WITHIN_S = 40.0
+TRACK_S = 60.0
 
 
 def run(bench: Bench, runs: int) -> list[Row]:
@@ -49,7 +50,8 @@ def _stock(bench: Bench, runs: int) -> Row:
     right, notes = 0, []
     for number, flown in enumerate(_flights(bench, runs)):
         said = str(flown.result.get("reason", ""))
-        if flown.code == 1 and flown.result.get("protection") == "none":
+        flown_whole = flown.result.get("flight_time_s", 0.0) > TRACK_S
+        if flown.code == 1 and flown.result.get("protection") == "none" and flown_whole:
             right += 1
         else:
             notes.append(f"run {number}: exit {flown.code}, protection {flown.result.get('protection')}: {said!r}")

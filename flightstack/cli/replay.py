@@ -1,0 +1,244 @@
+"""`flightstack log replay`: a flight's recorded inputs run through today's stack, compared with what it did then.
+
+Of a flight in lockstep the log holds all that the companion was given: every datagram with the time of its step, the
+files and the settings.  The companion of today gets them again, step by step, and writes its own tables, which are
+compared with the recorded ones, bit for bit.  What flew in real time was given times that no log holds to the
+microsecond, and is refused.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.flight import FlyOptions
+from flightstack.cli.preparation import Prepared, prepare_flight
+from flightstack.cli.recorder import LogObserver
+from flightstack.types import InputError
+from flightstack_logs.log_clock import LogClock
+from flightstack_logs.reader import read
+from flightstack_logs.tables import Log, Table
+from flightstack_logs.topics import CERTIFICATE
+from flightstack_logs.writer import FlightLog
+from mavlink_bridge import messages
+from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.link import Link
+
+COMPARED = ("/setpoint", "/tick", "/command", "/learner", "/filter")
+"""Outputs of a tick, in the order in which a difference is looked for."""
+_STOPPED = "the user asked to stop ("
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One field that differs: where first, and by how much at most."""
+
+    topic: str
+    field: str
+    first_s: float
+    recorded: str
+    replayed: str
+    greatest: float | None
+    """Null where the values are no numbers, or one of them is not finite."""
+
+
+@dataclass(slots=True)
+class Replayed:
+    """What came of a replay."""
+
+    log: str
+    ticks: int
+    differences: list[Difference] = field(default_factory=list)
+    """The one that begins first leads."""
+
+    @property
+    def lines(self) -> list[str]:
+        """In words: what differs, the first tick that does, and by how much."""
+        if not self.differences:
+            return [f"{self.ticks} ticks: the same, bit for bit"]
+        first = self.differences[0]
+        told = [
+            f"differs from {first.first_s:.3f} s on: {first.topic} {first.field}: recorded {first.recorded}, "
+            f"today {first.replayed}"
+        ]
+        for each in self.differences:
+            most = "" if each.greatest is None else f", by {each.greatest:.3g} at most"
+            told.append(f"{each.topic} {each.field}: from {each.first_s:.3f} s on{most}")
+        return told
+
+    def as_json(self) -> dict[str, Any]:
+        """The `flightstack.replay/1` object."""
+        rows = [{name: getattr(each, name) for name in Difference.__slots__} for each in self.differences]
+        return {
+            "schema": "flightstack.replay/1",
+            "log": self.log,
+            "ticks": self.ticks,
+            "same": not self.differences,
+            "differences": rows,
+        }
+
+
+def replay(
+    path: Path,
+    *,
+    tolerance: float = 0.0,
+    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+) -> Replayed:
+    """Replay the flight of a log; InputError, one line, where it holds none that can be replayed.
+
+    Numbers count as the same up to `tolerance` (absolute, or relative to the recorded one).
+    """
+    log = read(path)
+    settings = _settings(log)
+    ensure_compiled(lambda text: on_progress(0.0, text))
+    with tempfile.TemporaryDirectory() as folder:
+        prepared = prepare_flight(_options(log, settings, Path(folder)))
+        again = Path(folder) / "again.mcap"
+        _run(log, prepared, again, on_progress)
+        new = read(again)
+    return Replayed(str(path), len(log.tables["/tick"]), _differences(log, new, tolerance))
+
+
+def _settings(log: Log) -> Mapping[str, str]:
+    """How it was flown; InputError where that can't be flown again."""
+    settings = log.metadata.get("settings", {})
+    if log.kind != "mcap" or not settings or "/mavlink/rx" not in log.messages or "/truth" not in log.tables:
+        raise InputError(f"log {log.path}: holds no flight of `flightstack fly` with its datagrams; nothing to replay")
+    if "/tick" not in log.tables:
+        raise InputError(f"log {log.path}: never armed: the stack was never run, so there is nothing to replay")
+    if settings.get("pace") != "lockstep":
+        raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
+    if "planner" in settings:
+        raise InputError(
+            f"log {log.path}: is of a flight whose path was planned on the way; only scenarios are replayed"
+        )
+    return settings
+
+
+def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
+    """The options of the flight, its files laid out in a folder."""
+    laid: dict[str, Path] = {}
+    for item in log.attachments:
+        name = Path(item.name).name
+        laid[name] = folder / name
+        laid[name].write_bytes(item.data)
+    try:
+        scenario, vehicle = laid["scenario.toml"], laid["vehicle.toml"]
+        words, waypoints = settings["filter"], settings["scenario"] == "waypoints"
+        return FlyOptions(
+            scenario="waypoints" if waypoints else str(scenario),
+            waypoints=str(scenario) if waypoints else None,
+            vehicle=str(vehicle),
+            duration_s=float(settings["duration_s"]),
+            controller=settings["controller"],
+            learning=settings["learning"] == "on" or settings["controller"] != "flatness",
+            learned=next((path for name, path in laid.items() if name.startswith("learned")), None),
+            filtering=words != "off: --no-filter",
+            as_published=words.startswith("as-published"),
+            certificate=laid.get(CERTIFICATE) if "certificate" in settings else None,
+            sensors=settings.get("sensors"),
+        )
+    except (KeyError, ValueError) as error:
+        raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
+
+
+def _run(log: Log, prepared: Prepared, path: Path, on_progress: Callable[[float, str], None]) -> None:
+    """Give today's companion what the recorded one was given; its tables go into a log of their own."""
+    messages.prepare()
+    out = FlightLog.open(path, metadata={})
+    clock = LogClock(out, zero_us=0, utc_us=0)
+    observer = LogObserver(
+        out, prepared.scenario, prepared.believed, clock, truth=True, certifier=prepared.protection.watched
+    )
+    config = CompanionConfig(arm=True, round_trip_max_s=prepared.protection.round_trip_max_s)
+    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, config)
+    observer.companion = companion
+    received, stops = log.messages["/mavlink/rx"], _stops(log)
+    steps, heard, taken = log.tables["/truth"].t_us.tolist(), received.t_us.tolist(), 0
+    try:
+        for count, now_us in enumerate(steps):
+            clock.step(now_us)
+            if now_us in stops:
+                companion.stop(stops[now_us])
+            while taken < len(heard) and heard[taken] <= now_us:
+                companion.receive_datagram(received.data[taken], now_us)
+                taken += 1
+            companion.step(now_us)
+            companion.link.datagrams_to_send()
+            if count % 250 == 0:
+                on_progress(count / len(steps), companion.phase)
+    finally:
+        out.close()
+
+
+def _stops(log: Log) -> dict[int, str]:
+    """At which step the user's wish to end the flight was seen, and its words."""
+    events = log.tables.get("/events")
+    if events is None:
+        return {}
+    return {
+        int(t_us): str(text).partition(_STOPPED)[2].removesuffix(")")
+        for t_us, name, text in zip(events.t_us, events["name"], events["text"], strict=True)
+        if name == "state" and _STOPPED in str(text)
+    }
+
+
+def _differences(recorded: Log, replayed: Log, tolerance: float) -> list[Difference]:
+    """Every field that differs, by the time from which it does; InputError where the formats do."""
+    found = []
+    for topic in COMPARED:
+        then, now = recorded.tables.get(topic), replayed.tables.get(topic)
+        if then is None and now is None:
+            continue
+        if then is None or now is None:
+            only = "recorded" if now is None else "today's"
+            first = then if then is not None else now
+            assert first is not None
+            found.append(Difference(topic, "(topic)", float(first.t_us[0]) * 1e-6, only, "not there", None))
+            continue
+        found += _of_table(topic, then, now, tolerance)
+    return sorted(found, key=lambda each: each.first_s)
+
+
+def _of_table(topic: str, then: Table, now: Table, tolerance: float) -> list[Difference]:
+    rows = min(len(then), len(now))
+    apart = np.flatnonzero(then.t_us[:rows] != now.t_us[:rows])
+    rows = int(apart[0]) if len(apart) else rows
+    found = []
+    for name, values in then.columns.items():
+        if name in now.columns and (each := _of_column(topic, name, values[:rows], now[name][:rows], then, tolerance)):
+            found.append(each)
+    if len(apart) or len(then) != len(now):
+        longer = then if len(then) > rows else now
+        at_s = float(longer.t_us[min(rows, len(longer) - 1)]) * 1e-6
+        found.append(Difference(topic, "(ticks)", at_s, f"{len(then)} rows", f"{len(now)} rows", None))
+    return found
+
+
+def _of_column(
+    topic: str, name: str, then: np.ndarray, now: np.ndarray, table: Table, tolerance: float
+) -> Difference | None:
+    if then.shape != now.shape:
+        return Difference(topic, name, float(table.t_us[0]) * 1e-6, str(then.shape), str(now.shape), None)
+    if then.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):  # inf less inf
+            near = np.abs(then - now) <= tolerance * np.maximum(1.0, np.abs(then))
+        differs = ~(near | (then == now) | (np.isnan(then) & np.isnan(now)))
+    else:
+        differs = then != now
+    rows = np.flatnonzero(differs if differs.ndim == 1 else differs.any(axis=1))
+    if not len(rows):
+        return None
+    first, greatest = int(rows[0]), None
+    if then.dtype.kind in "fi":
+        with np.errstate(invalid="ignore"):
+            gap = np.abs(then.astype(np.float64) - now.astype(np.float64))[rows]
+        greatest = float(np.nanmax(gap)) if np.isfinite(gap).any() else None
+    at_s = float(table.t_us[first]) * 1e-6
+    return Difference(topic, name, at_s, str(then[first].tolist()), str(now[first].tolist()), greatest)

@@ -1,0 +1,84 @@
+"""A recorded flight's inputs through today's stack: the same outputs bit for bit, and what changed is told."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flightstack.cli import replay as module
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.main import main
+from flightstack.cli.preparation import prepare_flight
+from flightstack.cli.replay import replay
+from flightstack.types import InputError
+from flightstack_logs.reader import Log, read
+from flightstack_logs.writer import FlightLog
+
+
+def flown(folder: Path, **options: Any) -> Path:
+    result = fly(FlyOptions(out=folder, **options), stop_requested=lambda: "")
+    assert result.completed, result.reason
+    return folder / "flight.mcap"
+
+
+@pytest.fixture(scope="module")
+def hovered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return flown(tmp_path_factory.mktemp("hover"), scenario="hover", duration_s=2.0, learning=False)
+
+
+def test_a_flight_with_learner_and_filter_on_a_bad_link_is_the_same_bit_for_bit(tmp_path: Path) -> None:
+    log = flown(tmp_path, scenario="paper-tracking", duration_s=4.0, seed=3, fault="link-degraded")
+    again = replay(log)
+    assert again.differences == []
+    assert again.ticks > 1000
+    assert again.lines == [f"{again.ticks} ticks: the same, bit for bit"]
+
+
+def test_another_controller_shows_from_its_first_tick_on(
+    hovered: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        module, "prepare_flight", lambda options: prepare_flight(dataclasses.replace(options, controller="px4"))
+    )
+    with pytest.raises(SystemExit) as stop:
+        main(["log", "replay", str(hovered), "--json", str(tmp_path / "r.json")])
+    assert stop.value.code == 1
+    data = json.loads((tmp_path / "r.json").read_text())
+    assert data["same"] is False
+    first = data["differences"][0]
+    assert first["first_s"] < 6.0  # at take-off
+    assert any(row["topic"] == "/command" and row["greatest"] > 0.0 for row in data["differences"])
+    assert f"differs from {first['first_s']:.3f} s on" in capsys.readouterr().out
+
+
+def test_a_tolerance_lets_small_differences_pass(hovered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if another machine had recorded it: thrusts off by a few units of the last place."""
+
+    def elsewhere(path: Path) -> Log:
+        log = read(path)
+        if path == hovered:
+            columns = log.tables["/command"].columns
+            columns["thrust_n"] = columns["thrust_n"] * (1.0 + 1e-13)
+        return log
+
+    monkeypatch.setattr(module, "read", elsewhere)
+    (only,) = replay(hovered).differences
+    assert (only.topic, only.field) == ("/command", "thrust_n")
+    assert only.greatest is not None
+    assert 0.0 < only.greatest < 1e-10
+    assert replay(hovered, tolerance=1e-9).differences == []
+
+
+def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s,vel_n_mps,vel_e_mps,vel_d_mps\n0,0,0,0\n1,0,0,0\n")
+    with pytest.raises(InputError, match="holds no flight"):
+        replay(tmp_path / "a.csv")
+    log = FlightLog.open(tmp_path / "b.mcap", metadata={"settings": {"pace": "lockstep"}})
+    log.mavlink("rx", 0, b"x")
+    log.close()
+    with pytest.raises(InputError, match="nothing to replay"):
+        replay(tmp_path / "b.mcap")
