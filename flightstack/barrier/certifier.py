@@ -71,7 +71,7 @@ class CertifierConfig:
     inside_ps: float = 20.0
     """How much steeper the class-K function is inside (`condition`), vertically."""
     inside_lateral_ps: float = 20.0
-    """The same sideways.  The steeper, the faster the filter turns the thrust round, which the governor's torque bounds;
+    """The same sideways.  The steeper, the faster the filter turns thrust round, which the governor's torque bounds;
     the gentler, the earlier it holds back what is flown well inside."""
     dt_s: float = 0.004
     """Longest time between two commands."""
