@@ -1,7 +1,7 @@
 """What no honest certificate is below: what is refused from the file alone, whatever else in it agrees.
 
 noise       of a point: of a grade that is known 0.7 of what its accelerometer's white noise leaves of 60 ms, else
-            1 mm/s^2; inflation at least 1.1 and excess at least (1.05 * 3 mm/s^2)^2, by the rule that sets them
+            1 mm/s^2; inflation at least 1.1 and excess at least (1.05 * 7.5 mm/s^2)^2, by the rules that set them
 points      y as likely under kernel and noise as n Gaussian numbers: y' (K + noise I)^-1 y / n between 0.05 and
             what the inflation says
 doubts      0.5 ms, 1 % (of the estimate: `premises`): below the resolution of what measures them
@@ -17,7 +17,7 @@ import numpy as np
 from .intervals import F64
 from .reading import Refused, number
 
-LEAST_INFLATION, LEAST_EXCESS, LEAST_NOISE_MPS2 = 1.1, (1.05 * 0.003) ** 2, 1e-3
+LEAST_INFLATION, LEAST_EXCESS, LEAST_NOISE_MPS2 = 1.1, (1.05 * 0.0075) ** 2, 1e-3
 _NEAR = 1e-9
 _SHARE = 0.7
 _WINDOW_S = 0.06

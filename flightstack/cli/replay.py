@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli.compiled import ensure_compiled
-from flightstack.cli.flight import FlyOptions
-from flightstack.cli.preparation import Prepared, prepare_flight
+from flightstack.cli.flight import FlyOptions, Setup, prepare
 from flightstack.cli.recorder import LogObserver
 from flightstack.types import InputError
 from flightstack_logs.log_clock import LogClock
@@ -27,7 +26,7 @@ from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.companion import Companion
 from mavlink_bridge.link import Link
 
 COMPARED = ("/setpoint", "/tick", "/command", "/learner", "/filter")
@@ -98,9 +97,9 @@ def replay(
     settings = _settings(log)
     ensure_compiled(lambda text: on_progress(0.0, text))
     with tempfile.TemporaryDirectory() as folder:
-        prepared = prepare_flight(_options(log, settings, Path(folder)))
+        setup = prepare(_options(log, settings, Path(folder)))
         again = Path(folder) / "again.mcap"
-        _run(log, prepared, again, on_progress)
+        _run(log, setup, again, on_progress)
         new = read(again)
     return Replayed(str(path), len(log.tables["/tick"]), _differences(log, new, tolerance))
 
@@ -148,16 +147,16 @@ def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
         raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
 
 
-def _run(log: Log, prepared: Prepared, path: Path, on_progress: Callable[[float, str], None]) -> None:
+def _run(log: Log, setup: Setup, path: Path, on_progress: Callable[[float, str], None]) -> None:
     """Give today's companion what the recorded one was given; its tables go into a log of their own."""
     messages.prepare()
+    prepared = setup.flight
     out = FlightLog.open(path, metadata={})
     clock = LogClock(out, zero_us=0, utc_us=0)
     observer = LogObserver(
         out, prepared.scenario, prepared.believed, clock, truth=True, certifier=prepared.protection.watched
     )
-    config = CompanionConfig(arm=True, round_trip_max_s=prepared.protection.round_trip_max_s)
-    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, config)
+    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion)
     observer.companion = companion
     received, stops = log.messages["/mavlink/rx"], _stops(log)
     steps, heard, taken = log.tables["/truth"].t_us.tolist(), received.t_us.tolist(), 0

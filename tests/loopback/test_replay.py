@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from flightstack.cli import replay as module
-from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.main import main
-from flightstack.cli.preparation import prepare_flight
 from flightstack.cli.replay import replay
 from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
@@ -41,9 +40,7 @@ def test_a_flight_with_learner_and_filter_on_a_bad_link_is_the_same_bit_for_bit(
 def test_another_controller_shows_from_its_first_tick_on(
     hovered: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        module, "prepare_flight", lambda options: prepare_flight(dataclasses.replace(options, controller="px4"))
-    )
+    monkeypatch.setattr(module, "prepare", lambda options: prepare(dataclasses.replace(options, controller="px4")))
     with pytest.raises(SystemExit) as stop:
         main(["log", "replay", str(hovered), "--json", str(tmp_path / "r.json")])
     assert stop.value.code == 1

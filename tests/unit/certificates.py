@@ -88,8 +88,8 @@ def known_vehicle(points: int, *, seed: int = 1) -> Accelerations:
     lateral_y = np.array([0.98, 0.0]) + rng.normal(0.0, 0.03, (points, 2))
     vertical_y = (1.0 - 1.0 / 1.4) * thrust_mps2 + rng.normal(0.0, 0.045, (points, 1))
     return Accelerations(
-        Posterior(Process(priors.lateral.kernel, priors.lateral.noise_var, x, lateral_y, np.full(2, 1e-5))),
-        Posterior(Process(priors.vertical.kernel, priors.vertical.noise_var, x, vertical_y, np.full(1, 1e-5))),
+        Posterior(Process(priors.lateral.kernel, priors.lateral.noise_var, x, lateral_y, np.full(2, 1e-4))),
+        Posterior(Process(priors.vertical.kernel, priors.vertical.noise_var, x, vertical_y, np.full(1, 1e-4))),
         MODEL,
     )
 

@@ -69,7 +69,7 @@ def test_wherever_the_campaign_is_cut_each_kind_has_had_its_share() -> None:
     jobs = barrier_attack.jobs_of(False)
     kinds = {name: kind for name, kind in barrier_attack.KINDS.items() if barrier_attack.there(kind.scenario)}
     assert len(set(jobs)) == len(jobs) == sum(kind.blocks for kind in kinds.values())
-    half = [name for name, _ in jobs[: len(jobs) // 2]]
+    half = [job[0] for job in jobs[: len(jobs) // 2]]
     for name, kind in kinds.items():
         assert abs(half.count(name) - 0.5 * kind.blocks) <= 1.5
 
