@@ -30,7 +30,6 @@ from flightstack.stack import Stack
 from flightstack.types import TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.shell import ONBOARD
-from mavlink_bridge.decide import CompanionConfig
 from mavlink_bridge.link import MAX_DATAGRAM
 from mavlink_bridge.pace import undisturbed
 
@@ -158,7 +157,7 @@ def setup_of(pilot: str, task: str, world: Draw) -> tuple[Setup, Task]:
     planner = Task(ExplorationPlanner(Explorer(), watched), watched, task)
     stack = _stack(setup.flight, pilot, planner, world)
     flight = dataclasses.replace(setup.flight, stack=stack)
-    companion = CompanionConfig(arm=True, tick_s=held_s, round_trip_max_s=_ROUND_TRIP_MAX_S)
+    companion = dataclasses.replace(setup.companion, tick_s=held_s, round_trip_max_s=_ROUND_TRIP_MAX_S)
     return dataclasses.replace(setup, flight=flight, companion=companion), planner
 
 

@@ -41,7 +41,8 @@ def autopilot_of(vehicle: Vehicle, flown: Vehicle | None = None) -> dict[str, fl
     """Every key of `[autopilot]` with the value that flies, as PX4's 32-bit floats hold it."""
     values = {key: param.default for key, param in AUTOPILOT_PARAMS.items()} | dict(vehicle.autopilot)
     known = {key: value for key, value in values.items() if value is not None}
-    return {key: float32(value) for key, value in {**airframe_gains(vehicle, known, flown), **known}.items()}
+    known = {**airframe_gains(vehicle, known, flown), **known}
+    return {key: float32(known[key]) for key in AUTOPILOT_PARAMS}
 
 
 def contradictions(vehicle: Vehicle, read: Mapping[str, float]) -> list[str]:

@@ -70,9 +70,9 @@ class CertifierConfig:
     gamma_ps: float = 0.5
     inside_ps: float = 20.0
     """How much steeper the class-K function is inside (`condition`), vertically."""
-    inside_lateral_ps: float = 4.0
-    """The same sideways: the steeper, the faster the filter turns the thrust round, which the governor's torque bounds.
-    4 asks for 6 to 10 m/s^3 at 1.5 to 2.5 m/s^2, half of what a quadrotor of 450 mm then turns (22 m/s^3)."""
+    inside_lateral_ps: float = 20.0
+    """The same sideways.  The steeper, the faster the filter turns thrust round, which the governor's torque bounds;
+    the gentler, the earlier it holds back what is flown well inside."""
     dt_s: float = 0.004
     """Longest time between two commands."""
     delta: float = 0.05
@@ -301,6 +301,7 @@ class OnlineCertifier:
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
             delta=self.config.delta, version=version, last=last, widen_mps2=widen_mps2,
             attitude_mps2=np.array(self.config.estimate.acc_mps2) * _HOVER_OFF * box.thrust_max_mps2 / hover_mps2,
+            torque_mps2=self.torque_mps2,
         )  # fmt: skip
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
@@ -308,7 +309,7 @@ class OnlineCertifier:
         box, _ = self._budget(Accelerations.live(learner, self.model), self.config.thrust_shares[turn])
         return Knowledge.from_learner(
             learner, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=self.config.delta, version=version,
+            delta=self.config.delta, version=version, torque_mps2=self.torque_mps2,
         )  # fmt: skip
 
     def certificate(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Certificate:
@@ -340,6 +341,11 @@ class OnlineCertifier:
             command_interval_s=config.dt_s,
             battery_v=ANY_BATTERY_V,
         )
+
+    @property
+    def torque_mps2(self) -> float:
+        """Specific thrust that torque may add or take."""
+        return 0.0 if self.config.governor is None else self.config.governor.worst_mps2
 
     @property
     def doubts(self) -> Doubts:
@@ -402,6 +408,7 @@ class OnlineCertifier:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
                 accuracy=accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+                torque_part_mps2=knowledge.torque_part_mps2[axis],
                 coupling_mps=coupling,
                 inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
             )  # fmt: skip

@@ -5,6 +5,7 @@
     axes        each: axis (its name), barrier (kind and parameters), setting, response, authority (one list a column),
                 margins, cells (rows of six numbers)
     premises    for what it holds (`premises`); null as published
+    governor    what bounds torque while it is in force (`torque`); null as published
     knowledge   what the bounds rest on, as `knowledge` wrote it
     seal        SHA-256 of the rest in canonical form: keys sorted, no blanks, ASCII, shortest exact numbers
 
@@ -29,6 +30,7 @@ from flightstack.barrier.premises import parse_premises, premises_table
 from flightstack.barrier.provenance import parse_provenance
 from flightstack.barrier.records import AXES, MARGINS, Authority, AxisCertificate, Certificate, Margin
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
+from flightstack.barrier.torque import parse_governor
 from flightstack.checked import number, only, vector, words
 from flightstack.types import InputError
 
@@ -47,6 +49,7 @@ _TOP = (
     "budget",
     "axes",
     "premises",
+    "governor",
     "provenance",
     "confidence",
     "knowledge",
@@ -69,6 +72,7 @@ def certificate_to_json(certificate: Certificate) -> str:
         "budget": asdict(certificate.budget),
         "axes": [_axis_table(axis) for axis in certificate.axes],
         "premises": None if certificate.premises is None else premises_table(certificate.premises),
+        "governor": None if certificate.governor is None else asdict(certificate.governor),
         "provenance": None if certificate.provenance is None else certificate.provenance.as_json(),
         "confidence": confidence_table(certificate.delta, certificate.k_sigma),
         "knowledge": certificate.knowledge,
@@ -106,6 +110,7 @@ def parse_certificate(text: str, source: str) -> Certificate:
         knowledge=dict(_table(data["knowledge"], f"{source}: knowledge")),
         version=_whole(data["version"], f"{source}: version"),
         premises=None if data["premises"] is None else parse_premises(data["premises"], f"{source}: premises"),
+        governor=None if data["governor"] is None else parse_governor(data["governor"], f"{source}: governor"),
         provenance=None
         if data["provenance"] is None
         else parse_provenance(data["provenance"], f"{source}: provenance"),

@@ -35,8 +35,9 @@ Half its width and its middle give
              F0 = max(hover, (low + high) / 2) the thrust that the filter steers with: where thrust differs from it,
              the filter leans further or less
 
-    error at a node = max over it and its neighbours of (half width + |its middle - this one's|) + k bend + widen
+    error at a node = max over it and its neighbours of (half width + |its middle - this one's|) + k bend + widen + t
 
+t: what torque does to thrust (`torque`) times the greatest gain, sideways times the sine of the greatest lean;
 so the bound holds also where the vehicle's speed is a node's spacing from the one that the filter counts with.  `bend`
 is the prior's standard deviation of the middle of a gap between two nodes, given as deviation from their mean (a
 second difference: constants, drag and thrust, linear in v, have none); a gap is a small part of any length scale, so
@@ -106,6 +107,8 @@ class Knowledge:
     """By axis, those asked for."""
     gain_part_mps2: Mapping[int, float]
     """How much of the error at u_low is the thrust gain's doubt, at the worst node."""
+    torque_part_mps2: Mapping[int, float]
+    """How much of the error is what torque does to thrust (`torque`)."""
     budget: Budget
     delta: float
     """Chance that any bound of any certificate fails."""
@@ -144,6 +147,7 @@ class Knowledge:
         delta: float = 0.05,
         version: int = 1,
         widen_mps2: F64 | None = None,
+        torque_mps2: float = 0.0,
     ) -> Knowledge:
         """From the learner's own processes as they stand, kernels untouched, in one go: quick enough for a tick.
 
@@ -151,7 +155,7 @@ class Knowledge:
         """
         *_, last = cls.steps(
             Accelerations.live(state, model), model, limits, envelope, initial=initial, box=box, delta=delta,
-            version=version, widen_mps2=widen_mps2,
+            version=version, widen_mps2=widen_mps2, torque_mps2=torque_mps2,
         )  # fmt: skip
         assert last is not None
         return last
@@ -171,6 +175,7 @@ class Knowledge:
         last: bool = False,
         widen_mps2: F64 | None = None,
         attitude_mps2: F64 | None = None,
+        torque_mps2: float = 0.0,
     ) -> Iterator[Knowledge | None]:
         """The same in pieces of about a millisecond: None after each, the knowledge after the last.
 
@@ -181,7 +186,9 @@ class Knowledge:
         k = confidence(delta, version, statements(envelope, last), last)
         widen = np.zeros(3) if widen_mps2 is None else widen_mps2
         attitude = np.zeros(3) if attitude_mps2 is None else attitude_mps2
-        request = Request(learned, initial, model, box, envelope, k, delta, version, last, widen + attitude, attitude)
+        request = Request(
+            learned, initial, model, box, envelope, k, delta, version, last, widen + attitude, attitude, torque_mps2
+        )
         for hulls in _all_steps(request):
             yield None if hulls is None else _finish(request, hulls)
 
@@ -201,6 +208,8 @@ class Request(NamedTuple):
     widen: F64
     """All that is added to each axis' error, `attitude` with it."""
     attitude: F64
+    torque_mps2: float = 0.0
+    """Specific thrust that torque may add or take."""
 
 
 class _Hull(NamedTuple):
@@ -317,19 +326,30 @@ def _bend(request: Request, axis: int, nodes: F64) -> float:
 
 def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
     """Authorities from the hulls, by the module's rule."""
-    authorities = {axis: _authority(request, axis, hull) for axis, hull in hulls.items()}
+    torque = _torque(request, hulls[DOWN])
+    authorities = {axis: _authority(request, axis, hull, torque[axis]) for axis, hull in hulls.items()}
     doubt, hover = _gain_doubt(request), _steering(hulls[DOWN], request.box).hover_mps2
     parts = {
         axis: doubt * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * lean(request.box))
         for axis in hulls
     }
-    parts = {axis: min(part, float(authorities[axis].error_low_mps2.max())) for axis, part in parts.items()}
+    parts = {
+        axis: min(part, float(authorities[axis].error_low_mps2.max() - request.attitude[axis]) - torque[axis])
+        for axis, part in parts.items()
+    }
     return Knowledge(
-        authorities, parts, request.box, request.delta, request.k, request.version, hover, request
+        authorities, parts, torque, request.box, request.delta, request.k, request.version, hover, request
     )  # fmt: skip
 
 
-def _authority(request: Request, axis: int, hull: _Hull) -> Authority:
+def _torque(request: Request, down: _Hull) -> dict[int, float]:
+    """By axis, what torque may do to the acceleration: along the thrust, leaning as far as the budget allows."""
+    most = request.torque_mps2 * float(_steering(down, request.box).gain.max())
+    across = most * math.sin(request.box.tilt_max_rad)
+    return {0: across, 1: across, DOWN: most}
+
+
+def _authority(request: Request, axis: int, hull: _Hull, torque_mps2: float) -> Authority:
     middle, half = 0.5 * (hull.low + hull.high), 0.5 * (hull.high - hull.low)
     if axis == DOWN:
         span = max(request.box.high_mps2 - request.box.low_mps2, 1e-9)
@@ -342,7 +362,7 @@ def _authority(request: Request, axis: int, hull: _Hull) -> Authority:
         ends = (hull.wanted - np.abs(offset))[:, None] * np.array([-1.0, 1.0])
         half = np.repeat(0.5 * (most - least)[:, None], 2, axis=1)
         middle = np.repeat(offset[:, None], 2, axis=1)
-    more = request.k * hull.bend + float(request.widen[axis])
+    more = request.k * hull.bend + float(request.widen[axis]) + torque_mps2
     error = np.array([_around(middle[:, i], half[:, i]) for i in range(2)]) + more
     return Authority(hull.v, offset, gain, ends[:, 0].copy(), ends[:, 1].copy(), error[0], error[1])
 
@@ -390,7 +410,7 @@ def _as_json(request: Request) -> dict[str, object]:
         "nodes": envelope.nodes, "slice_only": envelope.slice_only, "axes": list(envelope.axes),
         "delta": request.delta, "version": request.version, "k_sigma": request.k,
         "statements": 0 if request.learned is None else statements(envelope, request.last),
-        "widen_mps2": request.widen.tolist(),
+        "widen_mps2": request.widen.tolist(), "torque_mps2": request.torque_mps2,
     }  # fmt: skip
     if request.last:
         data["last"] = True

@@ -42,7 +42,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.records import Authority, Margin, Response
+from flightstack.barrier.records import MARGINS, Authority, Margin, Response
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic
 from flightstack.types import F64
 
@@ -198,12 +198,14 @@ def ledger(
     accuracy: Accuracy = KNOWN,
     doubts: Doubts = USUAL,
     gain_part_mps2: float = 0.0,
+    torque_part_mps2: float = 0.0,
     coupling_mps: float = 0.0,
     inside_ps: float = 0.0,
 ) -> tuple[Setting, tuple[Margin, ...]]:
     """The condition's constants for one axis, and every margin in m/s^2.
 
-    `gain_part_mps2`: how much of the error is the thrust gain's; `coupling_mps`: see above.
+    `gain_part_mps2`, `torque_part_mps2`: how much of the error is the thrust gain's, and torque's; `coupling_mps`: see
+    above.
     """
     least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
     error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
@@ -228,9 +230,10 @@ def ledger(
     low = float(authority.error_low_mps2.max())
     lines = {
         "gp_error": (
-            low - gain_part_mps2 - accuracy.acc_mps2,
-            "bound of the acceleration's error at the braking end, less the gain's and the attitude's parts",
+            low - gain_part_mps2 - torque_part_mps2 - accuracy.acc_mps2,
+            "bound of the acceleration's error at the braking end, less the gain's, torque's and the attitude's parts",
         ),
+        "torque": (torque_part_mps2, "thrust that torque adds through the rotors' curve, within the governor's limits"),
         "thrust_gain": (gain_part_mps2, "bound of the thrust gain's error times the thrust beyond hover"),
         "discretisation": (0.0, "cells are covered with bounds that hold in all of each"),
         "zero_order_hold": (at.hold / at.h_v, f"a command holds {1e3 * dt_s:.3g} ms at most: part of the condition"),
@@ -238,8 +241,7 @@ def ledger(
     }
     worth, because = lines["estimate_error"]
     lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
-    order = ("gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag")
-    margins = tuple(Margin(name, *lines[name]) for name in (*order, "estimate_error"))
+    margins = tuple(Margin(name, *lines[name]) for name in MARGINS)
     off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))
     return Setting(gamma_ps, eta, 0.0, dt_s, off_m, at.h_v * claim, inside_ps, off_mps), margins
 

@@ -20,7 +20,7 @@ from flightstack.types import F64, Tuple3
 AXES = ("north", "east", "down")
 MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
-    "estimate_error",
+    "estimate_error", "torque",
 )  # fmt: skip
 """Every margin that a ledger names, in its order."""
 

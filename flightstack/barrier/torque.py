@@ -38,19 +38,20 @@ sine of the greatest lean.  Tested against the simulated autopilot in `tests/phy
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from flightstack.autopilot import autopilot_of, mixer, torque_per_slope
-from flightstack.autopilot_params import AXES
+from flightstack.autopilot_params import AUTOPILOT_PARAMS, AXES
+from flightstack.checked import number, only
 from flightstack.governor import GovernorLimits
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rate_loop import SPREAD, butterworth2, first_order_alpha, steepness
-from flightstack.types import F64, Tuple3
+from flightstack.types import F64, InputError, Tuple3
 from flightstack.vehicle import Vehicle
 
 UNMODELLED = 1.06
@@ -63,10 +64,15 @@ _STEPS = 1500
 _NODES = 5
 """Values of alpha and of tau between the ends of their doubts, ends included."""
 _COMMANDS = 3
+_ROUNDS = 4
 _YAW_SHARE = 0.18
 """Of D, what yaw may take."""
 _LEAST, _MOST = 0.03, 0.12
 """r_max: below, a vehicle no longer leans in time; beyond, nothing is gained."""
+VEHICLE_KEYS = (
+    "position_m", "torque_ratio_m", "inertia_kgm2", "damping_nms", "max_thrust_n", "mass_kg", "thrust_model_factor",
+    "rotor_lag_s", "gyro_noise_radps_rthz", "alpha_share", "lag_share",
+)  # fmt: skip
 _CORNERS = ((1.0, 1.0), (1.0 - SPREAD, 1.0 - SPREAD), (1.0 - SPREAD, 1.0 + SPREAD), (1.0 + SPREAD, 1.0 - SPREAD),
             (1.0 + SPREAD, 1.0 + SPREAD))  # fmt: skip
 
@@ -99,6 +105,16 @@ class GovernorTerms:
         """What the governor is to keep."""
         return GovernorLimits(self.roll_pitch_max, self.yaw_max, self.margin)
 
+    def differs_from(self, believed: Vehicle, model: Model) -> str:
+        """Which number of the vehicle or its autopilot is another than the believed one's, in words; empty if none."""
+        loop = _Loop(believed)
+        vehicle = loop.as_json(tuple(self.vehicle["gyro_noise_radps_rthz"]), model)
+        for mine, theirs in ((self.autopilot, loop.autopilot), (self.vehicle, vehicle)):
+            for key, value in theirs.items():
+                if not np.allclose(mine[key], value, rtol=1e-6, atol=1e-12):
+                    return f"holds for {key} = {mine[key]}, this vehicle has {value}"
+        return ""
+
     @property
     def worst_mps2(self) -> float:
         """Of gain and loss."""
@@ -112,28 +128,48 @@ def governor_terms(
 
     Where even the least r_max needs more, D is what that needs, and thrust is bounded by 1 - D.
     """
-    loop = _Loop(vehicle)
-    top = loop.setpoint(model.norm_of(model.thrust_range_n(limits)[1]))
-    room = max(1.0 - top, 0.02)
-    yaw_max = _YAW_SHARE * room / float(np.abs(loop.mix[:, 2]).max())
-    chi, chi_yaw = (UNMODELLED * each for each in loop.doubt(room))
-    noise, noise_yaw = loop.noise(gyro_noise_radps_rthz, 1.0 - room)
-    tilt, yaw = np.hypot(loop.mix[:, 0], loop.mix[:, 1]), np.abs(loop.mix[:, 2])
-    left = (room - trim - yaw * (chi_yaw * yaw_max + noise_yaw)) / tilt - noise
-    scale = model.max_thrust_n / model.mass_kg
-    r_max = min(max(float(left.min()) / chi, _LEAST), _MOST)
-    while (
-        r_max > _LEAST
-        and scale * max(loop.thrust_error((chi * r_max + noise, chi_yaw * yaw_max + noise_yaw), trim)) > LINE_MOST_MPS2
-    ):
-        r_max, yaw_max = 0.98 * r_max, 0.98 * yaw_max
-    r_max = math.floor(1e4 * r_max) / 1e4
-    margin = float((tilt * (chi * r_max + noise) + yaw * (chi_yaw * yaw_max + noise_yaw)).max()) + trim
-    lift, loss = loop.thrust_error((chi * r_max + noise, chi_yaw * yaw_max + noise_yaw), trim)
+    loop, scale = _Loop(vehicle), model.max_thrust_n / model.mass_kg
+    room = max(1.0 - loop.setpoint(model.norm_of(model.thrust_range_n(limits)[1])), 0.02)
+    tilt, turn = np.hypot(loop.mix[:, 0], loop.mix[:, 1]), np.abs(loop.mix[:, 2])
+    margin, r_max, y_max, figures = room, 0.0, 0.0, (1.0, 1.0, 0.0, 0.0)
+    for _ in range(_ROUNDS):  # chi and noise grow a little where commands may come nearer to the ends
+        chi, chi_yaw = (UNMODELLED * each for each in loop.doubt(margin))
+        noise, noise_yaw = loop.noise(gyro_noise_radps_rthz, 1.0 - margin)
+        y_max = _YAW_SHARE * room / float(turn.max())
+        left = (room - trim - turn * (chi_yaw * y_max + noise_yaw)) / tilt - noise
+        r_max = min(max(float(left.min()) / chi, _LEAST), _MOST)
+        torque = chi * r_max + noise, chi_yaw * y_max + noise_yaw
+        while r_max > _LEAST and scale * max(loop.thrust_error(torque, trim)) > LINE_MOST_MPS2:
+            r_max, y_max = 0.98 * r_max, 0.98 * y_max
+            torque = chi * r_max + noise, chi_yaw * y_max + noise_yaw
+        margin = min(float((tilt * torque[0] + turn * torque[1]).max()) + trim, 0.49)
+        figures = chi, chi_yaw, noise, noise_yaw
+    lift, loss = loop.thrust_error((figures[0] * r_max + figures[2], figures[1] * y_max + figures[3]), trim)
     return GovernorTerms(
-        r_max, yaw_max, min(margin, 0.49), chi, chi_yaw, noise, noise_yaw, trim, scale * lift, scale * loss,
+        r_max, y_max, margin, *figures, trim, scale * lift, scale * loss,
         loop.as_json(gyro_noise_radps_rthz, model), dict(loop.autopilot),
     )  # fmt: skip
+
+
+def parse_governor(value: object, where: str) -> GovernorTerms:
+    """The terms of a certificate file's table; InputError names the key."""
+    names = [part.name for part in fields(GovernorTerms)]
+    top = _table(value, names, where)
+    numbers = {name: number(top[name], f"{where}.{name}", 0.0, 1e6) for name in names[:-2]}
+    autopilot = _table(top["autopilot"], AUTOPILOT_PARAMS, f"{where}.autopilot")
+    stated = {key: number(autopilot[key], f"{where}.autopilot.{key}", 0.0, 1e6) for key in AUTOPILOT_PARAMS}
+    vehicle = _table(top["vehicle"], VEHICLE_KEYS, f"{where}.vehicle")
+    return GovernorTerms(**numbers, vehicle=dict(vehicle), autopilot=stated)
+
+
+def _table(value: object, names: Iterable[str], where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where} must be a table")
+    only(value, names, where)
+    for name in names:
+        if name not in value:
+            raise InputError(f"{where}.{name} is missing")
+    return value
 
 
 def within(limits: Limits, model: Model, terms: GovernorTerms | None) -> Limits:

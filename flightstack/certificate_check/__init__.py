@@ -1,7 +1,8 @@
 """The checker of certificate files: proves anew what a file claims, and shares no code with what made it.
 
 Only numpy and the standard library are used.  In this order: the seal; the thrust budget; the knowledge and each axis'
-`authority` from its points; the premises; the ledger with eta and b; the cells' claims and that they cover the region.
+`authority` from its points; the premises; the governor; the ledger with eta and b; the cells' claims and that they
+cover the region.
 
 A number that is changed under a new seal is refused, unless nothing that is claimed becomes untrue:
 
@@ -26,6 +27,7 @@ from . import floors, knowledge
 from .cells import check_cells
 from .condition import Condition, Piece
 from .confidence import check_confidence
+from .governor import check_governor
 from .intervals import F64, Interval
 from .ledger import check_ledger
 from .log import Recording
@@ -35,7 +37,7 @@ from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_
 
 _TOP = (
     "schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "provenance",
-    "confidence", "knowledge",
+    "confidence", "governor", "knowledge",
 )  # fmt: skip
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
@@ -111,6 +113,7 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
     if known.stores:
         floors.check_doubts(known.data.get("doubts"))
     lines.append(check_premises(data["premises"], axes, data["budget"], known))
+    lines.append(check_governor(data["governor"], data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
         floors.check_hold(condition.dt)

@@ -44,6 +44,7 @@ _MOST_VERSIONS = 100_000
 _KEYS = (
     "kind", "initial", "gravity_mps2", "drag_per_s", "rotor_radius_m", "speeds_mps", "heights_m", "nodes",
     "slice_only", "axes", "delta", "version", "k_sigma", "statements", "widen_mps2",
+    "torque_mps2",
 )  # fmt: skip
 _LEARNED = ("lateral", "vertical", "sha256")
 _ALSO = ("doubts", "falsified", "hand_over", "last", "vehicle", "vehicle_hash")
@@ -94,6 +95,8 @@ class Knowledge:
     widen: F64
     initial: tuple[float, float, float] | None
     stores: list[Process]
+    torque: float = 0.0
+    """Along the thrust, what torque adds or takes of acceleration at most: known with the tables."""
     lead: float = 0.0
     """Thrust that lateral axes are steered with, m/s^2: known with the tables."""
 
@@ -225,6 +228,11 @@ def _turns(b: F64) -> F64:
     return turn
 
 
+def torque_of(known: Knowledge, axis: int) -> float:
+    """Of the error of an axis, what torque does: along the thrust, sideways by the sine of the greatest lean."""
+    return known.torque if axis == DOWN else known.torque * known.box.lean * math.sqrt(2.0) / math.cos(math.pi / 8.0)
+
+
 def tables(known: Knowledge) -> dict[int, F64]:
     """For each axis asked for (7, nodes): v, offset, gain, u_low, u_high, error_low, error_high."""
     box, hulls = known.box, {DOWN: known.hull(DOWN, None)}
@@ -235,6 +243,7 @@ def tables(known: Knowledge) -> dict[int, F64]:
     known.lead = max(hover, 0.5 * (box.low + box.high))
     wanted = float(floored.min()) * box.lean * known.lead
     hulls |= {axis: known.hull(axis, (floored, hover)) for axis in known.data["axes"] if axis != DOWN}
+    known.torque = number(known.data["torque_mps2"], "knowledge.torque_mps2") * float(floored.max())
     out = {}
     for axis, hull in hulls.items():
         ends = middle = hull.mean(axis=0)
@@ -252,7 +261,7 @@ def tables(known: Knowledge) -> dict[int, F64]:
                 near = np.abs(np.roll(middle[end], step) - middle[end]) + np.roll(half[end], step)
                 near[0 if step > 0 else -1] = 0.0
                 around.append(near)
-            errors.append(np.max(around, axis=0) + known.k * bends[axis] + known.widen[axis])
+            errors.append(np.max(around, axis=0) + known.k * bends[axis] + known.widen[axis] + torque_of(known, axis))
         out[axis] = np.array([known.at(axis), *columns, *ends, *errors])
     return out
 
@@ -266,7 +275,7 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> Knowledge
         raise Refused("knowledge.hand_over: what it rests on was falsified in flight")
     for key, size in (("drag_per_s", 3), ("heights_m", 2), ("widen_mps2", 3)):
         rows([data[key]], size, f"knowledge.{key}")
-    for key in ("gravity_mps2", "rotor_radius_m", "delta", "k_sigma", "statements", "version"):
+    for key in ("gravity_mps2", "rotor_radius_m", "delta", "k_sigma", "statements", "version", "torque_mps2"):
         number(data[key], f"knowledge.{key}")
     speeds, nodes = rows(data["speeds_mps"], 2, "knowledge.speeds_mps"), data["nodes"]
     if not isinstance(nodes, int) or not 2 <= nodes <= 200 or not isinstance(data["slice_only"], bool):
@@ -276,7 +285,7 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> Knowledge
         np.all(speeds[:, 0] < speeds[:, 1]) and low <= high and data["rotor_radius_m"] > 0.0
     ):
         raise Refused("knowledge: speeds, heights and the rotor's radius must be ranges in order, and above 0")
-    if min(*data["drag_per_s"], *data["widen_mps2"]) < 0.0 or not 9.7 < data["gravity_mps2"] < 9.9:
+    if min(*data["drag_per_s"], *data["widen_mps2"], data["torque_mps2"]) < 0.0 or not 9.7 < data["gravity_mps2"] < 9.9:
         raise Refused("knowledge: drag and widening must be at least 0, gravity about 9.8 m/s^2")
     initial = None
     if data["initial"] is not None:

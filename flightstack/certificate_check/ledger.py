@@ -18,7 +18,7 @@ E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of d
 Each supremum is on the edge of an ellipse, and at the greatest speed of a stopping distance; braking is hardest at the
 greatest speed that there is at the centre's e, and at the greatest speed of a stopping distance.
 The attitude's error acc is part of every error: it counts to estimate_error, and E is what is left without it.
-What holding a command costs (`zero_order_hold`) is part of q itself.  The two parts of the error make up its greatest
+What holding a command costs (`zero_order_hold`) is part of q itself.  The other parts of the error make up its greatest
 value at u_low.
 """
 
@@ -31,14 +31,15 @@ import numpy as np
 
 from .condition import Condition, Piece
 from .intervals import F64
-from .knowledge import Knowledge
+from .knowledge import Knowledge, torque_of
 from .reading import Refused, number, numbers, table_of
 
 MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
-    "estimate_error",
+    "estimate_error", "torque",
 )  # fmt: skip
 _DOUBTS = ("delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
+_AXES = ("north", "east", "down")
 _CLOSE = 1e-3
 """Share by which a stated constant may differ; beyond it, whatever lies between three rounds of eta and all of them."""
 _NEAR = 1e-6
@@ -54,9 +55,12 @@ def check_ledger(
     if min(response) < 0.0:
         raise Refused(f"{name}.response: lags and delay must be at least 0")
     low, acc = float(nodes[5].max()), float(estimate[2])
-    if not abs(stated["gp_error"] + stated["thrust_gain"] + acc - low) <= _NEAR:
+    torque = torque_of(known, _AXES.index(name))
+    if not abs(stated["torque"] - torque) <= _NEAR:
+        raise Refused(f"{name}: margin torque = {stated['torque']:.9g} m/s^2, the governor's limits give {torque:.9g}")
+    if not abs(stated["gp_error"] + stated["thrust_gain"] + torque + acc - low) <= _NEAR:
         raise Refused(
-            f"{name}: gp_error, thrust_gain and the attitude's error do not make up the error at u_low, {low:.9g}"
+            f"{name}: gp_error, thrust_gain, torque and attitude's error do not make up the error at u_low, {low:.9g}"
         )
     doubts = known.data.get("doubts")
     if doubts is None:

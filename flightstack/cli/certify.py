@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from flightstack.barrier.certifier import CertifierConfig
+from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState
 from flightstack.barrier.initial import require_authority
@@ -28,6 +29,7 @@ from flightstack.cli.certified_page import page_of
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.protection import governor_for
 from flightstack.cli.result import FlightResult
+from flightstack.cli.sensors import error_statistics
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.stored import vehicle_hash
@@ -37,6 +39,7 @@ from flightstack.trajectory import hover
 from flightstack.types import InputError, TickRecord
 from flightstack.vehicle import Vehicle
 from flightstack_logs.writer import Recorder
+from flightstack_sim.grade import load_grade
 
 TIME_LIMIT_S = 300.0
 """Of the exploration; it mostly ends by its own rule."""
@@ -173,7 +176,9 @@ def explored(setup: Setup, options: FlyOptions, config: CertifierConfig = VERTIC
     protection, stack = replace(prepared.protection, region=None), prepared.stack
     if not options.as_published:
         governor = governor_for(prepared.believed, stack.model, stack.limits, options.grade(scenario))
-        config = replace(config, governor=governor)
+        sensors = options.grade(scenario)
+        estimate = estimate_bounds(error_statistics(load_grade(sensors)))
+        config = replace(config, governor=governor, sensors=sensors, estimate=estimate)
         certifier = GrowingCertifier(
             stack.model, stack.limits, scenario.region, initial=scenario.knowledge, certifier=config
         )

@@ -73,6 +73,9 @@ def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: M
             f"{file.path}: made {of} another vehicle file than {believed.name!r}; "
             "name the one that it was made for with --vehicle, or certify this one: `flightstack certify`"
         )
+    terms = certificate.governor
+    if terms is not None and (differs := terms.differs_from(believed, model)):
+        raise InputError(f"{file.path}: {differs}; certify with this autopilot: `flightstack certify`")
     budget, greatest_mps2 = certificate.budget, model.thrust_range_n(limits)[1] / model.mass_kg
     if budget.thrust_max_mps2 > greatest_mps2 * (1.0 + 1e-9):
         raise InputError(

@@ -18,6 +18,7 @@ from mavlink_bridge.vehicle_params import loss_time_problem
 
 _INSPECTION_S = 2.0
 """A dry run counts the streams for so long after all else has been found."""
+_MEND = "; mend the vehicle file, or fly it as it is with --believe-file"
 
 
 class Inspector:
@@ -65,14 +66,14 @@ class Inspector:
         companion = self._companion
         assert companion is not None
         if self._hover is not None and self._hover.contradiction:
-            return [self._hover.contradiction]
+            return [f"{self._hover.contradiction}{_MEND}"]
         judged = self._dry_run or companion.state is State.REFUSED
         if not judged:
             return []
         values = companion.view.params.values
         alone = companion.view.params.settled and not self._dead_man
         needed = loss_time_problem(values, dead_man=False) if alone else ""
-        return [*([needed] if needed else []), *self.contradictions(values)]
+        return [*([needed] if needed else []), *(f"{line}{_MEND}" for line in self.contradictions(values))]
 
     def checklist(self, config: CompanionConfig) -> list[dict[str, Any]]:
         """A dry run's `checklist`."""

@@ -137,7 +137,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         raise typer.Exit(INTERRUPTED)
     if result.contradictions:
         for line in result.contradictions:
-            console.say_error(f"{line}; mend the vehicle file, or fly it as it is with --believe-file")
+            console.say_error(line)
         raise typer.Exit(BAD_INPUT)
     if not result.passed:
         console.say_error(result.failure())

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from flightstack.cli.options import JsonOption
-from flightstack.types import InputError
+from flightstack.errors import InputError
 
 vehicle_app = typer.Typer(help="Make and check vehicle files.", no_args_is_help=True, rich_markup_mode=None)
 

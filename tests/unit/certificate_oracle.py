@@ -181,12 +181,27 @@ def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool
         return True
     if path[0] == "premises":  # they are made as wide as they may be
         return path[1] in ONLY_MEASURED or path[2:] == ("k_sigma",) or narrower(before, data)
+    if path[0] == "governor":
+        return bounded(before, data, path)
     if path[0] == "knowledge":
         return supported(data)
     if path[2] == "setting" and path[3] in ("eta", "off_m", "off_mps"):  # the margins need so much
         old, new = (each["axes"][0]["setting"][path[3]] for each in (before, data))
         return new >= old * (1.0 - 1.1e-3) and untrue(text) == ""
     return path[2] in ("setting", "barrier", "cells") and untrue(text) == ""
+
+
+def bounded(before: dict[str, Any], data: dict[str, Any], path: tuple[Any, ...]) -> bool:
+    """Whether a change of the governor's terms lets no more torque pass than before, and charges no less for it.
+
+    Vehicle and autopilot are the vehicle file's: `fly` compares them, a file by itself can't.
+    """
+    if path[1] in ("vehicle", "autopilot"):
+        return True
+    old, new = (each["governor"][path[1]] for each in (before, data))
+    if path[1] in ("roll_pitch_max", "yaw_max", "trim"):
+        return bool(new <= old * 1.011)
+    return bool(new >= old * 0.989)
 
 
 def supported(data: dict[str, Any]) -> bool:
@@ -210,6 +225,7 @@ def supported(data: dict[str, Any]) -> bool:
     *_, remade = Knowledge.steps(
         Accelerations(processes[0], processes[1], model), model, Limits(), envelope, initial=initial,
         box=certified.budget, widen_mps2=np.array(known["widen_mps2"]),
+        torque_mps2=known["torque_mps2"],
     )  # fmt: skip
     assert remade is not None
     doubts = known["doubts"]
@@ -217,6 +233,7 @@ def supported(data: dict[str, Any]) -> bool:
         2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
         accuracy=Accuracy(*(data["premises"]["estimate"][key][2] for key in Accuracy._fields)),
         doubts=Doubts(*(doubts[key] for key in Doubts._fields)), gain_part_mps2=axis.margins[1].mps2,
+        torque_part_mps2=axis.margins[-1].mps2,
     )  # fmt: skip
     same = np.abs(remade.authorities[2].table - axis.authority.table).max() < 2e-6
     near = [abs(a.mps2 - b.mps2) <= 1.5e-3 * b.mps2 + 2e-6 for a, b in zip(axis.margins, margins, strict=True)]

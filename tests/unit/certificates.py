@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from shipped import load_vehicle
 
 from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.estimate_bounds import EstimateBounds
@@ -17,6 +18,7 @@ from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.premises import Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, value
+from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.learning.priors import default_priors
 from flightstack.model import Limits, Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
@@ -100,6 +102,7 @@ def knowledge(points: int = 60, axes: tuple[int, ...] = (2,), version: int = 1, 
     *_, known = Knowledge.steps(
         known_vehicle(points), MODEL, limits, envelope, initial=InitialKnowledge(), box=box, version=version, last=last,
         attitude_mps2=np.array(ESTIMATE.acc_mps2),
+        torque_mps2=governor().worst_mps2,
     )  # fmt: skip
     assert known is not None
     return known
@@ -120,6 +123,7 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
         accuracy=ACCURACY,
         doubts=DOUBTS,
         gain_part_mps2=known.gain_part_mps2[2],
+        torque_part_mps2=known.torque_part_mps2[2],
         inside_ps=8.0,
     )
     axis = AxisCertificate(
@@ -128,8 +132,14 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
     rests_on = {**known.as_json(), "doubts": DOUBTS._asdict()}
     return Certificate(
         "sound", (0.0, 0.0, -2.0), (axis,), known.budget, known.delta, known.k_sigma, rests_on, known.version,
-        premises_for(known),
+        premises_for(known), governor(),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def governor() -> GovernorTerms:
+    """Of quad-x, which MODEL is."""
+    return governor_terms(load_vehicle("quad-x"), MODEL, Limits(), (1e-3, 1e-3, 7e-4))
 
 
 def premises_for(known: Knowledge) -> Premises:

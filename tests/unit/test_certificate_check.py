@@ -105,7 +105,17 @@ def test_any_number_changed_breaks_the_seal(kind: str) -> None:
         verdict = check(json.dumps(data))
         assert not verdict.valid, path
         assert "seal" in verdict.lines[-1]
-    assert seen == {"version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "knowledge"}
+    assert seen == {
+        "version",
+        "centre_ned_m",
+        "delta",
+        "k_sigma",
+        "budget",
+        "axes",
+        "premises",
+        "governor",
+        "knowledge",
+    }
 
 
 def often(path: tuple[Any, ...]) -> bool:

@@ -1,0 +1,132 @@
+"""Every premise that a flight can see: noticed at the first tick of breach, ended after 20 ms of it, never before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flightstack.barrier.estimate_bounds import BENCH, does_not_fit, estimate_bounds
+from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, watch, watched
+from flightstack.barrier.premises import Premises
+from flightstack.cli.sensors import error_statistics
+from flightstack.frames import quat_from_euler
+from flightstack.region import Region
+from flightstack.types import Command, Learned, Measurement, changed
+from flightstack_sim.grade import load_grade
+
+MASS_KG = 1.2
+PREMISES = Premises(
+    "mocap", "", BENCH, ((-0.5, 0.5), (-0.4, 0.4), (-1.5, 1.5)), 0.2, (5.0, 15.0), (0.97, 1.03), (0.6, 0.8),
+    (0.0, 0.01), 0.002, 0.004, (14.0, 16.8),
+)  # fmt: skip
+
+
+def measured(**changes: Any) -> Measurement:
+    """Hovering, everything fresh; the battery at 15 V."""
+    given: dict[str, Any] = {
+        "t_us": 0, "pos_ned_m": np.array([0.1, 0.2, -1.0]), "vel_ned_mps": np.zeros(3),
+        "q_ned_frd": np.array([1.0, 0.0, 0.0, 0.0]), "rate_frd_radps": np.zeros(3),
+        "specific_force_frd_mps2": np.array([0.0, 0.0, -9.8]), "motor_command": np.full(4, math.nan),
+        "position_age_us": 4000, "attitude_age_us": 2000, "imu_age_us": 1000,
+    }  # fmt: skip
+    battery_v = changes.pop("battery_v", 15.0)
+    made = Measurement.of(**(given | changes))
+    made.battery_v = battery_v
+    return made
+
+
+def seen(**changes: Any) -> Seen:
+    """10 m/s^2 commanded 4 ms ago, a gain of 0.7 learned."""
+    learned = changed(Learned.nothing(), stage=2.0, thrust_gain=0.7, latency_s=0.005)
+    learned = changed(learned, **{key: changes.pop(key) for key in ("thrust_gain", "latency_s") if key in changes})
+    thrust = changes.pop("thrust_mps2", 10.0) * MASS_KG
+    given = {
+        "sent": Command(0, thrust, 0.5, np.zeros(3)),
+        "learned": learned,
+        "applied_ratio": 1.0,
+        "interval_s": 0.004,
+    }
+    return Seen(**(given | changes))
+
+
+def run(ticks: int, state: WatchState, measurement: Measurement, tick: Seen) -> WatchState:
+    for _ in range(ticks):
+        state = watch(state, measurement, tick, MASS_KG, 0.0)
+    return state
+
+
+BREACHES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+    ("speed north", {"vel_ned_mps": np.array([0.51, 0.0, 0.0])}, {}),
+    ("speed east", {"vel_ned_mps": np.array([0.0, -0.41, 0.0])}, {}),
+    ("speed down", {"vel_ned_mps": np.array([0.0, 0.0, -1.6])}, {}),
+    ("lean north", {"q_ned_frd": quat_from_euler(0.0, 0.22, 0.0)}, {}),
+    ("lean east", {"q_ned_frd": quat_from_euler(-0.22, 0.0, 0.0)}, {}),
+    ("thrust", {}, {"thrust_mps2": 4.9}),
+    ("thrust", {}, {"thrust_mps2": 15.2}),
+    ("applied thrust", {}, {"applied_ratio": 0.93}),
+    ("thrust gain", {}, {"thrust_gain": 0.55}),
+    ("delay", {}, {"latency_s": 0.03}),
+    ("link", {"position_age_us": 20_000}, {}),
+    ("link", {"attitude_age_us": 10_000}, {}),
+    ("link", {"imu_age_us": 9_000}, {}),
+    ("command interval", {}, {"interval_s": 0.008}),
+    ("battery", {"battery_v": 13.2}, {}),
+]
+
+
+@pytest.mark.parametrize(("name", "measurement", "tick"), BREACHES)
+def test_a_breach_is_told_at_once_and_ends_the_certificate_after_20_ms(
+    name: str, measurement: dict[str, Any], tick: dict[str, Any]
+) -> None:
+    state = run(50, watched(1, PREMISES), measured(), seen())
+    assert (state.broken, state.ended, state.rest) == (0, 0, None)
+    bad, when = measured(**measurement), seen(**tick)
+    state = run(1, state, bad, when)
+    assert NAMES[state.broken] == name
+    assert not state.ended
+    ticks = math.ceil(0.02 / when.interval_s) - 1
+    state = run(ticks, state, bad, when)
+    assert NAMES[state.ended] == name
+    assert state.rest is not None
+    np.testing.assert_array_equal(state.rest.vel_ned_mps, np.zeros(3))
+    state = run(100, state, measured(), seen())
+    assert NAMES[state.ended] == name, "what ended it does not come back by itself"
+
+
+def test_one_long_gap_between_commands_is_a_breach_of_its_own_length() -> None:
+    state = run(1, watched(1, PREMISES), measured(), seen(interval_s=0.03))
+    assert NAMES[state.ended] == "command interval"
+
+
+def test_single_ticks_now_and_then_end_nothing() -> None:
+    state = watched(1, PREMISES)
+    for _ in range(100):
+        state = run(1, state, measured(imu_age_us=9_000), seen())
+        state = run(4, state, measured(), seen())
+    assert not state.ended
+
+
+def test_what_is_not_known_breaks_nothing() -> None:
+    state = run(50, watched(1, PREMISES), measured(battery_v=math.nan), seen(latency_s=0.0))
+    assert (state.broken, state.ended) == (0, 0)
+
+
+def test_a_narrower_premise_is_broken_by_what_the_wider_one_allows() -> None:
+    lax = replace(PREMISES, lean=0.3)
+    leaning = measured(q_ned_frd=quat_from_euler(0.0, 0.25, 0.0))
+    assert not run(50, watched(1, lax), leaning, seen()).ended
+    assert run(50, watched(1, PREMISES), leaning, seen()).ended
+
+
+def test_gps_does_not_fit_the_papers_regions_and_fits_a_large_one() -> None:
+    gps, mocap = (estimate_bounds(error_statistics(load_grade(name))) for name in ("gps", "mocap"))
+    small = Region("ellipsoid", (0.0, 0.0, -0.8), (0.4, 0.4, 0.6), (0.5, 0.5, 0.4))
+    large = Region("ellipsoid", (0.0, 0.0, -12.0), (8.0, 8.0, 8.0), (4.0, 4.0, 4.0))
+    said = does_not_fit(gps, small, (2,))
+    assert "position down is known to 0.89 m (4.3 sigma)" in said
+    assert does_not_fit(mocap, small, (2,)) == ""
+    assert does_not_fit(gps, large, (0, 1, 2)) == ""
