@@ -388,7 +388,7 @@ def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig
     changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "most_doubt_mps2": most}
     if config.thrust_shares == CertifierConfig().thrust_shares:
         changes["thrust_shares"] = _THRUST_SHARES
-    if hasattr(config, "jitter_s"):
+    if hasattr(config, "jitter_s") and world.down_ms + world.jitter_ms > TICK_MS:
         changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
     if not torque and hasattr(config, "governor"):
         changes["governor"] = None

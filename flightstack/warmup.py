@@ -11,10 +11,12 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
 from flightstack.barrier.shapes import Quadratic
 from flightstack.consistency import EstimateWatch
+from flightstack.error_statistics import ErrorStatistics
 from flightstack.mission import plan
 from flightstack.predictor import Streams, predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
+from flightstack.state_observer import StateObserver
 from flightstack.types import F64
 
 _TICKS = 40
@@ -23,6 +25,7 @@ _FILTER_TICKS = 400
 """Past the half second after which the barrier filter engages, and long enough to certify something."""
 _FAR_M = 30.0
 """A step away that no barrier allows: the filter's fallback is compiled too."""
+_STATISTICS = ErrorStatistics("mocap", (0.005,) * 3, 0.2, (0.0,) * 3, (0.02,) * 3, 0.2, (0.03,) * 3, 1.0, (0.01,) * 3)
 
 
 def warm_up(stack: Stack, scenario: Scenario) -> None:
@@ -32,8 +35,10 @@ def warm_up(stack: Stack, scenario: Scenario) -> None:
     streams.attitude(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.position(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.imu(0, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
+    streams.imu_bias.raw(0, (0.0, 0.0, -9.8))
     measurement = predict(streams, 1000)
     assert measurement is not None  # every stream was fed
+    StateObserver(_STATISTICS).refine(measurement)
     mission = plan(scenario, np.zeros(3))
     for time_s in (0.0, mission.takeoff_end_s, mission.track_start_s, mission.track_end_s):
         setpoint = mission.reference(time_s + 0.1)

@@ -75,7 +75,7 @@ def _start_sim(tmp_path: Path, *arguments: object) -> tuple[subprocess.Popen[str
 
 GP_FIELDS = {
     "enabled", "points", "fed", "step_us", "coverage_3sigma", "coverage_3sigma_axes", "coverage_simultaneous",
-    "conformal", "thrust_gain", "latency_s", "refused", "changes",
+    "conformal", "thrust_gain", "thrust_gain_sigma", "latency_s", "refused", "changes",
 }  # fmt: skip
 
 

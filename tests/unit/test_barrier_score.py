@@ -199,7 +199,7 @@ def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> Non
         barrier=barrier_summary(True, region, FilterScore(interventions=12)), qp=qp_summary(timed, 3), region=region
     ).as_json()
     barrier = {"enabled": True, "min_h_truth": 1.0, "min_h_estimate": 1.0, "violations": 0, "interventions": 12,
-               "protected": [], "engaged_share": None}  # fmt: skip
+               "protected": [], "engaged_share": None, "premises_broken": 0}  # fmt: skip
     assert result["barrier"] == barrier
     assert result["qp"]["solve_us"] == {"p50": 30.0, "p99": pytest.approx(39.8), "max": 40.0}
     assert result["qp"]["infeasible"] == 3

@@ -110,6 +110,7 @@ def test_any_number_changed_breaks_the_seal(kind: str) -> None:
         "centre_ned_m",
         "delta",
         "k_sigma",
+        "confidence",
         "budget",
         "axes",
         "premises",

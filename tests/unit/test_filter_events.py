@@ -21,6 +21,7 @@ from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region
 from flightstack.cli.workshop import Workshop
 from flightstack.frames import ned_to_enu
 from flightstack.model import Model
+from flightstack.predictor import Streams
 from flightstack.types import Filtered, TickRecord, changed
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import Log, read
@@ -207,7 +208,7 @@ def test_a_process_that_is_lost_is_told_once_with_its_reason(tmp_path: Path) -> 
     watched = WatchedCertifier(GivenCertificate(certificate(), MODEL), elsewhere=shop)
     clock = LogClock(log, zero_us=0, utc_us=0)
     observer = LogObserver(log, load_scenario("hover"), load_vehicle("quad-x"), clock, truth=False, certifier=watched)
-    observer.companion = SimpleNamespace(mission=None)  # type: ignore[assignment]
+    observer.companion = SimpleNamespace(mission=None, view=SimpleNamespace(streams=Streams()))  # type: ignore[assignment]
     for tick, why in enumerate(("", "its process has ended", "its process has ended")):
         shop.lost = why
         observer.on_tick(filtered_record(4000 * tick))

@@ -176,7 +176,7 @@ def test_a_file_that_is_no_log_is_an_input_error_of_one_line(tmp_path: Path, con
 
 def test_a_missing_file_or_a_folder_is_an_input_error(tmp_path: Path) -> None:
     for path in (tmp_path / "none.mcap", tmp_path):
-        with pytest.raises(InputError, match="can't be read"):
+        with pytest.raises(InputError, match=r"can't be read|is no file"):
             read(path)
 
 

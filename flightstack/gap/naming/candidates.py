@@ -63,7 +63,6 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
 _PHYSICAL_ENDS = {
     ("thrust_curve", "thrust_model_factor"): (0.0, 1.0),  # thrust linear in the command, or its square
     ("motor_lag", "time_constant_s"): (0.0,),  # speed control faster than the log shows
-    ("vortex_ring", "strength"): (1.0,),
 }
 """Ends of ranges at which the true value may well lie: no sign of a stand-in."""
 
