@@ -206,6 +206,7 @@ def offboard(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     believe_file: BelieveFileOption = False,
     set_params: SetParamsOption = None,
+    sensors: SensorsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     no_dead_man: Annotated[
@@ -226,6 +227,7 @@ def offboard(
         dry_run=dry_run,
         believe_file=believe_file,
         set_params=set_params,
+        sensors=sensors.value if sensors else None,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         dead_man=not no_dead_man,

@@ -15,7 +15,7 @@ from typing import Any
 from flightstack.types import InputError, Tuple3
 
 SCHEMA = "flightstack.sensors/1"
-GRADES = ("mocap", "gps", "px4-sih")
+GRADES = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _Limits = tuple[float, float]
 _KEYS: dict[str, dict[str, tuple[int, _Limits]]] = {
     "imu": {
