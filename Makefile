@@ -8,12 +8,13 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy px4 client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test campaign format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy px4 client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
 	@echo "make test         set up, then format, lint, types, import rules and tests"
 	@echo "make format       rewrite the sources in the house format"
+	@echo "make campaign     64 flights from one file, some five minutes: docs/campaigns.md"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
@@ -47,6 +48,10 @@ $(BIN)/.installed-dev: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
+$(BIN)/.installed-campaign: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign,cluster,search]'
+	@touch $@
+
 $(BIN)/.installed-client: $(BIN)/.installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[client]'
 	@touch $@
@@ -67,6 +72,9 @@ test: $(BIN)/.installed-dev
 format: $(BIN)/.installed-dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+campaign: $(BIN)/.installed-campaign
+	$(BIN)/flightstack campaign campaigns/small.toml --out runs/campaign-small-$$(date +%Y%m%d-%H%M%S)
 
 bench-plant: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/plant.py

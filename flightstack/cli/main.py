@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from flightstack.cli.campaign.verb import campaign
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.log_verbs import log_app
 from flightstack.cli.options import (
@@ -413,6 +414,7 @@ def gap(
         files.write_json(json, as_json(result))
 
 
+app.command()(campaign)
 app.command()(reproduce)
 app.add_typer(log_app, name="log")
 app.add_typer(vehicle_app, name="vehicle")
