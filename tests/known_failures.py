@@ -3,8 +3,6 @@
 
 CERTIFY = "open: the lean premise ends certify's flight; lean across a vertical certificate is not yet provided for"
 OPEN = {
-    "attack/test_dither.py::test_the_known_dither_does_not_take_the_vehicle_out[3]": "open: how late a governed lean follows is not in the ledger",
-    "attack/test_dither.py::test_nor_do_stronger_and_other_ones[2-8.0-6.0]": "open: how late a governed lean follows is not in the ledger",
     "loopback/test_certify_flight.py::": CERTIFY,
     "loopback/test_provenance.py::": CERTIFY,
     "loopback/test_jsbsim_flights.py::test_the_certified_region_grows_and_is_not_left_on_the_other_physics": CERTIFY,
