@@ -32,8 +32,10 @@ from flightstack.barrier.response import (
     follow_rotors,
     lead,
     remember,
+    thrust_of,
 )  # fmt: skip
 from flightstack.barrier.shapes import ROW, piece_at
+from flightstack.barrier.turning import Turn, paced, straight, turning
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
@@ -53,11 +55,12 @@ _NUMBERS = len(Setting._fields)
 _RESPONSE = _SETTING + 3 * _NUMBERS
 _CHAIN = _RESPONSE + 9
 _BOUNDS = _CHAIN + CHAIN
-_SIZES = _BOUNDS + 5
+_TURNING = _BOUNDS + 5
+_SIZES = _TURNING + 2
 _HEAD = _SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
-response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), and how many
-pieces and nodes each axis has room for; then the pieces and the tables (`_table`)."""
+response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), `turning` (2, 0
+where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and tables (`_table`)."""
 WORK = 2 * STATE + 4
 """Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
 thrust (3), gain."""
@@ -112,7 +115,9 @@ def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model
         rotor_lag, square / steer if steer > 0.0 else 0.0, round(1e6 * thrust_delay), round(1e6 * delay), steer,
         max(min(vertical[1, at] / vertical[2, at], most), 0.5 * (least + most)), _DT_RANGE_S[0],
     ]  # fmt: skip
-    flat[_BOUNDS:_SIZES] = low, high, math.sin(tilt) * math.cos(math.pi / 8.0), *limits.rate_max_radps[:2]
+    if certificate and certificate.governor is not None:
+        flat[_TURNING:_SIZES] = turning(certificate.governor, model, max(least, low))
+    flat[_BOUNDS:_TURNING] = low, high, math.sin(tilt) * math.cos(math.pi / 8.0), *limits.rate_max_radps[:2]
 
 
 @njit
@@ -146,6 +151,16 @@ def _setting(flat: F64, axis: int) -> Setting:
     return Setting(
         flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6], flat[at + 7]
     )
+
+
+@njit
+def _turn(flat: F64, state: F64, offset: F64, axis: int) -> Turn:
+    """One lateral axis' lean at the predicted state."""
+    chain, r = flat[_CHAIN:_BOUNDS], quat_to_matrix(state[6:10])
+    force = offset[3] * chain[C_LEAD_THRUST]
+    rate = -(state[11] * r[axis, 0] - state[10] * r[axis, 1])
+    still = offset[axis] - offset[3] * thrust_of(chain, state[13]) * r[axis, 2]
+    return Turn(still, rate, force, chain[C_STEER], flat[_TURNING], flat[_TURNING + 1])
 
 
 @njit
@@ -262,7 +277,10 @@ def _barriers(
         for piece in pieces:
             out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)
             out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
-        low[i], high[i], margin = interval(pieces, e, v, setting, reach)
+        if i < 2 and flat[_TURNING] > 0.0:
+            low[i], high[i], margin = paced(pieces, e, v, setting, reach, _turn(flat, predicted[1], offset, i))
+        else:
+            low[i], high[i], margin = interval(pieces, e, v, setting, reach)
         out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
         out[29 + i] = max(reach[2], reach[3])
         feasible = feasible and margin >= 0.0
@@ -342,7 +360,10 @@ def _least_margin(flat: F64, out: F64) -> float:
         reach = _reach(_table(flat, i), out[26 + i])
         for piece in _pieces(flat, i):
             setting, u = _setting(flat, i), out[11 + i]
-            least = min(least, margin_at(coefficients(piece, out[23 + i], out[26 + i], setting, reach), u))
+            q = margin_at(coefficients(piece, out[23 + i], out[26 + i], setting, reach), u)
+            if i < 2 and flat[_TURNING] > 0.0:
+                q = max(q, margin_at(coefficients(piece, out[23 + i], out[26 + i], straight(setting), reach), u))
+            least = min(least, q)
     return least
 
 

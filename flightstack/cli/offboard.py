@@ -134,7 +134,9 @@ def _offboard(
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
         recorder = ThreadedLog(log)
-        line = LogClock(recorder, zero_us=monotonic_us(), utc_us=began_us)
+        zero_us = monotonic_us()
+        line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
+        line.step(zero_us)  # the log begins at 0, however late the vehicle's first message comes
         score = FlightScore(prepared, of="estimate")
         observer = LogObserver(
             recorder,
