@@ -85,6 +85,14 @@ def analyse(
     )
 
 
+def usable_flights(
+    logs: Sequence[Path], vehicle: Vehicle, *, columns: Path | str | None = None, ground_d_m: float = 0.0
+) -> list[Samples]:
+    """The logs read and checked; InputError, one line, for the first that can't be used."""
+    checked, _ = _checked(logs, (), vehicle, columns, ground_d_m, False, lambda share, phase: None)
+    return [_usable(each) for each in checked]
+
+
 def _checked(
     logs: Sequence[Path],
     holdout: Sequence[Path],

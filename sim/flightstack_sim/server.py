@@ -69,6 +69,7 @@ class Server:
         faults: tuple[Fault, ...] = (),
     ) -> None:
         self.vehicle = vehicle
+        vehicle.sensors.origin_altitude_m = frame.altitude_m
         self.system = system
         self.commander = Commander(vehicle.params)
         self.navigator = Navigator(vehicle.params, frame.altitude_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from flightstack_sim.link_faults import BadLink
@@ -46,6 +47,8 @@ class Shell:
     sockets: tuple[UdpSocket | None, ...]
     seed: int = 0
     """Of the link faults."""
+    on_datagram: Callable[[str, int, bytes], None] | None = None
+    """Hears of every datagram: direction as the client sees it (rx, tx), link, data."""
     seam: Seam = field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +63,9 @@ class Shell:
             if socket is not None:
                 for data in datagrams:
                     socket.send(data)
+            if self.on_datagram is not None:
+                for data in datagrams:
+                    self.on_datagram("rx", index, data)
             sent.append(len(datagrams))
         return sent
 
@@ -68,6 +74,8 @@ class Shell:
         for index, socket in enumerate(self.sockets):
             if socket is not None:
                 for data in self.seam.into(index, socket.receive_all()):
+                    if self.on_datagram is not None:
+                        self.on_datagram("tx", index, data)
                     self.server.receive(index, data)
 
     def close(self) -> None:
