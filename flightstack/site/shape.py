@@ -99,9 +99,7 @@ class _Flat:
 def checked(site: Site) -> Site:
     """The site itself; InputError, one line, where it is none."""
     if not site.floor_m < site.ceiling_m:
-        raise InputError(
-            f"{site.source}: floor_m = {site.floor_m:g} must be below ceiling_m = {site.ceiling_m:g}: nothing is between"
-        )
+        raise InputError(f"{site.source}: floor_m = {site.floor_m:g} must be below ceiling_m = {site.ceiling_m:g}")
     if site.edges > MOST_EDGES:
         raise InputError(f"{site.source}: {site.edges} edges in all, at most {MOST_EDGES} are taken: simplify it")
     for name, polygon in _polygons(site):
@@ -149,7 +147,7 @@ def _check_degrees(where: str, places: F64) -> None:
     for i, (latitude, longitude) in enumerate(places.tolist()):
         if not abs(latitude) <= 90.0:
             raise InputError(
-                f"{where}: corner {i} has latitude {latitude:g}, which is beyond 90: latitude comes first, are they swapped?"
+                f"{where}: corner {i} has latitude {latitude:g}, beyond 90: latitude comes first, are they swapped?"
             )
         if not abs(longitude) <= 180.0:
             raise InputError(f"{where}: corner {i} has longitude {longitude:g}, which is beyond 180")
