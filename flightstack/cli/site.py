@@ -19,7 +19,7 @@ from flightstack.model import Limits, Model
 from flightstack.scenario import Scenario
 from flightstack.site import bend as bending
 from flightstack.site import decide
-from flightstack.site.clearance import clear_of, edge_name, packed
+from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, Site
@@ -100,6 +100,8 @@ class SiteScore:
         """Where the vehicle was at a tick, relative to its start, (3,): the truth where there is one."""
         if not record.filtered.status >= decide.PASSED:
             return
+        if self.filter.numbers[decide.LEFT] > 0.0:
+            self.packed[CHUTE] = -1.0
         self._disc[0, :3] = place_ned_m[0], place_ned_m[1], -place_ned_m[2]
         clearance, edge = clear_of(self.packed, self._disc, 1, 1.0)
         self.clearance_m = clearance

@@ -1,8 +1,8 @@
 """The reference, bent: one that leads through a wall is led along it instead; compiled.
 
-Where the reference keeps its distance it passes, to the bit.  Where it does not, a place that does follows it, no
-faster than the reference itself plus a little, and slides along what is in the way.  Where the reference jumps, the
-straight way to it must be clear as well.
+Where the reference keeps its distance it passes, to the bit.  Where it does not, or comes near too fast, a place that
+does follows it, no faster than the reference itself plus a little, and slides along what is in the way.  Where the
+reference jumps, the straight way to it must be clear as well.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from flightstack.types import F64
 
 BENT, KNOWN, PLACE, SPEED, EDGE, SIZE = 0, 1, 2, 5, 8, 9
 """Of the memory: 1 while bent, 1 once a place is known; the place (3, NED); its velocity (3); what is in the way."""
-_FASTER_MPS, _SLOWEST_S = 1.5, 0.05
-_BACK_M = 0.01
+_FASTER_MPS, _CATCH_UP_S, _HASTE_MPS2 = 1.5, 0.4, 4.0
+_BACK_M, _BACK_MPS = 0.02, 0.1
 _JUMP_M = 0.3
-_PUSHES = 12
-_SMOOTH = 0.1
+_PUSHES, _SLOWED = 12, 3
 
 
 @njit
@@ -61,6 +60,26 @@ def _pushed(site: F64, s: F64, place: F64, rows: F64) -> int:
     return code
 
 
+@njit
+def _slowed(site: F64, s: F64, place: F64, v: F64, rows: F64) -> int:
+    """Take from a velocity (3,) what approaches anything faster than it could be stopped; what was nearest, or -3."""
+    still, code, most = np.zeros(3), -3, 0.0
+    count = slide.bounds(site, place, still, s, rows)
+    for _ in range(_SLOWED):
+        for i in range(count):
+            n, slow_s = rows[i], s[slide.SLOW_S]
+            room = max(-n[3] * slow_s / s[slide.GAMMA], 0.0)
+            brake = s[slide.BRAKE] if n[2] == 0.0 else (s[slide.UP] if n[2] < 0.0 else s[slide.DOWN])
+            allowed = brake * (math.sqrt(slow_s * slow_s + 2.0 * room / brake) - slow_s)
+            over = -(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]) - allowed
+            if over > 0.0:
+                for k in range(3):
+                    v[k] += over * n[k]
+                if over > most:
+                    most, code = over, int(n[4])
+    return code
+
+
 @njit_called
 def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F64, out: F64) -> bool:
     """The reference (17,), relative to the origin, as it is to be followed, in `out` (17,); whether it was changed."""
@@ -70,32 +89,48 @@ def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F
         n[KNOWN] = 1.0
         for i in range(3):
             n[PLACE + i] = 0.0
-    free, edge = _is_clear(site, s, reference, n[PLACE : PLACE + 3], way)
-    away = 0.0
+    place, speed, v = n[PLACE : PLACE + 3], n[SPEED : SPEED + 3], np.empty(3)
+    free, edge = _is_clear(site, s, reference, place, way)
+    if free:
+        for i in range(3):
+            v[i] = reference[3 + i]
+        slowed = _slowed(site, s, reference, v, rows)
+        free, edge = slowed == -3, slowed
+    away = apart = 0.0
     for i in range(3):
-        away += (reference[i] - n[PLACE + i]) ** 2
+        away += (reference[i] - place[i]) ** 2
+        apart += (reference[3 + i] - speed[i]) ** 2
     away = math.sqrt(away)
-    if free and (n[BENT] == 0.0 or away < _BACK_M):
+    if free and (n[BENT] == 0.0 or (away < _BACK_M and apart < _BACK_MPS**2)):
         n[BENT] = 0.0
         for i in range(3):
-            n[PLACE + i], n[SPEED + i] = reference[i], reference[3 + i]
+            place[i], speed[i] = reference[i], reference[3 + i]
         return False
     if n[BENT] == 0.0:
         n[EDGE] = edge
     n[BENT] = 1.0
-    speed = math.sqrt(reference[3] ** 2 + reference[4] ** 2 + reference[5] ** 2) + _FASTER_MPS
-    step = min(speed * dt, away)
-    before = n[PLACE : PLACE + 3].copy()
-    pull = min(1.0, away / (speed * _SLOWEST_S)) if speed > 0.0 else 1.0
+    fastest = math.sqrt(reference[3] ** 2 + reference[4] ** 2 + reference[5] ** 2) + _FASTER_MPS
+    size = 0.0
     for i in range(3):
-        n[PLACE + i] += pull * step * (reference[i] - before[i]) / max(away, 1e-9)
-    pushed = _pushed(site, s, n[PLACE : PLACE + 3], rows)
-    if pushed != 0:
-        n[EDGE] = pushed
+        v[i] = reference[3 + i] + (reference[i] - place[i]) / _CATCH_UP_S
+        size += v[i] * v[i]
+    share = min(1.0, fastest / max(math.sqrt(size), 1e-9))
+    size = 0.0
     for i in range(3):
-        fast = (n[PLACE + i] - before[i]) / max(dt, 1e-3)
-        n[SPEED + i] += _SMOOTH * (fast - n[SPEED + i])
-        out[i], out[3 + i] = n[PLACE + i], n[SPEED + i]
+        v[i] = share * v[i] - speed[i]
+        size += v[i] * v[i]
+    share = min(1.0, _HASTE_MPS2 * dt / max(math.sqrt(size), 1e-9))
+    for i in range(3):
+        v[i] = speed[i] + share * v[i]
+    slowed = _slowed(site, s, place, v, rows)
+    if slowed != -3:
+        n[EDGE] = slowed
+    for i in range(3):
+        speed[i] = v[i]
+        place[i] += dt * v[i]
+    _pushed(site, s, place, rows)
+    for i in range(3):
+        out[i], out[3 + i] = place[i], speed[i]
     for i in range(6, 15):
         out[i] = 0.0
     return True

@@ -15,8 +15,9 @@ from flightstack.jit import njit, njit_called
 from flightstack.site.shape import Site
 from flightstack.types import F64
 
-FLOOR, CEILING, CHUTE, POLYGONS, ROUNDS, CHUTES, HEAD = 0, 1, 2, 3, 4, 5, 8
-"""Places in a packed site: floor, ceiling, radius of the chutes, how many polygons, round solids and chutes; then the
+FLOOR, CEILING, CHUTE, POLYGONS, ROUNDS, CHUTES, OPEN, HEAD = 0, 1, 2, 3, 4, 5, 6, 8
+"""Places in a packed site: floor, ceiling, radius of the chutes as it counts now (-1: shut), how many polygons, round
+solids and chutes, radius of the chutes when they are open; then the
 chutes (2 each), the round solids (6 each: north, east, height of a sphere or NaN, radius, floor, ceiling), and the
 polygons (each: corners, floor, ceiling, inside-out, then 2 a corner).  The first polygon is the one to stay in."""
 _ROUND, _POLYGON = 6, 4
@@ -33,7 +34,7 @@ def packed(site: Site, chutes: F64, chute_m: float) -> F64:
         (each.polygon, each.floor_m, each.ceiling_m, 0.0) for each in site.keep_outs if each.polygon is not None
     ]
     parts: list[object] = [
-        [site.floor_m, site.ceiling_m, chute_m, len(polygons), len(rounds), len(chutes), 0.0, 0.0],
+        [site.floor_m, site.ceiling_m, chute_m, len(polygons), len(rounds), len(chutes), chute_m, 0.0],
         chutes.ravel(),
     ]
     for each in rounds:

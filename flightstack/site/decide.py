@@ -26,37 +26,54 @@ from flightstack.barrier.response import (
     remember,
     thrust_of,
 )
+from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
 from flightstack.site import slide
-from flightstack.site.backup import ROW, STEP_S, STEPS, at_time, follow, point_of, roll
-from flightstack.site.clearance import clear_of
+from flightstack.site.backup import JERK, ROW, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
+from flightstack.site.clearance import CHUTE, FLOOR, OPEN, clear_of
+from flightstack.site.tube import OBSERVER_S
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 (
-    COMMITTED, SINCE_US, COUNT, GAIN, READ_S, LAST_US, EDGE, CLEARANCE, OFF, KEPT, SHARE, HOLD_S, MEMORY,
+    COMMITTED, SINCE_US, COUNT, GAIN, READ_S, LAST_US, EDGE, CLEARANCE, OFF, KEPT, SHARE, HOLD_S, FORCE,
 ) = range(13)  # fmt: skip
+SENT, LEFT, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7
 """1 where a way out is committed; when it begins, its number of points; the gain and for how long it was read; time of
 the last tick; what was nearest to being forbidden, how clear the way is; how far the vehicle is from the way that it
-follows; 1 where it follows it; share of the wanted command that was let through; the hold."""
+follows; 1 where it follows it; share of the wanted command that was let through; the hold; the force that
+the accelerometer shows (3, NED, m/s^2); body rates sent last (3); 1 once the chute of take-off was left."""
 WAITING, PASSED, CHANGED = 1, 2, 3
 _READ_AFTER_S, _READ_TIME_S = 0.5, 0.5
 _AIRBORNE_M = 0.1
 _LEAST_THRUST = 0.35
 _SHARES = (0.75, 0.5, 0.25, 0.125)
 _NEAR_M = 100.0
+_FORCE_MOST_MPS2 = 4.0
+_TILT_AHEAD_S = 0.12
+_SLEW_RADPS = 0.5
+_ABOVE_M = 0.25
 _LIMITS = CHAIN + 9 + 3 + 2
 """Places of a packed vehicle: chain, response (3, 3), rate limits (3), drag (1/s) and how uncertain the gain is."""
 
 
 @njit
-def _read_gain(n: F64, chain: F64, measured: F64, rotors: float, dt: float, height: float, bounds: F64) -> None:
-    """The thrust gain off the accelerometer, while the vehicle flies."""
+def _observe(
+    n: F64, chain: F64, measured: F64, rotors: float, dt: float, height: float, bounds: F64, drag: float
+) -> None:
+    """The thrust gain and the force, off the accelerometer, while the vehicle flies."""
     force = thrust_of(chain, rotors)
     if abs(height) < _AIRBORNE_M or force < _LEAST_THRUST * STANDARD_GRAVITY_MPS2:
+        for i in range(3):
+            n[FORCE + i] = 0.0
         return
     n[READ_S] += dt
     share = min(max(dt / min(_READ_TIME_S, n[READ_S]), 0.0), 1.0)
     n[GAIN] += share * (min(max(-measured[15] / force, bounds[0]), bounds[1]) - n[GAIN])
+    shown, r = rotate(measured[6:10], measured[13:16]), quat_to_matrix(measured[6:10])
+    share = 1.0 - math.exp(-dt / OBSERVER_S)
+    for i in range(3):
+        beyond = shown[i] + n[GAIN] * force * r[i, 2] + drag * measured[3 + i]
+        n[FORCE + i] += share * (min(max(beyond, -_FORCE_MOST_MPS2), _FORCE_MOST_MPS2) - n[FORCE + i])
 
 
 @njit
@@ -71,14 +88,19 @@ def _clear(
     scratch: F64, way: F64,
 ) -> bool:  # fmt: skip
     """Whether the way out after a command that is held for a tick is clear; the way is in `scratch` and `way`."""
-    after, command, start = state.copy(), np.empty(5), np.empty(ROW)
+    after, command, start, asked = state.copy(), np.empty(5), np.empty(ROW), np.empty(3)
     command[0], command[1] = 0.0, norm
     for i in range(3):
         command[2 + i] = rate[i]
     _advance(after, chain, norm, command, n[HOLD_S], offset, n[GAIN])
-    point_of(chain, after, offset, n[GAIN], start)
+    for i in range(3):  # the governor lets rates change so much
+        asked[i] = min(max(rate[i], n[SENT + i] - _SLEW_RADPS), n[SENT + i] + _SLEW_RADPS)
+    point_of(chain, after, offset, n[GAIN], asked, start)
     for i in range(3):
         start[i] -= origin[i]
+    r = quat_to_matrix(after[6:10])
+    if r[2, 2] + _TILT_AHEAD_S * (after[11] * r[2, 0] - after[10] * r[2, 1]) < p[UPRIGHT]:
+        return False
     count = roll(start, p, tube, scratch, way)
     if count == 0:
         return False
@@ -109,17 +131,22 @@ def decide(
     dt = min(max((now_us - n[LAST_US]) * 1e-6, 0.001), 0.05) if n[LAST_US] >= 0.0 else 0.004
     n[LAST_US], n[HOLD_S], chain[C_HOLD] = now_us, dt, dt
     follow_rotors(memory, chain, measured_us)
-    _read_gain(n, chain, measured, memory[0, M_ROTORS], dt, origin[2] - measured[2], gains)
+    _observe(n, chain, measured, memory[0, M_ROTORS], dt, origin[2] - measured[2], gains, drag)
     read = is_read(n)
     least = max(n[GAIN] * (1.0 - open_share), gains[0]) if read else gains[0]
     at = int(min(max((least - gains[0]) / vehicle[CHAIN + 16], 0.0), len(rows) - 1.0))
     p, s, tube = rows[at], soft[at], tubes[1 if read else 0]
     offset, state = np.zeros(3), np.empty(STATE)
     for i in range(2):
-        offset[i] = -drag * measured[3 + i]
-    offset[2] = STANDARD_GRAVITY_MPS2 - drag * measured[5]
+        offset[i] = n[FORCE + i] - drag * measured[3 + i]
+    offset[2] = STANDARD_GRAVITY_MPS2 + n[FORCE + 2] - drag * measured[5]
     begins_us = now_us + chain[C_RATE_DELAY]
     ahead(memory, chain, measured, measured_us, begins_us, offset, n[GAIN], state)
+    for i in range(3):
+        n[SENT + i] = sent_rate[i]
+    if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
+        n[LEFT] = 1.0
+    site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
     norm = wanted_norm
     for i in range(3):
         rate[i] = wanted_rate[i]
@@ -136,7 +163,8 @@ def decide(
     if moved:
         norm = command_for(chain, state, offset, n[GAIN], out[11:14], rate)
         for i in range(2):
-            rate[i] = min(max(rate[i], -most[i]), most[i])
+            fastest = min(most[i], p[JERK] / STANDARD_GRAVITY_MPS2)
+            rate[i] = min(max(rate[i], -fastest), fastest)
     n[KEPT], n[SHARE], n[OFF] = 0.0, 1.0, 0.0
     if _clear(chain, state, norm, rate, offset, origin, n, p, tube, site, scratch, way):
         _commit(n, committed, scratch, begins_us)
@@ -169,7 +197,7 @@ def _kept(
     clearance, edge = n[CLEARANCE], n[EDGE]
     target, brake, share_rate = np.empty(ROW), np.empty(3), np.empty(3)
     time_s = (begins_us - n[SINCE_US]) * 1e-6
-    at_time(committed, int(n[COMMITTED]), time_s, p[16], target)
+    at_time(committed, int(n[COMMITTED]), time_s, target)
     for i in range(3):
         target[i] += origin[i]
     off = math.sqrt((state[0] - target[0]) ** 2 + (state[1] - target[1]) ** 2)

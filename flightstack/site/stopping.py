@@ -5,11 +5,13 @@ prior: true over believed mass in a range, a force of any direction that may cha
 (delivered over believed thrust per mass) is read off the accelerometer once the vehicle flies; what that leaves open is
 again the force.  Lines of the ledger, all m/s^2, across and along (up and down):
 
-    force      across |d|; along twice that: as it was while the gain was read, and as it is now, with more thrust
-    gain       across, what thrust does more or less than believed, by the sine of the lean
+    force      |d| of the prior, in any direction at any time; the accelerometer shows it, the observer follows
+    gain       what thrust does more or less than believed, by the sine of the lean; up and down, by its change
     estimate   the attitude's error, as acceleration (`estimate_bounds`); the tube itself has position and velocity
     torque     thrust that torque adds within the governor's limits (`barrier.torque`)
     model      what the way out and the vehicle's answer differ by without any doubt: MODEL_*, by test
+
+Force and gain are seen by the accelerometer (D of `tube`), the others are not (R).
 
 Authority: with the least gain g_l, thrust F carries weight and force in every direction phi of the force at once,
 
@@ -34,7 +36,7 @@ from flightstack.model import Limits, Model
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
-from flightstack.site.tube import Tube, across, along
+from flightstack.site.tube import Doubts, Tube, across, along
 from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
@@ -45,9 +47,9 @@ _OVER, _DEMAND = 1.05, 1.5
 _UP_SHARE, _UP_MOST, _DOWN = 0.3, 3.0, 2.0
 _ACROSS_MOST = 4.0
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
-_ASKED_ACROSS, _ASKED_ALONG = 1.8, 2.0
-"""The feedback may answer an error with so many times as much."""
-_JERK_RADPS, _SNAP_SHARE = 2.0, 0.7
+_JERK_RADPS, _SNAP_SHARE = 1.6, 0.5
+_LEAN_MPS2 = 8.5
+_TILT_ROOM_RAD = math.radians(5.0)
 _SMOOTH_M = 0.1
 _SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
@@ -150,24 +152,25 @@ def stopping(
     eps_p, eps_v, eps_a = (np.array(part) for part in (estimate.pos_m, estimate.vel_mps, estimate.acc_mps2))
     flat_p, flat_v, flat_a = (float(np.hypot(*part[:2]) / math.sqrt(2.0)) for part in (eps_p, eps_v, eps_a))
     ledger = (
-        Line("force", force, 2.0 * force),
+        Line("force", force, force),
         Line("gain", force * math.sin(lean), 0.3 * force),
         Line("estimate", flat_a, float(eps_a[2])),
         Line("torque", governor.worst_mps2 * math.sin(lean), governor.worst_mps2),
         Line("model", MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2),
     )
-    error_across = told * sum(line.across_mps2 for line in ledger)
-    error_along = told * sum(line.along_mps2 for line in ledger)
+    doubts = [
+        Doubts(
+            told * sum(line[1 + k] for line in ledger[:2]), told * sum(line[1 + k] for line in ledger[2:]),
+            told * eps[0], told * eps[1],
+        )
+        for k, eps in enumerate(((flat_p, flat_v), (float(eps_p[2]), float(eps_v[2]))))
+    ]  # fmt: skip
     gain_low, gain_high = prior.gain
-    unread = told * (0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G) + error_along - told * force
+    unread = told * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
     lag_across = _LAG_SHARE * model.rate_lag_s + _HOLD_S
     lag_along = _LAG_SHARE * model.motor_lag_s + _HOLD_S + 0.01
-    most = (_ASKED_ACROSS * error_across, _ASKED_ALONG * error_along)
-    tubes = (
-        across(lag_across, error_across, told * flat_p, told * flat_v, most[0]),
-        along(lag_along, error_along, told * float(eps_p[2]), told * float(eps_v[2]), most[1]),
-    )
-    first = along(lag_along, unread, told * float(eps_p[2]), told * float(eps_v[2]), _ASKED_ALONG * unread)
+    tubes = across(lag_across, doubts[0]), along(lag_along, doubts[1])
+    first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     slope = torque_per_slope(vehicle)[:2].min() * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else None
     alpha = float(torque_per_slope(vehicle)[:2].min()) if slope is None else float(slope)
@@ -180,6 +183,7 @@ def stopping(
         rows.append([
             a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
             down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
+            math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD),
         ])  # fmt: skip
         soft.append([
             tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
@@ -218,7 +222,7 @@ def _authority(most_mps2: float, force_mps2: float, limits: Limits) -> tuple[flo
     carried = G + _OVER * force_mps2 * np.sin(phi) + up
     left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
     a = min(max(float(left.min()), _ACROSS_LEAST), _ACROSS_MOST)
-    tilted = (G - _DOWN) * math.tan(limits.tilt_max_rad)
+    tilted = min((G - _DOWN) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
     return a, up, min(float(math.sqrt(max(most_mps2**2 - (G + up) ** 2, 1.0))), tilted)
 
 
