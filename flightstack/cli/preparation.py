@@ -98,7 +98,7 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         scenario = scenario.with_duration(options.duration_s)
     require_run_up(scenario)
     if options.site is not None:
-        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site)))
+        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     learned = None if options.learned is None else files.read_text(options.learned)
     model, name = Model.from_vehicle(believed), controller_name(options)

@@ -60,6 +60,11 @@ class ProtectionOptions:
     """Protection that was asked for and not had, or left, does not fail the flight."""
 
     @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the place of arming, where they are known before the flight."""
+        return None
+
+    @property
     def in_real_time(self) -> bool:
         """Whether deadlines count: then a certificate, which takes many ticks' time, is made beside the flight."""
         return False
@@ -171,7 +176,7 @@ def _in_site(
             raise InputError(f"--site is kept by a filter and certificate of its own: leave out {name}")
     estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     governor = governor_for(believed, model, scenario.limits, sensors)
-    made = plan_site(load_site(options.site), scenario, believed, model, estimate, governor)
+    made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor)
     return Protection(made.words, True, filter=made.filter(model, scenario.limits), site=made)
 
 

@@ -152,7 +152,7 @@ class SitePlan:
         )
 
 
-def load_site(path: Path) -> Site:
+def read_site(path: Path) -> Site:
     """The site of a file; InputError, one line."""
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -162,6 +162,16 @@ def load_site(path: Path) -> Site:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
     return parse_site(files.read_text(path).text, str(path))
+
+
+def load_site(path: Path, place: tuple[float, float] | None) -> Site:
+    """The site of a file in metres round a place (latitude, longitude; None: not known); InputError, one line."""
+    site = read_site(path)
+    if not site.is_global:
+        return site
+    if place is None:
+        raise InputError(f"{path}: the site is on the globe, and where the vehicle is on it is not known (no GPS?)")
+    return site.local(*place)
 
 
 def envelope(limits: Limits, site: Site) -> Limits:

@@ -24,7 +24,7 @@ from flightstack.site import bend as bending
 from flightstack.site import decide as d
 from flightstack.site import slide
 from flightstack.site.backup import ROW, STEPS
-from flightstack.site.clearance import packed
+from flightstack.site.clearance import CHUTE, OPEN, packed
 from flightstack.site.shape import Site
 from flightstack.site.stopping import GAIN_STEP, Stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
@@ -87,6 +87,7 @@ class SiteFilter:
     def init(self, origin_ned_m: F64) -> SiteState:
         """Nothing committed; the site is relative to the origin, (3,)."""
         numbers = np.zeros(d.MEMORY)
+        self._site[CHUTE] = self._site[OPEN]
         low, high = self.certificate.prior.gain
         numbers[d.GAIN], numbers[d.LAST_US] = (low * high) ** 0.5, -1.0
         return SiteState(origin_ned_m.copy(), new_memory(), numbers, np.zeros((STEPS, ROW)), np.zeros(bending.SIZE))

@@ -158,13 +158,10 @@ def stopping(
         Line("torque", governor.worst_mps2 * math.sin(lean), governor.worst_mps2),
         Line("model", MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2),
     )
-    doubts = [
-        Doubts(
-            told * sum(line[1 + k] for line in ledger[:2]), told * sum(line[1 + k] for line in ledger[2:]),
-            told * eps[0], told * eps[1],
-        )
-        for k, eps in enumerate(((flat_p, flat_v), (float(eps_p[2]), float(eps_v[2]))))
-    ]  # fmt: skip
+    doubts = (
+        Doubts(*_seen(ledger, 0, told), told * flat_p, told * flat_v),
+        Doubts(*_seen(ledger, 1, told), told * float(eps_p[2]), told * float(eps_v[2])),
+    )
     gain_low, gain_high = prior.gain
     unread = told * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
     lag_across = _LAG_SHARE * model.rate_lag_s + _HOLD_S
@@ -212,6 +209,12 @@ def stopping(
     for row, each in zip(made.rows, made.soft, strict=True):
         each[slide.SLOW_S] = _slow_s(row, made.tubes()[1]) + _SMOOTH_LATE_S
     return made
+
+
+def _seen(ledger: tuple[Line, ...], way: int, told: float) -> tuple[float, float]:
+    """What the accelerometer shows of the ledger, and what it does not; way 0 across, 1 along."""
+    sizes = [told * (line.across_mps2, line.along_mps2)[way] for line in ledger]
+    return sum(sizes[:2]), sum(sizes[2:])
 
 
 def _authority(most_mps2: float, force_mps2: float, limits: Limits) -> tuple[float, float, float]:
