@@ -101,7 +101,7 @@ class _Key:
     shape: tuple[int, ...] = ()
 
 
-_TABLES: dict[str, dict[str, _Key]] = {
+TABLES: dict[str, dict[str, _Key]] = {
     "body": {
         "mass_kg": _Key(0.005, 100.0, "kg"),
         "inertia_kgm2": _Key(1e-7, 100.0, "kg m^2", (3,)),
@@ -174,7 +174,7 @@ def _without_ranges(data: Mapping[str, object], source: str) -> tuple[dict[str, 
     """The file's tables with plain values, and what was given as a range; both ends are checked as a value is."""
     plain: dict[str, object] = dict(data)
     found: dict[str, F64] = {}
-    for name, keys in _TABLES.items():
+    for name, keys in TABLES.items():
         if isinstance(table := data.get(name), Mapping):
             plain[name] = {key: _split(entry, f"{name}.{key}", source, found) for key, entry in table.items()}
             for key in table:
@@ -212,7 +212,7 @@ def with_effects(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]], *
 
 def scaled(vehicle: Vehicle, *, mass_ratio: float) -> Vehicle:
     """The vehicle with its mass (inertia unchanged: the mass is added at the CoM) times `mass_ratio`."""
-    key = _TABLES["body"]["mass_kg"]
+    key = TABLES["body"]["mass_kg"]
     mass = _numbers(vehicle.mass_kg * mass_ratio, key, "scaled vehicle: mass_kg")
     return replace(vehicle, mass_kg=float(mass))
 
@@ -225,11 +225,11 @@ def vehicle_to_toml(vehicle: Vehicle) -> str:
     lines.append(f"mass_kg = {rng.to_toml(vehicle.mass_kg, known('body.mass_kg'))}")
     lines.append(f"inertia_kgm2 = {rng.to_toml(vehicle.inertia_kgm2, known('body.inertia_kgm2'))}")
     lines += ["", "[rotors]"]
-    lines += [f"{key} = {rng.to_toml(getattr(rotors, key), known(f'rotors.{key}'))}" for key in _TABLES["rotors"]]
+    lines += [f"{key} = {rng.to_toml(getattr(rotors, key), known(f'rotors.{key}'))}" for key in TABLES["rotors"]]
     if vehicle.battery is not None:
         lines += ["", "[battery]"]
         cell = vehicle.battery
-        lines += [f"{key} = {rng.to_toml(getattr(cell, key), known(f'battery.{key}'))}" for key in _TABLES["battery"]]
+        lines += [f"{key} = {rng.to_toml(getattr(cell, key), known(f'battery.{key}'))}" for key in TABLES["battery"]]
     if vehicle.autopilot:
         lines += [
             "",
@@ -252,7 +252,7 @@ def _table(data: Mapping[str, object], name: str, source: str) -> dict[str, F64]
     table = data.get(name)
     if not isinstance(table, Mapping):
         raise InputError(f"{source}: the table [{name}] is missing")
-    keys = _TABLES[name]
+    keys = TABLES[name]
     for key in table:
         if key not in keys:
             raise InputError(f"{source}: unknown key {name}.{key}; known are {', '.join(keys)}")

@@ -1,19 +1,6 @@
 # ruff: noqa: E501
 """Tests that fail today, each with what is open; they run, and the list must shrink (docs/limits.md, "Open")."""
 
-CERTIFY = "open: the lean premise ends certify's flight; lean across a vertical certificate is not yet provided for"
 OPEN = {
-    "attack/test_dither.py::test_the_known_dither_does_not_take_the_vehicle_out[3]": "open: how late a governed lean follows is not in the ledger",
-    "attack/test_dither.py::test_nor_do_stronger_and_other_ones[2-8.0-6.0]": "open: how late a governed lean follows is not in the ledger",
-    "loopback/test_certify_flight.py::": CERTIFY,
-    "loopback/test_provenance.py::": CERTIFY,
-    "loopback/test_jsbsim_flights.py::test_the_certified_region_grows_and_is_not_left_on_the_other_physics": CERTIFY,
     "loopback/test_safety.py::test_both_dead_only_a_short_loss_time_keeps_the_vehicle_upright[1.0-None]": "open: the simulator does not tilt as far as a real PX4 there",
-    "loopback/test_cli.py::test_two_processes_fly_a_scenario": "open: fails where other work loads the machine",
-    "physics/test_plant_scenarios.py::test_both_plants_fly_it_alike[excite-rate-doublets]": "open: fails where other work loads the machine",
-    "loopback/test_dead_man_process.py::": "open: real time beside other work",
-    "loopback/test_dead_companion.py::": "open: real time beside other work",
-    "physics/test_learned_tails.py::": "open: tails of hover are not shown on every task",
-    "unit/test_px4_sih_learning.py::": "open: tuned on another prior",
-    "loopback/test_replay.py::": "open: replay of flights under certificates",
 }

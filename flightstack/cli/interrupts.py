@@ -13,16 +13,22 @@ _HEARD = {
 
 
 class Interrupts:
-    """The first one asks for a landing, the second one ends the program."""
+    """The first one asks for a landing, the second one ends the program.
 
-    def __init__(self) -> None:
+    A signal that was ignored when the program began stays so (SIGHUP under nohup, SIGINT in the background of a
+    shell's script), but for those in `always`.
+    """
+
+    def __init__(self, always: tuple[signal.Signals, ...] = ()) -> None:
         self.reason = ""
+        self.at_once = False
+        """While it is set the first signal ends the program: nothing flies yet."""
         for number in _HEARD:
-            if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            if number in always or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.reason:
+        if self.reason or self.at_once:
             raise KeyboardInterrupt
         self.reason = _HEARD[signal.Signals(number)]
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from flightstack.cli.campaign.verb import campaign
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.log_verbs import log_app
 from flightstack.cli.options import (
@@ -38,7 +39,6 @@ from flightstack.cli.options import (
     PlantOption,
     ScenarioArgument,
     SeedOption,
-    Sensors,
     SensorsOption,
     SetParamsOption,
     SigningKeyOption,
@@ -49,6 +49,7 @@ from flightstack.cli.options import (
     WaypointsArgument,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
+from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
@@ -209,6 +210,7 @@ def offboard(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     believe_file: BelieveFileOption = False,
     set_params: SetParamsOption = None,
+    sensors: SensorsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     no_dead_man: Annotated[
@@ -229,6 +231,7 @@ def offboard(
         dry_run=dry_run,
         believe_file=believe_file,
         set_params=set_params,
+        sensors=sensors.value if sensors else None,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         dead_man=not no_dead_man,
@@ -297,49 +300,6 @@ def certify(
     if not result.passed:
         console.say_error(result.failure())
         raise typer.Exit(FAILED)
-
-
-@app.command()
-def sim(
-    vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
-    ] = None,
-    plant: PlantOption = PlantName.native,
-    sensors: Annotated[
-        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
-    ] = None,
-    seed: SeedOption = 0,
-    port: Annotated[
-        int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
-    ] = 14_540,
-    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
-    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
-    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
-    fault: FaultOption = None,
-    px4_hil: PhysicsForPx4Option = False,
-    hil_port: HilPortOption = 4_560,
-    log: Annotated[Path | None, typer.Option("--log", help="Record the truth in this log (.mcap).")] = None,
-    json: JsonOption = None,
-) -> None:
-    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
-    from flightstack.cli import files, terminal
-    from flightstack.cli.hil import serve
-    from flightstack.cli.simulate import SimOptions, simulate
-
-    interrupts = Interrupts()
-    grade = sensors.value if sensors else None
-    options = SimOptions(vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log)
-    result = (serve if px4_hil else simulate)(
-        options,
-        stop_requested=interrupts.requested,
-        on_ready=lambda text: print(text, flush=True),
-        on_wait=lambda text: print(text, file=sys.stderr, flush=True),
-    )
-    terminal.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
-    if json is not None:
-        files.write_json(json, result)
-    if interrupts.reason:
-        raise typer.Exit(INTERRUPTED)
 
 
 @app.command()
@@ -416,6 +376,9 @@ def gap(
         files.write_json(json, as_json(result))
 
 
+app.command()(campaign)
+app.command()(sim)
+app.command()(warmup)
 app.command()(reproduce)
 app.add_typer(log_app, name="log")
 app.add_typer(vehicle_app, name="vehicle")

@@ -1,21 +1,29 @@
-"""`flightstack sim`: the simulated PX4 alone, in real time or faster, with PX4's ports."""
+"""`flightstack sim`: simulated PX4s alone, in real time or faster, with PX4's ports.
+
+Instance i has PX4's numbers: system id `sysid` + i, an offboard link from `port` + 40 + i to `port` + i (from i = 10 on
+all send to `port` + 9), a ground station's link from 18570 + i to `gcs_port`.  One loop moves them all.
+"""
 
 from __future__ import annotations
 
 import gc
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from flightstack.cli import files
-from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
 from flightstack.cli.preparation import text_file
 from flightstack.cli.versions import versions
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
 from flightstack_logs.writer import FlightLog
 from flightstack_sim.faults import parse_faults
-from flightstack_sim.grade import load_grade
+from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.shell import GCS, ONBOARD, Shell
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -32,9 +40,23 @@ GCS_BIND = 18570
 DEFAULT_SENSORS = "mocap"
 PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
+LAST_OWN_PORT = 9
+"""From the instance after this one on PX4 sends to one port: 14549."""
+MOST_INSTANCES = 100
+MOST_SYSTEM = 255
 TICK_MS = 4
 PATIENCE_US = 200_000
 """So far behind real time the simulator catches up; beyond, its clock stands still instead."""
+_HIGHEST_M, _LOWEST_M = 9_000.0, -500.0
+_NEAREST_POLE_DEG = 89.0
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where the vehicle stands at first and which way it looks."""
+
+    frame: LocalFrame = PX4_SIH
+    heading_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +77,150 @@ class SimOptions:
     hil_port: int = 4560
     """Of `--px4-hil`."""
     log: Path | None = None
-    """Where the truth is recorded."""
+    """Where the truth, and without `--px4-hil` what goes over the wire, is recorded."""
+    bind: str = HOST
+    """The address of this machine that the links are bound to."""
+    home: Home = field(default_factory=Home)
+    instances: int = 1
+    sysid: int = 1
+    """Of the first instance."""
 
 
-def open_truth_log(options: SimOptions, vehicle_text: str) -> FlightLog | None:
+def parse_home(text: str | None) -> Home:
+    """LAT,LON,ALT,HEADING in degrees and metres above the sea; None: PX4's internal simulator's place, north."""
+    if text is None:
+        return Home()
+    try:
+        latitude, longitude, altitude, heading = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--home {text}: write LAT,LON,ALT,HEADING, as 47.3977,8.5456,488,0") from None
+    for name, value, low, high in (
+        ("latitude", latitude, -_NEAREST_POLE_DEG, _NEAREST_POLE_DEG),
+        ("longitude", longitude, -180.0, 180.0),
+        ("altitude", altitude, _LOWEST_M, _HIGHEST_M),
+        ("heading", heading, -360.0, 360.0),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"--home {text}: the {name} must lie in {low:g}..{high:g}")
+    return Home(LocalFrame(latitude, longitude, altitude), heading)
+
+
+def log_of(path: Path, instance: int, instances: int) -> Path:
+    """The log of one instance: the path as it was given, with its number before the ending where there are several."""
+    return path if instances == 1 else path.with_name(f"{path.stem}-{instance}{path.suffix}")
+
+
+def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = None) -> FlightLog | None:
     """The log of the truth, where one is asked for."""
-    if options.log is None:
+    path = path or options.log
+    if path is None:
         return None
     settings = {"seed": str(options.seed), "plant": options.plant, "pace": "realtime", "speed": f"{options.speed:g}"}
     clock = clock_metadata(utc_us(), simulated=False)
     metadata = {"settings": settings, "versions": versions(), "clock": clock}
     truth = text_file("truth.toml", vehicle_text)
-    return FlightLog.open(options.log, metadata=metadata, attachments=(truth,), overwrite=True)
+    return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True)
+
+
+@dataclass(slots=True)
+class Instance:
+    """One vehicle with its sockets and its log."""
+
+    number: int
+    shell: Shell
+    log: FlightLog | None
+    sent: list[int] = field(default_factory=lambda: [0, 0])
+
+    def tick(self) -> None:
+        """Take what has come, simulate, send, record."""
+        shell, log, vehicle = self.shell, self.log, self.shell.server.vehicle
+        shell.receive()
+        for index, count in enumerate(shell.advance(TICK_MS)):
+            self.sent[index] += count
+        if log is not None:
+            log.truth(vehicle.t_us, vehicle.plant.truth())
+
+    def close(self) -> None:
+        """Close its sockets and its log."""
+        self.shell.close()
+        if self.log is not None:
+            self.log.close()
+
+
+def _bind(options: SimOptions, number: int) -> tuple[UdpSocket, UdpSocket]:
+    """The offboard and the ground station's link of one instance."""
+    # Who is bound to an address of its own can't reach loopback: its client is expected beside it.
+    everywhere = options.bind == "0.0.0.0" or options.bind.startswith("127.")
+    peer_host = HOST if everywhere else options.bind
+    port = options.port + min(number, LAST_OWN_PORT)
+    onboard = UdpSocket.bind(options.bind, options.port + PORT_STEP + number, peer=(peer_host, port), latch=True)
+    gcs_bind = GCS_BIND + number if options.gcs_port == GCS_PORT else 0
+    try:
+        return onboard, UdpSocket.bind(options.bind, gcs_bind, peer=(peer_host, options.gcs_port), latch=True)
+    except BaseException:
+        onboard.close()
+        raise
+
+
+def _start(options: SimOptions, number: int, truth: Vehicle, grade: Grade, vehicle_text: str) -> Instance:
+    sockets = _bind(options, number)
+    try:
+        vehicle = simulated_vehicle(
+            replace(truth, effects={}), truth, grade, seed=options.seed + number, plant=options.plant,
+            heading_rad=math.radians(options.home.heading_deg),
+        )  # fmt: skip
+        server = Server(
+            vehicle, system=options.sysid + number, frame=options.home.frame, faults=parse_faults(options.fault)
+        )
+        path = None if options.log is None else log_of(options.log, number + 1, options.instances)
+        log = None if path is None else open_truth_log(options, vehicle_text, path)
+    except BaseException:
+        for socket in sockets:
+            socket.close()
+        raise
+    shell = Shell(server, sockets, options.seed + number)
+    if log is not None:
+        shell.on_datagram = lambda direction, index, data: (
+            log.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
+        )
+    return Instance(number, shell, log)
+
+
+def _start_all(
+    options: SimOptions, truth: Vehicle, grade: Grade, vehicle_text: str, on_problem: Callable[[str], None]
+) -> list[Instance]:
+    """Every instance that can be; where several were asked for, one whose port is taken is told and left out."""
+    started: list[Instance] = []
+    problem: InputError | None = None
+    try:
+        for number in range(options.instances):
+            try:
+                started.append(_start(options, number, truth, grade, vehicle_text))
+            except InputError as error:
+                problem = error
+                if options.instances > 1:
+                    on_problem(f"instance {number} is left out: {error}")
+    except BaseException:
+        for instance in started:
+            instance.close()
+        raise
+    if not started and problem is not None:
+        raise problem
+    return started
+
+
+def _up(options: SimOptions, name: str, instance: Instance) -> str:
+    onboard, gcs = instance.shell.sockets
+    assert onboard is not None
+    assert gcs is not None
+    peer, ground = onboard.peer, gcs.peer
+    assert peer is not None
+    assert ground is not None
+    who = name if options.instances == 1 else f"{name} {instance.shell.server.system}"
+    return (
+        f"{who} is up: offboard link {peer[0]}:{peer[1]} (bound to {onboard.address[1]}), "
+        f"ground station {ground[0]}:{ground[1]} (bound to {gcs.address[1]}), {options.speed:g} times real time"
+    )
 
 
 def simulate(
@@ -77,69 +231,61 @@ def simulate(
     on_wait: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Simulate until asked to stop or `duration_s` of simulated time is over; what was done."""
-    faults = parse_faults(options.fault)
+    if options.sysid + options.instances - 1 > MOST_SYSTEM:
+        raise InputError(
+            f"--sysid {options.sysid} with --instances {options.instances}: system ids end at {MOST_SYSTEM}"
+        )
+    parse_faults(options.fault)
     truth, file = files.load_vehicle(options.vehicle)
     grade = load_grade(options.sensors or DEFAULT_SENSORS)
-    ensure_compiled(on_wait)
+    ensure_compiled(on_wait, JSBSIM if options.plant == JSBSIM else SIMULATOR)
     messages.prepare()
     warm_up(truth, grade, options.plant)
-    vehicle = simulated_vehicle(replace(truth, effects={}), truth, grade, seed=options.seed, plant=options.plant)
-    onboard = UdpSocket.bind(HOST, options.port + PORT_STEP, peer=(HOST, options.port), latch=True)
-    gcs_bind = GCS_BIND if options.gcs_port == GCS_PORT else 0
-    try:
-        gcs = UdpSocket.bind(HOST, gcs_bind, peer=(HOST, options.gcs_port), latch=True)
-    except BaseException:
-        onboard.close()
-        raise
-    log = open_truth_log(options, file.text)
-    shell = Shell(Server(vehicle, faults=faults), (onboard, gcs), options.seed)
-    on_ready(
-        f"{truth.name} is up: offboard link {HOST}:{options.port} (bound to {onboard.address[1]}), "
-        f"ground station {HOST}:{options.gcs_port} (bound to {gcs.address[1]}), {options.speed:g} times real time"
-    )
-    sent = [0, 0]
+    instances = _start_all(options, truth, grade, file.text, on_wait)
+    for instance in instances:
+        on_ready(_up(options, truth.name, instance))
     try:
         with undisturbed():
-            pace = _loop(shell, options, stop_requested, sent, on_ready, log)
+            pace = _loop(instances, options, stop_requested, on_ready)
     finally:
-        shell.close()
-        if log is not None:
-            log.close()
+        for instance in instances:
+            instance.close()
+    first = instances[0]
+    sent = [{"onboard": one.sent[ONBOARD], "gcs": one.sent[GCS]} for one in instances]
     return {
         "schema": "flightstack.sim/1",
         "vehicle": truth.name,
         "plant": options.plant,
         "seed": options.seed,
-        "simulated_s": vehicle.t_us * 1e-6,
+        "simulated_s": first.shell.server.t_us * 1e-6,
         "speed": options.speed,
         "missed": pace.missed,
-        "log": None if options.log is None else str(options.log),
-        "datagrams_sent": {"onboard": sent[ONBOARD], "gcs": sent[GCS]},
+        "log": None if first.log is None else str(log_of(options.log, first.number + 1, options.instances)),  # type: ignore[arg-type]
+        "datagrams_sent": sent[0],
+        "instances": [
+            {"system": one.shell.server.system, "datagrams_sent": counts}
+            for one, counts in zip(instances, sent, strict=True)
+        ],
     }
 
 
 def _loop(
-    shell: Shell,
+    instances: list[Instance],
     options: SimOptions,
     stop_requested: Callable[[], str],
-    sent: list[int],
     on_fault: Callable[[str], None],
-    log: FlightLog | None,
 ) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
-    vehicle = shell.server.vehicle
+    first = instances[0].shell.server
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
     ticks = 0
-    while end_us is None or vehicle.t_us < end_us:
+    while end_us is None or first.t_us < end_us:
         pace.wait()
-        shell.receive()
-        for index, count in enumerate(shell.advance(TICK_MS)):
-            sent[index] += count
-        if log is not None:
-            log.truth(vehicle.t_us, vehicle.plant.truth())
+        for instance in instances:
+            instance.tick()
+            for at_us, words in instance.shell.server.faults.new():
+                on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
         ticks += 1
-        for at_us, words in shell.server.faults.new():
-            on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
         if ticks % 25 == 0 and stop_requested():
             break
         if ticks % 250 == 0:

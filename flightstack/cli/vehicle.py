@@ -1,4 +1,4 @@
-"""`flightstack vehicle new|check`: vehicle files from what people have, and what is wrong with one."""
+"""`flightstack vehicle new|check|fit`: vehicle files from what people have, what is wrong with one, what logs say."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from flightstack.cli.options import JsonOption
 from flightstack.errors import InputError
 
-vehicle_app = typer.Typer(help="Make and check vehicle files.", no_args_is_help=True, rich_markup_mode=None)
+vehicle_app = typer.Typer(help="Make, check and fit vehicle files.", no_args_is_help=True, rich_markup_mode=None)
 
 SCHEMA = "flightstack.vehicle-check/1"
 _ADDRESSES = ("udpin:", "udpout:", "serial:")
@@ -73,6 +73,28 @@ def check(
     if lines:
         raise typer.Exit(FAILED)
     terminal.output.print(f"{file}: nothing speaks against it" + (f" by {against}" if against else ""), soft_wrap=True)
+
+
+@vehicle_app.command("fit")
+def fit(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of the vehicle; several are fitted together.")],
+    vehicle: Annotated[str, typer.Option(help="The vehicle file; its ranges say what is free.")],
+    out: Annotated[Path, typer.Option(help="The vehicle file to write.")],
+    columns: Annotated[str | None, typer.Option(help="Maps another CSV's columns: a TOML or a shipped name.")] = None,
+    ground_d: Annotated[float, typer.Option(help="The ground's pos_d_m.")] = 0.0,
+    json: JsonOption = None,
+) -> None:
+    """Say what logs tell of every number of a vehicle file, and write the file with the estimates and their ranges."""
+    from flightstack.cli import files, terminal
+    from flightstack.cli.vehicle_fit import as_json, fit_file, lines
+
+    done, text = fit_file(logs, vehicle, columns, ground_d)
+    files.write_text(out, text)
+    for line in lines(done):
+        terminal.output.print(line, soft_wrap=True, markup=False, highlight=False)
+    terminal.output.print(f"wrote {out}", soft_wrap=True, markup=False)
+    if json is not None:
+        files.write_json(json, as_json(done, [str(path) for path in logs], vehicle))
 
 
 def parameters(source: str) -> dict[str, float]:

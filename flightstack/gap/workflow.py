@@ -60,6 +60,10 @@ def analyse(
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    carried = naming.with_guessed_numbers()
+    if carried is not naming:
+        naming = carried
+        gap = _verdict(vehicle, naming, of)
     unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
     if unlike:
         raise InputError(
@@ -83,6 +87,14 @@ def analyse(
         naming.vehicle,
         report,
     )
+
+
+def usable_flights(
+    logs: Sequence[Path], vehicle: Vehicle, *, columns: Path | str | None = None, ground_d_m: float = 0.0
+) -> list[Samples]:
+    """The logs read and checked; InputError, one line, for the first that can't be used."""
+    checked, _ = _checked(logs, (), vehicle, columns, ground_d_m, False, lambda share, phase: None)
+    return [_usable(each) for each in checked]
 
 
 def _checked(

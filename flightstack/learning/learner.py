@@ -27,8 +27,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from flightstack.jit import njit
 from flightstack.learning import sampler as s
+from flightstack.learning.learned_row import assemble, calibrated, weighed
 from flightstack.learning.priors import Prior, Priors, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import INFLATION, Evidence, Relevance, Store
@@ -63,6 +63,9 @@ class LearnerConfig:
     """Least standard deviation of model error that no data remove: 1.5 times the accelerometer bias (5 mm/s^2 with
     motion capture) that an estimator leaves, which is the same in all data and so in what is learned."""
     rate_floor_radps: float = 0.01
+    attitude_rad: tuple[float, float] = (5.25e-3, 7.8e-3)
+    """Standard deviations of tilt and heading as estimated: 1.5 times those with motion capture.  What is learned in
+    world axes is believed in the body's as much turned."""
 
 
 _FORWARD_EVERY = 4
@@ -70,6 +73,7 @@ _GAIN_EVERY = 64
 """Steps between two looks at the gain's own variance; the first of them is none in which something else is due."""
 _RECOVERY_US = 1_000_000
 """After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
+_USUAL_TICKS = 2500
 
 
 class Learnt(NamedTuple):
@@ -89,7 +93,7 @@ class LearnerState:
     __slots__ = (
         "began_us", "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
         "forward", "forward_us", "gain_variance", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
-        "rates", "refused", "sample", "steps", "valid_us", "variance", "vertical", "watch",
+        "rates", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance", "vertical", "watch",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -114,6 +118,8 @@ class LearnerState:
         self.changed_us = -_RECOVERY_US
         """When a change was noticed last."""
         self.fed = self.refused = self.changes = self.steps = 0
+        self.usual_thrust = 1.0
+        """Mean thrust of the newest samples, weights."""
         self.expected = np.zeros(3)
         """Mean at the state, tilt axes."""
         self.posterior = np.full(2, math.inf)
@@ -142,7 +148,7 @@ class LearnerState:
     def weigh(self, most: float) -> bool:
         """Both calibrated variances for this posterior; whether the sample may be learned from (`fits`)."""
         lateral, vertical = self.lateral, self.vertical
-        return _weighed(
+        return weighed(
             self.sample, most, self.posterior, lateral.excess, vertical.excess, self.variance, lateral.calm_excess,
             vertical.calm_excess, self.calm_variance,
         )  # fmt: skip
@@ -161,7 +167,7 @@ class GpLearner:
         self.config = config or LearnerConfig(priors=default_priors() if inputs == "full" else state_only())
         self._sampler = Sampler(model)
         c = self.config
-        self._limits = np.array([c.residual_max_mps2, *c.gain_range, c.unsure_mps2, c.jerk_max_mps3])
+        self._limits = np.array([c.residual_max_mps2, *c.gain_range, c.unsure_mps2, c.jerk_max_mps3, *c.attitude_rad])
 
     def init(self) -> LearnerState:
         """Nothing learned yet."""
@@ -190,10 +196,10 @@ class GpLearner:
         elif state.steps % _GAIN_EVERY == 1:
             _look_at_gain(state)
         row, carry_s = np.empty(32), 1e-6 * (measurement.t_us - state.forward_us)
-        _assemble(
+        assemble(
             self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
             state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,
-            state.refused, state.changes, state.watch.surprise, state.fed_forward, row,
+            state.refused, state.changes, state.watch.surprise, state.fed_forward, state.usual_thrust, row,
         )  # fmt: skip
         gain = INFLATION * math.sqrt(state.gain_variance + state.vertical.excess[0])
         row[18] = max(row[14], gain) / STANDARD_GRAVITY_MPS2
@@ -215,6 +221,8 @@ class GpLearner:
         """
         state.fit_us = t_us
         state.fed += 1
+        thrust = float(state.sample[s.S_INPUT + s.THRUST])
+        state.usual_thrust += (thrust - state.usual_thrust) / min(state.fed, _USUAL_TICKS)
         watch, sample = state.watch, state.sample
         state.began_us = state.began_us if watch.held else t_us
         alarm = watch.step(sample, expected, allowed)
@@ -283,109 +291,3 @@ def _look_at_gain(state: LearnerState) -> None:
         query[s.THRUST], query[s.GROUND] = weights, weights * near
         at.append(state.vertical.expect(query)[1])
     state.gain_variance = max(0.5 * (at[0] - 2.0 * at[1] + at[2]), 0.0)
-
-
-@njit
-def _relax(row: F64, jerk_max: float, fed_forward: F64) -> None:
-    """Clip the row's jerk, and move `fed_forward` (6,) half way to the row's: what the thrust axis is worked out with.
-
-    Acceleration fed forward depends on the thrust axis and the axis on it; half steps make the fixed point attractive
-    even where it depends so steeply that whole ones would run away.  What is not finite is nothing.
-    """
-    for i in range(6):
-        if not math.isfinite(row[i]):
-            row[i] = 0.0
-        if i >= 3:
-            row[i] = min(max(row[i], -jerk_max), jerk_max)
-        fed_forward[i] += 0.5 * (row[i] - fed_forward[i])
-
-
-@njit
-def calibrated(posterior: F64, lateral: F64, vertical: F64, out: F64) -> None:
-    """(3,) calibrated variances, tilt axes, into `out`: the posteriors' (2,) and the excess of both stores."""
-    out[0] = INFLATION * INFLATION * (posterior[0] + lateral[0])
-    out[1] = INFLATION * INFLATION * (posterior[0] + lateral[1])
-    out[2] = INFLATION * INFLATION * (posterior[1] + vertical[0])
-
-
-@njit
-def _carried(forward: F64, dt_s: float, out: F64) -> None:
-    """(2, 4) mean and rate into `out`, the mean carried along its rate."""
-    for i in range(4):
-        out[0, i] = forward[0, i] + forward[1, i] * dt_s
-        out[1, i] = forward[1, i]
-
-
-@njit
-def _weighed(
-    sample: F64, most: float, posterior: F64, lateral: F64, vertical: F64, variance: F64, calm_lateral: F64,
-    calm_vertical: F64, calm_variance: F64,
-) -> bool:  # fmt: skip
-    """As `LearnerState.weigh` says."""
-    calibrated(posterior, lateral, vertical, variance)
-    calibrated(posterior, calm_lateral, calm_vertical, calm_variance)
-    return fits(sample, most)
-
-
-@njit
-def fits(sample: F64, most: float) -> bool:
-    """Whether the sample may be learned from."""
-    inside = sample[s.S_OK] != 0.0
-    for i in range(3):
-        inside = inside and abs(sample[s.S_TARGET + i]) <= most
-    return bool(inside)
-
-
-@njit
-def _assemble(
-    limits: F64, query: F64, looked: F64, carry_s: float, forward: F64, weight: float, stage: int, sample: F64,
-    expected: F64, variance: F64, fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int,
-    changes: int, surprise: float, fed_forward: F64, row: F64,
-) -> None:  # fmt: skip
-    """A Learned row (32,): feed-forward at the reference, residual at the state, counters.
-
-    What was `looked` up ahead, (2, 4), is carried along over `carry_s`, into `forward`.
-    """
-    _carried(looked, carry_s, forward)
-    most, gain_least, gain_most = limits[0], limits[1], limits[2]
-    if not np.isfinite(forward).all():
-        forward[:] = 0.0
-    tilt, later = np.empty((3, 3)), np.empty((3, 3))
-    step = 1e-3
-    # A gain beyond its range is cut; what that takes from the force at the present thrust is left to the constant part.
-    gain = min(max(1.0 - weight * forward[0, 3] / STANDARD_GRAVITY_MPS2, gain_least), gain_most)
-    row[6] = gain
-    if weight > 0.0:
-        cut = forward[0, 3] - (1.0 - gain) * STANDARD_GRAVITY_MPS2 / weight
-        forward[0, 2] += cut * sample[s.S_INPUT + s.THRUST]
-    s.tilt_axes(query[0, s.AXIS_N], query[0, s.AXIS_E], tilt)
-    s.tilt_axes(query[0, s.AXIS_N] + step * query[1, s.AXIS_N], query[0, s.AXIS_E] + step * query[1, s.AXIS_E], later)
-    for i in range(3):
-        acc = rate = 0.0
-        for k in range(3):
-            acc += tilt[i, k] * forward[0, k]
-            rate += tilt[i, k] * forward[1, k] + (later[i, k] - tilt[i, k]) / step * forward[0, k]
-        inside = abs(acc) <= most
-        row[i] = weight * min(max(acc, -most), most)
-        row[3 + i] = weight * rate if inside else 0.0
-    c, sine = sample[s.S_HEADING], sample[s.S_HEADING + 1]
-    row[9] = c * expected[0] + sine * expected[1]
-    row[10] = c * expected[1] - sine * expected[0]
-    row[11] = expected[2]
-    row[12] = math.sqrt(c * c * variance[0] + sine * sine * variance[1])
-    row[13] = math.sqrt(c * c * variance[1] + sine * sine * variance[0])
-    row[14] = math.sqrt(variance[2])
-    for i in range(3):
-        row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
-    row[25] = sample[s.S_APPLIED]
-    row[26] = sample[s.S_LATENCY]
-    sure = -1.0
-    if not math.isnan(variance[0] + variance[1] + variance[2]):
-        sure = 1.0 - 3.0 * math.sqrt(max(variance[0], variance[1], variance[2])) / limits[3]
-    row[7] = weight * sure if sure > 0.0 else 0.0
-    row[8] = stage
-    for i in range(3):
-        row[19 + i] = rate_mean[i]
-        row[22 + i] = rate_sigma[i]
-    row[27], row[28], row[29], row[30], row[31] = points, fed, refused, changes, surprise
-    _relax(row, limits[4], fed_forward)

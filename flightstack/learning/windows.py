@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.learning import sampler as s
-from flightstack.learning.learner import LearnerConfig, fits
+from flightstack.learning.learned_row import fits
+from flightstack.learning.learner import LearnerConfig
 from flightstack.learning.sampler import Sampler
 from flightstack.model import Model
 from flightstack.types import F64, Command, Measurement

@@ -50,8 +50,12 @@ def _columns(table: Table, *names: str) -> F64:
     return np.stack([table[name].astype(np.float64) for name in names], axis=-1)
 
 
-def _has(table: Table | None, names: Iterable[str]) -> bool:
-    return table is not None and len(table) > 0 and set(names) <= table.columns.keys()
+def _has(table: Table | None, names: Iterable[str], ndim: int = 1) -> bool:
+    """Whether a table has rows and all of these columns, numbers of so many dimensions: some logs say their types."""
+    if table is None or not len(table):
+        return False
+    columns = [table.columns.get(name) for name in names]
+    return all(column is not None and column.dtype.kind in "biuf" and column.ndim == ndim for column in columns)
 
 
 def _at(t_us: NDArray[np.int64], table: Table, values: F64) -> F64:
@@ -84,7 +88,7 @@ def _mavlink(tables: Found, first_us: int) -> Found:
     found: Found = {}
     quaternion, euler = tables.get("ATTITUDE_QUATERNION"), tables.get("ATTITUDE")
     rates = ("rollspeed", "pitchspeed", "yawspeed")
-    if quaternion is not None and _has(quaternion, ("time_boot_ms", "q1", "q4", *rates)):
+    if quaternion is not None and _has(quaternion, ("time_boot_ms", "q1", "q2", "q3", "q4", *rates)):
         _put(
             found,
             "/vehicle/attitude",
@@ -189,9 +193,9 @@ def _mavlink_status(tables: Found, found: Found) -> None:
 def _ulog(tables: Found, first_us: int) -> Found:
     found: Found = {}
     attitude, rates = tables.get("vehicle_attitude"), tables.get("vehicle_angular_velocity")
-    if attitude is not None and _has(attitude, ("q",)) and attitude["q"].shape[1:] == (4,):
+    if attitude is not None and _has(attitude, ("q",), 2) and attitude["q"].shape[1:] == (4,):
         turning = np.full((len(attitude), 3), np.nan)
-        if rates is not None and _has(rates, ("xyz",)):
+        if rates is not None and _has(rates, ("xyz",), 2):
             turning = _at(attitude.t_us, rates, rates["xyz"])
         elif _has(attitude, ("rollspeed", "pitchspeed", "yawspeed")):
             turning = _columns(attitude, "rollspeed", "pitchspeed", "yawspeed")
@@ -214,7 +218,7 @@ def _ulog(tables: Found, first_us: int) -> Found:
             vel_ned_mps=_columns(local, "vx", "vy", "vz"),
         )
     imu = tables.get("sensor_combined")
-    if imu is not None and _has(imu, ("gyro_rad", "accelerometer_m_s2")):
+    if imu is not None and _has(imu, ("gyro_rad", "accelerometer_m_s2"), 2):
         _put(
             found,
             "/vehicle/imu",
@@ -224,9 +228,9 @@ def _ulog(tables: Found, first_us: int) -> Found:
             rate_frd_radps=imu["gyro_rad"].astype(np.float64),
         )
     motors, outputs = tables.get("actuator_motors"), tables.get("actuator_outputs")
-    if motors is not None and _has(motors, ("control",)) and motors["control"].ndim == 2:
+    if motors is not None and _has(motors, ("control",), 2):
         _put(found, "/vehicle/motors", motors.t_us, t_us=_sampled(motors, first_us), pwm_us=_pulses(motors["control"]))
-    elif outputs is not None and _has(outputs, ("output",)) and outputs["output"].ndim == 2:
+    elif outputs is not None and _has(outputs, ("output",), 2):
         wide = outputs["output"].astype(np.float64)
         simulated = np.nanmax(np.abs(wide)) <= 1.0
         pulses = _pulses(wide) if simulated else np.nan_to_num(wide).astype(np.int64)[:, :_OUTPUTS]
@@ -238,8 +242,8 @@ def _ulog(tables: Found, first_us: int) -> Found:
 def _ulog_status(tables: Found, found: Found) -> None:
     power, status, landed = (tables.get(n) for n in ("battery_status", "vehicle_status", "vehicle_land_detected"))
     if power is not None and _has(power, ("voltage_v",)):
-        amperes = power["current_a"] if "current_a" in power.columns else np.full(len(power), np.nan)
-        left = power["remaining"] if "remaining" in power.columns else np.full(len(power), np.nan)
+        amperes = power["current_a"] if _has(power, ("current_a",)) else np.full(len(power), np.nan)
+        left = power["remaining"] if _has(power, ("remaining",)) else np.full(len(power), np.nan)
         share = np.where(np.isfinite(left) & (left >= 0.0), 100.0 * left, -1.0)
         _put(
             found,
@@ -299,7 +303,7 @@ def _dataflash(tables: Found, first_us: int) -> Found:
             pos_ned_m=_columns(filtered, "PN", "PE", "PD"),
             vel_ned_mps=_columns(filtered, "VN", "VE", "VD"),
         )
-    if imu is not None and _has(imu, ("GyrX", "AccX", "AccY", "AccZ")):
+    if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")):
         _put(
             found,
             "/vehicle/imu",
@@ -310,14 +314,14 @@ def _dataflash(tables: Found, first_us: int) -> Found:
         )
     outputs = tables.get("RCOU")
     if outputs is not None:
-        names = [f"C{i}" for i in range(1, _OUTPUTS + 1) if f"C{i}" in outputs.columns]
+        names = [f"C{i}" for i in range(1, _OUTPUTS + 1) if _has(outputs, (f"C{i}",))]
         wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
         if names:
             wide[:, : len(names)] = _columns(outputs, *names)
         _put(found, "/vehicle/motors", outputs.t_us, t_us=outputs.t_us, pwm_us=wide)
     power = tables.get("BAT", tables.get("CURR"))
     if power is not None and _has(power, ("Volt", "Curr")):
-        left = power["RemPct"] if "RemPct" in power.columns else np.full(len(power), -1)
+        left = power["RemPct"] if _has(power, ("RemPct",)) else np.full(len(power), -1)
         _put(
             found,
             "/vehicle/battery",
@@ -327,7 +331,7 @@ def _dataflash(tables: Found, first_us: int) -> Found:
             remaining=left.astype(np.int64),
         )
     said = tables.get("MSG")
-    if said is not None and _has(said, ("Message",)):
+    if said is not None and "Message" in said.columns and said["Message"].dtype.kind in "US":
         level = np.full(len(said), "info")
         _put(found, "/vehicle/statustext", said.t_us, level=level, name=level, text=said["Message"])
     return found

@@ -24,7 +24,8 @@ from flightstack.cli.track import Track, fly_track
 from flightstack.gp import RecursiveGP, SquaredExponential
 from flightstack.gp.likelihood import fit
 from flightstack.learning import sampler as s
-from flightstack.learning.learner import LearnerConfig, fits
+from flightstack.learning.learned_row import fits
+from flightstack.learning.learner import LearnerConfig
 from flightstack.learning.sampler import Sampler
 from flightstack.model import Model
 from flightstack.types import F64

@@ -69,6 +69,8 @@ class Sensors:
             np.random.Generator(np.random.PCG64(child)) for child in root.spawn(6)
         )
         self.grade = grade
+        self.origin_altitude_m = HOME_ALTITUDE_M
+        """Of the local frame's origin above the sea: what the barometer feels."""
         self.position_valid = True
         self.attitude_valid = True
         self.position_resets = 0
@@ -195,7 +197,7 @@ class Sensors:
 
     def pressure_hpa(self) -> float:
         """Barometer now: standard atmosphere at the true height, with noise."""
-        altitude_m = HOME_ALTITUDE_M - float(self._pos_ned_m[2])
+        altitude_m = self.origin_altitude_m - float(self._pos_ned_m[2])
         noise_pa = self.grade.air.baro_std_pa * self._air_normal()
         return 1013.25 * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588) + 0.01 * noise_pa
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from flightstack_sim.link_faults import BadLink
@@ -14,14 +15,17 @@ ONBOARD, GCS = 0, 1
 class Seam:
     """Between a server and the network: where link faults happen, each direction of each link on its own."""
 
-    __slots__ = ("_faults", "_in", "_out", "_server", "bad")
+    __slots__ = ("_faults", "_in", "_out", "_server")
 
     def __init__(self, server: Server, links: int, seed: int) -> None:
         self._server, self._faults = server, server.faults
-        self.bad = server.faults.on_the_link
-        """Whether any fault concerns the link: then every message has a datagram of its own, as on PX4."""
         self._out = [BadLink(seed, 2 * index) for index in range(links)]
         self._in = [BadLink(seed, 2 * index + 1) for index in range(links)]
+
+    @property
+    def bad(self) -> bool:
+        """Whether any fault concerns the link: then every message has a datagram of its own, as on PX4."""
+        return self._faults.on_the_link
 
     def out(self, index: int, datagrams: list[bytes]) -> list[bytes]:
         """What leaves now of what the server has sent till now."""
@@ -46,6 +50,8 @@ class Shell:
     sockets: tuple[UdpSocket | None, ...]
     seed: int = 0
     """Of the link faults."""
+    on_datagram: Callable[[str, int, bytes], None] | None = None
+    """Hears of every datagram: direction as the client sees it (rx, tx), link, data."""
     seam: Seam = field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +66,9 @@ class Shell:
             if socket is not None:
                 for data in datagrams:
                     socket.send(data)
+            if self.on_datagram is not None:
+                for data in datagrams:
+                    self.on_datagram("rx", index, data)
             sent.append(len(datagrams))
         return sent
 
@@ -68,6 +77,8 @@ class Shell:
         for index, socket in enumerate(self.sockets):
             if socket is not None:
                 for data in self.seam.into(index, socket.receive_all()):
+                    if self.on_datagram is not None:
+                        self.on_datagram("tx", index, data)
                     self.server.receive(index, data)
 
     def close(self) -> None:

@@ -6,6 +6,7 @@ the last state estimate.  After `advance` everything readable here is of the pre
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -101,10 +102,31 @@ def _fused(plant: Plant, control: FlightControl, sensors: Sensors) -> Callable[[
 
 
 def simulated_vehicle(
-    believed: Vehicle, truth: Vehicle, grade: Grade, *, seed: int, params: Params | None = None, plant: str = "native"
+    believed: Vehicle,
+    truth: Vehicle,
+    grade: Grade,
+    *,
+    seed: int,
+    params: Params | None = None,
+    plant: str = "native",
+    heading_rad: float = 0.0,
 ) -> SimulatedVehicle:
-    """A vehicle that flies as `truth` with an autopilot set up for `believed`; the seed fixes plant and sensors."""
+    """A vehicle that flies as `truth` with an autopilot set up for `believed`; the seed fixes plant and sensors.
+
+    `heading_rad`: the way it looks at first, clockwise from north.
+    """
     plant_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
     physics = make_plant(plant, truth, seed=int(plant_seed.generate_state(1)[0]))
+    if heading_rad != 0.0:
+        _turn(physics, heading_rad)
     control = FlightControl(believed, params if params is not None else airframe_params(believed, truth))
     return SimulatedVehicle(physics, Sensors(grade, seed=sensor_seed), control)
+
+
+def _turn(plant: Plant, heading_rad: float) -> None:
+    """Let a vehicle that stands at the origin look another way."""
+    if isinstance(plant, NativePlant):
+        plant.q_ned_frd[:] = math.cos(0.5 * heading_rad), 0.0, 0.0, math.sin(0.5 * heading_rad)
+        plant.evaluate()
+        return
+    plant.place(euler_rad=(0.0, 0.0, heading_rad))  # type: ignore[attr-defined]

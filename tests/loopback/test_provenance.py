@@ -222,7 +222,9 @@ def test_consistent_forgeries_are_refused_from_the_file_alone(flown: Flown, why:
     FROM_THE_FILE[why](data["knowledge"])
     data["knowledge"]["sha256"] = digest(data["knowledge"])
     if why == "doubts":
-        data["premises"]["estimate"].update(pos_m=0.0, vel_mps=0.0, acc_mps2=0.0)
+        estimate = data["premises"]["estimate"]
+        for name in ("pos_m", "vel_mps", "acc_mps2"):
+            estimate[name] = (0.0 * np.array(estimate[name])).tolist()
     verdict = check(resealed(data))
     assert not verdict.valid
     assert why in verdict.lines[-1], verdict.lines[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from oracle import State, accelerations
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from flightstack.types import F64
+from flightstack import effect_specs
+from flightstack.effect_specs import EFFECT_SPECS, EffectSpec, ParamSpec
+from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.effects.ground_effect import factor
 from flightstack_sim.jsbsim import aircraft
@@ -178,6 +181,16 @@ MOVING = [
     if name not in (*aircraft.REFUSED, "turbulence", "motor_lag", "transport_delay", "accelerometer_bias", "gyro_bias",
                     "attitude_misalignment")
 ]  # fmt: skip
+
+
+def test_an_effect_that_nobody_wrote_for_jsbsim_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new line of the table must not fly as if it were not there: the second physics would check nothing."""
+    spec = EffectSpec("magnus", (ParamSpec("k", "kg", 0.0, 0.0, 1.0),), "force", "known to no plant")
+    monkeypatch.setitem(EFFECT_SPECS, "magnus", spec)
+    monkeypatch.setitem(effect_specs._SLOTS, ("magnus", "k"), 0)
+    JsbsimPlant(replace(QUAD, effects={"magnus": {"k": 0.0}}), seed=0)
+    with pytest.raises(InputError, match=r"effects\.magnus .*not written for JSBSim"):
+        JsbsimPlant(replace(QUAD, effects={"magnus": {"k": 0.5}}), seed=0)
 
 
 @pytest.mark.parametrize("strength", [4.0, 20.0])

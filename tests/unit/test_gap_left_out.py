@@ -9,11 +9,14 @@ import pytest
 
 from flightstack.gap import voltage
 from flightstack.gap.checks import contact, stopped
+from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
+from flightstack.gap.naming.search import Fit, pressed_beyond, strained
 from flightstack.gap.records import Samples, Signal
 from flightstack.gap.simulate import untold, with_value
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, vehicle_to_toml
+from tests import gap_batch as batch
 from tests.gap_flights import as_samples, fly, quad, wander
 
 CUT_S = 0.4
@@ -140,8 +143,32 @@ def test_no_effect_is_no_end_of_a_range() -> None:
 
 @pytest.mark.parametrize("factor", [0.0, 1.0])
 def test_where_the_true_value_may_lie_at_the_end_it_is_no_stand_in(factor: float) -> None:
-    """A file with 0.5 for a true 1.0 was answered with a force and a wind, for the curve was left out."""
-    assert not at_end(quad(), "thrust_curve", "thrust_model_factor", factor)
+    """It is one only where the flights want to go beyond: a fit to a real Crazyflie stood at 0 for a shifted mass."""
+    effects = {"thrust_curve": {"thrust_model_factor": factor}}
+    assert strained(quad(), Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0)) == set()
+    pressed = Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0, frozenset({"thrust_curve"}))
+    assert strained(quad(), pressed) == {"thrust_curve"}
+
+
+def test_a_thrust_that_is_the_command_s_square_is_found_from_a_file_that_says_half() -> None:
+    """A file with 0.5 for a true 1.0 was answered with a force and a wind."""
+    half = with_value(quad(), "thrust_curve", {"thrust_model_factor": 0.5})
+    samples = batch.fly(quad(), [{"thrust_curve": {"thrust_model_factor": 1.0}}])[0]
+    at = samples.t_s - samples.t_s[0]
+    verdict = name(half, [samples], [at < 18.0], [at > 20.0])
+    assert [found.name for found in verdict.found] == ["thrust_curve"]
+    assert verdict.found[0].parameters["thrust_model_factor"].estimate == pytest.approx(1.0, abs=0.01)
+    assert not verdict.unexplained.significant
+
+
+@pytest.mark.parametrize(("pull", "beyond"), [(3.0, []), (5.0, [0]), (-5.0, [])])
+def test_the_pull_beyond_an_end_is_told_with_the_others_solved_again(pull: float, beyond: list[int]) -> None:
+    """Least squares of unit noise whose first coefficient is best `pull` standard deviations beyond its end (numpy)."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 3)) @ np.array([[1.0, 0.4, 0.0], [0.0, 1.0, 0.3], [0.0, 0.0, 1.0]])
+    k = x.T @ x
+    best = np.array([pull * np.sqrt(np.linalg.inv(k)[0, 0]), 0.2, -0.1])
+    assert pressed_beyond(k, k @ best, np.array([1, 0, 0])) == beyond
 
 
 @pytest.mark.parametrize(

@@ -449,6 +449,30 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
     assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".part")]
 
 
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_dataflash_log_that_describes_its_columns_otherwise_is_read_without_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Each column once under a name that nobody knows, and once as a text of the same length in bytes."""
+    letters, columns = FORMATS[name]
+    path = tmp_path / "a.BIN"
+    for k, column in enumerate(columns.split(",")):
+        for written in (columns.split(","), [*columns.split(",")[:k], "Q" * len(column), *columns.split(",")[k + 1 :]]):
+            as_text = written[k] == column
+            if as_text and struct.calcsize("<" + _STRUCT[letters[k]]) != 4:
+                continue
+            broken = dataflash().replace(columns.encode().ljust(64, b"\0"), ",".join(written).encode().ljust(64, b"\0"))
+            if as_text:
+                broken = broken.replace(
+                    letters.encode().ljust(16, b"\0"), (letters[:k] + "n" + letters[k + 1 :]).encode().ljust(16, b"\0")
+                )
+            path.write_bytes(broken)
+            log = with_vehicle_topics(read(path))
+            assert log.tables
+            if as_text and name in log.tables and column in log.tables[name].columns:
+                assert log.tables[name].columns[column].dtype.kind == "U"
+
+
 @pytest.mark.parametrize("kind", ["tlog", "dataflash"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

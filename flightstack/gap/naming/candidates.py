@@ -60,11 +60,21 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     return max(low, spec.minimum), min(high, spec.maximum)
 
 
-_PHYSICAL_ENDS = {
+PHYSICAL_ENDS = {
     ("thrust_curve", "thrust_model_factor"): (0.0, 1.0),  # thrust linear in the command, or its square
     ("motor_lag", "time_constant_s"): (0.0,),  # speed control faster than the log shows
 }
-"""Ends of ranges at which the true value may well lie: no sign of a stand-in."""
+"""Ends of ranges at which the true value may well lie: no sign of a stand-in unless the flights want to go beyond."""
+
+
+def at_physical_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> int:
+    """-1 or 1 where an estimate stands at the least or greatest value that may well be true, else 0."""
+    ends = PHYSICAL_ENDS.get((effect, parameter), ())
+    low, high = plausible(vehicle, effect, parameter)
+    for end, side in ((low, -1), (high, 1)):
+        if end in ends and abs(estimate - end) <= 1e-6:
+            return side
+    return 0
 
 
 def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bool:
@@ -76,8 +86,6 @@ def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bo
     if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
         return False
     low, high = plausible(vehicle, effect, parameter)
-    if any(end in (low, high) and abs(estimate - end) <= 1e-6 for end in _PHYSICAL_ENDS.get((effect, parameter), ())):
-        return False
     near = 1e-6 * (high - low)
     return (estimate <= low + near and spec.null != low) or (estimate >= high - near and spec.null != high)
 

@@ -70,13 +70,15 @@ def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estim
         for (e, p), v in zip(slots, now + step, strict=True):
             moved = with_value(moved, e, {p: _clipped(vehicle, e, p, v)})
         fresh = layout.stack(state.bench.residual(moved))
-        still = float(np.max(np.abs(step) / np.sqrt(np.maximum(np.diag(_covariance(state, x, rows, chosen)), 1e-300))))
+        still = float(
+            np.max(np.abs(step) / np.sqrt(np.maximum(np.diag(covariance_of(state, x, rows, chosen)), 1e-300)))
+        )
         vehicle, rows = moved, fresh
         if still < _STILL:
             break
     left = layout_of(state.bench, state.bench.residual(vehicle), coloured=True) if slots else layout
-    free = _without_nuisance(state, rows, chosen)
-    covariance = _covariance(state, x, free, chosen, left)
+    free = without_nuisance(state, rows, chosen)
+    covariance = covariance_of(state, x, free, chosen, left)
     now = np.array([value(vehicle, e, p) for e, p in slots])
     spread = _constancy(state, vehicle, slots, x, free, chosen)
     return Estimates(vehicle, slots, now, covariance, spread, x, rows)
@@ -111,24 +113,27 @@ def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
     return state.point.nuisance[:, told], state.point.nuisance_size[told]
 
 
-def _without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
+def without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
     """(R,) residual at the estimate less what the nuisance makes of it."""
     nuisance, size = _fitted_nuisance(state)
     mine = nuisance[chosen]
     return np.asarray(rows - nuisance @ np.linalg.solve(mine.T @ mine + np.diag(1.0 / size**2), mine.T @ rows[chosen]))
 
 
-def _covariance(state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None) -> F64:
+def covariance_of(
+    state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None, known: F64 | None = None
+) -> F64:
     """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966).
 
-    `left`: whose noise the rows have; without it they are taken as they are.
+    `left`: whose noise the rows have; without it they are taken as they are.  `known` (n,): information on each
+    coefficient that does not come from the rows.
     """
     count = x.shape[1]
     if count == 0:
         return np.zeros((0, 0))
     nuisance, size = _fitted_nuisance(state)
     both = np.hstack([x, nuisance])
-    prior = np.concatenate([np.zeros(count), 1.0 / size**2])
+    prior = np.concatenate([np.zeros(count) if known is None else known, 1.0 / size**2])
     covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
     told = state.point.nuisance_fitted
     other, scale = state.point.nuisance[:, ~told], state.point.nuisance_size[~told]

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.effect_specs import EFFECT_SPECS
-from flightstack.gap.naming.candidates import Candidate, at_end, fitted
+from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, metric_of
@@ -30,9 +31,9 @@ ALIKE = 10.0
 """Difference of scores below which one of two explanations is not preferred."""
 _SHORTLIST = {1: 4, 2: 4, 3: 3}
 _MARGIN = 12.0
-"""Difference of scores that the error of a straight line may well make."""
+"""Difference of scores that a straight line's error may make."""
 _NEAR = 0.3
-"""And the share of the whole gain that it may make far from where the columns were taken."""
+"""And its share of the whole gain, far from where the columns were taken."""
 _NEIGHBOURS = 6
 _ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
 """To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
@@ -58,9 +59,10 @@ class Fit:
     rows: F64
     """(R,) whitened residual at `vehicle`."""
     chi2: float
-    used: int
-    """Coefficients fitted."""
+    used: int  # coefficients fitted
     score: float
+    pressed: frozenset[str] = frozenset()
+    """Effects at a value that may be true but that the flights would clearly go beyond."""
 
 
 @dataclass(slots=True, eq=False)
@@ -102,8 +104,9 @@ class Search:
 
 
 def strained(start: Vehicle, fit: Fit) -> set[str]:
-    """Its effects that stand at an end of what is plausible."""
-    return {e for e, values in fit.effects.items() if any(at_end(start, e, p, x) for p, x in values.items())}
+    """Its effects that stand at an end of what is plausible, and not merely where the true value may lie."""
+    ends = {e: [(p, x) for p, x in values.items() if at_end(start, e, p, x)] for e, values in fit.effects.items()}
+    return {e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)}
 
 
 def _bar(state: Search) -> bool:
@@ -148,7 +151,7 @@ def move_to(state: Search, vehicle: Vehicle) -> None:
     state.rope_m = 0.0
     for key, fit in state.fits.items():
         rows = state.point.layout.stack(state.bench.residual(fit.vehicle))
-        state.fits[key] = judged_fit(state, fit.effects, fit.vehicle, rows, fit.used)
+        state.fits[key] = judged_fit(state, fit.effects, fit.vehicle, rows, fit.used, fit.pressed)
 
 
 def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
@@ -268,6 +271,7 @@ def _fit_from(state: Search, group: Sequence[Candidate], vehicle: Vehicle) -> Fi
     layout, metric = state.point.layout, state.metric
     rows = layout.stack(state.bench.residual(vehicle))
     chi2, used = metric.chi2(rows), 0
+    pressed: frozenset[str] = frozenset()
     for _ in range(_STEPS if group else 0):
         slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
         raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
@@ -285,10 +289,25 @@ def _fit_from(state: Search, group: Sequence[Candidate], vehicle: Vehicle) -> Fi
             if new_chi2 >= chi2:
                 break
             vehicle, rows, chi2 = moved, new_rows, new_chi2
+        sides = [at_physical_end(state.start, c.effect, p, value(vehicle, c.effect, p)) for c, p in slots]
+        pressed = frozenset(slots[i][0].effect for i in pressed_beyond(*metric.normal(x, rows), np.array(sides)))
         if before - chi2 < 10.0 * _CONVERGED:
             break
     effects = {c.effect: dict(vehicle.effects[c.effect]) for c in group}
-    return judged_fit(state, effects, vehicle, rows, used)
+    return judged_fit(state, effects, vehicle, rows, used, pressed)
+
+
+def pressed_beyond(k: F64, b: F64, sides: NDArray[np.int64]) -> list[int]:
+    """Coefficients at an end (-1 least, 1 greatest, 0 none) beyond which chi-square falls by what a name needs."""
+    free = np.flatnonzero(sides == 0)
+    inverse = np.linalg.pinv(k[np.ix_(free, free)], hermitian=True)
+    found = []
+    for i in np.flatnonzero(sides):
+        pull = float(b[i] - k[i, free] @ inverse @ b[free])
+        stiffness = float(k[i, i] - k[i, free] @ inverse @ k[free, i])
+        if pull * sides[i] > 0.0 and pull**2 > LEAST_EVIDENCE * stiffness:
+            found.append(int(i))
+    return found
 
 
 def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
@@ -323,13 +342,18 @@ def _stepped(state: Search, subset: Subset) -> Vehicle:
 
 
 def judged_fit(
-    state: Search, effects: Mapping[str, Mapping[str, float]], vehicle: Vehicle, rows: F64, used: int
+    state: Search,
+    effects: Mapping[str, Mapping[str, float]],
+    vehicle: Vehicle,
+    rows: F64,
+    used: int,
+    pressed: frozenset[str] = frozenset(),
 ) -> Fit:
     """A fit with its chi-square and score by the present metric."""
     chi2 = state.metric.chi2(rows)
     points = float(state.metric.rows.sum())
     price = score(0.0, used, len(effects), points, len(state.point.candidates))
-    return Fit(effects, vehicle, rows, chi2, used, chi2 + float(price))
+    return Fit(effects, vehicle, rows, chi2, used, chi2 + float(price), pressed)
 
 
 def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:

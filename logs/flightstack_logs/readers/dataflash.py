@@ -45,8 +45,8 @@ def read_dataflash(path: Path, data: bytes) -> Log:
     notes = [f"damaged or cut off: {lost} bytes are no whole message"] if lost else []
     first = min(int(table.t_us[0]) for table in tables.values() if len(table))
     metadata = {"boot": {"first_us": str(first)}}
-    if "PARM" in tables and {"Name", "Value"} <= tables["PARM"].columns.keys():
-        parameters = tables["PARM"]
+    parameters = tables["PARM"].columns if "PARM" in tables else {}
+    if {"Name", "Value"} <= parameters.keys() and parameters["Value"].dtype.kind in "iuf":
         metadata["parameters"] = {
             str(name): repr(float(value)) for name, value in zip(parameters["Name"], parameters["Value"], strict=True)
         }
@@ -103,12 +103,19 @@ def _learn(message: bytes, kinds: dict[int, _Kind], sizes: dict[int, int]) -> No
     number, length, name, letters, names = struct.unpack("<BB4s16s64s", message[3:])
     said = [part.rstrip(b"\0").decode("ascii", "replace") for part in (name, letters, names)]
     columns = said[2].split(",") if said[2] else []
-    if length < 3 or not said[0].isalnum() or len(columns) != len(said[1]) or len(set(columns)) != len(columns):
+    if (
+        length < 3
+        or not said[0].isalnum()
+        or len(columns) != len(said[1])
+        or len({"_head", *columns}) != len(columns) + 1
+    ):
         return
     fields: list[Any] = [("_head", "S3")]
     scales: dict[str, float] = {}
     for column, letter in zip(columns, said[1], strict=True):
         if letter not in FORMAT_TO_STRUCT:
+            return
+        if not column:
             return
         code, scale, _ = FORMAT_TO_STRUCT[letter]
         kind = "<i2" if letter == "a" else f"S{code[:-1]}" if code.endswith("s") else f"<{np.dtype(code).str[1:]}"
@@ -131,12 +138,10 @@ def _tables(kind: _Kind, data: bytes) -> dict[str, Table]:
     size = kind.row.itemsize
     rows = raw[np.array(kind.at)[:, None] + np.arange(size)].copy().view(kind.row)[:, 0]
     names = [name for name in kind.row.names or () if name != "_head"]
-    if "TimeUS" in names:
-        t_us = rows["TimeUS"].astype(np.float64)
-    elif "TimeMS" in names:
-        t_us = 1e3 * rows["TimeMS"].astype(np.float64)
-    else:
+    stamp = next((n for n in ("TimeUS", "TimeMS") if n in names and kind.row[n].kind in "iuf"), None)
+    if stamp is None:
         return {}
+    t_us = (1.0 if stamp == "TimeUS" else 1e3) * rows[stamp].astype(np.float64)
     good = np.flatnonzero((t_us >= 0.0) & (t_us < _LATEST_US))
     rows, stamps = rows[good], t_us[good].astype(np.int64)
     instance = next((name for name in ("I", "C", "Instance") if name in names and rows[name].dtype.kind in "iu"), None)

@@ -26,7 +26,7 @@ ROTORS = range(4)
 IDLE = ("Input", "MassBalance", "Aerodynamics", "BuoyantForces", "Output", "Atmosphere", "Propulsion")
 """Models of JSBSim that an aircraft of ours doesn't use; its mass doesn't change, no force depends on the pressure."""
 REFUSED = {"slung_load": "the load is a second body, and JSBSim's aircraft is one"}
-"""Effects that JSBSim can't express, and why; all others of the table fly."""
+"""Effects that JSBSim can't express, and why; one that is not here and that no function reads is refused as well."""
 _AXES: tuple[XYZ, XYZ, XYZ] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _RATES = tuple(prop(f"velocities/{letter}-rad_sec") for letter in "pqr")
 _LEAST_INDUCED_MPS = 1e-6
@@ -65,9 +65,12 @@ class Effects:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._effects = vehicle.effects
+        self.read: set[str] = set()
+        """Effects whose values were asked for: the aircraft has them."""
 
     def __call__(self, effect: str, parameter: str, own: float = math.nan) -> float:
         """The parameter's value; `own` where its null is the vehicle's own."""
+        self.read.add(effect)
         null = next(p.null for p in EFFECT_SPECS[effect].params if p.name == parameter)
         value = self._effects.get(effect, {}).get(parameter, null)
         return own if value is None else float(value)
@@ -81,18 +84,26 @@ class Effects:
 def refuse(vehicle: Vehicle) -> None:
     """InputError where the vehicle has an effect that JSBSim can't express."""
     for name, why in REFUSED.items():
-        values = vehicle.effects.get(name, {})
-        if not EFFECT_SPECS[name].is_null(values):
-            raise InputError(
-                f"{vehicle.name}: effects.{name} cannot be flown on --plant jsbsim: {why}; "
-                "take it out or fly --plant native"
-            )
+        if not EFFECT_SPECS[name].is_null(vehicle.effects.get(name, {})):
+            raise _refusal(vehicle, name, why)
+
+
+def _refusal(vehicle: Vehicle, name: str, why: str) -> InputError:
+    return InputError(
+        f"{vehicle.name}: effects.{name} cannot be flown on --plant jsbsim: {why}; take it out or fly --plant native"
+    )
 
 
 def write(vehicle: Vehicle, *, dt_us: int, gravity_mps2: float, seed: int, ground: bool = True) -> Aircraft:
     """The aircraft of a vehicle; InputError where JSBSim can't express it or this step can't follow it."""
     refuse(vehicle)
-    return _Writer(vehicle, dt_us, gravity_mps2, seed, ground).aircraft()
+    writer = _Writer(vehicle, dt_us, gravity_mps2, seed, ground)
+    aircraft = writer.aircraft()
+    for name, values in vehicle.effects.items():
+        spec = EFFECT_SPECS[name]
+        if spec.kind != "sensor" and not spec.is_null(values) and name not in writer.effects.read:
+            raise _refusal(vehicle, name, "its physics is not written for JSBSim")
+    return aircraft
 
 
 def contacts(vehicle: Vehicle, com: XYZ, dt_us: int, gravity_mps2: float) -> str:

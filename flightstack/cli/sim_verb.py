@@ -1,0 +1,133 @@
+"""The verbs `sim` and `warmup`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from flightstack.cli.interrupts import Interrupts
+from flightstack.cli.options import (
+    FaultOption,
+    HilPortOption,
+    JsonOption,
+    PhysicsForPx4Option,
+    PlantName,
+    PlantOption,
+    SeedOption,
+    Sensors,
+)
+
+INTERRUPTED = 130
+
+
+def _end_at_once() -> NoReturn:
+    """Without taking the interpreter down piece by piece, which takes a second on a busy machine."""
+    print("error: interrupted", file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)
+
+
+def sim(
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
+    ] = None,
+    plant: PlantOption = PlantName.native,
+    sensors: Annotated[
+        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+    ] = None,
+    seed: SeedOption = 0,
+    port: Annotated[
+        int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
+    ] = 14_540,
+    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
+    bind: Annotated[
+        str, typer.Option(help="Address of this machine that the links are bound to; 0.0.0.0: all.", metavar="ADDR")
+    ] = "127.0.0.1",
+    home: Annotated[
+        str | None,
+        typer.Option(help="Where the vehicle stands: degrees, metres above the sea.", metavar="LAT,LON,ALT,HEADING"),
+    ] = None,
+    instances: Annotated[
+        int, typer.Option(min=1, max=100, help="So many vehicles, with PX4's ports and system ids.")
+    ] = 1,
+    sysid: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id of the (first) vehicle.")] = 1,
+    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
+    fault: FaultOption = None,
+    px4_hil: PhysicsForPx4Option = False,
+    hil_port: HilPortOption = 4_560,
+    log: Annotated[
+        Path | None,
+        typer.Option("--log", help="Record truth and wire in this log (.mcap); several vehicles: NAME-1.mcap, ..."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
+    interrupts = Interrupts(always=(signal.SIGINT,))  # nothing flies that would have to land: also in the background
+    interrupts.at_once = True
+    from flightstack.cli import files, terminal
+    from flightstack.cli.hil import serve
+    from flightstack.cli.simulate import SimOptions, parse_home, simulate
+
+    def ready(text: str) -> None:
+        interrupts.at_once = False
+        print(text, flush=True)
+
+    grade = sensors.value if sensors else None
+    options = SimOptions(
+        vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log,
+        bind, parse_home(home), instances, sysid,
+    )  # fmt: skip
+    try:
+        result = (serve if px4_hil else simulate)(
+            options,
+            stop_requested=interrupts.requested,
+            on_ready=ready,
+            on_wait=lambda text: print(text, file=sys.stderr, flush=True),
+        )
+    except KeyboardInterrupt:
+        _end_at_once()
+    terminal.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
+    if json is not None:
+        files.write_json(json, result)
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+
+
+def warmup(
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(help="What to compile: simulator, jsbsim, flight (default: all).", metavar="PART"),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Compile everything ahead, so that nothing has to be compiled when it is first used."""
+    interrupts = Interrupts(always=(signal.SIGINT,))
+    interrupts.at_once = True
+    from flightstack.cli import files
+    from flightstack.cli.compiled import PARTS, compiled, ensure_compiled
+    from flightstack.errors import InputError
+
+    unknown = sorted(set(parts or ()) - set(PARTS))
+    if unknown:
+        raise InputError(f"warmup {unknown[0]}: there is no such part; there are {', '.join(PARTS)}")
+    began_s, done = time.monotonic(), []
+    for part in parts or PARTS:
+        there = compiled(part)
+        try:
+            ensure_compiled(lambda text, part=part: print(f"{part}: {text}", flush=True), part)  # type: ignore[misc]
+        except KeyboardInterrupt:
+            _end_at_once()
+        if not compiled(part):
+            print(f"error: {part} could not be compiled ahead; it is compiled when it is used", file=sys.stderr)
+            raise typer.Exit(1)
+        print(f"{part}: {'was compiled before' if there else 'compiled'}", flush=True)
+        done.append({"part": part, "was_there": there})
+    if json is not None:
+        wall_s = time.monotonic() - began_s
+        files.write_json(json, {"schema": "flightstack.warmup/1", "parts": done, "wall_time_s": wall_s})

@@ -1,0 +1,25 @@
+"""Where the program `flightstack` begins: signals are heard before anything else is imported."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+_ENDS_IN_THE_BACKGROUND = ("sim", "warmup")
+"""Verbs that nothing has to land from: Ctrl-C ends them also where a shell's script had it ignored."""
+
+
+def main() -> None:
+    """The command line; until it is imported a signal ends the program without words."""
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    if not ignored or (sys.argv[1:2] and sys.argv[1] in _ENDS_IN_THE_BACKGROUND):
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from flightstack.cli.main import main as run
+
+    if not ignored:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    run()
+
+
+if __name__ == "__main__":
+    main()
