@@ -101,11 +101,10 @@ def main() -> None:
     flights = [row for row in mine if "refused" not in row]
     left = [row["seed"] for row in flights if row["exits"]]
     engaged = sum(row["engaged"] for row in flights) / max(sum(row["ticks"] for row in flights), 1)
-    print(
-        f"{len(mine)} drawn, {len(mine) - len(flights)} refused, {len(flights)} flown, "
-        f"{len(left)} left (seeds {left[:20]}), engaged in {100.0 * engaged:.1f} % of the ticks, {sum(bool(row['ended']) for row in flights)} ended early, "
-        f"{sum(row['broken'] > 0 for row in flights)} with a broken premise"
-    )
+    refused = len(mine) - len(flights)
+    print(f"{len(mine)} drawn, {refused} refused, {len(flights)} flown, {len(left)} left (seeds {left[:20]})")
+    ended, broken = sum(bool(row["ended"]) for row in flights), sum(row["broken"] > 0 for row in flights)
+    print(f"engaged in {100.0 * engaged:.1f} % of the ticks; {ended} ended early, {broken} with a broken premise")
 
 
 if __name__ == "__main__":

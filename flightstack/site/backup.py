@@ -24,14 +24,16 @@ STEPS = 192
 """7.7 s: a way that takes longer is none."""
 ROW = 13
 """Numbers of a point: position (3, NED), velocity (3), acceleration (3), jerk across (2), jerk across
-that is asked for (2); across, acceleration and jerk are those of the lean, with thrust that carries the weight."""
+that is asked for (2); across, acceleration is that of the lean, with thrust that
+carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, PARAMETERS,
-) = range(20)  # fmt: skip
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, PARAMETERS,
+) = range(21)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
-the greatest thrust, m/s^2; the least cosine of the tilt."""
+the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
+lean on the way, m/s^2."""
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
@@ -43,12 +45,14 @@ _LEAST_UPRIGHT = 0.3
 def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
     """The way out from a point (ROW,): into `points` (STEPS, ROW) and the discs of `way` (STEPS, 5); how many, or 0.
 
-    tube (STEPS, 2): radius across and half height after each step.  0: it does not come to rest in time.
+    tube (STEPS, 2): radius across and half height after each step.  0: it does not come to rest in time,
+    or leans too far on the way.
     """
     x = start.copy()
     speed = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
     late = p[LATE_S] * speed
     dt = STEP_S / _SUBSTEPS
+    most = max(p[STEEPEST] * p[STEEPEST], x[6] * x[6] + x[7] * x[7])
     for k in range(STEPS):
         at_n, at_e, at_d = x[0], x[1], x[2]
         for i in range(ROW):
@@ -63,6 +67,8 @@ def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
             return k + 1
         for _ in range(_SUBSTEPS):
             _step(x, p, dt)
+        if x[6] * x[6] + x[7] * x[7] > most:
+            return 0
         across = math.sqrt((x[0] - at_n) ** 2 + (x[1] - at_e) ** 2)
         way[k, 3], way[k, 4] = tube[k, 0] + late + 0.5 * across, tube[k, 1] + late + 0.5 * abs(x[2] - at_d)
         way[k, 0], way[k, 1], way[k, 2] = 0.5 * (at_n + x[0]), 0.5 * (at_e + x[1]), -0.5 * (at_d + x[2])
@@ -93,9 +99,10 @@ def _step(x: F64, p: F64, dt: float) -> None:
     lift = math.sqrt(max(p[THRUST] * p[THRUST] - x[6] * x[6] - x[7] * x[7], 0.01 * p[THRUST] * p[THRUST]))
     wanted = max(wanted, STANDARD_GRAVITY_MPS2 - lift)  # what leans does not lift
     down = min(max((wanted - x[8]) / p[LAG_DOWN], -p[JERK_DOWN]), p[JERK_DOWN])
+    steep = 1.0 + (x[6] * x[6] + x[7] * x[7]) / STANDARD_GRAVITY_MPS2**2  # tan of a lean that turns
     lifted = max(STANDARD_GRAVITY_MPS2 - x[8], 0.0) / STANDARD_GRAVITY_MPS2
     for i in range(3):
-        j, share = (down, 1.0) if i == 2 else (x[9 + i], lifted)
+        j, share = (down, 1.0) if i == 2 else (steep * x[9 + i], lifted)
         x[i] += dt * (x[3 + i] + dt * share * (0.5 * x[6 + i] + dt * j / 6.0))
         x[3 + i] += dt * share * (x[6 + i] + 0.5 * dt * j)
         x[6 + i] += dt * j
@@ -144,6 +151,7 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
     short_n, short_e = lean_n - here[6], lean_e - here[7]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
     turn = min(p[ACC_GAIN] * short, math.sqrt(2.0 * p[SNAP] * short), 2.0 * p[JERK]) / short  # it can be stopped again
+    turn /= 1.0 + (here[6] * here[6] + here[7] * here[7]) / STANDARD_GRAVITY_MPS2**2
     jn, je = target[11] + turn * short_n, target[12] + turn * short_e
     upright = max(r[2, 2], _LEAST_UPRIGHT)
     force = STANDARD_GRAVITY_MPS2 / upright
