@@ -48,6 +48,7 @@ from flightstack.cli.options import (
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.shield_verb import shield
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
 from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
@@ -377,6 +378,7 @@ def gap(
 
 
 app.command()(campaign)
+app.command()(shield)
 app.command()(sim)
 app.command()(warmup)
 app.command()(reproduce)

@@ -183,10 +183,19 @@ def envelope(limits: Limits, site: Site) -> Limits:
 
 
 def plan_site(
-    site: Site, scenario: Scenario, believed: Vehicle, model: Model, estimate: EstimateBounds, governor: GovernorTerms
+    site: Site,
+    scenario: Scenario | None,
+    believed: Vehicle,
+    model: Model,
+    estimate: EstimateBounds,
+    governor: GovernorTerms,
 ) -> SitePlan:
-    """The certificate for a site in local metres; InputError where start, landing or the way between lie outside."""
-    certificate = stopping(believed, model, scenario.limits, estimate, governor)
+    """The certificate for a site in local metres; InputError where start, landing or the way between lie outside.
+
+    `scenario` None: what is flown is not known, and only the start is looked at.
+    """
+    limits = Limits() if scenario is None else scenario.limits
+    certificate = stopping(believed, model, limits, estimate, governor)
     kept, half = certificate.kept_m, certificate.half_m
     chute_m = kept + _CHUTE_ROOM_M if site.chute_m is None else site.chute_m
     if chute_m < kept:
@@ -199,6 +208,10 @@ def plan_site(
             f"{site.source}: {site.ceiling_m - site.floor_m:.2f} m between floor and ceiling; the vehicle at rest is "
             f"known to within {half:.2f} m up and down"
         )
+    if scenario is None:
+        start = np.zeros((1, 2))
+        _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
+        return SitePlan(site, certificate, start, chute_m)
     mission = plan(scenario, np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
