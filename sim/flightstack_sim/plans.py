@@ -1,8 +1,8 @@
 """What a client has stored in the vehicle: a mission, a geofence, rally points; which items PX4 takes.
 
 Answers to bad items are PX4's, measured: an item that it does not know is UNSUPPORTED, a frame UNSUPPORTED_FRAME, a
-fence's polygon of less than three corners an ERROR; coordinates that are none on this globe, NaN and polygons that cross
-themselves are stored, and judged when they are to be flown.
+fence's polygon of less than three corners an ERROR; coordinates that are none on this globe, NaN and polygons that
+cross themselves are stored, and judged when they are to be flown.
 """
 
 from __future__ import annotations
