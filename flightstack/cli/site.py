@@ -197,7 +197,7 @@ def plan_site(
     limits = Limits() if scenario is None else scenario.limits
     certificate = stopping(believed, model, limits, estimate, governor)
     kept, half = certificate.kept_m, certificate.half_m
-    chute_m = kept + _CHUTE_ROOM_M if site.chute_m is None else site.chute_m
+    chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
         raise InputError(
             f"{site.source}: chute.radius_m = {chute_m:g} is less than the {kept:.2f} m that the vehicle needs at rest"
