@@ -4,7 +4,7 @@ The log is named by SHA-256 of what the stack saw and did, tick by tick, from th
 
     t_us, measurement (20 doubles), its three ages, thrust_norm, rate_frd_radps, latency_s  (little-endian, 232 bytes)
 
-integers as int64, latency_s -1 where nothing was learned from the tick.  All of it is in /tick, /command and /learner,
+integers as int64, latency_s -1 where nothing was learned from the tick.  All of it is in /tick and /command,
 so a certificate made in flight can name the log that is still being written.
 """
 

@@ -30,6 +30,7 @@ from flightstack.cli.options import (
     JsonOption,
     LearnedOption,
     LogOption,
+    LogWireOption,
     NoFilterOption,
     NoLearningOption,
     OutOption,
@@ -105,6 +106,7 @@ def _flight_options(
     certificate: CertificateOption = None,
     unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
+    log_wire: LogWireOption = False,
     out: OutOption = None,
 ) -> dict[str, Any]:
     """The options that every verb that flies has, as `FlightOptions` names them."""
@@ -119,6 +121,7 @@ def _flight_options(
         "certificate": certificate,
         "unprotected_ok": unprotected_ok,
         "log": log,
+        "log_wire": log_wire,
         "out": out,
     }
 
@@ -246,6 +249,7 @@ def certify(
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
     out: OutOption = None,
+    log_wire: LogWireOption = False,
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None,
@@ -282,6 +286,7 @@ def certify(
         seed=seed,
         duration_s=duration,
         out=out,
+        log_wire=log_wire,
     )
     interrupts = Interrupts()
     with terminal.progress(f"certifying {scenario}") as show:

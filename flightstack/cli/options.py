@@ -29,6 +29,9 @@ WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `wayp
 VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
 LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
+LogWireOption = Annotated[
+    bool, typer.Option("--log-wire", help="Log every MAVLink datagram too (some 30 kB more a second).")
+]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]

@@ -77,13 +77,15 @@ class SimOptions:
     hil_port: int = 4560
     """Of `--px4-hil`."""
     log: Path | None = None
-    """Where the truth, and without `--px4-hil` what goes over the wire, is recorded."""
+    """Where the truth is recorded."""
     bind: str = HOST
     """The address of this machine that the links are bound to."""
     home: Home = field(default_factory=Home)
     instances: int = 1
     sysid: int = 1
     """Of the first instance."""
+    log_wire: bool = False
+    """Whether what goes over the wire is recorded too (not with `--px4-hil`)."""
 
 
 def parse_home(text: str | None) -> Home:
@@ -119,7 +121,7 @@ def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = N
     clock = clock_metadata(utc_us(), simulated=False)
     metadata = {"settings": settings, "versions": versions(), "clock": clock}
     truth = text_file("truth.toml", vehicle_text)
-    return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True)
+    return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True, compact=True)
 
 
 @dataclass(slots=True)
@@ -179,7 +181,7 @@ def _start(options: SimOptions, number: int, truth: Vehicle, grade: Grade, vehic
             socket.close()
         raise
     shell = Shell(server, sockets, options.seed + number)
-    if log is not None:
+    if log is not None and options.log_wire:
         shell.on_datagram = lambda direction, index, data: (
             log.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
         )
