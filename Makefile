@@ -8,12 +8,13 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-recorded gap-rotorpy px4 client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test campaign format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-rough gap-recorded gap-rotorpy px4 mutants docs client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
 	@echo "make test         set up, then format, lint, types, import rules and tests"
 	@echo "make format       rewrite the sources in the house format"
+	@echo "make campaign     64 flights from one file, some five minutes: docs/campaigns.md"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
@@ -26,11 +27,14 @@ help:
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
 	@echo "make fuzz         a million hostile datagrams against both ends (the tests take 100,000)"
 	@echo "make faults       every fault flown: the table of docs/safety.md"
+	@echo "make mutants      put small faults into the safety-relevant code, one at a time; lists what the tests do not notice (an hour)"
+	@echo "make docs         build the documentation into site/; a broken link fails"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make attack       every attack on a certificate that is known, as tests"
 	@echo "make campaign-barrier   5,000 flights against an adversary that searches: docs/barrier-campaign.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
 	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier-filters.md (campaign-barrier-filters-quick: a few)"
+	@echo "make gap-rough          200 blind cases with a rough vehicle file, plain and with ranges: docs/gap.md"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
 	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
@@ -45,6 +49,10 @@ $(BIN)/.installed: pyproject.toml
 
 $(BIN)/.installed-dev: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(BIN)/.installed-campaign: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[campaign,cluster,search]'
 	@touch $@
 
 $(BIN)/.installed-client: $(BIN)/.installed-dev
@@ -68,6 +76,9 @@ format: $(BIN)/.installed-dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+campaign: $(BIN)/.installed-campaign
+	$(BIN)/flightstack campaign campaigns/small.toml --out runs/campaign-small-$$(date +%Y%m%d-%H%M%S)
+
 bench-plant: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/plant.py
 
@@ -85,6 +96,16 @@ bench-barrier: $(BIN)/.installed
 
 paper: $(BIN)/.installed
 	$(BIN)/flightstack reproduce --out runs/paper
+
+mutants: $(BIN)/.installed-dev
+	$(BIN)/python -m benchmarks.mutants
+
+$(BIN)/.installed-docs: $(BIN)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+docs: $(BIN)/.installed-docs
+	$(BIN)/mkdocs build --strict --quiet
 
 crosscheck: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.plants_crosscheck
@@ -136,6 +157,9 @@ campaign-barrier-filters-quick: $(BIN)/.installed
 
 gap-blind: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_blind
+
+gap-rough: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_rough
 
 gap-recorded: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_recorded

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.checked import load_toml, number, only, table, vector, words
+from flightstack.dotted import changed_vehicle, flattened
 from flightstack.effect_specs import check_effect
 from flightstack.model import Limits
 from flightstack.moves import moves
@@ -26,9 +27,9 @@ from flightstack.waypoints import Waypoints, check_waypoints, waypoint_trajector
 SCHEMA = "flightstack.scenario/1"
 _KEYS = (
     "name", "description", "duration_s", "sensors", "trajectory", "limits", "truth", "region", "knowledge", "events",
-    "checks",
+    "checks", "grade", "flight",
 )  # fmt: skip
-_SENSORS = ("mocap", "gps", "px4-sih")
+_SENSORS = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _DURATION_S = (1.0, 3600.0)
 _FAR_M = 1000.0
 _ENVELOPE_MARGIN_M = 5.0
@@ -47,6 +48,8 @@ class Truth:
     """North, east, down, in true weights."""
     effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
     """Effects set on top: (name, ((parameter, value), ...))."""
+    changes: Mapping[str, object] = field(default_factory=dict)
+    """Dotted keys of the vehicle's file and their values, set last: [truth.vehicle]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +93,20 @@ class Scenario:
     """What is known of the true vehicle before take-off; None: nothing is claimed."""
     climb_to_m: float | None = None
     """Height above the start to climb to and settle at before the track; None: that of the trajectory's first point."""
+    grade_changes: Mapping[str, object] = field(default_factory=dict)
+    """Dotted keys of the sensors' grade and their values: what flies differs so from what is believed of it."""
+    flight: Mapping[str, object] = field(default_factory=dict)
+    """Options of `fly` that hold where the command line says nothing else."""
 
     def truth_vehicle(self, believed: Vehicle) -> Vehicle:
         """The vehicle that really flies: the believed one, heavier or lighter, with the truth's force and effects."""
         effects = {name: dict(values) for name, values in self.truth.effects}
         true = with_effects(scaled(believed, mass_ratio=self.truth.mass_ratio), effects, source=self.name)
         force = self.truth.constant_force_weights
-        if not any(force):
-            return true
-        north, east, down = (share * true.weight_n for share in force)
-        return with_effects(true, {"constant_force": {"north_n": north, "east_n": east, "down_n": down}})
+        if any(force):
+            north, east, down = (share * true.weight_n for share in force)
+            true = with_effects(true, {"constant_force": {"north_n": north, "east_n": east, "down_n": down}})
+        return changed_vehicle(true, self.truth.changes, self.name)
 
     def with_duration(self, duration_s: float) -> Scenario:
         """The same scenario with another length of the track; InputError outside 1 to 3600 s."""
@@ -130,6 +137,8 @@ def parse_scenario(text: str, source: str) -> Scenario:
         events=tuple(_event(item, f"{source}: event {i}") for i, item in enumerate(_tables(data, "events", source), 1)),
         checks=tuple(_check(item, f"{source}: check {i}") for i, item in enumerate(_tables(data, "checks", source), 1)),
         knowledge=_knowledge(table(data, "knowledge", source), source) if "knowledge" in data else None,
+        grade_changes=flattened(table(data, "grade", source)),
+        flight=table(data, "flight", source),
     )
 
 
@@ -241,7 +250,7 @@ def _envelope(
 
 def _truth(data: Mapping[str, object], source: str) -> Truth:
     where = f"{source}: truth"
-    only(data, ("mass_ratio", "constant_force_weights", "effects"), where)
+    only(data, ("mass_ratio", "constant_force_weights", "effects", "vehicle"), where)
     effects = table(data, "effects", where)
     checked = {name: check_effect(name, values, where) for name, values in effects.items()}
     return Truth(
@@ -250,6 +259,7 @@ def _truth(data: Mapping[str, object], source: str) -> Truth:
             data.get("constant_force_weights", (0.0, 0.0, 0.0)), f"{where}.constant_force_weights", -1.0, 1.0
         ),
         effects=tuple((name, tuple(values.items())) for name, values in checked.items()),
+        changes=flattened(table(data, "vehicle", where)),
     )
 
 

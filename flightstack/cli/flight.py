@@ -13,11 +13,13 @@ from dataclasses import dataclass, field, replace
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.filed import with_filed
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
+from flightstack.dotted import changed_vehicle
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -25,7 +27,7 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
-from flightstack_sim.grade import Grade, load_grade
+from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server
 from flightstack_sim.shell import ONBOARD, Shell
@@ -93,10 +95,13 @@ def prepare(options: FlyOptions) -> Setup:
     """Read and check everything before anything moves; InputError with one line where something is wrong."""
     faults = parse_faults(options.fault)
     flight = prepare_flight(options)
-    if options.truth is not None:
-        truth, _ = files.load_vehicle(options.truth)
+    scenario = flight.scenario
+    if options.truth is None:
+        truth = scenario.truth_vehicle(flight.believed)
     else:
-        truth = flight.scenario.truth_vehicle(flight.believed)
+        truth, _ = files.load_vehicle(options.truth)
+        if options.truth == scenario.flight.get("truth"):
+            truth = changed_vehicle(truth, scenario.truth.changes, scenario.name)
     sensors = options.grade(flight.scenario)
     settings = {
         "truth": truth.name,
@@ -114,9 +119,10 @@ def prepare(options: FlyOptions) -> Setup:
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
         settings["jsbsim"], carried["aircraft.xml"] = tried.version, tried.aircraft_xml
     grade = load_grade(sensors)
+    flown = changed_grade(sensors, scenario.grade_changes, f"{scenario.name}: grade")
     most_s = flight.protection.round_trip_max_s
     companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
-    return Setup(flight.with_more(settings, carried), truth, grade, options.plant, faults, companion)
+    return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -239,9 +245,14 @@ def fly(
     *,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
     """Fly a scenario in the simulator; log and report lie where the result says."""
-    return fly_setup(prepare(options), options, stop_requested=stop_requested, on_progress=on_progress)
+    scenario, file = files.load_scenario(options.scenario, options.waypoints)
+    options = with_filed(options, scenario.flight, str(file.path))
+    return fly_setup(
+        prepare(options), options, stop_requested=stop_requested, on_progress=on_progress, report_wanted=report_wanted
+    )
 
 
 def fly_setup(
@@ -252,6 +263,7 @@ def fly_setup(
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
     at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
+    report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
     """The same with a flight that is prepared, and with a `planner` that may change the mission while it is flown.
 
@@ -260,8 +272,13 @@ def fly_setup(
     ensure_compiled(lambda text: on_progress(0.0, text))
     if planner is not None:
         setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
+    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
+    log_path = options.log or out / "flight.mcap"
     with setup.flight.protection.beside():
-        return _flown(setup, options, planner, stop_requested, on_progress, at_end)
+        result = _flown(setup, replace(options, log=log_path), planner, stop_requested, on_progress, at_end)
+    if report_wanted(result):
+        files.write_flight_report(log_path, out / "report.html", result)
+    return result
 
 
 def _flown(
@@ -273,10 +290,9 @@ def _flown(
     at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
     warm_up_all(setup)
-    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
-    log_path = options.log or out / "flight.mcap"
+    assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
-    log = setup.flight.open_log(log_path, clock_metadata(began_us, simulated=not options.realtime))
+    log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
     recorder: Recorder = ThreadedLog(log) if options.realtime else log
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()
@@ -303,7 +319,6 @@ def _flown(
     )
     result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
     result.unprotected_ok = options.unprotected_ok
-    files.write_flight_report(log_path, out / "report.html", result)
     return result
 
 

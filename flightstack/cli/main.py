@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from flightstack.cli.campaign.verb import campaign
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.log_verbs import log_app
 from flightstack.cli.options import (
@@ -209,6 +210,7 @@ def offboard(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     believe_file: BelieveFileOption = False,
     set_params: SetParamsOption = None,
+    sensors: SensorsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     no_dead_man: Annotated[
@@ -229,6 +231,7 @@ def offboard(
         dry_run=dry_run,
         believe_file=believe_file,
         set_params=set_params,
+        sensors=sensors.value if sensors else None,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         dead_man=not no_dead_man,
@@ -375,6 +378,7 @@ def gap(
         files.write_json(json, as_json(result))
 
 
+app.command()(campaign)
 app.command()(sim)
 app.command()(warmup)
 app.command()(reproduce)

@@ -11,13 +11,16 @@ from pathlib import Path
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.console import say
+from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import Wire, parameters_set
+from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
@@ -58,6 +61,8 @@ class OffboardOptions(FlightOptions):
     """Fly though PX4's parameters contradict the vehicle file."""
     set_params: str | None = None
     """Parameters to set for the flight: name or file."""
+    sensors: str | None = None
+    """Grade that says what the vehicle's estimate is like."""
     heartbeat_timeout_s: float = 10.0
     dead_man: bool = True
     """A process of its own answers the companion's silence."""
@@ -68,6 +73,10 @@ class OffboardOptions(FlightOptions):
     def in_real_time(self) -> bool:
         """See ProtectionOptions."""
         return True
+
+    def grade(self, scenario: Scenario) -> str:
+        """As named; else what the file of parameters says, else the scenario's, which the vehicle may contradict."""
+        return self.sensors or files.load_params(self.set_params).sensors or scenario.sensors
 
     @property
     def as_written(self) -> bool:
@@ -86,6 +95,8 @@ def offboard(
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
+    if prepared.protection.unattainable:
+        say(f"not protected: {prepared.protection.unattainable}")
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
@@ -103,7 +114,7 @@ def _offboard(
 ) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
     address = parse_address(options.connect)
-    wanted = files.load_params(options.set_params)
+    wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
         parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
@@ -118,6 +129,7 @@ def _offboard(
             "signing": "off" if signer is None else "on",
             "dead_man": "on" if options.dead_man else "off",
             "set_params": options.set_params or "none",
+            "sensors": options.grade(scenario),
         }
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
@@ -150,6 +162,7 @@ def _offboard(
         link = Link(240, 191, framing=framing_for(address), signing=signer)
         companion = Companion(link, stack, scenario, observer, config, inspector)
         inspector.attach(companion)
+        inspector.gate = _heed(prepared.protection, options.grade(scenario), companion)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
@@ -184,6 +197,15 @@ def _offboard(
         result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
     return result
+
+
+def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:
+    """From now on the vehicle's own words decide whether anything is certified; None where nothing would be."""
+    if protection.estimate is None or protection.watched is None:
+        return None
+    gate = EstimateGate(protection.estimate, sensors, say)
+    gate.companion, protection.watched.contradicted = companion, gate
+    return gate
 
 
 def require_room(address: UdpIn | UdpOut | Serial) -> None:

@@ -15,6 +15,7 @@ class Sensors(StrEnum):
     mocap = "mocap"
     gps = "gps"
     px4_sih = "px4-sih"
+    px4_sih_ekf = "px4-sih-ekf"
 
 
 class PlantName(StrEnum):

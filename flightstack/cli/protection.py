@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
-from flightstack.barrier.estimate_bounds import does_not_fit, estimate_bounds
+from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -86,6 +86,8 @@ class Protection:
     """The same, where there is a filter that keeps to it."""
     workshop: Workshop | None = None
     """Where certificates are made, if not in the ticks."""
+    estimate: EstimateBounds | None = None
+    """How far the estimate may be off for what is certified; None where nothing is."""
 
     @property
     def round_trip_max_s(self) -> float:
@@ -96,6 +98,11 @@ class Protection:
         """Whether the flight was refused because its link is slower than the certificate that was given holds for."""
         slow = 1e-6 * companion.view.round_trip_us > self.round_trip_max_s
         return self.given is not None and slow and companion.flight_start_us < 0
+
+    @property
+    def unattainable(self) -> str:
+        """Why protection that was asked for can't be had, known before anything moves; empty where it may be had."""
+        return self.words.removeprefix("off: ") if self.asked and not self.filter.enabled else ""
 
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
@@ -146,7 +153,8 @@ def protect(
     source = f"certificate {file.path}" if file is not None else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
     words = f"{mode}{doubt}, {source}"
-    return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop)
+    counted = None if options.as_published else estimate_bounds(error_statistics(load_grade(sensors)))
+    return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop, counted)
 
 
 SOUND = "sound"

@@ -127,7 +127,7 @@ class FlightScore:
         flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
         stack, region = prepared.stack, self.region.summary()
         region["filtered_ticks"] = self._filter.acting if self._filtering else None
-        tracking = self.tracking.summary()
+        tracking, watched = self.tracking.summary(), prepared.protection.watched
         sensors = prepared.settings.get("sensors", "")
         flown = Flown(
             first_height_m(prepared.scenario),
@@ -158,6 +158,7 @@ class FlightScore:
             flown=flown.as_json(),
             protection=protection_of(prepared.protection.asked and completed is not None, self._filter.spans, region),
             filter_words=prepared.protection.words,
+            unprotected_because=prepared.protection.unattainable or (watched.hindrance if watched else ""),
             log_problem=log.failed or "",
         )
         if checked:

@@ -8,14 +8,17 @@ rest).
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from flightstack.dotted import changed
+from flightstack.toml_text import toml_text
 from flightstack.types import InputError, Tuple3
 
 SCHEMA = "flightstack.sensors/1"
-GRADES = ("mocap", "gps", "px4-sih")
+GRADES = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _Limits = tuple[float, float]
 _KEYS: dict[str, dict[str, tuple[int, _Limits]]] = {
     "imu": {
@@ -139,6 +142,20 @@ def load_grade(name: str) -> Grade:
         raise InputError(f"sensors {name!r}: unknown grade; use one of {', '.join(GRADES)}")
     source = f"sim/grades/{name}.toml"
     return parse_grade(resources.files("flightstack_sim").joinpath("grades", f"{name}.toml").read_text("utf-8"), source)
+
+
+def grade_keys() -> list[str]:
+    """Every dotted key of a grade's file that can be changed."""
+    return [f"{table}.{key}" for table, keys in _KEYS.items() for key in keys]
+
+
+def changed_grade(name: str, changes: Mapping[str, object], source: str) -> Grade:
+    """The grade of this name with these keys of its file changed; InputError where they are not allowed."""
+    if not changes:
+        return load_grade(name)
+    load_grade(name)
+    text = resources.files("flightstack_sim").joinpath("grades", f"{name}.toml").read_text("utf-8")
+    return parse_grade(toml_text(changed(tomllib.loads(text), changes, source)), source)
 
 
 def parse_grade(text: str, source: str) -> Grade:

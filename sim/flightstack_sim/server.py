@@ -42,7 +42,7 @@ PARAMS_PER_TICK: Final = 4
 class _Port:
     """One MAVLink link and what belongs to it."""
 
-    __slots__ = ("gcs_at_us", "link", "parameters", "streams", "text_id")
+    __slots__ = ("gcs_at_us", "link", "parameters", "streams", "synced_us", "text_id")
 
     def __init__(self, kind: LinkKind, system: int) -> None:
         self.link = Link(system, 1)
@@ -50,6 +50,7 @@ class _Port:
         self.parameters = ParameterList()
         self.gcs_at_us = NEVER
         self.text_id = 0
+        self.synced_us: int | None = None
 
 
 class Server:
@@ -96,6 +97,10 @@ class Server:
     def link(self, index: int) -> Link:
         """The protocol side of a link: statistics, and whatever a test wants to see."""
         return self._ports[index].link
+
+    def synced_us(self, index: int) -> int | None:
+        """When the last TIMESYNC that a link's client has answered was sent; None before it answered any."""
+        return self._ports[index].synced_us
 
     # --- in ---
 
@@ -159,6 +164,8 @@ class Server:
         message = received.message
         answer: Any = None
         if isinstance(message, m.Timesync):
+            if message.tc1_ns != 0 and message.ts1_ns <= 1000 * self.view.stamp_us:
+                port.synced_us = message.ts1_ns // 1000
             answer = protocols.answer_timesync(message, sender, self.view.stamp_us)
         elif isinstance(message, m.Ping):
             answer = protocols.answer_ping(message, sender)
@@ -191,7 +198,7 @@ class Server:
         """Simulate n_ms milliseconds under what has been received, then queue the streams that are due."""
         vehicle, view, state = self.vehicle, self.view, self.commander.state
         now_us = view.t_us
-        if self.faults.faults:
+        if self.faults.faults or self.faults.begun:
             self.faults.step(self)
         landed = vehicle.control.land_detector.landed
         if self._requests or now_us >= state.next_cycle_us or landed is not state.landed:
@@ -217,6 +224,15 @@ class Server:
             port.streams.emit(view, port.link.send)
             if port.parameters.running:
                 for item in port.parameters.take(vehicle.params, PARAMS_PER_TICK):
+                    port.link.send(item)
+
+    def answer(self) -> None:
+        """Answer what has been received without moving time: commands, and parameters that were asked for."""
+        if self._requests:
+            self._command(self.vehicle.control.land_detector.landed, self.view.t_us)
+        for port in self._ports:
+            if port.parameters.running:
+                for item in port.parameters.take(self.vehicle.params, PARAMS_PER_TICK):
                     port.link.send(item)
 
     def _command(self, landed: bool, now_us: int) -> None:

@@ -160,7 +160,8 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         self._inside = tag
-        self.loads += [str(value) for name, value in attrs if name in {"src", "href", "data", "action", "srcset"}]
+        loading = {"src", "href", "data", "action", "srcset"}
+        self.loads += [str(v) for name, v in attrs if name in loading and not str(v).startswith("#")]
         if tag == "script":
             self.scripts.append("")
 

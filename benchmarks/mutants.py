@@ -1,0 +1,203 @@
+"""`make mutants`: small faults put into the safety-relevant code, one at a time; the tests named for it must notice.
+
+A mutant is one operator, constant or condition changed in a copy of the repository.  `TARGETS` names each file and the
+tests that are to notice; mutants are drawn without replacement by a seed, so that a run can be repeated.  What survives
+is listed by line.  A mutant that changes nothing survives rightly: `EQUAL` lists these with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+TIME_LIMIT_S = 240.0
+UNIT = "tests/unit/"
+TARGETS: dict[str, tuple[str, ...]] = {
+    "flightstack/guard.py": (UNIT + "test_guard.py",),
+    "flightstack/safety_filter.py": (UNIT + "test_safety_filter.py",),
+    "flightstack/barrier/condition.py": (UNIT + "test_barrier_condition.py",),
+    "flightstack/barrier/margins.py": (UNIT + "test_margins.py",),
+    "flightstack/governor.py": (UNIT + "test_governor.py",),
+    "flightstack/certificate_check/ledger.py": (UNIT + "test_certificate_check.py",),
+    "flightstack/certificate_check/condition.py": (UNIT + "test_certificate_check.py",),
+    "mavlink_bridge/handshake.py": (UNIT + "test_handshake.py", UNIT + "test_companion.py", UNIT + "test_arming.py"),
+    "mavlink_bridge/decide.py": (
+        UNIT + "test_companion.py",
+        UNIT + "test_arming.py",
+        UNIT + "test_ways_out.py",
+        UNIT + "test_offboard.py",
+    ),
+    "mavlink_bridge/watchdogs.py": (UNIT + "test_watchdogs.py",),
+    "mavlink_bridge/dead_man.py": (UNIT + "test_dead_man.py",),
+    "sim/flightstack_sim/effects/ground_effect.py": ("tests/physics/test_effects.py",),
+    "sim/flightstack_sim/effects/rotor_drag.py": ("tests/physics/test_effects.py",),
+}
+EQUAL: dict[str, str] = {}
+"""`file:line kind` -> why no test can tell."""
+_COMPARES: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+}  # fmt: skip
+_OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
+}  # fmt: skip
+_CALLS = {"min": "max", "max": "min"}
+_TABLES = {"_S": "REFUSED", "State": "REFUSED", "Event": "TIMEOUT"}
+"""What an entry of the handshake's tables is replaced by."""
+
+
+class Mutant(NamedTuple):
+    """One change: the node's number in a walk of the tree, where it stands and what is done to it."""
+
+    node: int
+    line: int
+    kind: str
+
+
+def mutants_of(tree: ast.Module) -> Iterator[Mutant]:
+    """Every mutant of a module; docstrings, annotations and imports are left alone."""
+    skipped = {id(part) for node in ast.walk(tree) for part in _not_code(node)}
+    for number, node in enumerate(ast.walk(tree)):
+        if id(node) in skipped:
+            continue
+        kind = ""
+        if isinstance(node, ast.Compare) and type(node.ops[0]) in _COMPARES:
+            kind = f"{type(node.ops[0]).__name__} to {_COMPARES[type(node.ops[0])].__name__}"
+        elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            kind = f"{type(node.op).__name__} to {_OPERATORS[type(node.op)].__name__}"
+        elif isinstance(node, ast.BoolOp):
+            kind = "And to Or" if isinstance(node.op, ast.And) else "Or to And"
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            kind = "not dropped"
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            kind = "minus dropped"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _CALLS:
+            kind = f"{node.func.id} to {_CALLS[node.func.id]}"
+        elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+            kind = f"{node.value} to {not node.value}"
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in _TABLES:
+            kind = f"{node.value.id}.{node.attr} to {_TABLES[node.value.id]}"
+        elif isinstance(node, ast.Constant) and isinstance(node.value, float):
+            kind = f"{node.value} to {_other(node.value)}"
+        if kind:
+            yield Mutant(number, node.lineno, kind)
+
+
+def _not_code(node: ast.AST) -> Iterator[ast.AST]:
+    """Parts that no run executes for their value."""
+    for name in ("annotation", "returns"):
+        part = getattr(node, name, None)
+        if isinstance(part, ast.AST):
+            yield from ast.walk(part)
+    if isinstance(node, ast.Subscript):
+        yield from ast.walk(node.slice)
+
+
+def _other(value: float) -> float:
+    return 1.25 * value if value else 0.25
+
+
+def mutated(source: str, mutant: Mutant) -> str:
+    """The source with this change; the code after `ast.unparse`, so comments are gone."""
+    tree = copy.deepcopy(ast.parse(source))
+    node = next(node for number, node in enumerate(ast.walk(tree)) if number == mutant.node)
+    if isinstance(node, ast.Compare):
+        node.ops[0] = _COMPARES[type(node.ops[0])]()
+    elif isinstance(node, ast.BinOp):
+        node.op = _OPERATORS[type(node.op)]()
+    elif isinstance(node, ast.BoolOp):
+        node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+    elif isinstance(node, ast.UnaryOp):
+        node.op = ast.UAdd() if isinstance(node.op, ast.USub) else node.op
+        if isinstance(node.op, ast.Not):
+            node.op, node.operand = ast.Not(), ast.UnaryOp(ast.Not(), node.operand)
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        node.func.id = _CALLS[node.func.id]
+    elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+        node.attr = _TABLES[node.value.id]
+    elif isinstance(node, ast.Constant):
+        node.value = (not node.value) if isinstance(node.value, bool) else _other(float(node.value))  # type: ignore[arg-type]
+    return ast.unparse(ast.fix_missing_locations(tree))
+
+
+def notices(folder: Path, tests: tuple[str, ...]) -> bool:
+    """Whether these tests fail there, or do not end."""
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-q",
+        "--no-header",
+        "-p",
+        "no:cacheprovider",
+        "--runxfail",
+        *tests,
+    ]
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=TIME_LIMIT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return True
+    return done.returncode != 0
+
+
+def copied(folder: Path) -> None:
+    """The repository's tracked files as they are now."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in listed.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+
+
+def main() -> None:
+    """Draw, run, list."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--each", type=int, default=12, help="mutants of each file")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=60.0, help="begin no mutant after this")
+    parser.add_argument("files", nargs="*", help="of the table of targets; all where none is named")
+    options = parser.parse_args()
+    unknown = set(options.files) - TARGETS.keys()
+    if unknown:
+        sys.exit(f"error: no target: {', '.join(sorted(unknown))}; known: {', '.join(TARGETS)}")
+    began_s, killed, survived = time.monotonic(), 0, []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        copied(folder)
+        for target in options.files or TARGETS:
+            tests = TARGETS[target]
+            if notices(folder, tests):
+                sys.exit(f"error: {' '.join(tests)} fail without any fault")
+            source = (folder / target).read_text()
+            found = list(mutants_of(ast.parse(source)))
+            for mutant in random.Random(options.seed).sample(found, min(options.each, len(found))):
+                if time.monotonic() - began_s > 60.0 * options.minutes:
+                    break
+                where = f"{target}:{mutant.line} {mutant.kind}"
+                (folder / target).write_text(mutated(source, mutant))
+                if notices(folder, tests):
+                    killed += 1
+                elif where in EQUAL:
+                    print(f"equal     {where}: {EQUAL[where]}", flush=True)
+                else:
+                    survived.append(where)
+                    print(f"SURVIVED  {where}", flush=True)
+            (folder / target).write_text(source)
+            print(f"{target}: {killed} killed, {len(survived)} survived so far", flush=True)
+    print(f"{killed} of {killed + len(survived)} mutants killed")
+
+
+if __name__ == "__main__":
+    main()

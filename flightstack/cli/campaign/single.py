@@ -1,0 +1,69 @@
+"""One flight of a campaign, in the process that calls: from a scenario file's text to a row."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flightstack.cli.campaign.outcomes import COMPLETED, CRASHED, FAILED, REFUSED
+from flightstack.errors import InputError
+
+if TYPE_CHECKING:
+    from flightstack.cli import flight
+
+Row = dict[str, Any]
+
+
+def fly_text(text: str, folder: Path, *, keep: str, kept: bool, on_progress: Callable[[float], None]) -> Row:
+    """Fly the scenario in `text`; log and report stay in `folder` where they are to be kept.
+
+    `keep`: failures, all or none; `kept`: whatever comes of it.  The row: outcome, reason, result (fly's JSON or None),
+    wall_s.  Raises nothing but what ends a process.
+    """
+    from flightstack.cli import flight
+
+    began = time.perf_counter()
+    row: Row = {"outcome": REFUSED, "reason": "", "result": None}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        scenario = folder / "scenario.toml"
+        scenario.write_text(text, encoding="utf-8")
+        options = flight.FlyOptions(scenario=str(scenario), out=folder)
+        row |= _flown(options, folder, keep, kept, on_progress)
+    except InputError as error:
+        row["reason"] = " ".join(str(error).replace(str(folder / "scenario.toml"), "scenario").split())
+    except OSError as error:
+        row |= {"outcome": CRASHED, "reason": f"{type(error).__name__}: {error.strerror or error}"}
+    except Exception as error:  # a campaign of thousands goes on
+        row |= {"outcome": CRASHED, "reason": f"{type(error).__name__}: {error}"}
+    finally:
+        gc.collect()  # what a flight leaves behind in cycles is much for the few objects that the collector counts
+    row["wall_s"] = time.perf_counter() - began
+    return row
+
+
+def _flown(
+    options: flight.FlyOptions, folder: Path, keep: str, kept: bool, on_progress: Callable[[float], None]
+) -> Row:
+    from flightstack.cli import flight
+
+    wanted: list[bool] = []
+
+    def is_kept(result: Any) -> bool:
+        wanted.append(keep == "all" or kept or (keep == "failures" and not result.passed))
+        return wanted[0]
+
+    result = flight.fly(
+        options,
+        stop_requested=lambda: "",
+        on_progress=lambda share, phase: on_progress(share),
+        report_wanted=is_kept,
+    )
+    if not (wanted and wanted[0]):
+        (folder / "flight.mcap").unlink(missing_ok=True)
+    refused = result.link_too_slow or bool(result.contradictions)
+    outcome = REFUSED if refused else COMPLETED if result.passed else FAILED
+    return {"outcome": outcome, "reason": result.failure(), "result": result.as_json()}
