@@ -21,7 +21,7 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
 from flightstack.cli.recorded_inputs import recorded_inputs
 from flightstack.cli.recorder import LogObserver
-from flightstack.types import InputError
+from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
 from flightstack_logs.tables import Log, Table
@@ -132,12 +132,17 @@ def replay(
 
 def _settings(log: Log) -> Mapping[str, str]:
     """How it was flown; InputError where that can't be flown again."""
-    settings = log.metadata.get("settings", {})
-    if log.kind != "mcap" or not settings or "pace" not in settings:
-        raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
+    settings = _lockstep(log)
     if "/tick" not in log.tables:
         raise InputError(f"log {log.path}: never armed: the stack was never run, so there is nothing to replay")
-    if settings.get("pace") != "lockstep":
+    return settings
+
+
+def _lockstep(log: Log) -> Mapping[str, str]:
+    settings = log.metadata.get("settings", {})
+    if log.kind != "mcap" or "pace" not in settings:
+        raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
+    if settings["pace"] != "lockstep":
         raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
     if "planner" in settings:
         raise InputError(
@@ -173,15 +178,37 @@ def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
         raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
 
 
-def _run(log: Log, setup: Setup, path: Path, on_progress: Callable[[float, str], None]) -> None:
+def records_of(log: Log) -> list[TickRecord]:
+    """Every tick of today's stack on a log's inputs; InputError where it holds no flight in lockstep."""
+    settings = _lockstep(log)
+    ensure_compiled(lambda text: None)
+    found: list[TickRecord] = []
+    with tempfile.TemporaryDirectory() as folder:
+        setup = prepare(_options(log, settings, Path(folder)))
+        _run(log, setup, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
+    return found
+
+
+def _run(
+    log: Log,
+    setup: Setup,
+    path: Path,
+    on_progress: Callable[[float, str], None],
+    on_record: Callable[[TickRecord], None] | None = None,
+) -> None:
     """Give today's companion what the recorded one was given; its tables go into a log of their own."""
     messages.prepare()
     prepared = setup.flight
     inputs, stops, taken = recorded_inputs(log), _stops(log), 0
     out = FlightLog.open(path, metadata={}, compact=True)
-    clock = LogClock(out, zero_us=0, utc_us=0)
     observer = LogObserver(
-        out, prepared.scenario, prepared.believed, clock, truth=True, certifier=prepared.protection.watched
+        out,
+        prepared.scenario,
+        prepared.believed,
+        clock := LogClock(out, zero_us=0, utc_us=0),
+        truth=True,
+        on_record=on_record,
+        certifier=prepared.protection.watched,
     )
     companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion)
     observer.companion = companion
