@@ -49,6 +49,8 @@ class FlightOptions(ProtectionOptions):
     log: Path | None = None
     log_wire: bool = False
     """Every datagram goes into the log as well."""
+    live: int | None = None
+    """Port of the live view; None: there is none."""
     out: Path | None = None
 
     @property

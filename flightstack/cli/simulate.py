@@ -15,12 +15,13 @@ from typing import Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import text_file
 from flightstack.cli.versions import versions
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade, load_grade
@@ -86,6 +87,8 @@ class SimOptions:
     """Of the first instance."""
     log_wire: bool = False
     """Whether what goes over the wire is recorded too (not with `--px4-hil`)."""
+    live: int | None = None
+    """Port of the live view of the first instance; None: there is none."""
 
 
 def parse_home(text: str | None) -> Home:
@@ -130,7 +133,7 @@ class Instance:
 
     number: int
     shell: Shell
-    log: FlightLog | None
+    log: Recorder | None
     sent: list[int] = field(default_factory=lambda: [0, 0])
 
     def tick(self) -> None:
@@ -175,15 +178,18 @@ def _start(options: SimOptions, number: int, truth: Vehicle, grade: Grade, vehic
             vehicle, system=options.sysid + number, frame=options.home.frame, faults=parse_faults(options.fault)
         )
         path = None if options.log is None else log_of(options.log, number + 1, options.instances)
-        log = None if path is None else open_truth_log(options, vehicle_text, path)
+        log: Recorder | None = None if path is None else open_truth_log(options, vehicle_text, path)
+        if options.live is not None and number == 0:
+            log = shown_live(log, options.live)
     except BaseException:
         for socket in sockets:
             socket.close()
         raise
     shell = Shell(server, sockets, options.seed + number)
-    if log is not None and options.log_wire:
+    kept = log
+    if kept is not None and options.log_wire:
         shell.on_datagram = lambda direction, index, data: (
-            log.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
+            kept.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
         )
     return Instance(number, shell, log)
 

@@ -113,7 +113,7 @@ def _sample_time(name: str) -> Field:
 
 
 _REFERENCE_FIELDS = (
-    _f32("pos_ned_m", 3, "m", "position"),
+    _f64("pos_ned_m", 3, "m", "position"),
     _f32("vel_ned_mps", 3, "m/s", "velocity"),
     _f32("acc_ned_mps2", 3, "m/s^2", "acceleration"),
     _f32("jerk_ned_mps3", 3, "m/s^3", "jerk"),
@@ -202,7 +202,7 @@ FILTER_STATUS = ("nothing certified", "not engaged", "passed", "changed", "infea
 """Status of the barrier filter, by number; from `infeasible` on its fallback acts."""
 
 _TRUTH_FIELDS = (
-    _f32("pos_ned_m", 3, "m", "true position"),
+    _f64("pos_ned_m", 3, "m", "true position"),
     _f32("vel_ned_mps", 3, "m/s", "true velocity"),
     _f32("q_ned_frd", 4, "1", "true attitude (w, x, y, z), body to world"),
     _f32("rate_frd_radps", 3, "rad/s", "true body rates"),

@@ -147,6 +147,11 @@ class FlightLog:
         self._trail = viewer.Trail(truth=False)
         self._true_trail = viewer.Trail(truth=True)
 
+    @property
+    def context(self) -> foxglove.Context:
+        """Where its channels are: another sink beside the file sees what is written."""
+        return self._context
+
     @classmethod
     def open(
         cls,
