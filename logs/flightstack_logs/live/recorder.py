@@ -56,12 +56,15 @@ class LiveRecorder:
         """InputError, one line, where a port is taken."""
         self._log, self._board = log, Board()
         shown = FlightLog(Path("live"), _Nowhere())
-        self._server = _served(shown, port)
         try:
             self._page = PageServer(port + 1, self._board)
         except OSError as error:
-            self._server.stop()
             raise InputError(_taken(port + 1, error.strerror or str(error))) from None
+        try:
+            self._server = foxglove.start_server(name="flightstack", host=HOST, port=port, context=shown.context)
+        except (RuntimeError, OSError) as error:
+            self._page.stop()
+            raise InputError(_taken(port, str(error))) from None
         self._shown = ThreadedLog(shown, capacity=_QUEUE)
         self._tick_due_us = self._truth_due_us = self._timing_due_us = 0
         self._tick_due_s = self._truth_due_s = 0.0
@@ -154,14 +157,6 @@ class LiveRecorder:
         self._shown.close(1.0)
         self._page.stop()
         self._server.stop()
-
-
-def _served(shown: FlightLog, port: int) -> foxglove.websocket.WebSocketServer:
-    try:
-        return foxglove.start_server(name="flightstack", host=HOST, port=port, context=shown.context)
-    except (RuntimeError, OSError) as error:
-        shown.close()
-        raise InputError(_taken(port, str(error))) from None
 
 
 def _taken(port: int, why: str) -> str:
