@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test campaign format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-rough gap-recorded gap-rotorpy px4 mutants docs client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: help fly test campaign format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-rough gap-recorded gap-rotorpy px4 mutants docs house client-20 client-dronekit decoder fuzz faults tune clean
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -28,6 +28,7 @@ help:
 	@echo "make fuzz         a million hostile datagrams against both ends (the tests take 100,000)"
 	@echo "make faults       every fault flown: the table of docs/safety.md"
 	@echo "make mutants      put small faults into the safety-relevant code, one at a time; lists what the tests do not notice (an hour)"
+	@echo "make house        code lines, long files and functions, parameters, subscripts, names used twice"
 	@echo "make docs         build the documentation into site/; a broken link fails"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
@@ -96,6 +97,9 @@ bench-barrier: $(BIN)/.installed
 
 paper: $(BIN)/.installed
 	$(BIN)/flightstack reproduce --out runs/paper
+
+house: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.house
 
 mutants: $(BIN)/.installed-dev
 	$(BIN)/python -m benchmarks.mutants
