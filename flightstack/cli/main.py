@@ -44,11 +44,13 @@ from flightstack.cli.options import (
     SensorsOption,
     SetParamsOption,
     SigningKeyOption,
+    SiteOption,
     TruthOption,
     UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.shield_verb import shield
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
 from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
@@ -107,6 +109,7 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    site: SiteOption = None,
     unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
     log_wire: LogWireOption = False,
@@ -123,6 +126,7 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "site": site,
         "unprotected_ok": unprotected_ok,
         "log": log,
         "log_wire": log_wire,
@@ -385,6 +389,7 @@ def gap(
 
 
 app.command()(campaign)
+app.command()(shield)
 app.command()(sim)
 app.command()(warmup)
 app.command()(reproduce)

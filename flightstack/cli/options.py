@@ -66,6 +66,10 @@ BelieveFileOption = Annotated[
     bool, typer.Option("--believe-file", help="Fly though PX4's rotors or hover thrust contradict the vehicle file.")
 ]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
+SiteOption = Annotated[
+    Path | None,
+    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan of QGroundControl, .geojson)."),
+]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
 ]

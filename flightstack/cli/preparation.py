@@ -15,6 +15,7 @@ from flightstack.cli import files
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
+from flightstack.cli.site import envelope, load_site
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
 from flightstack.learning.learner import GpLearner, LearnerConfig
@@ -103,6 +104,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
     require_run_up(scenario)
+    if options.site is not None:
+        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     learned = None if options.learned is None else files.read_text(options.learned)
     model, name = Model.from_vehicle(believed), controller_name(options)
@@ -126,6 +129,9 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if learned is not None:
         settings["learned"] = str(learned.path)
         carried[f"learned{learned.path.suffix}"] = learned.text
+    if options.site is not None:
+        settings["site"] = str(options.site)
+        carried[f"site{options.site.suffix}"] = files.read_text(options.site).text
     if protection.certificate is not None:
         settings["certificate"] = protection.certificate_from
         carried[CERTIFICATE] = protection.certificate
