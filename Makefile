@@ -26,6 +26,8 @@ help:
 	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
 	@echo "make fuzz         a million hostile datagrams against both ends (the tests take 100,000)"
+	@echo "make replay       the reference flights' inputs through today's stack: what a change does to them (UPDATE=1 keeps it)"
+	@echo "make same BASE=COMMIT   flights by two commits, which must write the same bytes"
 	@echo "make faults       every fault flown: the table of docs/safety.md"
 	@echo "make mutants      put small faults into the safety-relevant code, one at a time; lists what the tests do not notice (an hour)"
 	@echo "make house        code lines, long files and functions, parameters, subscripts, names used twice"
@@ -131,6 +133,13 @@ decoder: $(BIN)/.installed-dev
 
 fuzz: $(BIN)/.installed-dev
 	FLIGHTSTACK_FUZZ=1000000 $(BIN)/python -m pytest -q tests/property/test_fuzz.py
+
+replay: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.reference_flights $(if $(UPDATE),--update)
+
+same: $(BIN)/.installed
+	@[ -n "$(BASE)" ] || { echo "error: say which commit: make same BASE=COMMIT" >&2; exit 2; }
+	$(BIN)/python -m benchmarks.same $(BASE)
 
 faults: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.faults
