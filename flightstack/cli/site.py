@@ -15,16 +15,18 @@ from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import TimedFilter
+from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
 from flightstack.scenario import Scenario
 from flightstack.site import bend as bending
 from flightstack.site import decide
+from flightstack.site.certificate import prior_of
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, KeepOut, Site
-from flightstack.site.stopping import Stopping, stopping
+from flightstack.site.stopping import Prior, Stopping, stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
 
@@ -40,6 +42,8 @@ class TimedSiteFilter(TimedFilter):
         super().__init__(site_filter)
         self.numbers: F64 = np.zeros(decide.MEMORY)
         self.bent: F64 = np.zeros(bending.SIZE)
+        self.force_most_mps2 = 0.0
+        """The greatest force that the accelerometer showed, once the chute was left."""
         self.reference: FlatOutput | None = None
         """As it was followed at the last tick."""
 
@@ -55,6 +59,9 @@ class TimedSiteFilter(TimedFilter):
         after = super().step(state, measurement, command, sent, learned)
         assert isinstance(after[0], SiteState)
         self.numbers, self.bent = after[0].numbers, after[0].bent
+        if decide.is_read(self.numbers):
+            shown = self.numbers[decide.FORCE : decide.FORCE + 3]
+            self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
 
 
@@ -73,6 +80,8 @@ class SiteScore:
     kept: int = 0
     broken: int = 0
     bent: list[dict[str, Any]] = field(default_factory=list)
+    force_most_mps2: float = math.inf
+    """More of a force than this breaks a premise."""
     clearance_m: float = math.inf
     """Of the vehicle at the last tick."""
     _bending: bool = False
@@ -88,7 +97,8 @@ class SiteScore:
         self.changed += record.filtered.intervened == 1.0
         self.governed += record.governed
         self.kept += kept
-        self.broken += kept and bool(numbers[decide.OFF] > 0.0)
+        shown = float(np.linalg.norm(numbers[decide.FORCE : decide.FORCE + 3]))
+        self.broken += (kept and bool(numbers[decide.OFF] > 0.0)) or shown > self.force_most_mps2
         bent = self.filter.bent[bending.BENT] > 0.0
         if bent and self._bending:
             self.bent[-1]["to_s"] = flight_s
@@ -140,7 +150,8 @@ class SitePlan:
 
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
-        return SiteScore(self.site, packed(self.site, self.chutes, self.chute_m), timed)
+        doubts, flat = self.certificate.doubts[0], packed(self.site, self.chutes, self.chute_m)
+        return SiteScore(self.site, flat, timed, force_most_mps2=2.0 * (doubts.force_mps2 + doubts.rest_mps2))
 
     @property
     def outlines(self) -> str:
@@ -154,7 +165,7 @@ class SitePlan:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
         return (
-            f"site {self.site.source}, stopping certificate from the prior (mass {prior.mass_low:g} to "
+            f"site {self.site.source}, stopping certificate (mass {prior.mass_low:g} to "
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
             f"{made.stopping_way_m(3.0):.1f} m from 3 m/s"
         )
@@ -197,6 +208,14 @@ def envelope(limits: Limits, site: Site) -> Limits:
     )
 
 
+def given_prior(path: Path | None, believed: Vehicle, sensors: str) -> tuple[Prior | None, str]:
+    """What a certificate's file says of mass and force, and its text; the prior's where no file was given."""
+    if path is None:
+        return None, ""
+    text = files.read_text(path).text
+    return prior_of(text, str(path), vehicle_hash(believed), sensors), text
+
+
 def plan_site(
     site: Site,
     scenario: Scenario | None,
@@ -204,13 +223,14 @@ def plan_site(
     model: Model,
     estimate: EstimateBounds,
     governor: GovernorTerms,
+    prior: Prior | None = None,
 ) -> SitePlan:
     """The certificate for a site in local metres; InputError where start, landing or the way between lie outside.
 
     `scenario` None: what is flown is not known, and only the start is looked at.
     """
     limits = Limits() if scenario is None else scenario.limits
-    certificate = stopping(believed, model, limits, estimate, governor)
+    certificate = stopping(believed, model, limits, estimate, governor, prior)
     kept, half = certificate.kept_m, certificate.half_m
     chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
