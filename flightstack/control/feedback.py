@@ -122,7 +122,7 @@ def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
 def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: F64, learned: F64, out: F64) -> float:
     """Nominal, feed-forward and feedback: total thrust, the parts in `out`.
 
-    `reference` (17,), `measured` (20,), `learned` (32,), `out` (20,): rows of FlatOutput, Measurement, Learned,
+    `reference` (17,), `measured` (20,), `learned` (33,), `out` (20,): rows of FlatOutput, Measurement, Learned,
     Proposal.
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]

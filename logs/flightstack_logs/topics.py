@@ -140,7 +140,7 @@ _TICK_FIELDS = (
     Field("attitude_age_us", "int64", 0, "us", "age of the attitude sample", "measurement.attitude_age_us"),
     Field("imu_age_us", "int64", 0, "us", "age of the IMU sample", "measurement.imu_age_us"),
     Field("thrust_saturated", "bool", 0, "", "whether thrust was limited"),
-    _f64("latency_s", 0, "s", "delay of commands that the learner goes by, NaN where nothing learns"),
+    _f64("delay_s", 0, "s", "delay of commands that the learner goes by, NaN where nothing learns"),
     Field("digest", "int64", 0, "", "CRC-32 of all that the stack said at this tick, logged or not"),
     Field("guard", "string", 0, "", "what the guard did instead of the command; empty if nothing"),
 )
