@@ -67,7 +67,7 @@ class BatchClosedLoop:
         self._learned = Learned.nothing().row
         gusty = np.flatnonzero(self._params[:, turbulence.SIGMA] != 0.0)
         self._gusts = {int(i): Gusts(seed + int(i), self._state[i : i + 1]) for i in gusty}
-        self._normals = np.zeros((_BLOCK * _STEPS if self._gusts else 0, len(truths), turbulence.NORMALS))
+        self._normals = np.zeros((len(truths), _BLOCK * _STEPS if self._gusts else 0, turbulence.NORMALS))
         self._began = False
         self.pos_ned_m = self._state[:, S_POS : S_POS + 3]
         self.vel_ned_mps = self._state[:, S_VEL : S_VEL + 3]
@@ -110,16 +110,18 @@ class BatchClosedLoop:
             drawn = 0
             while drawn < steps:
                 normals = gusts.take(steps - drawn)
-                self._normals[drawn : drawn + len(normals), i] = normals[:, 0]
+                self._normals[i, drawn : drawn + len(normals)] = normals[:, 0]
                 drawn += len(normals)
 
     def _fly(self, low: int, high: int, rows: F64, first: int, last: int, distances: F64) -> None:
+        block = np.empty((high - low, last - first))  # contiguous, as all that follows: one compiled version
         own = slice(low, high) if len(rows) > 1 else slice(0, 1)
         _fly_rows(
             self._constants, self._limits, self._learned, self._params[low:high], self._state[low:high],
-            self._loops[low:high], self._corrections[low:high], self._normals[:, low:high], rows[own, first:last],
-            distances[low:high, first:last], 0.0 if not self._began else TICK_S,
+            self._loops[low:high], self._corrections[low:high], self._normals[low:high],
+            np.ascontiguousarray(rows[own, first:last]), block, 0.0 if not self._began else TICK_S,
         )  # fmt: skip
+        distances[low:high, first:last] = block
 
 
 @njit_free
@@ -148,7 +150,7 @@ def _fly_rows(
                 rate_step(row[S_RATE : S_RATE + 3], loop)
                 for j in range(4):
                     row[S_COMMAND + j] = motors[j]
-                if normals.shape[0] > 0:
+                if normals.shape[1] > 0:
                     for j in range(5):
-                        row[S_NORMALS + j] = normals[4 * k + step, i, j]
+                        row[S_NORMALS + j] = normals[i, 4 * k + step, j]
                 step_row(p, row, work)

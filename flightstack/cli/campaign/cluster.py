@@ -88,11 +88,12 @@ class Cluster:
 
     def _connect(self, timeout_s: float | None = None) -> Any:
         try:
-            from distributed import Client
+            from distributed import Client as connect
         except ImportError:
             raise InputError("--scheduler needs Dask: pip install 'flightstack[cluster]'") from None
+        untyped: Any = connect
         try:
-            return Client(
+            return untyped(
                 self._address, timeout=timeout_s or _CONNECT_S, set_as_default=False, name="flightstack-campaign"
             )
         except (OSError, TimeoutError, ValueError) as error:
@@ -128,15 +129,19 @@ class Cluster:
             if plan is None:
                 return
             tasks[plan.flight] = _Task(plan, [], time.monotonic())
-            tasks[plan.flight].futures.append(self._submit(plan))
+            tasks[plan.flight].futures += self._submit(plan)
 
-    def _submit(self, plan: Plan, workers: list[str] | None = None) -> Any:
+    def _submit(self, plan: Plan, workers: list[str] | None = None) -> list[Any]:
+        """The future of a plan handed out; none where the scheduler has gone away at this moment."""
         self._count += 1
         key = f"flight-{plan.flight}-{self._count}-{time.time_ns()}"
-        return self._client.submit(
-            fly_remote, asdict(plan), self._keep, self._module, self._version, pure=False,
-            key=key, workers=workers, allow_other_workers=bool(workers),
-        )  # fmt: skip
+        with suppress(Exception):  # a client that is closing raises what it likes; the plan is handed out again
+            future = self._client.submit(
+                fly_remote, asdict(plan), self._keep, self._module, self._version, pure=False, key=key,
+                workers=workers, allow_other_workers=bool(workers),
+            )  # fmt: skip
+            return [future]
+        return []
 
     def _look_at(self, task: _Task) -> Done | None:
         """The flight, if it is accounted for; what was lost is handed out again."""
@@ -155,10 +160,10 @@ class Cluster:
                     row = {"outcome": CRASHED, "reason": f"the cluster lost it: {_words(error)}", "result": None}
                     return self._done(task, {"row": row | {"wall_s": 0.0}, "attempts": task.lost, "files": {}})
         if not task.futures:
-            task.futures.append(self._submit(task.plan))
+            task.futures += self._submit(task.plan)
             task.since_s = time.monotonic()
         elif time.monotonic() - task.since_s > _STALLED * task.plan.limit_s:
-            task.futures.append(self._submit(task.plan, self._others(task)))
+            task.futures += self._submit(task.plan, self._others(task))
             task.since_s = time.monotonic()
         return None
 
@@ -198,7 +203,7 @@ class Cluster:
                     raise
                 idle()
         for task in tasks.values():
-            task.futures = [self._submit(task.plan)]
+            task.futures = self._submit(task.plan)
             task.since_s = time.monotonic()
 
 

@@ -54,7 +54,8 @@ def search(work: Campaign) -> tuple[dict[str, Any], Callable[[int], Plan]]:
             first = batch[int(np.argmax(margins < limit))].flight
             if wanted.stop:
                 break
-    return _found(wanted, plans, best, first, method.summary()), plans.__getitem__
+    flown = sum(plan.flight in work.journal.entries for plan in plans)
+    return _found(wanted, flown, best, first, method.summary()), plans.__getitem__
 
 
 def _plan(work: Campaign, adversary: Adversary | None, flight: int, point: F64) -> Plan:
@@ -73,14 +74,14 @@ def _margins(entries: Mapping[int, Mapping[str, Any]], batch: list[Plan], wanted
 
 
 def _found(
-    wanted: Search, plans: list[Plan], best: tuple[float, int] | None, first: int | None, own: dict[str, Any]
+    wanted: Search, flown: int, best: tuple[float, int] | None, first: int | None, own: dict[str, Any]
 ) -> dict[str, Any]:
     sign = -1.0 if wanted.maximise else 1.0
     known = best is not None and math.isfinite(best[0])
     return {
         "method": wanted.method,
         "target": wanted.target,
-        "flights": len(plans),
+        "flights": flown,
         "found": first is not None,
         "first_failure": first,
         "worst": sign * best[0] if best is not None and known else None,
