@@ -31,12 +31,12 @@ from flightstack.barrier.assess import (
     WORK,
     assess,
     fallback,
-    pack,
     settle,
     steer,
 )  # fmt: skip
 from flightstack.barrier.condition import doubt_of
 from flightstack.barrier.falsify import HAND_OVER
+from flightstack.barrier.packed import pack
 from flightstack.barrier.qp import NearestPoint
 from flightstack.barrier.records import AxisCertificate, Certificate
 from flightstack.barrier.response import M_MODE, new_memory, remember

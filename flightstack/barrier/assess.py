@@ -1,7 +1,6 @@
 """One tick of the safety filter, compiled: predict, ask every barrier, set up the QP, turn its answer into a command.
 
-A certificate is packed into one row of numbers (`pack`), all that changes in flight into one memory (`new_memory`):
-compiled code is entered with flat arrays only, because each array that is handed over costs half a microsecond.
+A certificate is packed into one row of numbers (`packed`), all that changes in flight into one memory (`new_memory`).
 """
 
 from __future__ import annotations
@@ -10,9 +9,19 @@ import math
 
 import numpy as np
 
-from flightstack.barrier.condition import Reach, Setting, coefficients, interval, margin_at
-from flightstack.barrier.cover import bands
-from flightstack.barrier.records import Certificate
+from flightstack.barrier.condition import Reach, coefficients, interval, margin_at
+from flightstack.barrier.packed import (
+    DT_RANGE_S,
+    P_BOUNDS,
+    P_CENTRE,
+    P_CERTIFIED,
+    P_CHAIN,
+    P_RESPONSE,
+    P_TURNING,
+    pieces_of,
+    setting_of,
+    table_of,
+)  # fmt: skip
 from flightstack.barrier.response import (
     C_HOLD,
     C_LEAD_THRUST,
@@ -21,7 +30,6 @@ from flightstack.barrier.response import (
     C_RATE_DELAY,
     C_STEER,
     C_THRUST_DELAY,
-    CHAIN,
     M_GOOD_SINCE,
     M_MODE,
     M_STEP_US,
@@ -34,12 +42,11 @@ from flightstack.barrier.response import (
     remember,
     thrust_of,
 )  # fmt: skip
-from flightstack.barrier.shapes import ROW, piece_at
-from flightstack.barrier.turning import Turn, paced, straight, turning
+from flightstack.barrier.shapes import piece_at
+from flightstack.barrier.turning import Turn, paced, straight
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
-from flightstack.model import Limits, Model
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64
 
 ENGAGE_H = 0.05
 ENGAGE_US = 500_000.0
@@ -47,77 +54,11 @@ UNCERTIFIED, WAITING, PASSED, CHANGED, INFEASIBLE, UNSOLVED, FALSIFIED = range(7
 """Values of `Filtered.status`."""
 ENGAGED, DOUBTFUL = 1.0, 2.0
 """Modes in memory: engaged, engaged with a certificate for another region come in; 0 not engaged."""
-ROWS = 9
-"""Of the QP: three intervals, four pairs of the tilt pyramid's sides, roll and pitch rate."""
-_DT_RANGE_S = (0.001, 0.05)
-_CERTIFIED, _CENTRE, _PIECES, _NODES, _SETTING = 0, 3, 6, 9, 12
-_NUMBERS = len(Setting._fields)
-_RESPONSE = _SETTING + 3 * _NUMBERS
-_CHAIN = _RESPONSE + 9
-_BOUNDS = _CHAIN + CHAIN
-_TURNING = _BOUNDS + 5
-_SIZES = _TURNING + 2
-_HEAD = _SIZES + 2
-"""Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
-response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), `turning` (2, 0
-where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and tables (`_table`)."""
+ROWS = 7
+"""Of the QP: three intervals, two pairs of sides that bound the lean, roll and pitch rate."""
 WORK = 2 * STATE + 4
 """Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
 thrust (3), gain."""
-
-
-def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
-    """The certificate in one row, with what it leaves open taken from the model."""
-    axes = {axis.axis: axis for axis in certificate.axes} if certificate else {}
-    pieces = max((len(axis.barrier.rows) for axis in axes.values()), default=1)
-    nodes = max((axis.authority.table.shape[1] for axis in axes.values()), default=2)
-    flat = np.zeros(_HEAD + 3 * pieces * ROW + 3 * 7 * nodes)
-    flat[_SIZES : _SIZES + 2] = pieces, nodes
-    flat[_NODES : _NODES + 3] = 1.0
-    if certificate:
-        flat[_CENTRE : _CENTRE + 3] = certificate.centre_ned_m
-    steer_s = 1.0 / attitude_p_ps
-    response = flat[_RESPONSE:_CHAIN].reshape(3, 3)
-    response[:] = steer_s, steer_s * model.rate_lag_s, model.transport_delay_s
-    response[2, :2] = model.motor_lag_s, 0.0
-    tables = flat[_HEAD + 3 * pieces * ROW :].reshape(3, 7, nodes)
-    tables[2, 1], tables[2, 2] = STANDARD_GRAVITY_MPS2, 1.0
-    for i, axis in axes.items():
-        rows, table = axis.barrier.rows, axis.authority.table
-        flat[[_CERTIFIED + i, _PIECES + i, _NODES + i]] = 1.0, len(rows), table.shape[1]
-        flat[_SETTING + _NUMBERS * i : _SETTING + _NUMBERS * (i + 1)] = axis.setting
-        response[i] = axis.response.c1_s, axis.response.c2_s2, axis.response.delay_s
-        flat[_HEAD + i * pieces * ROW :][: rows.size] = rows.ravel()
-        tables[i, :3, : table.shape[1]] = table[:3]
-        tables[i, 3:, : table.shape[1] - 1] = bands(axis.authority)[:, 2:].T
-    _fill_chain(flat, tables[2], certificate, model, limits)
-    return flat
-
-
-def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model: Model, limits: Limits) -> None:
-    """The vehicle's answer and its limits; `vertical` (7, n): the authority's table.
-
-    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more, as `queries.budget`
-    has it: then no thrust in the budget takes away what lateral authority the budget grants.
-    """
-    low_n, high_n = model.thrust_range_n(limits)
-    low, high, tilt = low_n / model.mass_kg, high_n / model.mass_kg, limits.tilt_max_rad
-    least, most = low, high
-    if certificate:
-        tilt = min(certificate.budget.tilt_max_rad, tilt)
-        least, most = certificate.budget.low_mps2, certificate.budget.high_mps2
-    steered = 1 if flat[_CERTIFIED + 1] and not flat[_CERTIFIED] else 0
-    steer, square, delay = flat[_RESPONSE + 3 * steered : _RESPONSE + 3 * steered + 3]
-    at = int(np.argmin(np.abs(vertical[0, : int(flat[_NODES + 2])])))
-    rotor_lag, thrust_delay = flat[_RESPONSE + 6], flat[_RESPONSE + 8]
-    flat[_CHAIN:_BOUNDS] = [
-        model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
-        rotor_lag, square / steer if steer > 0.0 else 0.0, round(1e6 * thrust_delay), round(1e6 * delay), steer,
-        max(min(vertical[1, at] / vertical[2, at], most), 0.5 * (least + most)), _DT_RANGE_S[0],
-    ]  # fmt: skip
-    if certificate and certificate.governor is not None:
-        flat[_TURNING:_SIZES] = turning(certificate.governor, model, max(least, low))
-    flat[_BOUNDS:_TURNING] = low, high, math.sin(tilt) * math.cos(math.pi / 8.0), *limits.rate_max_radps[:2]
 
 
 @njit
@@ -130,37 +71,13 @@ def finite(values: F64) -> bool:
 
 
 @njit
-def _pieces(flat: F64, axis: int) -> F64:
-    """(n, ROW) the pieces of one axis' barrier."""
-    at = _HEAD + axis * int(flat[_SIZES]) * ROW
-    count = int(flat[_PIECES + axis])
-    return flat[at : at + count * ROW].reshape(count, ROW)
-
-
-@njit
-def _table(flat: F64, axis: int) -> F64:
-    """(7, n) one axis' authority: v, offset, gain at each node; the reach from it to the next one."""
-    nodes = int(flat[_SIZES + 1])
-    at = _HEAD + 3 * int(flat[_SIZES]) * ROW + axis * 7 * nodes
-    return flat[at : at + 7 * nodes].reshape(7, nodes)[:, : int(flat[_NODES + axis])]
-
-
-@njit
-def _setting(flat: F64, axis: int) -> Setting:
-    at = _SETTING + _NUMBERS * axis
-    return Setting(
-        flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6], flat[at + 7]
-    )
-
-
-@njit
 def _turn(flat: F64, state: F64, offset: F64, axis: int) -> Turn:
     """One lateral axis' lean at the predicted state."""
-    chain, r = flat[_CHAIN:_BOUNDS], quat_to_matrix(state[6:10])
+    chain, r = flat[P_CHAIN:P_BOUNDS], quat_to_matrix(state[6:10])
     force = offset[3] * chain[C_LEAD_THRUST]
     rate = -(state[11] * r[axis, 0] - state[10] * r[axis, 1])
     still = offset[axis] - offset[3] * thrust_of(chain, state[13]) * r[axis, 2]
-    return Turn(still, rate, force, chain[C_STEER], flat[_TURNING], flat[_TURNING + 1])
+    return Turn(still, rate, force, chain[C_STEER], flat[P_TURNING], flat[P_TURNING + 1])
 
 
 @njit
@@ -206,11 +123,11 @@ def assess(
     memory[0, M_STEP_US] = now_us
     if not (finite(measured[:13]) and math.isfinite(norm + out[32]) and finite(rate)):
         return UNSOLVED if memory[0, M_MODE] > 0.0 else WAITING
-    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
-    chain[C_HOLD] = min(max(step_s, _DT_RANGE_S[0]), _DT_RANGE_S[1]) if step_s < np.inf else _DT_RANGE_S[0]
+    chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    chain[C_HOLD] = min(max(step_s, DT_RANGE_S[0]), DT_RANGE_S[1]) if step_s < np.inf else DT_RANGE_S[0]
     for i in range(3):
-        offset[i] = column_at(_table(flat, i), 1, measured[3 + i])
-    offset[3] = column_at(_table(flat, 2), 2, measured[5])
+        offset[i] = column_at(table_of(flat, i), 1, measured[3 + i])
+    offset[3] = column_at(table_of(flat, 2), 2, measured[5])
     follow_rotors(memory, chain, measured_us)
     thrust_us, rate_us = now_us + chain[C_THRUST_DELAY], now_us + chain[C_RATE_DELAY]
     ahead(memory, chain, measured, measured_us, thrust_us, offset, offset[3], predicted[0])
@@ -260,24 +177,24 @@ def _barriers(
     axis has one.  `offset` becomes that at the predicted speeds."""
     feasible = True
     out[0] = out[1] = np.inf
-    response, chain = flat[_RESPONSE:_CHAIN].reshape(3, 3), flat[_CHAIN:_BOUNDS]
+    response, chain = flat[P_RESPONSE:P_CHAIN].reshape(3, 3), flat[P_CHAIN:P_BOUNDS]
     for i in range(3):
         low[i], high[i] = -np.inf, np.inf
         p, v = lead(chain, predicted[0 if i == 2 else 1], response, i, offset[i], offset[3])
-        centre = origin[i] + flat[_CENTRE + i]
+        centre = origin[i] + flat[P_CENTRE + i]
         e, seen = p - centre, measured[i] - centre
         out[23 + i], out[26 + i] = e, v
-        if flat[_CERTIFIED + i] == 0.0:
+        if flat[P_CERTIFIED + i] == 0.0:
             continue
-        table, pieces = _table(flat, i), _pieces(flat, i)
+        table, pieces = table_of(flat, i), pieces_of(flat, i)
         offset[i] = column_at(table, 1, v)
         if i == 2:
             offset[3] = column_at(table, 2, v)
-        reach, setting = _reach(table, v), _setting(flat, i)
+        reach, setting = _reach(table, v), setting_of(flat, i)
         for piece in pieces:
             out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)
             out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
-        if i < 2 and flat[_TURNING] > 0.0:
+        if i < 2 and flat[P_TURNING] > 0.0:
             low[i], high[i], margin = paced(pieces, e, v, setting, reach, _turn(flat, predicted[1], offset, i))
         else:
             low[i], high[i], margin = interval(pieces, e, v, setting, reach)
@@ -312,11 +229,12 @@ def _limit_rows(
 ) -> None:  # fmt: skip
     """All rows of the QP in u; the first three bounds hold the barriers' intervals already.
 
-    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The pyramid's sides bound the lean
-    n that is steered to, inside the cone of the greatest tilt.  Where both lateral axes are certified the sides give
-    way to the accelerations nearest to an upright n that the barriers allow: tilt never takes what position needs.
+    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The lean n that is steered to, and
+    the one that comes of how fast it turns, keep within the certificate's; where both lateral axes are certified these
+    bounds give way to the accelerations nearest to an upright n that the barriers allow: lean never takes what position
+    needs.
     """
-    chain, gain = flat[_CHAIN:_BOUNDS], offset[3]
+    chain, gain = flat[P_CHAIN:P_BOUNDS], offset[3]
     ends, still = np.empty(3), np.zeros(3)
     for i in range(ROWS):
         rows[i, 0] = rows[i, 1] = rows[i, 2] = 0.0
@@ -332,22 +250,31 @@ def _limit_rows(
         still_u = wanted[i] + force * chain[C_STEER] * (rate[1] * r[i, 0] - rate[0] * r[i, 1])
         upright[i] = still_u + force * r[i, 2]
         near[i] = min(max(upright[i], low[i]), high[i])
-    both = flat[_CERTIFIED] > 0.0 and flat[_CERTIFIED + 1] > 0.0
-    room = force * flat[_BOUNDS + 2]
-    for k in range(4):
-        angle = math.pi * (0.25 * k + 0.125)
-        north, east = math.cos(angle), math.sin(angle)
-        rows[3 + k, 0], rows[3 + k, 1] = north, east
-        middle = north * upright[0] + east * upright[1]
-        needed = north * near[0] + east * near[1] if both else middle
-        low[3 + k], high[3 + k] = min(middle - room, needed), max(middle + room, needed)
+    both = flat[P_CERTIFIED] > 0.0 and flat[P_CERTIFIED + 1] > 0.0
+    for k in range(2):
+        rows[3 + k, k] = 1.0
+        needed = near[k] if both else upright[k]
+        low[3 + k] = min(upright[k] - force * _steered(flat, r[k, 2]), needed)
+        high[3 + k] = max(upright[k] + force * _steered(flat, -r[k, 2]), needed)
     turn = force * chain[C_STEER] * max(r[2, 2], 0.1)
     for k in range(2):  # roll and pitch rate as `command_for` has them
         size = max(math.sqrt(r[1, k] * r[1, k] + r[0, k] * r[0, k]), 1e-9)
-        rows[7 + k, 0], rows[7 + k, 1] = -r[1, k] / size, r[0, k] / size
-        at = rows[7 + k, 0] * wanted[0] + rows[7 + k, 1] * wanted[1]
-        low[7 + k] = at - turn / size * (flat[_BOUNDS + 3 + k] + rate[k])
-        high[7 + k] = at + turn / size * (flat[_BOUNDS + 3 + k] - rate[k])
+        rows[5 + k, 0], rows[5 + k, 1] = -r[1, k] / size, r[0, k] / size
+        at = rows[5 + k, 0] * wanted[0] + rows[5 + k, 1] * wanted[1]
+        low[5 + k] = at - turn / size * (flat[P_BOUNDS + 3 + k] + rate[k])
+        high[5 + k] = at + turn / size * (flat[P_BOUNDS + 3 + k] - rate[k])
+
+
+@njit
+def _steered(flat: F64, lean: float) -> float:
+    """The greatest lean to one side that may be steered to from this one: turned back as the governor does (`turning`),
+    it comes to rest within the certificate's."""
+    most, turn, wait = flat[P_BOUNDS + 2], flat[P_TURNING], flat[P_TURNING + 1]
+    room = max(most - lean, 0.0)
+    if turn <= 0.0:
+        return float(most)
+    rate = math.sqrt(turn * turn * wait * wait + 2.0 * turn * room) - turn * wait
+    return min(most, lean + flat[P_CHAIN + C_STEER] * rate)  # type: ignore[no-any-return]
 
 
 @njit
@@ -355,13 +282,13 @@ def _least_margin(flat: F64, out: F64) -> float:
     """Least q of all pieces at the accelerations out[11:14], 1/s."""
     least = np.inf
     for i in range(3):
-        if flat[_CERTIFIED + i] == 0.0:
+        if flat[P_CERTIFIED + i] == 0.0:
             continue
-        reach = _reach(_table(flat, i), out[26 + i])
-        for piece in _pieces(flat, i):
-            setting, u = _setting(flat, i), out[11 + i]
+        reach = _reach(table_of(flat, i), out[26 + i])
+        for piece in pieces_of(flat, i):
+            setting, u = setting_of(flat, i), out[11 + i]
             q = margin_at(coefficients(piece, out[23 + i], out[26 + i], setting, reach), u)
-            if i < 2 and flat[_TURNING] > 0.0:
+            if i < 2 and flat[P_TURNING] > 0.0:
                 q = max(q, margin_at(coefficients(piece, out[23 + i], out[26 + i], straight(setting), reach), u))
             least = min(least, q)
     return least
@@ -380,7 +307,7 @@ def fallback(out: F64, u: F64) -> None:
 @njit
 def steer(flat: F64, work: F64, u: F64, rate: F64) -> float:
     """The command for u (3,): normalised thrust; roll and pitch rates into `rate` (3,), whose yaw rate stays."""
-    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
     norm = command_for(chain, predicted[0], offset, offset[3], u, rate)
     if _apart(predicted):
         command_for(chain, predicted[1], offset, offset[3], u, rate)
@@ -390,6 +317,6 @@ def steer(flat: F64, work: F64, u: F64, rate: F64) -> float:
 @njit
 def settle(flat: F64, work: F64, norm: float, rate: F64, out: F64) -> None:
     """What the command really does, into the row: accelerations and the least margin."""
-    chain, predicted, offset = flat[_CHAIN:_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
+    chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
     _accelerations(chain, predicted, offset, norm, rate, out[11:14])
     out[3] = _least_margin(flat, out)

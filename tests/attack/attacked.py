@@ -17,10 +17,12 @@ def attacked(world: World, seed: int, strategy: Strategy, seconds: float = 10.0)
     return flight.attack(strategy, seconds)
 
 
-def held(outcome: Outcome) -> None:
-    """No exit, no infeasible step, engaged for at least half of the ticks, and nothing was falsified."""
+def held(outcome: Outcome, may_break: tuple[int, ...] = ()) -> None:
+    """No exit, no infeasible step, engaged for at least half of the ticks, nothing falsified, no premise broken but
+    those that may (`barrier.premise_watch.NAMES`)."""
     assert outcome.least_h >= 0.0, outcome
     assert outcome.infeasible == 0, outcome
     assert outcome.share >= 0.5, outcome
     assert outcome.falsified == 0, outcome
+    assert outcome.broken in (0, *may_break), outcome
     assert outcome.travelled_m > 0.3, outcome
