@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, TypeVar, overload
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -305,3 +306,16 @@ class TickRecord(NamedTuple):
     filtered: Filtered = Filtered.nothing()
     governed: bool = False
     """Whether the governor of rate commands changed the command."""
+
+    @property
+    def latency_s(self) -> float:
+        """Delay of commands that the learner goes by; NaN where nothing learns."""
+        return self.learned.latency_s if self.learned.stage >= 0.0 else math.nan
+
+    @property
+    def digest(self) -> int:
+        """CRC-32 over every bit of reference, proposal, what was learned and what was filtered."""
+        found = 0
+        for part in (self.reference, self.proposal, self.learned, self.filtered):
+            found = crc32(np.ascontiguousarray(part.row).data, found)
+        return found

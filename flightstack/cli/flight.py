@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.filed import with_filed
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
@@ -299,7 +300,7 @@ def _flown(
     assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
     log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
-    recorder: Recorder = ThreadedLog(log) if options.realtime else log
+    recorder = shown_live(ThreadedLog(log) if options.realtime else log, options.live)
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()
     try:

@@ -13,6 +13,7 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.console import say
 from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
@@ -144,7 +145,7 @@ def _offboard(
         }
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
-        recorder = ThreadedLog(log)
+        recorder = shown_live(ThreadedLog(log), options.live)
         zero_us = monotonic_us()
         line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
         line.step(zero_us)  # the log begins at 0, however late the vehicle's first message comes
