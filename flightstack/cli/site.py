@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ from flightstack.site import decide
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
-from flightstack.site.shape import MOST_EDGES, Site
+from flightstack.site.shape import MOST_EDGES, KeepOut, Site
 from flightstack.site.stopping import Stopping, stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
@@ -142,6 +143,13 @@ class SitePlan:
         return SiteScore(self.site, packed(self.site, self.chutes, self.chute_m), timed)
 
     @property
+    def outlines(self) -> str:
+        """JSON of what is drawn of it: lines of (north, east) in metres; the first is the one to stay in."""
+        lines = [self.site.inside]
+        lines += [_ring(each) if each.polygon is None else each.polygon for each in self.site.keep_outs]
+        return json.dumps({"lines": [np.round(line, 3).tolist() for line in lines]})
+
+    @property
     def words(self) -> str:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
@@ -150,6 +158,13 @@ class SitePlan:
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
             f"{made.stopping_way_m(3.0):.1f} m from 3 m/s"
         )
+
+
+def _ring(each: KeepOut) -> F64:
+    """(n, 2) a circle's outline."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 36, endpoint=False)
+    ring: F64 = np.array(each.centre) + each.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return ring
 
 
 def read_site(path: Path) -> Site:
@@ -197,7 +212,7 @@ def plan_site(
     limits = Limits() if scenario is None else scenario.limits
     certificate = stopping(believed, model, limits, estimate, governor)
     kept, half = certificate.kept_m, certificate.half_m
-    chute_m = kept + _CHUTE_ROOM_M if site.chute_m is None else site.chute_m
+    chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
         raise InputError(
             f"{site.source}: chute.radius_m = {chute_m:g} is less than the {kept:.2f} m that the vehicle needs at rest"

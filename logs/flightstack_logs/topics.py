@@ -75,6 +75,8 @@ class Attachment:
     data: bytes
 
 
+SITE_OUTLINES = "site-outlines.json"
+"""Attachment of a flight in a site: its lines in metres from the place of arming."""
 CERTIFICATE, FINAL_CERTIFICATE = "certificate.json", "certificate-final.json"
 """Attachments: the certificate that a flight began with, and the last one that was made in flight."""
 
