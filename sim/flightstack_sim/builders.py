@@ -328,6 +328,8 @@ def mission_current(view: View) -> m.MissionCurrent:
     if not total:
         return m.MissionCurrent(0, _NO_ITEMS, _NO_MISSION, navigator.mission_mode)
     ids = plans.ids
+    if not view.mission_valid:
+        return m.MissionCurrent(plans.current, total, _NO_MISSION, navigator.mission_mode)
     return m.MissionCurrent(
         plans.current, total, navigator.mission_state, navigator.mission_mode, ids[MISSION], ids[FENCE], ids[RALLY]
     )

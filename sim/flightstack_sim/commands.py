@@ -14,7 +14,16 @@ from typing import Any, Final
 from flightstack.types import Tuple3
 from flightstack_sim import builders, streams
 from flightstack_sim.autopilot import notices
-from flightstack_sim.autopilot.commander import FORCE, ArmRequest, FlyRequest, GoRequest, ModeRequest, Request, Sender
+from flightstack_sim.autopilot.commander import (
+    FORCE,
+    ArmRequest,
+    FlyRequest,
+    GoRequest,
+    ModeRequest,
+    Request,
+    Sender,
+    StartRequest,
+)
 from flightstack_sim.autopilot.goal import Goal, orbit_goal
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.streams import LinkStreams
@@ -25,6 +34,7 @@ from mavlink_bridge.px4 import Cmd, Result
 FRAME_GLOBAL_INT: Final = 5
 UNSUPPORTED_FRAME: Final = 9
 """MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME."""
+_START: Final = 300
 _GET_HOME: Final = 410
 _REQUEST_PROTOCOL: Final = 519
 _REQUEST_CAPABILITIES: Final = 520
@@ -148,6 +158,10 @@ def _arm(context: Context, params: Params) -> None:
 
 def _take_off(context: Context, params: Params) -> None:
     context.requests.append(FlyRequest(context.sender, Cmd.NAV_TAKEOFF, params[6]))
+
+
+def _start_mission(context: Context, params: Params) -> None:
+    context.requests.append(StartRequest(context.sender))
 
 
 def _land(context: Context, params: Params) -> None:
@@ -290,6 +304,7 @@ _HANDLERS: Final[dict[int, Handler]] = {
     Cmd.COMPONENT_ARM_DISARM: _arm,
     Cmd.NAV_TAKEOFF: _take_off,
     Cmd.NAV_LAND: _land,
+    _START: _start_mission,
     Cmd.NAV_RETURN_TO_LAUNCH: _return,
     Cmd.PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     Cmd.SET_MESSAGE_INTERVAL: _set_interval,

@@ -14,9 +14,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from flightstack_sim import commands, protocols
-from flightstack_sim.autopilot import notices
+from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
-from flightstack_sim.autopilot.navigator import Navigator
+from flightstack_sim.autopilot.mission import MissionFlight
+from flightstack_sim.autopilot.navigator import NOT_STARTED, Navigator
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
@@ -78,9 +79,10 @@ class Server:
         vehicle.sensors.origin_altitude_m = frame.altitude_m
         self.system = system
         self.commander = Commander(vehicle.params)
-        self.navigator = Navigator(vehicle.params, frame.altitude_m)
         self.plans = Plans()
         self.fence = FenceWatch(self.plans, vehicle.params, frame)
+        self.mission = MissionFlight(self.plans, vehicle.params, frame, self.fence.forbids)
+        self.navigator = Navigator(vehicle.params, frame.altitude_m, self.mission)
         self.view = View(vehicle, self.commander.state, self.navigator.state, frame, unix_at_boot_us)
         self.view.plans, self.view.fence = self.plans, self.fence
         self.view.sysid = system
@@ -94,6 +96,7 @@ class Server:
         self._offboard_at_us = NEVER
         self._gcs_at_us = NEVER
         self._breached = False
+        self._tell_reached_us = 0
         self._next_slow_us = 0
         self._was_armed = False
 
@@ -231,6 +234,7 @@ class Server:
             takeoff_altitude_m=state.takeoff_altitude_m,
             goal=state.goal,
             now_us=now_us,
+            landed=landed,
         )
         if said:
             self._say(said, now_us)
@@ -283,12 +287,16 @@ class Server:
             self.view.battery.remaining,
             valid,
             self._breached,
+            self.mission.valid,
+            self.mission.finished,
+            self.mission.returns,
         )
 
     def _slow(self) -> None:
         """What is looked at ten times a second."""
         view = self.view
         self._watch_fence()
+        self._watch_mission()
         for port in self._ports:
             for message in port.plans.step(view.t_us):
                 port.link.send(message)
@@ -297,6 +305,27 @@ class Server:
         view.refresh_slow()
         if view.t_us >= HOME_SET_US and self.navigator.state.home_ned_m is None:
             self.navigator.set_home(view.pos_ned_m, view.t_us)
+
+    def _watch_mission(self) -> None:
+        """What was stored, and which item was reached: said once at once, then every second."""
+        said, state = self.mission.renew(), self.navigator.state
+        if (
+            said
+            or not self.mission.valid
+            or (self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION)
+        ):
+            state.mission_state = NOT_STARTED
+        self.view.mission_valid = self.mission.valid
+        self._say(said, self.view.t_us)
+        news = self.mission.news
+        if not news and self.mission.reached >= 0 and self.view.t_us >= self._tell_reached_us:
+            news.append(self.mission.reached)
+        if news:
+            self._tell_reached_us = self.view.t_us + 1_000_000
+            for port in self._ports:
+                for reached in news:
+                    port.link.send(m.MissionItemReached(reached))
+            news.clear()
 
     def _watch_fence(self) -> None:
         """The cylinder of the parameters, and what a client has stored."""

@@ -34,6 +34,7 @@ FORCE: Final = 21196.0
 
 ACCEPTED: Final = 0
 TEMPORARILY_REJECTED: Final = 1
+DENIED: Final = 2
 
 COMMAND_SET_MODE: Final = 176
 COMMAND_ARM: Final = 400
@@ -41,6 +42,7 @@ COMMAND_TAKEOFF: Final = 22
 COMMAND_LAND: Final = 21
 COMMAND_RETURN: Final = 20
 COMMAND_ORBIT: Final = 34
+COMMAND_START: Final = 300
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
@@ -88,7 +90,13 @@ class GoRequest(NamedTuple):
     changes_mode: bool = True
 
 
-Request = ModeRequest | ArmRequest | FlyRequest | GoRequest
+class StartRequest(NamedTuple):
+    """MISSION_START: fly the mission, arming where need be."""
+
+    sender: Sender
+
+
+Request = ModeRequest | ArmRequest | FlyRequest | GoRequest | StartRequest
 
 
 class Answer(NamedTuple):
@@ -116,6 +124,12 @@ class Inputs(NamedTuple):
     """Whether the estimate has a horizontal position."""
     breached: bool = False
     """Outside the geofence."""
+    mission_valid: bool = False
+    """A mission that can be flown is stored."""
+    mission_over: bool = False
+    """It has been flown to its end."""
+    mission_returns: bool = False
+    """Its present item asks for Return."""
 
 
 class Outputs(NamedTuple):
@@ -186,6 +200,12 @@ class Commander:
         if inputs.takeoff_done and state.intended is modes.TAKEOFF and state.armed:
             state.intended = modes.HOLD
             self._apply_mode(now_us, chosen=True)
+        if state.intended is modes.MISSION and state.armed:
+            if inputs.mission_returns:
+                self._choose(modes.RTL, now_us)
+                self._notices.append(notices.RETURNING)
+            elif (inputs.mission_over or not inputs.mission_valid) and not inputs.landed:
+                self._choose(modes.HOLD, now_us)
         for request in inputs.requests:
             self._handle(request, inputs, now_us)
         if now_us >= state.next_cycle_us:
@@ -212,6 +232,7 @@ class Commander:
         conditions = Conditions(
             ready,
             age_us < self._params.get("COM_OF_LOSS_T") * 1e6,
+            mission=inputs.mission_valid,
             armed=state.armed,
             position_valid=inputs.position_valid,
             gcs_missing=state.gcs_lost and not state.armed and self._params.get("NAV_DLL_ACT") > 0.0,
@@ -325,6 +346,8 @@ class Commander:
             self._arm_or_disarm(request, inputs, now_us)
         elif isinstance(request, GoRequest):
             self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
+        elif isinstance(request, StartRequest):
+            self._answers.append(Answer(request.sender, COMMAND_START, self._start_mission(inputs, now_us)))
         else:
             self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
 
@@ -368,6 +391,20 @@ class Commander:
         if chosen and notice is not None:
             self._notices.append(notice)
         return ACCEPTED if chosen else TEMPORARILY_REJECTED
+
+    def _start_mission(self, inputs: Inputs, now_us: int) -> int:
+        """MISSION_START: choose the mode, and arm."""
+        self._check(inputs, now_us)
+        if not inputs.mission_valid or not self._choose(modes.MISSION, now_us):
+            self._notices.append(notices.NO_VALID_MISSION)
+            return DENIED
+        if not self.state.armed:
+            if not self.state.checks.arms(modes.MISSION):
+                self._notices.append(notices.ARMING_DENIED)
+                return TEMPORARILY_REJECTED
+            self._arm(notices.BY_MISSION_START, now_us)
+            self._apply_mode(now_us)
+        return ACCEPTED
 
     def _go(self, request: GoRequest, now_us: int) -> int:
         """Reposition (in Hold) or orbit; without the change of mode the goal counts where Hold flies already."""
