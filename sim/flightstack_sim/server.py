@@ -187,6 +187,7 @@ class Server:
         for answer in port.plans.handle(received.message, sender, received.t_us):
             port.link.send(answer)
         self._tell_of_plans(port)
+        self._watch_mission()  # whoever stores one starts it at once
 
     def _tell_of_plans(self, port: _Port) -> None:
         if port.plans.said:
