@@ -91,6 +91,7 @@ def test_a_fence_sticks_and_an_injected_failure_of_mavsdk(px4_sim: Px4Sim) -> No
         await px4_sim.call(action.takeoff())
         assert px4_sim.step_until(lambda: px4_sim.mode.title == "Hold", 20.0)
         assert px4_sim.truth.pos_ned_m[2] < -2.0
+        px4_sim.param("SYS_FAILURE_EN", 1)  # MAVSDK asks it
         await px4_sim.call(FailureAsync(system).inject(FailureUnit.SYSTEM_MOTOR, FailureType.OFF, 1))
         assert px4_sim.step_until(lambda: px4_sim.server.detector.failed, 3.0)
 
