@@ -80,8 +80,8 @@ class SiteScore:
     kept: int = 0
     broken: int = 0
     bent: list[dict[str, Any]] = field(default_factory=list)
-    force_most_mps2: float = math.inf
-    """More of a force than this breaks a premise."""
+    is_narrow: bool = False
+    """The certificate is narrower than the prior, and may be falsified."""
     clearance_m: float = math.inf
     """Of the vehicle at the last tick."""
     _bending: bool = False
@@ -97,8 +97,8 @@ class SiteScore:
         self.changed += record.filtered.intervened == 1.0
         self.governed += record.governed
         self.kept += kept
-        shown = float(np.linalg.norm(numbers[decide.FORCE : decide.FORCE + 3]))
-        self.broken += (kept and bool(numbers[decide.OFF] > 0.0)) or shown > self.force_most_mps2
+        falsified = bool(numbers[decide.BEYOND_S] >= decide.BROKEN_S)
+        self.broken += (kept and bool(numbers[decide.OFF] > 0.0)) or (falsified and self.is_narrow)
         bent = self.filter.bent[bending.BENT] > 0.0
         if bent and self._bending:
             self.bent[-1]["to_s"] = flight_s
@@ -143,15 +143,19 @@ class SitePlan:
     certificate: Stopping
     chutes: F64
     chute_m: float
+    prior: Stopping | None = None
+    """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
         """The filter."""
-        return TimedSiteFilter(SiteFilter(model, limits, self.certificate, self.site, self.chutes, self.chute_m))
+        return TimedSiteFilter(
+            SiteFilter(model, limits, self.certificate, self.site, self.chutes, self.chute_m, self.prior)
+        )
 
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
-        doubts, flat = self.certificate.doubts[0], packed(self.site, self.chutes, self.chute_m)
-        return SiteScore(self.site, flat, timed, force_most_mps2=2.0 * (doubts.force_mps2 + doubts.rest_mps2))
+        flat = packed(self.site, self.chutes, self.chute_m)
+        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None)
 
     @property
     def outlines(self) -> str:
@@ -231,6 +235,7 @@ def plan_site(
     """
     limits = Limits() if scenario is None else scenario.limits
     certificate = stopping(believed, model, limits, estimate, governor, prior)
+    wider = None if prior is None else stopping(believed, model, limits, estimate, governor)
     kept, half = certificate.kept_m, certificate.half_m
     chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
@@ -246,7 +251,7 @@ def plan_site(
     if scenario is None:
         start = np.zeros((1, 2))
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
-        return SitePlan(site, certificate, start, chute_m)
+        return SitePlan(site, certificate, start, chute_m, wider)
     mission = plan(scenario, np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
@@ -257,7 +262,7 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m)
+    return SitePlan(site, certificate, chutes, chute_m, wider)
 
 
 def _require_clear(site: Site, flat: F64, place: F64, size: tuple[float, float], what: str) -> None:
