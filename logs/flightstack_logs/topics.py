@@ -159,6 +159,7 @@ _LEARNER_FIELDS = (
     _f64("refused", 0, "1", "samples refused so far"),
     _f64("changes", 0, "1", "sudden changes noticed so far"),
     _f64("surprise", 0, "1", "largest recent error of prediction, in its own standard deviations"),
+    _f64("delay_s", 0, "s", "delay that samples are taken with: the latency, the believed one until it is evident"),
 )
 
 _FILTER_FIELDS = (
