@@ -25,6 +25,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from flightstack.cli.checking import read_bounded
 from flightstack.cli.given_certificate import (
     certificate_for,
     require_checked,
@@ -117,9 +118,10 @@ def protect(
     if options.as_published and not options.filtering:
         raise InputError("--as-published flies the published filter: leave out --no-filter")
     mode = AS_PUBLISHED if options.as_published else SOUND
-    if options.certificate is not None and mode == SOUND:  # what is published proves nothing that could be checked
-        require_checked(options.certificate)
-    file = None if options.certificate is None else files.read_text(options.certificate)
+    path = options.certificate
+    file = None if path is None else files.TextFile(path, read_bounded(path))
+    if file is not None and mode == SOUND:  # what is published proves nothing that could be checked
+        require_checked(file)
     given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
     if file is not None and given is not None and mode == SOUND:
         require_premises(file.path, given, sensors)
@@ -139,14 +141,16 @@ def protect(
         return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
     stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
     watched = WatchedCertifier(certifier, stamp, workshop)
-    text, path = ("", "") if file is None else (file.text, str(file.path))
+    text, source = ("", "") if file is None else (file.text, str(file.path))
     if not options.filtering:  # the certificate still says by which region the flight is judged
-        return Protection(_NO_FILTER, region=region, certifier=watched, certificate=text or None, certificate_from=path)
+        return Protection(
+            _NO_FILTER, region=region, certifier=watched, certificate=text or None, certificate_from=source
+        )
     made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
-    source = f"certificate {file.path}" if file is not None else "certified in flight"
+    origin = f"certificate {source}" if source else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
-    words = f"{mode}{doubt}, {source}"
-    return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop)
+    words = f"{mode}{doubt}, {origin}"
+    return Protection(words, True, region, TimedFilter(made), watched, text or None, source, given, workshop)
 
 
 SOUND = "sound"

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+from certificates import resealed
+
 from flightstack.certificate_check import check
 from flightstack.cli.certify import CertifyResult, certify
-from flightstack.cli.flight import FlyOptions
+from flightstack.cli.flight import FlyOptions, prepare
 from flightstack.cli.main import main
 from flightstack.explore import ExploreConfig
+from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
 
 SHORT = ExploreConfig(axes=(2,), rounds_max=3)
@@ -79,6 +84,25 @@ def test_the_file_convinces_the_checker_and_not_once_a_number_is_changed(
         main(["certify", "--check", str(tmp_path / "missing.json")])
     assert done.value.code == 2
     assert capsys.readouterr().err.startswith("error:")
+
+
+def test_what_came_out_may_be_flown_by_the_vehicle_and_sensors_that_it_names(
+    flown: tuple[CertifyResult, Log], tmp_path: Path
+) -> None:
+    """With the independent checker asked, as `fly --certificate` does."""
+    certificate = flown[0].certificate
+    assert certificate is not None
+    ready = prepare(FlyOptions(scenario="paper-barrier", certificate=Path(certificate))).flight.protection
+    assert ready.given is not None
+    assert ready.words.startswith("sound, certificate ")
+    with pytest.raises(InputError, match="holds with mocap sensors, this flight has px4-sih"):
+        prepare(FlyOptions(scenario="paper-barrier", certificate=Path(certificate), sensors="px4-sih"))
+    data = json.loads(Path(certificate).read_text())
+    data["axes"][0]["margins"][0]["mps2"] *= 0.5
+    other = tmp_path / "other.json"
+    other.write_text(resealed(data))
+    with pytest.raises(InputError, match="the independent checker refuses it: "):
+        prepare(FlyOptions(scenario="paper-barrier", certificate=other))
 
 
 def test_the_page_lies_beside_the_flights_own(flown: tuple[CertifyResult, Log]) -> None:
