@@ -53,7 +53,8 @@ class FlightScore:
             return
         if self._filtering:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
-            self._filter.add(flight_s, record.filtered, climbing=flight_s < companion.mission.takeoff_end_s)
+            climbing = flight_s < companion.mission.takeoff_end_s
+            self._filter.add(flight_s, record.filtered, climbing=climbing, governed=record.governed)
         if self._by_estimate:
             self.add(track_s, record.measurement.pos_ned_m, companion.start_ned_m)
 

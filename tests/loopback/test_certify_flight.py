@@ -123,3 +123,18 @@ def test_knowledge_that_leaves_no_authority_is_refused_before_take_off(
     assert done.value.code == 2
     assert "0.05 g" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("scenario", "what"), [("paper-barrier", "position down"), ("paper-tracking", "position")])
+def test_sensors_that_are_too_rough_for_the_region_are_refused_before_take_off(
+    scenario: str, what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        main(["certify", "--scenario", scenario, "--sensors", "gps", "--out", str(tmp_path / "out")])
+    assert done.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1
+    assert f"{what}" in said
+    assert "the region's semi-axis is" in said
+    assert not (tmp_path / "out").exists()
