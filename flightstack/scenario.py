@@ -29,7 +29,7 @@ _KEYS = (
     "name", "description", "duration_s", "sensors", "trajectory", "limits", "truth", "region", "knowledge", "events",
     "checks", "grade", "flight",
 )  # fmt: skip
-_SENSORS = ("mocap", "gps", "px4-sih")
+_SENSORS = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _DURATION_S = (1.0, 3600.0)
 _FAR_M = 1000.0
 _ENVELOPE_MARGIN_M = 5.0

@@ -40,6 +40,10 @@ class Inspection(NamedTuple):
     """What only the first hover can decide; empty: nothing."""
     reason: str
     """Why a flight would not have begun; empty: it would."""
+    protection: str = ""
+    """What would protect it, where protection is asked for."""
+    unprotected: str = ""
+    """Why it would not be protected all the same."""
 
 
 def checklist(view: VehicleView, found: Inspection, config: CompanionConfig, limits: Limits) -> list[Check]:
@@ -70,6 +74,8 @@ def _checks(view: VehicleView, found: Inspection, config: CompanionConfig, limit
     yield from _streams(found.rates_hz, limits)
     yield Check("estimate", estimate_is_good(view.estimator_flags), f"ESTIMATOR_STATUS flags {view.estimator_flags:#x}")
     yield Check("landed state", view.on_ground, {1: "on the ground"}.get(view.landed_state, f"{view.landed_state}"))
+    if found.protection:
+        yield Check("protection", not found.unprotected, found.unprotected or found.protection)
     trip_s = 1e-6 * view.round_trip_us
     yield Check("round trip", 0.0 < trip_s <= config.round_trip_max_s, f"{1e3 * trip_s:.1f} ms")
 

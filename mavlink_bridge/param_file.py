@@ -5,16 +5,25 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from typing import NamedTuple
 
 from flightstack.types import InputError
 
 SCHEMA = "flightstack.params/1"
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
-_KEYS = ("schema", "name", "description", "set")
+_KEYS = ("schema", "name", "description", "sensors", "set")
 
 
-def parse_params(text: str, source: str) -> dict[str, float]:
-    """Name -> value of the table `set`; InputError in one line names `source` and what is wrong."""
+class ParamFile(NamedTuple):
+    """Parameters to set, and what the vehicle's estimate is like with them."""
+
+    values: dict[str, float]
+    sensors: str = ""
+    """Name of the sensors' grade whose statistics then hold; empty: nothing is said of it."""
+
+
+def parse_params(text: str, source: str) -> ParamFile:
+    """The table `set` and the key `sensors`; InputError in one line names `source` and what is wrong."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -36,7 +45,10 @@ def parse_params(text: str, source: str) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{source}: set.{name} = {value!r} is not allowed; it must be a number")
         values[name] = float(value)
-    return values
+    sensors = data.get("sensors", "")
+    if not isinstance(sensors, str):
+        raise InputError(f"{source}: sensors = {sensors!r} must be the name of a grade")
+    return ParamFile(values, sensors)
 
 
 def listed_params(text: str, source: str) -> dict[str, float]:

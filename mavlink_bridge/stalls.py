@@ -27,7 +27,8 @@ class Stalls:
         """How often OFFBOARD was taken back."""
         self._known_hold_ns = 0
         self._taken_us = -AGAIN_US
-        self._stall_us = 0
+        self._stall_us = self._held_us = 0
+        """Of the last stall: its length, and after how long Hold was commanded."""
 
     def hear(self, report: DeadManRecord) -> None:
         """Take the dead-man's last word."""
@@ -47,6 +48,7 @@ class Stalls:
         self._known_hold_ns = self.report.hold_ns
         ended_us = max(now_us, self.report.alive_ns // 1000)  # we may have been stopped after looking at the clock
         self._stall_us = ended_us - self.report.silent_ns // 1000
+        self._held_us = (self.report.hold_ns - self.report.silent_ns) // 1000
         if self.report.touched:
             return "somebody else changed the mode meanwhile"
         if self._stall_us >= SHORT_US:
@@ -58,9 +60,9 @@ class Stalls:
 
     @property
     def words(self) -> str:
-        """The last stall, in words."""
-        held_ms = (self.report.hold_ns - self.report.silent_ns) / 1e6
-        return f"no setpoint for {1e-3 * self._stall_us:.0f} ms, the dead-man commanded Hold after {held_ms:.0f} ms"
+        """The last stall that was judged, in words; what the dead-man reports since may be about another one."""
+        stall_ms, held_ms = 1e-3 * self._stall_us, 1e-3 * self._held_us
+        return f"no setpoint for {stall_ms:.0f} ms, the dead-man commanded Hold after {held_ms:.0f} ms"
 
     def hold_is_settled(self, view: VehicleView) -> bool:
         """Whether OFFBOARD may be commanded: Hold has been seen."""

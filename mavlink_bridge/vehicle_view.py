@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
@@ -32,6 +33,8 @@ class VehicleView:
         self.mode_at_us = -1
         self.landed_state = 0
         self.estimator_flags = 0
+        self.accuracy_m = math.nan, math.nan
+        """One standard deviation of position, across and down, as the estimator states it; NaN: not stated."""
         self.params = ParamReader()
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
@@ -123,6 +126,7 @@ class VehicleView:
 
     def _on_estimator(self, message: m.EstimatorStatus, now_us: int) -> None:
         self.estimator_flags = message.flags
+        self.accuracy_m = message.pos_horiz_accuracy_m, message.pos_vert_accuracy_m
 
     def _on_param(self, message: m.ParamValue | m.ParamError, now_us: int) -> None:
         self.params.take(message)

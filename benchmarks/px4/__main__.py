@@ -6,6 +6,7 @@ import argparse
 import importlib
 import os
 import pkgutil
+import signal
 import subprocess
 import sys
 import time
@@ -30,6 +31,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("runs/px4"))
     parser.add_argument("--prefix", default="", metavar="WORDS", help="before the companion's command, as `chrt -f 20`")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # PX4 ends with us
     if unknown := set(given.subject) - set(names):
         parser.error(f"no subject {', '.join(sorted(unknown))}: choose from {', '.join(names)}")
     home = Path(os.environ.get("PX4_HOME", ""))

@@ -19,11 +19,12 @@ import numpy as np
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.region import Region
 from flightstack.state_observer import steady
-from flightstack.types import Tuple3
+from flightstack.types import F64, Tuple3
 
 K_SIGMA = 4.3
 _GROWN_MPS = 1.4
 """A region that grows begins with this speed (`growing`)."""
+_AXES = ("north", "east", "down")
 REST_S = 0.5
 """The companion streams for so long at rest before it may take off."""
 
@@ -67,7 +68,7 @@ def does_not_fit(bounds: EstimateBounds, region: Region, axes: tuple[int, ...]) 
     state of which anything could be promised.
     """
     for axis in axes:
-        name = ("north", "east", "down")[axis]
+        name = _AXES[axis]
         for of, bound, semi, unit in (
             ("position", bounds.pos_m[axis], region.semi_axes_m[axis], "m"),
             ("velocity", bounds.vel_mps[axis], max(region.semi_axes_mps[axis], _GROWN_MPS), "m/s"),
@@ -77,6 +78,32 @@ def does_not_fit(bounds: EstimateBounds, region: Region, axes: tuple[int, ...]) 
                     f"{of} {name} is known to {bound:.2f} {unit} ({bounds.k_sigma:g} sigma), the region's semi-axis is "
                     f"{semi:.2f} {unit}: at least twice the bound is needed"
                 )
+    return ""
+
+
+def contradiction(
+    bounds: EstimateBounds, sensors: str, accuracy_m: tuple[float, float], disagreement_ned_mps: F64
+) -> str:
+    """What the vehicle itself says against the bounds of a grade, in words; empty where nothing does.
+
+    `accuracy_m`: one standard deviation of its position, across (both axes together) and down, by its estimator, NaN
+    where it does not say; `disagreement_ned_mps` (3,): rms of d(position)/dt - velocity.  An estimator that errs as the
+    grade says reports no standard deviation beyond the bound, and its velocity and its position don't disagree by more
+    than the bound of velocity.
+    """
+    north, east, down = bounds.pos_m
+    for where, said_m, bound_m in (("across", accuracy_m[0], math.hypot(north, east)), ("down", accuracy_m[1], down)):
+        if said_m > bound_m:
+            return (
+                f"the vehicle says that it knows its position {where} to {said_m:.2f} m (one standard deviation), with "
+                f"{sensors} sensors that would be {bound_m:.2g} m at most ({bounds.k_sigma:g} sigma)"
+            )
+    for axis, name in enumerate(_AXES):
+        if disagreement_ned_mps[axis] > bounds.vel_mps[axis]:
+            return (
+                f"velocity {name} and position disagree by {disagreement_ned_mps[axis]:.2f} m/s rms, with {sensors} "
+                f"sensors velocity is known to {bounds.vel_mps[axis]:.2g} m/s ({bounds.k_sigma:g} sigma)"
+            )
     return ""
 
 

@@ -36,6 +36,7 @@ _STEADIEST = {
     "mocap": np.array([[0.0052, 0.0104, 0.0292], [0.0052, 0.0104, 0.0292], [0.0051, 0.0076, 0.0106]]),
     "gps": np.array([[0.206, 0.0696, 0.0668], [0.209, 0.0873, 0.0750], [0.206, 0.0547, 0.0255]]),
     "px4-sih": np.array([[0.162, 0.169, 0.145], [0.333, 0.349, 0.145], [0.230, 0.169, 0.0374]]),
+    "px4-sih-ekf": np.array([[0.072, 0.068, 0.126], [0.097, 0.137, 0.126], [0.194, 0.109, 0.0329]]),
 }
 """One sigma of position (m), velocity (m/s) and thrust's acceleration (m/s^2) along each axis: what the best linear
 estimate can reach with these grades' sensors, rounded down."""

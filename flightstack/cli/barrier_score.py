@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -45,6 +45,14 @@ FALLBACKS = (4.0, 5.0)
 
 State = Sequence[float] | F64
 """Six numbers: position relative to the start, velocity."""
+
+
+class SiteSummary(Protocol):
+    """The score of a site."""
+
+    def summary(self) -> dict[str, Any]:
+        """What the JSON's `barrier` gains."""
+        ...
 
 
 class TimedFilter:
@@ -135,17 +143,24 @@ class WatchedCertifier:
         """The certifier's state, the learner's and what it said, as of the last tick; None where none was."""
         self._seeing = True
         self._certifier = certifier
+        self.contradicted: Callable[[], str] = lambda: ""
+        """What the vehicle says against what certificates count on, in words; empty where nothing."""
+        self.hindrance = ""
+        """What of that was found; from then on nothing is certified, and what was is handed over."""
 
     def init(self) -> object:
         """The certifier's own; certificates before it (warming up) are forgotten."""
-        self.adopted, self.seen, self._seeing = [], None, True
+        self.adopted, self.seen, self._seeing, self.hindrance = [], None, True, ""
         self.trail.begin()
         return self._certifier.init()
 
     def step(
         self, state: object, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
     ) -> tuple[object, Certificate | None]:
-        """The certifier's own."""
+        """The certifier's own, for as long as nothing contradicts what it counts on."""
+        self.hindrance = self.hindrance or self.contradicted()
+        if self.hindrance:
+            return state, self._handed_over()
         after, certificate = self._certifier.step(state, learner, measurement, learned, filtered)
         if self._seeing:
             self.seen = after, learner, learned
@@ -153,6 +168,15 @@ class WatchedCertifier:
             certificate = self.stamped(certificate)
             self.adopted.append(certificate)
         return after, certificate
+
+    def _handed_over(self) -> Certificate | None:
+        """The certificate in force, marked once as one that holds no more; None where there is none."""
+        held = self.adopted[-1] if self.adopted else None
+        if held is None or "falsified" in held.knowledge:
+            return None
+        ended = marked(held, self.hindrance, hand_over=True, version=held.version + 1)
+        self.adopted.append(ended)
+        return ended
 
     def look_away(self) -> None:
         """From now on `seen` stays as it is: a landing, in which others give the commands, contradicts every bound."""
@@ -318,7 +342,9 @@ class FilterScore:
         return self._solved / self._ticks if self._ticks else None
 
 
-def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -> dict[str, Any]:
+def barrier_summary(
+    enabled: bool, region: dict[str, Any], score: FilterScore, site: SiteSummary | None = None
+) -> dict[str, Any]:
     """The JSON's `barrier`; all null where no filter flew."""
     if not enabled:
         return dict(NO_BARRIER)
@@ -331,6 +357,7 @@ def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -
         "engaged_share": score.engaged_share,
         "governor_share": score.governed / score.acting if score.acting else None,
         "premises_broken": score.premises_broken,
+        **({} if site is None else site.summary()),
     }
 
 

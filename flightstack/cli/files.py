@@ -14,7 +14,7 @@ from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
 from flightstack.waypoints import parse_waypoints
-from mavlink_bridge.param_file import parse_params
+from mavlink_bridge.param_file import ParamFile, parse_params
 
 DEFAULT_VEHICLE = "quad-x"
 
@@ -48,10 +48,10 @@ def load_vehicle(name: str | None) -> tuple[Vehicle, TextFile]:
     return parse_vehicle(file.text, str(file.path)), file
 
 
-def load_params(name: str | None) -> dict[str, float]:
+def load_params(name: str | None) -> ParamFile:
     """The parameters of a file to set, by name or path (None: none)."""
     if name is None:
-        return {}
+        return ParamFile({})
     file = find("params", name)
     return parse_params(file.text, str(file.path))
 

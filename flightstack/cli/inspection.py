@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flightstack.airframe import contradictions, unsettled_hover
+from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.preparation import Prepared
 from flightstack.mission import Mission
 from flightstack.types import TickRecord
@@ -31,6 +32,9 @@ class Inspector:
         self._hover: HoverCheck | None = None
         self._counted: tuple[int, Counter[type]] | None = None
         self._rates_hz: dict[type, float] = {}
+        self._protection = prepared.protection
+        self.gate: EstimateGate | None = None
+        """What the vehicle says against the sensors that certificates count on."""
 
     @property
     def lasts_s(self) -> float:
@@ -85,5 +89,7 @@ class Inspector:
             contradictions=self.contradictions(values),
             unsettled=unsettled_hover(values, model.hover_norm),
             reason=companion.reason,
+            unprotected=self._protection.unattainable or (self.gate.look() if self.gate is not None else ""),
+            protection=self._protection.words if self._protection.asked else "",
         )
         return [check._asdict() for check in checklist(companion.view, found, config, self._stack.limits)]

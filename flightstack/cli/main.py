@@ -30,7 +30,9 @@ from flightstack.cli.options import (
     HilPortOption,
     JsonOption,
     LearnedOption,
+    LiveOption,
     LogOption,
+    LogWireOption,
     NoFilterOption,
     NoLearningOption,
     OutOption,
@@ -42,17 +44,20 @@ from flightstack.cli.options import (
     SensorsOption,
     SetParamsOption,
     SigningKeyOption,
+    SiteOption,
     TruthOption,
     UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.shield_verb import shield
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
 from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
 
+_LIVE_PORT = 8765
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE_ERRORS: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
@@ -104,8 +109,11 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    site: SiteOption = None,
     unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
     """The options that every verb that flies has, as `FlightOptions` names them."""
@@ -118,8 +126,11 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "site": site,
         "unprotected_ok": unprotected_ok,
         "log": log,
+        "log_wire": log_wire,
+        "live": live,
         "out": out,
     }
 
@@ -207,6 +218,7 @@ def offboard(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
     believe_file: BelieveFileOption = False,
     set_params: SetParamsOption = None,
+    sensors: SensorsOption = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
     signing_key: SigningKeyOption = None,
     no_dead_man: Annotated[
@@ -227,6 +239,7 @@ def offboard(
         dry_run=dry_run,
         believe_file=believe_file,
         set_params=set_params,
+        sensors=sensors.value if sensors else None,
         heartbeat_timeout_s=timeout,
         signing_key=signing_key,
         dead_man=not no_dead_man,
@@ -247,6 +260,8 @@ def certify(
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
     out: OutOption = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None,
@@ -283,6 +298,8 @@ def certify(
         seed=seed,
         duration_s=duration,
         out=out,
+        log_wire=log_wire,
+        live=live,
     )
     interrupts = Interrupts()
     with terminal.progress(f"certifying {scenario}") as show:
@@ -372,6 +389,7 @@ def gap(
 
 
 app.command()(campaign)
+app.command()(shield)
 app.command()(sim)
 app.command()(warmup)
 app.command()(reproduce)
@@ -379,10 +397,21 @@ app.add_typer(log_app, name="log")
 app.add_typer(vehicle_app, name="vehicle")
 
 
+def _with_ports(arguments: list[str]) -> list[str]:
+    """`--live` alone names its usual port."""
+    followed = [*arguments[1:], ""]
+    bare = [a == "--live" and not after.lstrip("-").isdigit() for a, after in zip(arguments, followed, strict=True)]
+    return [f"--live={_LIVE_PORT}" if alone else a for a, alone in zip(arguments, bare, strict=True)]
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: no traceback for the user's mistakes, one line and exit code 2."""
     try:
-        code = app(arguments, standalone_mode=False, prog_name="flightstack")
+        code = app(
+            _with_ports(sys.argv[1:] if arguments is None else arguments),
+            standalone_mode=False,
+            prog_name="flightstack",
+        )
     except typer.Abort:
         code = INTERRUPTED
     except _USAGE_ERRORS as error:

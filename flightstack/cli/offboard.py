@@ -5,24 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.console import say
+from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
+from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import Wire, parameters_set
+from flightstack.cli.site import read_site
+from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
-from mavlink_bridge import messages
+from mavlink_bridge import messages, px4
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
@@ -58,16 +63,30 @@ class OffboardOptions(FlightOptions):
     """Fly though PX4's parameters contradict the vehicle file."""
     set_params: str | None = None
     """Parameters to set for the flight: name or file."""
+    sensors: str | None = None
+    """Grade that says what the vehicle's estimate is like."""
     heartbeat_timeout_s: float = 10.0
     dead_man: bool = True
     """A process of its own answers the companion's silence."""
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
 
+    where: tuple[float, float] | None = None
+    """Latitude and longitude of the vehicle; None: not asked for, or not known."""
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """See ProtectionOptions."""
+        return self.where
+
     @property
     def in_real_time(self) -> bool:
         """See ProtectionOptions."""
         return True
+
+    def grade(self, scenario: Scenario) -> str:
+        """As named; else what the file of parameters says, else the scenario's, which the vehicle may contradict."""
+        return self.sensors or files.load_params(self.set_params).sensors or scenario.sensors
 
     @property
     def as_written(self) -> bool:
@@ -82,10 +101,14 @@ def offboard(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
+    if options.site is not None and read_site(options.site).is_global:
+        options = replace(options, where=where_it_is(options.connect, options.heartbeat_timeout_s))
     prepared = prepare_flight(options)
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
+    if prepared.protection.unattainable:
+        say(f"not protected: {prepared.protection.unattainable}")
     with _key(options.signing_key) as signer:
         ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
@@ -103,7 +126,7 @@ def _offboard(
 ) -> FlightResult:
     scenario, stack = prepared.scenario, prepared.stack
     address = parse_address(options.connect)
-    wanted = files.load_params(options.set_params)
+    wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
         parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
@@ -118,10 +141,11 @@ def _offboard(
             "signing": "off" if signer is None else "on",
             "dead_man": "on" if options.dead_man else "off",
             "set_params": options.set_params or "none",
+            "sensors": options.grade(scenario),
         }
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
-        recorder = ThreadedLog(log)
+        recorder = shown_live(ThreadedLog(log), options.live)
         zero_us = monotonic_us()
         line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
         line.step(zero_us)  # the log begins at 0, however late the vehicle's first message comes
@@ -150,6 +174,7 @@ def _offboard(
         link = Link(240, 191, framing=framing_for(address), signing=signer)
         companion = Companion(link, stack, scenario, observer, config, inspector)
         inspector.attach(companion)
+        inspector.gate = _heed(prepared.protection, options.grade(scenario), companion)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
@@ -184,6 +209,35 @@ def _offboard(
         result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
     return result
+
+
+def where_it_is(connect: str, within_s: float) -> tuple[float, float] | None:
+    """Latitude and longitude that the vehicle reports; None where it does not within the time."""
+    address = parse_address(connect)
+    link = Link(240, 191, framing=framing_for(address))
+    with closing(open_address(address)) as transport:
+        until_us = monotonic_us() + int(1e6 * within_s)
+        while (now_us := monotonic_us()) < until_us:
+            if transport.wait(0.1):
+                for data in transport.receive_all():
+                    link.receive_datagram(data, now_us)
+            else:
+                link.send(messages.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
+            for data in link.datagrams_to_send():
+                transport.send(data)
+            for received in link.take_events():
+                if isinstance(received.message, messages.GlobalPositionInt):
+                    return received.message.lat_deg, received.message.lon_deg
+    return None
+
+
+def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:
+    """From now on the vehicle's own words decide whether anything is certified; None where nothing would be."""
+    if protection.estimate is None or protection.watched is None:
+        return None
+    gate = EstimateGate(protection.estimate, sensors, say)
+    gate.companion, protection.watched.contradicted = companion, gate
+    return gate
 
 
 def require_room(address: UdpIn | UdpOut | Serial) -> None:

@@ -2,6 +2,7 @@
 
 --no-filter       nothing filters
 --as-published    the paper's filter on its h_mu (with --controller state-gp also its learner of the state alone)
+--site            the site filter, under the stopping certificate from the prior, whatever the scenario
 --certificate     the filter under the certificate of a file, whatever the scenario
 otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
                   has none or where the learner can't certify.  Of an ellipsoid, the paper's experiment up and down, the
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
-from flightstack.barrier.estimate_bounds import does_not_fit, estimate_bounds
+from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -33,6 +34,7 @@ from flightstack.cli.given_certificate import (
     round_trip_max_s,
 )
 from flightstack.cli.sensors import error_statistics
+from flightstack.cli.site import SitePlan, load_site, plan_site
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
@@ -53,8 +55,15 @@ class ProtectionOptions:
     filtering: bool = True
     as_published: bool = False
     certificate: Path | None = None
+    site: Path | None = None
+    """Keep the vehicle in the site of this file."""
     unprotected_ok: bool = False
     """Protection that was asked for and not had, or left, does not fail the flight."""
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the place of arming, where they are known before the flight."""
+        return None
 
     @property
     def in_real_time(self) -> bool:
@@ -64,7 +73,7 @@ class ProtectionOptions:
     @property
     def protection_as_written(self) -> bool:
         """As a scenario means it."""
-        return self.filtering and not self.as_published and self.certificate is None
+        return self.filtering and not self.as_published and self.certificate is None and self.site is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +96,10 @@ class Protection:
     """The same, where there is a filter that keeps to it."""
     workshop: Workshop | None = None
     """Where certificates are made, if not in the ticks."""
+    estimate: EstimateBounds | None = None
+    """How far the estimate may be off for what is certified; None where nothing is."""
+    site: SitePlan | None = None
+    """The site that the vehicle is kept in."""
 
     @property
     def round_trip_max_s(self) -> float:
@@ -97,6 +110,11 @@ class Protection:
         """Whether the flight was refused because its link is slower than the certificate that was given holds for."""
         slow = 1e-6 * companion.view.round_trip_us > self.round_trip_max_s
         return self.given is not None and slow and companion.flight_start_us < 0
+
+    @property
+    def unattainable(self) -> str:
+        """Why protection that was asked for can't be had, known before anything moves; empty where it may be had."""
+        return self.words.removeprefix("off: ") if self.asked and not self.filter.enabled else ""
 
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
@@ -117,6 +135,8 @@ def protect(
     """
     if options.as_published and not options.filtering:
         raise InputError("--as-published flies the published filter: leave out --no-filter")
+    if options.site is not None:
+        return _in_site(options, scenario, believed, model, sensors)
     mode = AS_PUBLISHED if options.as_published else SOUND
     path = options.certificate
     file = None if path is None else files.TextFile(path, read_bounded(path))
@@ -150,7 +170,26 @@ def protect(
     origin = f"certificate {source}" if source else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
     words = f"{mode}{doubt}, {origin}"
-    return Protection(words, True, region, TimedFilter(made), watched, text or None, source, given, workshop)
+    counted = None if options.as_published else estimate_bounds(error_statistics(load_grade(sensors)))
+    return Protection(words, True, region, TimedFilter(made), watched, text or None, source, given, workshop, counted)
+
+
+def _in_site(
+    options: ProtectionOptions, scenario: Scenario, believed: Vehicle, model: Model, sensors: str
+) -> Protection:
+    """Kept in a site: no region counts then."""
+    assert options.site is not None
+    for name, is_given in (
+        ("--no-filter", not options.filtering),
+        ("--as-published", options.as_published),
+        ("--certificate", options.certificate is not None),
+    ):
+        if is_given:
+            raise InputError(f"--site is kept by a filter and certificate of its own: leave out {name}")
+    estimate = estimate_bounds(error_statistics(load_grade(sensors)))
+    governor = governor_for(believed, model, scenario.limits, sensors)
+    made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor)
+    return Protection(made.words, True, filter=made.filter(model, scenario.limits), site=made)
 
 
 SOUND = "sound"

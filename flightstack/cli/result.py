@@ -187,6 +187,8 @@ class FlightResult:
     """Heights and speed by which it counts as flown (`verdict.Flown`)."""
     protection: str = OFF
     """held, left, none or off (`verdict.protection_of`)."""
+    unprotected_because: str = ""
+    """Why nothing could be certified, or no longer; empty: nothing is known to be in the way."""
     filter_words: str = ""
     """What the barrier filter was, or why there was none."""
     unprotected_ok: bool = False
@@ -219,6 +221,8 @@ class FlightResult:
             return ""
         if self.protection == LEFT:
             return self.left_region
+        if self.unprotected_because:
+            return f"not protected: {self.unprotected_because}"
         return f"not protected: nothing was certified in time ({self.filter_words})"
 
     @property
@@ -226,6 +230,8 @@ class FlightResult:
         """Where a filter flew and the region was left all the same: that, one line; else empty."""
         if self.protection != LEFT:
             return ""
+        if exits := self.barrier.get("exits"):
+            return f"left its site: the vehicle was outside in {exits} ticks"
         violations = self.barrier["violations"]
         if not violations:
             return f"left its region: h of the estimate fell to {self.barrier['min_h_estimate']:.3f}"

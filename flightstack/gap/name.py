@@ -27,6 +27,7 @@ from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import gain, moved
 from flightstack.gap.naming.joining import joined
+from flightstack.gap.naming.ranged import carried, is_touched
 from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, Search, judged_fit, members, move_to, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
@@ -106,6 +107,13 @@ class Naming:
             self.identifiable,
             (bench, more[0]),
         )
+
+    def with_guessed_numbers(self) -> Naming:
+        """The verdict with what the file only guesses in its intervals, and the common scale's class."""
+        if self._behind is None or not is_touched(self._behind[1].start, self.found):
+            return self
+        found, vehicle = carried(self._behind[1], self.found, self.vehicle)
+        return replace(self, found=found, vehicle=vehicle)
 
     def with_classes_of_a_poor_model(self) -> Naming:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""

@@ -26,6 +26,7 @@ from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of, linearise
 from flightstack.gap.naming.estimate import covariance_of, without_nuisance
 from flightstack.gap.naming.metric import metric_of
+from flightstack.gap.naming.ranged import STANDS_FOR
 from flightstack.gap.naming.search import Search, bounded_step, pressed_beyond
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Unexplained
@@ -47,15 +48,10 @@ _ALIKE = 0.9
 _SPREADS = {"body.inertia_kgm2": 1.7, "rotors.torque_ratio_m": 3.2, "rotors.max_thrust_n": 1.5}
 """Where a file gives no range at all: factors of what nobody measures without a stand (docs/vehicle.md)."""
 _LAG_SPREAD = 3.0
-_STANDS_FOR = {
-    "payload": "body.mass_kg",
-    "thrust_scale": "rotors.max_thrust_n",
-    "thrust_curve": "rotors.thrust_model_factor",
-    "motor_lag": "rotors.time_constant_s",
-    "inertia": "body.inertia_kgm2",
-    "com_offset": "rotors.position_m",
+_STANDS_FOR = {effect: name.split("[")[0] for (effect, _), name in STANDS_FOR.items()} | {
+    "com_offset": "rotors.position_m"
 }
-"""Effects that are one of the file's numbers under another name."""
+"""Effect -> the file's key that it is under another name."""
 
 
 @dataclass(frozen=True, slots=True)

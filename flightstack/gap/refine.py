@@ -50,8 +50,8 @@ _BIAS_STD_MPS2 = 0.1
 _BLOCK_S = 4.0
 _SAMPLING = 0.05
 """Of a sample: how well a lag can be known from sampled commands, one standard deviation."""
-_GAIN = 1e-3
-"""How well an inertia's scale can be, for the same reason."""
+_GAIN = 4e-3
+"""How well an inertia's scale can be, for the same reason: a noisy faster loop's sampled commands make it 1 % large."""
 _SWING = 4e-3
 """And a load's length, as its swing at the start is not known; relative."""
 _MEMORY_S = 5.0

@@ -60,6 +60,10 @@ def analyse(
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
+    carried = naming.with_guessed_numbers()
+    if carried is not naming:
+        naming = carried
+        gap = _verdict(vehicle, naming, of)
     unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
     if unlike:
         raise InputError(

@@ -13,8 +13,10 @@ from typing import Any, Final
 
 from flightstack.types import Tuple3
 from flightstack_sim import builders, streams
+from flightstack_sim.autopilot import notices
 from flightstack_sim.autopilot.commander import FORCE, ArmRequest, FlyRequest, GoRequest, ModeRequest, Request, Sender
 from flightstack_sim.autopilot.goal import Goal, orbit_goal
+from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.streams import LinkStreams
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
@@ -56,6 +58,8 @@ class Context:
     """To send on the same link, in order."""
     requests: list[Request] = field(default_factory=list)
     """For the commander, which answers them."""
+    said: list[Notice] = field(default_factory=list)
+    """To be said on every link."""
 
 
 Params = tuple[float, float, float, float, float, float, float]
@@ -159,6 +163,9 @@ def _reposition(context: Context, params: Params) -> Result | None:
     place = _place(context, params)
     if place is None:
         return Result.DENIED
+    if context.view.fence.forbids(place[0], place[1]):
+        context.said.append(notices.OUTSIDE_FENCE)  # PX4 takes the command for all that
+        return Result.ACCEPTED
     if params[0] > 0.0:  # False where it is unset
         context.view.navigator.cruise_mps = min(params[0], _FASTEST_MPS)
     yaw = math.remainder(params[3], 2.0 * math.pi) if math.isfinite(params[3]) else math.nan

@@ -262,7 +262,7 @@ def _number(word: str, text: str | None, default: float) -> float:
 class Injector:
     """Lets the faults of one flight begin and end; `happened` is what has, with its time."""
 
-    __slots__ = ("_next_us", "_seen", "_todo", "faults", "happened", "takeoff_us")
+    __slots__ = ("_seen", "_todo", "begun", "faults", "happened", "takeoff_us")
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         self.faults = faults
@@ -270,7 +270,8 @@ class Injector:
         self.takeoff_us = -1
         self._seen = 0
         self._todo: list[tuple[int, bool, Fault]] = []
-        self._next_us = -1
+        self.begun: list[tuple[int, Fault]] = []
+        """Those that somebody let begin, and when."""
 
     def new(self) -> list[tuple[int, str]]:
         """What has happened since the last call."""
@@ -281,10 +282,8 @@ class Injector:
     def step(self, server: Server) -> None:
         """Once a tick, before it."""
         now_us = server.t_us
-        if self.takeoff_us < 0:
-            state = server.commander.state
-            if not (state.armed and state.flown):
-                return
+        state = server.commander.state
+        if self.takeoff_us < 0 and state.armed and state.flown:
             self.takeoff_us = now_us
             self._plan(now_us)
         while self._todo and self._todo[0][0] <= now_us:
@@ -294,21 +293,32 @@ class Injector:
                 act(server, fault.value)
             self.happened.append((now_us, f"{fault.words} {'begins' if begins else 'ends'}"))
 
+    def begin(self, faults: tuple[Fault, ...], now_us: int) -> None:
+        """These faults begin now, whatever time they name."""
+        for fault in faults:
+            self.begun.append((now_us, fault))
+            self._schedule(fault, now_us)
+
+    def _schedule(self, fault: Fault, begin_us: int) -> None:
+        self._todo.append((begin_us, True, fault))
+        if math.isfinite(fault.duration_s):
+            self._todo.append((begin_us + round(1e6 * fault.duration_s), False, fault))
+        self._todo.sort(key=lambda entry: entry[0])
+
     def _plan(self, now_us: int) -> None:
         for fault in self.faults:
             if math.isnan(fault.at_s):
                 continue
-            begin_us = now_us + round(1e6 * fault.at_s)
-            self._todo.append((begin_us, True, fault))
-            if math.isfinite(fault.duration_s):
-                self._todo.append((begin_us + round(1e6 * fault.duration_s), False, fault))
-        self._todo.sort(key=lambda entry: entry[0])
+            self._schedule(fault, now_us + round(1e6 * fault.at_s))
 
     def link_quality(self, now_us: int) -> LinkQuality:
         """What the link faults make of the link now."""
         quality = LinkQuality()
         for fault in self.faults:
             if fault.spec.start is None and self._holds(fault, now_us):
+                quality = quality.with_settings(fault.spec.settings, fault.value)
+        for begin_us, fault in self.begun:
+            if fault.spec.start is None and 0.0 <= 1e-6 * (now_us - begin_us) < fault.duration_s:
                 quality = quality.with_settings(fault.spec.settings, fault.value)
         return quality
 
@@ -323,4 +333,4 @@ class Injector:
     @property
     def on_the_link(self) -> bool:
         """Whether any of them is a link fault."""
-        return any(fault.spec.start is None for fault in self.faults)
+        return any(fault.spec.start is None for fault in (*self.faults, *(fault for _, fault in self.begun)))

@@ -18,7 +18,7 @@ from flightstack.toml_text import toml_text
 from flightstack.types import InputError, Tuple3
 
 SCHEMA = "flightstack.sensors/1"
-GRADES = ("mocap", "gps", "px4-sih")
+GRADES = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _Limits = tuple[float, float]
 _KEYS: dict[str, dict[str, tuple[int, _Limits]]] = {
     "imu": {

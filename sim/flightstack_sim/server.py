@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from flightstack_sim import commands, protocols
+from flightstack_sim.autopilot import notices
 from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
 from flightstack_sim.autopilot.navigator import Navigator
 from flightstack_sim.autopilot.notices import Notice
@@ -21,7 +22,10 @@ from flightstack_sim.autopilot.offboard import from_attitude_target, from_global
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
+from flightstack_sim.fence import FenceWatch
 from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack_sim.plan_transfer import PlanTransfer
+from flightstack_sim.plans import Plans
 from flightstack_sim.protocols import EventMemory, ParameterList
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 from flightstack_sim.streams import LinkKind, LinkStreams
@@ -42,14 +46,16 @@ PARAMS_PER_TICK: Final = 4
 class _Port:
     """One MAVLink link and what belongs to it."""
 
-    __slots__ = ("gcs_at_us", "link", "parameters", "streams", "text_id")
+    __slots__ = ("gcs_at_us", "link", "parameters", "plans", "streams", "synced_us", "text_id")
 
-    def __init__(self, kind: LinkKind, system: int) -> None:
+    def __init__(self, kind: LinkKind, system: int, plans: Plans) -> None:
         self.link = Link(system, 1)
         self.streams = LinkStreams(kind)
         self.parameters = ParameterList()
+        self.plans = PlanTransfer(plans)
         self.gcs_at_us = NEVER
         self.text_id = 0
+        self.synced_us: int | None = None
 
 
 class Server:
@@ -73,13 +79,16 @@ class Server:
         self.system = system
         self.commander = Commander(vehicle.params)
         self.navigator = Navigator(vehicle.params, frame.altitude_m)
+        self.plans = Plans()
+        self.fence = FenceWatch(self.plans, vehicle.params, frame)
         self.view = View(vehicle, self.commander.state, self.navigator.state, frame, unix_at_boot_us)
+        self.view.plans, self.view.fence = self.plans, self.fence
         self.view.sysid = system
         self.events = EventMemory()
         self.faults = Injector(faults)
         self.deaf_to: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from the autopilot."""
-        self._ports = [_Port(kind, system) for kind in links]
+        self._ports = [_Port(kind, system, self.plans) for kind in links]
         self._requests: list[Request] = []
         self._offboard: ControlSetpoint | None = None
         self._offboard_at_us = NEVER
@@ -96,6 +105,10 @@ class Server:
     def link(self, index: int) -> Link:
         """The protocol side of a link: statistics, and whatever a test wants to see."""
         return self._ports[index].link
+
+    def synced_us(self, index: int) -> int | None:
+        """When the last TIMESYNC that a link's client has answered was sent; None before it answered any."""
+        return self._ports[index].synced_us
 
     # --- in ---
 
@@ -151,6 +164,20 @@ class Server:
         for reply in context.replies:
             port.link.send(reply)
         self._requests.extend(context.requests)
+        self._say(context.said, self.view.t_us)
+
+    def _on_plan(self, link_index: int, received: Received) -> None:
+        """Missions, fences and rally points."""
+        sender = Sender(link_index, received.system, received.component)
+        port = self._ports[link_index]
+        for answer in port.plans.handle(received.message, sender, received.t_us):
+            port.link.send(answer)
+        self._tell_of_plans(port)
+
+    def _tell_of_plans(self, port: _Port) -> None:
+        if port.plans.said:
+            self._say(port.plans.said, self.view.t_us)
+            port.plans.said.clear()
 
     def _on_protocol(self, link_index: int, received: Received) -> None:
         """Everything that is answered at once on the same link."""
@@ -159,6 +186,8 @@ class Server:
         message = received.message
         answer: Any = None
         if isinstance(message, m.Timesync):
+            if message.tc1_ns != 0 and message.ts1_ns <= 1000 * self.view.stamp_us:
+                port.synced_us = message.ts1_ns // 1000
             answer = protocols.answer_timesync(message, sender, self.view.stamp_us)
         elif isinstance(message, m.Ping):
             answer = protocols.answer_ping(message, sender)
@@ -173,8 +202,6 @@ class Server:
         elif isinstance(message, m.RequestEvent):
             for event in self.events.answer(message, sender):
                 port.link.send(event)
-        else:
-            answer = protocols.answer_mission(message, sender)
         if answer is not None:
             port.link.send(answer)
 
@@ -191,7 +218,7 @@ class Server:
         """Simulate n_ms milliseconds under what has been received, then queue the streams that are due."""
         vehicle, view, state = self.vehicle, self.view, self.commander.state
         now_us = view.t_us
-        if self.faults.faults:
+        if self.faults.faults or self.faults.begun:
             self.faults.step(self)
         landed = vehicle.control.land_detector.landed
         if self._requests or now_us >= state.next_cycle_us or landed is not state.landed:
@@ -217,6 +244,15 @@ class Server:
             port.streams.emit(view, port.link.send)
             if port.parameters.running:
                 for item in port.parameters.take(vehicle.params, PARAMS_PER_TICK):
+                    port.link.send(item)
+
+    def answer(self) -> None:
+        """Answer what has been received without moving time: commands, and parameters that were asked for."""
+        if self._requests:
+            self._command(self.vehicle.control.land_detector.landed, self.view.t_us)
+        for port in self._ports:
+            if port.parameters.running:
+                for item in port.parameters.take(self.vehicle.params, PARAMS_PER_TICK):
                     port.link.send(item)
 
     def _command(self, landed: bool, now_us: int) -> None:
@@ -252,11 +288,24 @@ class Server:
     def _slow(self) -> None:
         """What is looked at ten times a second."""
         view = self.view
-        self._breached = self.navigator.outside_fence(view.pos_ned_m)
+        self._watch_fence()
+        for port in self._ports:
+            for message in port.plans.step(view.t_us):
+                port.link.send(message)
+            self._tell_of_plans(port)
         self._next_slow_us = view.t_us - view.t_us % SLOW_US + SLOW_US
         view.refresh_slow()
         if view.t_us >= HOME_SET_US and self.navigator.state.home_ned_m is None:
             self.navigator.set_home(view.pos_ned_m, view.t_us)
+
+    def _watch_fence(self) -> None:
+        """The cylinder of the parameters, and what a client has stored."""
+        view, position = self.view, self.view.pos_ned_m
+        self._say(self.fence.renew(position, self.navigator.state.home_ned_m, landed=self.vehicle.landed), view.t_us)
+        breached = self.navigator.outside_fence(position) or self.fence.outside(position[0], position[1])
+        if breached and not self._breached and self.vehicle.params.get("GF_ACTION") != 0.0:
+            self._say((notices.FENCE_LEFT,), view.t_us)
+        self._breached = breached
 
     # --- out ---
 
@@ -312,9 +361,13 @@ _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
     m.FileTransferProtocol: Server._on_protocol,
     m.SetGpsGlobalOrigin: Server._on_protocol,
     m.RequestEvent: Server._on_protocol,
-    m.MissionRequestList: Server._on_protocol,
-    m.MissionClearAll: Server._on_protocol,
-    m.MissionCount: Server._on_protocol,
-    m.MissionRequestInt: Server._on_protocol,
-    m.MissionRequest: Server._on_protocol,
+    m.MissionRequestList: Server._on_plan,
+    m.MissionClearAll: Server._on_plan,
+    m.MissionCount: Server._on_plan,
+    m.MissionRequestInt: Server._on_plan,
+    m.MissionRequest: Server._on_plan,
+    m.MissionItemInt: Server._on_plan,
+    m.MissionItem: Server._on_plan,
+    m.MissionAck: Server._on_plan,
+    m.MissionSetCurrent: Server._on_plan,
 }

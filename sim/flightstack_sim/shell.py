@@ -15,14 +15,17 @@ ONBOARD, GCS = 0, 1
 class Seam:
     """Between a server and the network: where link faults happen, each direction of each link on its own."""
 
-    __slots__ = ("_faults", "_in", "_out", "_server", "bad")
+    __slots__ = ("_faults", "_in", "_out", "_server")
 
     def __init__(self, server: Server, links: int, seed: int) -> None:
         self._server, self._faults = server, server.faults
-        self.bad = server.faults.on_the_link
-        """Whether any fault concerns the link: then every message has a datagram of its own, as on PX4."""
         self._out = [BadLink(seed, 2 * index) for index in range(links)]
         self._in = [BadLink(seed, 2 * index + 1) for index in range(links)]
+
+    @property
+    def bad(self) -> bool:
+        """Whether any fault concerns the link: then every message has a datagram of its own, as on PX4."""
+        return self._faults.on_the_link
 
     def out(self, index: int, datagrams: list[bytes]) -> list[bytes]:
         """What leaves now of what the server has sent till now."""

@@ -64,11 +64,30 @@ addEventListener("load", () => {
 </script></body>"""
 
 
-def opened(page: Path, profile: Path) -> tuple[str, dict[str, str]]:
+LAYOUT = """
+<script>
+addEventListener("load", () => setTimeout(() => {
+  const say = (name, value) => (document.body.dataset[name] = JSON.stringify(value));
+  say("wide", document.documentElement.scrollWidth - document.documentElement.clientWidth);
+  say("tall", document.documentElement.scrollHeight);
+  say("unnamed", [...document.querySelectorAll("canvas")].filter((c) => !c.getAttribute("aria-label")).length);
+  for (const part of document.querySelectorAll("details")) part.open = true;
+  setTimeout(() => {
+    say("widest", document.documentElement.scrollWidth - document.documentElement.clientWidth);
+    say("drawn", [...document.querySelectorAll(".chart canvas")].filter((c) => c.width > 100).length);
+    say("cut", [...document.querySelectorAll("section *")].filter((e) => e.scrollHeight > e.clientHeight + 4
+      && ["auto", "scroll"].includes(getComputedStyle(e).overflowY)).length);
+  }, 300);
+}, 300));
+</script></body>"""
+
+
+def opened(page: Path, profile: Path, size: str = "1400,1200") -> tuple[str, dict[str, str]]:
     """The page's DOM once its scripts have run, and its body's data attributes."""
     options = (
         "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-        "--disable-component-update --disable-sync --virtual-time-budget=4000 --window-size=1400,1200"
+        "--disable-component-update --disable-sync --virtual-time-budget=4000 "
+        f"--window-size={size}"
     )
     command = [str(CHROMIUM), *options.split(), f"--user-data-dir={profile}", "--dump-dom", page.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
@@ -107,6 +126,21 @@ def test_charts_share_cursor_and_zoom_and_the_path_follows(tmp_path: Path) -> No
     assert seen["again"] == seen["whole"]
     assert len({tuple(span) for span in seen["dragged"]}) == 1
     assert seen["dragged"][0] == pytest.approx([5.0, 15.0], abs=0.2)
+
+
+@pytest.mark.parametrize(("size", "most_px"), [("390,844", 13_400 // 3), ("1440,900", 10_000)])
+def test_nothing_overflows_and_a_narrow_page_is_short_until_it_is_unfolded(
+    tmp_path: Path, size: str, most_px: int
+) -> None:
+    page = write_report(circle_flight(), tmp_path / "report.html")
+    page.write_text(page.read_text(encoding="utf-8").replace("</body>", LAYOUT), encoding="utf-8")
+    _, data = opened(page, tmp_path / "profile", size)
+    assert data["errors"] == ""
+    assert data["wide"] == data["widest"] == "0"
+    assert 500 < int(data["tall"]) < most_px
+    assert data["unnamed"] == "0"
+    assert data["drawn"] == str(PANELS)
+    assert data["cut"] == "0"  # no table in a box that scrolls by itself
 
 
 @pytest.mark.parametrize("position", [False, True])

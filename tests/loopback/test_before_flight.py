@@ -107,3 +107,26 @@ def test_a_file_that_is_to_be_believed_is_flown_with_whatever_px4_says(address: 
     code, result = _offboard(address, tmp_path, "--vehicle", file, "--believe-file", "--dry-run")
     assert code == 0
     assert result["contradictions"] == []
+
+
+def test_a_dry_run_tells_what_protection_would_lack(address: str, tmp_path: Path) -> None:
+    """By the bounds of the sensors that are named; nothing is against motion capture, which the simulator has."""
+    words = ("--dry-run", "--scenario", "paper-tracking")
+    code, result = _offboard(address, tmp_path, *words, "--sensors", "px4-sih")
+    check = {each["check"]: each for each in result["checklist"]}["protection"]
+    assert code == 1
+    assert not check["ok"]
+    assert "position east is known to 1." in check["said"]
+    code, result = _offboard(address, tmp_path, *words)
+    assert code == 0, result["checklist"]
+    assert {each["check"]: each for each in result["checklist"]}["protection"]["said"].startswith("sound")
+
+
+def test_a_vehicle_that_contradicts_its_sensors_is_told_in_its_own_words(tmp_path: Path) -> None:
+    """Estimates of GPS, taken for those of motion capture as the scenario says."""
+    port, gcs_port = free_ports()
+    with simulator(port, gcs_port, "--sensors", "gps", speed=1.0):
+        code, result = _offboard(f"udpin:127.0.0.1:{port}", tmp_path, "--dry-run", "--scenario", "paper-tracking")
+    assert code == 1
+    check = {each["check"]: each for each in result["checklist"]}["protection"]
+    assert check["said"].startswith("the vehicle says that it knows its position across to")

@@ -142,4 +142,4 @@ def test_bad_files_are_one_line_that_names_them(text: str, said: str) -> None:
 
 
 def test_a_file_is_read() -> None:
-    assert parse_params(HEAD + 'name = "x"\n[set]\nA = 1\nB_2 = 0.5\n', "") == {"A": 1.0, "B_2": 0.5}
+    assert parse_params(HEAD + 'name = "x"\n[set]\nA = 1\nB_2 = 0.5\n', "").values == {"A": 1.0, "B_2": 0.5}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
 import os
 import random
@@ -33,6 +35,7 @@ _ATTEMPTS = 3
 """A flight that ends before its moment (a busy machine) is flown again."""
 _LAND = (176, 129.0, 4.0, 6.0)
 _OFFBOARD_MAIN = 6
+_RESULT = "seen.json"
 
 
 class Seen(NamedTuple):
@@ -48,15 +51,21 @@ class Seen(NamedTuple):
     touched_mps: float
     """Fastest sink rate near the ground while nobody landed; 0: no contact."""
     taken_back: bool
+    gap_s: float
+    """Longest time without ground truth about the moment: 0.1 s and more, and PX4 itself stood still."""
     said: str
 
 
 def run(bench: Bench, runs: int) -> list[Row]:
-    """`runs` kills and `runs` stalls, all on one PX4."""
-    draw = random.Random(1)
+    """`runs` kills and `runs` stalls, by turns on one PX4; those that a folder holds already are not flown again."""
+    kills, stalls = _kept(bench)
+    draw = random.Random(len(kills) + len(stalls))
     with Px4(bench) as px4:
-        kills = [_trial(bench, px4, draw, math.inf) for _ in range(runs)]
-        stalls = [_trial(bench, px4, draw, draw.uniform(0.1, 3.0)) for _ in range(runs)]
+        while min(len(kills), len(stalls)) < runs:
+            if len(kills) <= len(stalls):
+                kills.append(_trial(bench, px4, draw, math.inf))
+            else:
+                stalls.append(_trial(bench, px4, draw, draw.uniform(0.1, 3.0)))
     short = [seen for seen in stalls if seen.stall_s < SHORT_S - 0.05]
     back = Row(
         f"stalls below {SHORT_S:g} s taken back", f"{sum(seen.taken_back for seen in short)} of {len(short)}",
@@ -64,6 +73,12 @@ def run(bench: Bench, runs: int) -> list[Row]:
         [f"{seen.stall_s:.2f} s: {seen.said}" for seen in short if not seen.taken_back],
     )  # fmt: skip
     return [_row("killed (SIGKILL)", kills), _row("stopped for 0.1 to 3 s (SIGSTOP)", stalls), back]
+
+
+def _kept(bench: Bench) -> tuple[list[Seen], list[Seen]]:
+    """Kills and stalls that were flown before."""
+    seen = [Seen(**json.loads(file.read_text())) for file in sorted(bench.out.glob(f"kills-*/{_RESULT}"))]
+    return [each for each in seen if math.isinf(each.stall_s)], [each for each in seen if math.isfinite(each.stall_s)]
 
 
 def _row(what: str, trials: list[Seen]) -> Row:
@@ -77,7 +92,7 @@ def _row(what: str, trials: list[Seen]) -> Row:
     good = not contacts and tilt.max() <= TILT_MAX_DEG and np.median(lost) <= LOST_MEDIAN_M and lost.max() <= LOST_MAX_M
     notes = [
         f"run {number}: stall {seen.stall_s:.2f} s, tilt {seen.tilt_deg:.0f} deg ({seen.tilt_before_deg:.0f} before), "
-        f"lost {seen.lost_m:.2f} m, contact at {seen.touched_mps:.1f} m/s; {seen.said}"
+        f"lost {seen.lost_m:.2f} m, contact at {seen.touched_mps:.1f} m/s, no truth for {seen.gap_s:.2f} s; {seen.said}"
         for number, seen in enumerate(trials)
         if seen.tilt_deg > TILT_MAX_DEG or seen.lost_m > LOST_MAX_M or seen.touched_mps > 0.0
     ]
@@ -114,6 +129,7 @@ def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> See
         _bring_down(px4, process)
     said = " ".join((folder / "companion.txt").read_text().split())[-160:]
     seen = seen._replace(said=said)
+    (folder / _RESULT).write_text(json.dumps(seen._asdict()))
     print(seen, flush=True)
     return seen
 
@@ -126,6 +142,7 @@ def _on_track(px4: Px4) -> bool:
 
 def _judge(truth: list[Truth], began_s: float, stall_s: float, taken_back: bool) -> Seen:
     before = [sample for sample in truth if began_s - 0.1 <= sample.at_s <= began_s]
+    times = [sample.at_s for sample in truth if began_s - 1.0 <= sample.at_s <= began_s + _WATCH_S]
     after = [sample for sample in truth if began_s < sample.at_s <= began_s + _WATCH_S]
     first = [sample.up_m for sample in after if sample.at_s <= began_s + 1.0]
     low = [sample for sample in after if sample.up_m < _CONTACT_M]
@@ -137,6 +154,7 @@ def _judge(truth: list[Truth], began_s: float, stall_s: float, taken_back: bool)
         before[-1].up_m - min(first),
         max(fastest, 0.01) if low else 0.0,
         taken_back,
+        max(later - sooner for sooner, later in itertools.pairwise(times)),
         "",
     )
 

@@ -50,7 +50,7 @@ def _mark(text: str) -> str:
 
 def _h(flight: FlightReport, barrier: Barrier) -> Panel:
     curves = (
-        *known(("of the measured state", "three", barrier.h_state)),
+        *known(("of the measured state", "measured", barrier.h_state)),
         *known(("of the predicted state, as filtered", "learned", barrier.h)),
         *known((f"of the scenario's region, {_state_of(flight)}", "truth", region_h(barrier))),
     )
@@ -118,14 +118,25 @@ def _acceleration(barrier: Barrier, axis: int) -> Panel:
     band: tuple[Curve, ...] = ()
     if low is not None and high is not None and np.isfinite(low.values).any() and np.isfinite(high.values).any():
         band = (Curve("allowed", "region", high, edge="upper"), Curve("allowed", "region", low, edge="lower"))
+    wanted, sent = (signals.column(part, axis) for part in (barrier.wanted_acc_ned_mps2, barrier.safe_acc_ned_mps2))
     curves = (
         *band,
-        *known(("wanted", "command", signals.column(barrier.wanted_acc_ned_mps2, axis))),
-        *known(("sent", "two", signals.column(barrier.safe_acc_ned_mps2, axis))),
+        *(() if wanted is None else (Curve("wanted", "measured", wanted, wide=True),)),
+        *known(("sent", "two", sent)),
     )
     name = AXES[axis]
     finite = tuple(curve for curve in curves if np.isfinite(curve.samples.values).any())
-    return Panel(f"barrier-{name}", f"Acceleration {name}", "m/s²", 2, finite)
+    return Panel(f"barrier-{name}", f"Acceleration {name}", "m/s²", 2, finite, scale=_band_scale(finite))
+
+
+def _band_scale(curves: tuple[Curve, ...]) -> tuple[float, ...]:
+    """Values that show the band's edges where they lie within 2.5 times what was wanted or sent."""
+    edges = [c.samples.values for c in curves if c.edge]
+    inner = [c.samples.values for c in curves if not c.edge]
+    if not edges or not inner:
+        return ()
+    most = 2.5 * max(float(np.nanmax(np.abs(values))) for values in inner)
+    return float(np.clip(np.nanmax(edges[0]), -most, most)), float(np.clip(np.nanmin(edges[1]), -most, most))
 
 
 def planes(flight: FlightReport) -> tuple[Plane, ...]:
@@ -268,9 +279,11 @@ def _ledger(certificate: Certificate) -> str:
     )
     title = f'Margins of the certificate <span class="unit">m/s²</span> <span class="note">{words}</span>'
     body = f'{rows}<tr class="total"><th>together</th>{total}</tr>{facts}'
+    reasons = "".join(_reasons(name, axes) for name in MARGINS)
     return (
-        f'<section class="panel wide" id="barrier-ledger"><h2>{title}</h2><div class="scroll"><table class="ledger">'
-        f"<thead><tr><th>Margin</th>{head}</tr></thead><tbody>{body}</tbody></table></div></section>"
+        f'<section class="panel wide" id="barrier-ledger"><h2>{title}</h2><table class="ledger">'
+        f"<thead><tr><th>Margin</th>{head}</tr></thead><tbody>{body}</tbody></table>"
+        f"<details><summary>What each line comes from</summary>{reasons}</details></section>"
     )
 
 
@@ -278,9 +291,21 @@ def _ledger_row(name: str, axes: tuple[AxisCertificate, ...]) -> str:
     cells = []
     for axis in axes:
         margin = next((line for line in axis.margins if line.name == name), None)
-        said = "–" if margin is None else f"{margin.mps2:.3f}<p>{escape(margin.because)}</p>"
-        cells.append(f"<td>{said}</td>")
+        cells.append(f"<td>{'–' if margin is None else f'{margin.mps2:.3f}'}</td>")
     return f"<tr><th>{name.replace('_', ' ')}</th>{''.join(cells)}</tr>"
+
+
+def _reasons(name: str, axes: tuple[AxisCertificate, ...]) -> str:
+    """What a line comes from, once where it is the same on all axes."""
+    said = {}
+    for axis in axes:
+        for margin in axis.margins:
+            if margin.name == name:
+                said.setdefault(margin.because, []).append(AXES[axis.axis])
+    parts = [
+        because if len(names) == len(axes) else f"{', '.join(names)}: {because}" for because, names in said.items()
+    ]
+    return f'<p class="note"><b>{name.replace("_", " ")}</b>: {escape("; ".join(parts))}</p>' if parts else ""
 
 
 def _facts(axes: tuple[AxisCertificate, ...]) -> list[tuple[str, str]]:

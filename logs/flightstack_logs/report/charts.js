@@ -188,7 +188,7 @@ const flight = (() => {
       class: "u-" + (curve.edge || "line"),
       auto: !curve.edge,
       stroke: () => colour(curve.role) + (curve.edge ? "80" : ""),
-      width: curve.edge ? 0.5 : curve.wide ? 3 : 1.25,
+      width: curve.edge ? 1 : curve.wide ? 3 : 1.25,
       alpha: curve.wide ? 0.75 : 1,
       points: { show: false },
       pxAlign: 0,
@@ -199,9 +199,14 @@ const flight = (() => {
   // An upper edge and the lower one after it enclose a band.
   function bands(spec) {
     const uppers = spec.curves.map((curve, i) => (curve.edge === "upper" ? i : -1)).filter((i) => i >= 0);
-    return uppers.map((i) => ({ series: [i + 1, i + 2], fill: () => colour(spec.curves[i].role) + "38" }));
+    return uppers.map((i) => ({ series: [i + 1, i + 2], fill: () => colour(spec.curves[i].role) + (spec.scale.length ? "16" : "38") }));
   }
 
+  const nameOf = (holder) => {
+    const head = holder.closest("section").querySelector("h2");
+    const unit = head.querySelector(".unit");
+    return head.firstChild.textContent.trim() + (unit ? ", " + unit.textContent : "") + " over time";
+  };
   const markerWidth = (curve) => (curve && curve.edge ? 9 : curve && curve.wide ? 4 : 2);
   const heightOf = (holder) => (holder.closest(".column") ? 245 : 170);
 
@@ -229,6 +234,9 @@ const flight = (() => {
         setCursor: [(u) => u.cursor.event && tell("cursor", u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)],
       },
     }, [t, ...spec.curves.map((curve) => decode(curve.y))], holder);
+    const canvas = chart.root.querySelector("canvas");
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", nameOf(holder) + ": " + spec.curves.filter((c) => c.edge !== "lower").map((c) => c.label).join(", "));
     holder.chart = chart;
     charts.push(chart);
   }
@@ -278,7 +286,7 @@ const flight = (() => {
     }
   }
 
-  const resize = (holder) => holder.chart && holder.chart.setSize({ width: holder.clientWidth, height: heightOf(holder) });
+  const resize = (holder) => holder.chart && holder.clientWidth && holder.chart.setSize({ width: holder.clientWidth, height: heightOf(holder) });
   const redraw = () => {
     colours = {};
     charts.forEach((chart) => chart.redraw(false, true));
@@ -288,6 +296,17 @@ const flight = (() => {
     document.querySelectorAll(".chart").forEach(resize);
     redraw();
   };
+  // On a narrow screen the parts begin folded: the headline, the figures and the path come first.
+  const parts = document.querySelectorAll("details.part");
+  for (const part of parts) part.addEventListener("toggle", () => part.open && relayout());
+  if (window.matchMedia("(max-width: 600px)").matches) for (const part of parts) part.open = false;
+  for (const link of document.querySelectorAll(".toolbar a")) {
+    link.addEventListener("click", () => {
+      const part = document.querySelector(link.getAttribute("href"));
+      if (part instanceof HTMLDetailsElement) part.open = true;
+    });
+  }
+  window.addEventListener("beforeprint", () => parts.forEach((part) => { part.open = true; }));
   window.addEventListener("resize", relayout);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   window.matchMedia("print").addEventListener("change", relayout);

@@ -15,6 +15,8 @@ from flightstack_logs.report.histogram import lateness_svg
 from flightstack_logs.report.panel import POINTS, Panel
 
 EVENTS_SHOWN = 500
+EVENTS_OPEN = 40
+"""Rows of the table of events before the rest is folded away."""
 _MISSING = '<p class="missing">not recorded</p>'
 _ROLE_WORDS = {"command": "reference", "measured": "estimate", "truth": "truth"}
 
@@ -51,6 +53,7 @@ def render_report(flight: FlightReport) -> str:
             "subtitle": _subtitle(flight),
             "figures": figures_html(words.figures(flight)),
             "checks": _checks(flight),
+            "contents": _contents(bool(learned), bool(filtered)),
             "path": _path(flight, path),
             "phases": _phases(flight),
             "tracking": "".join(panel_html(panel) for panel in drawn if panel.key.startswith("error-")),
@@ -97,12 +100,22 @@ def _subtitle(flight: FlightReport) -> str:
     return escape(" · ".join(parts))
 
 
+def _contents(learned: bool, filtered: bool) -> str:
+    """Links to the page's parts."""
+    parts = [("path", "Path"), ("signals", "Signals"), ("record", "Events, settings")]
+    parts[1:1] = [("learning", "Learning")] * learned + [("barrier", "Barrier")] * filtered
+    return "".join(f'<a href="#{place}">{words}</a>' for place, words in parts)
+
+
 def _learning(flight: FlightReport, learned: tuple[Panel, ...]) -> str:
     if not learned:
         return ""
     figures = f'<dl class="figures">{figures_html(learning.figures(flight))}</dl>'
     grid = "".join(panel_html(panel) for panel in learned)
-    return f'<section id="learning"><h2 class="part">Learning</h2>{figures}<div class="grid">{grid}</div></section>'
+    return (
+        f'<details class="part" id="learning" open><summary>Learning</summary>{figures}'
+        f'<div class="grid">{grid}</div></details>'
+    )
 
 
 def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
@@ -111,8 +124,8 @@ def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
     figures = f'<dl class="figures">{figures_html(barrier.figures(flight))}</dl>'
     grid = "".join(panel_html(panel) for panel in filtered)
     return (
-        f'<section id="barrier"><h2 class="part">Barrier</h2>{figures}<div class="grid">{grid}</div>'
-        f"{barrier.planes_html(flight)}{barrier.tables_html(flight)}</section>"
+        f'<details class="part" id="barrier" open><summary>Barrier</summary>{figures}<div class="grid">{grid}</div>'
+        f"{barrier.planes_html(flight)}{barrier.tables_html(flight)}</details>"
     )
 
 
@@ -183,15 +196,18 @@ def _signed(value: float) -> str:
 def _events(flight: FlightReport) -> str:
     if not flight.events:
         return _MISSING
-    rows = "".join(
+    rows = [
         f'<tr class="{escape(event.severity)}" data-time="{event.t_s:.3f}"><td>{_signed(event.t_s)} s</td>'
         f"<td>{escape(event.kind)}</td><td>{escape(event.text)}</td></tr>"
         for event in flight.events[:EVENTS_SHOWN]
-    )
+    ]
     rest = len(flight.events) - EVENTS_SHOWN
     more = f'<p class="note">{rest} more are in the log.</p>' if rest > 0 else ""
-    head = "<tr><th>Time</th><th>Kind</th><th>What happened</th></tr>"
-    return f'<div class="scroll"><table class="events"><thead>{head}</thead><tbody>{rows}</tbody></table></div>{more}'
+    head = "<thead><tr><th>Time</th><th>Kind</th><th>What happened</th></tr></thead>"
+    first, later = "".join(rows[:EVENTS_OPEN]), "".join(rows[EVENTS_OPEN:])
+    table = f'<table class="events">{head}<tbody>{{}}</tbody></table>'
+    folded = f"<details><summary>{len(rows) - EVENTS_OPEN} more</summary>{table.format(later)}</details>"
+    return f"{table.format(first)}{folded if later else ''}{more}"
 
 
 def _timing(flight: FlightReport) -> str:

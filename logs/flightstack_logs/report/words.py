@@ -149,10 +149,15 @@ def _estimate(flight: FlightReport) -> tuple[Figure, ...]:
     outcome = flight.outcome
     if not outcome.disagreement_mps:
         return ()
+    worst = max(outcome.disagreement_mps)
     apart = ", ".join(f"{value:.2f}" for value in outcome.disagreement_mps)
     return (
         Figure("Control error, settled", length(outcome.control_rmse_settled_m), "of the estimate"),
-        Figure("Estimate's disagreement", f"{apart} m/s", "d(position)/dt less velocity, rms N, E, D; 0.15 is good"),
+        Figure(
+            "Estimate's disagreement",
+            f"{worst:.2f} m/s",
+            f"d(position)/dt less velocity, rms; N, E, D {apart}; 0.15 is good",
+        ),
     )
 
 

@@ -41,6 +41,10 @@ class NavigatorState:
     """Horizontal speed of automatic modes by DO_CHANGE_SPEED; NaN: MPC_XY_CRUISE."""
     goal: Goal | None = None
     circle: Circle | None = None
+    mission_state: int = 2
+    """MISSION_STATE: 2 not started, 3 active, 4 paused, 5 complete."""
+    mission_mode: int = 2
+    """1: the mode that flies is one that follows a mission; 2: suspended."""
 
 
 class Navigator:

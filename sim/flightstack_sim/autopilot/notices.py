@@ -72,6 +72,38 @@ READY: Final = Notice(0, 0, b"", INFO, "Ready for takeoff!\t")
 HEADING_NOT_STABLE: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: heading estimate not stable\t")
 
 
+# The mission protocol's.
+PLAN_BUSY: Final = _said("mavlink_mission_getlist_busy", 0x33, CRITICAL, "WPM: REJ. CMD: Busy")
+PLAN_REQUEST_BUSY: Final = _said("mavlink_mission_mis_req_ignored_busy", 0x33, CRITICAL, "WPM: REJ. CMD: Busy")
+PLAN_COUNT_IGNORED: Final = _said("mavlink_mission_ignore_mis_count", 0x33, CRITICAL, "WPM: IGN MISSION_COUNT: Busy")
+PLAN_CLEAR_IGNORED: Final = _said("mavlink_mission_ignore_clear", 0x33, CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+PLAN_CURRENT_BUSY: Final = _said("mavlink_mission_state_busy", 0x33, CRITICAL, "WPM: IGN WP CURR CMD: Busy")
+PLAN_NOT_IN_LIST: Final = _said("mavlink_mission_seq_out_of_bounds", 0x33, CRITICAL, "WPM: WP CURR CMD: Not in list")
+PLAN_UNEXPECTED: Final = _said("mavlink_mission_wp_unexpected", 0x33, CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected")
+PLAN_LIST_IGNORED: Final = _said(
+    "mavlink_mission_req_ignored", 0x44, INFO, "Mission download request ignored, already active"
+)
+PLAN_NO_TRANSFER: Final = _said("mavlink_mission_no_transfer", 0x33, CRITICAL, "IGN MISSION_ITEM: No transfer")
+PLAN_ITEM_BUSY: Final = _said("mavlink_mission_mis_item_busy", 0x33, CRITICAL, "IGN MISSION_ITEM: Busy")
+PLAN_ITEM_INVALID: Final = _said("mavlink_mission_mis_item_invalid", 0x33, CRITICAL, "IGN MISSION_ITEM: Invalid item")
+PLAN_ITEM_PARTNER: Final = _said(
+    "mavlink_mission_item_partner_id_mismatch", 0x33, CRITICAL, "REJ. MIS ITEM: partner id mismatch"
+)
+PLAN_REQUEST_PARTNER: Final = _said(
+    "mavlink_mission_partner_id_mismatch2", 0x33, CRITICAL, "WPM: REJ. CMD: partner id mismatch"
+)
+PLAN_ACK_PARTNER: Final = _said(
+    "mavlink_mission_partner_id_mismatch", 0x33, CRITICAL, "REJ. WP CMD: partner id mismatch"
+)
+PLAN_TIMEOUT: Final = _said("mavlink_mission_op_timeout", 0x33, CRITICAL, "Operation timeout")
+FENCE_LEFT: Final = Notice(0, 0, b"", CRITICAL, "Geofence: approaching or outside geofence\t")
+FENCE_WITHOUT_HOME: Final = Notice(0, 0, b"", CRITICAL, "Geofence invalid, doesn't contain Home position\t")
+FENCE_WITHOUT_VEHICLE: Final = Notice(
+    0, 0, b"", CRITICAL, "Geofence invalid, doesn't contain current vehicle position\t"
+)
+OUTSIDE_FENCE: Final = Notice(0, 0, b"", CRITICAL, "Reposition is outside geofence\t")
+
+
 def armed(reason: int) -> Notice:
     """The motors are live."""
     return _said("commander_armed_by", 0x66, INFO, f"Armed by {_REASONS[reason]}", struct.pack("<B", reason))

@@ -1,0 +1,69 @@
+"""A file whose mass, thrust and inertia are only guessed: the common scale is a class, and its intervals say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from flightstack.gap.name import Naming, name
+from flightstack.gap.naming.ranged import WEIGH
+from flightstack.vehicle import Vehicle
+from tests import gap_batch as batch
+from tests.gap_flights import quad
+
+MASS, THRUST = 1.2, 0.85
+
+
+def guessed() -> Vehicle:
+    """The default vehicle with its mass 20 % too great and its thrust 15 % too small, both known within 30 %."""
+    true = quad()
+    mass, thrust = MASS * true.mass_kg, THRUST * true.rotors.max_thrust_n
+    ranges = {
+        "body.mass_kg": np.array([mass / 1.3, mass * 1.3]),
+        "rotors.max_thrust_n": np.array([thrust / 1.3, thrust * 1.3]),
+        "body.inertia_kgm2": np.stack([true.inertia_kgm2 / 1.5, true.inertia_kgm2 * 1.5], axis=-1),
+    }
+    rotors = replace(true.rotors, max_thrust_n=thrust)
+    return replace(true, mass_kg=mass, rotors=rotors, ranges=MappingProxyType(ranges))
+
+
+def verdict(believed: Vehicle) -> Naming:
+    samples = batch.fly(quad(), [{}])[0]
+    at = samples.t_s - samples.t_s[0]
+    return name(believed, [samples], [at < 18.0], [at > 20.0])
+
+
+def test_guessed_numbers_are_corrected_with_intervals_as_wide_as_their_common_scale_is_unknown() -> None:
+    believed = guessed()
+    before = verdict(believed)
+    told = before.with_guessed_numbers()
+    found = {each.name: each for each in told.found}
+    true = {
+        "payload": {"mass_kg": quad().mass_kg - believed.mass_kg},
+        "thrust_scale": {"scale": 1.0 / THRUST},
+        "inertia": {f"scale_{axis}": 1.0 for axis in "xyz"},
+    }
+    assert found
+    assert set(found) <= set(true)
+    for effect, each in found.items():
+        for parameter, value in true[effect].items():
+            got = each.parameters[parameter]
+            assert got.low <= value <= got.high
+            assert got.high - got.low > 0.1 * abs(got.estimate)  # no log weighs
+    # the mean thrust over the mass is what flew, wherever on the common scale the answer stands
+    scale = told.vehicle.effects.get("thrust_scale", {}).get("scale", 1.0)
+    flown = quad().rotors.max_thrust_n / quad().mass_kg
+    assert believed.rotors.max_thrust_n * scale / told.vehicle.total_mass_kg == pytest.approx(flown, rel=0.01)
+
+
+def test_a_plain_file_s_single_wrong_number_keeps_its_narrow_interval() -> None:
+    heavy = replace(quad(), mass_kg=MASS * quad().mass_kg)
+    told = verdict(heavy).with_guessed_numbers()
+    assert [each.name for each in told.found] == ["payload"]
+    got = told.found[0].parameters["mass_kg"]
+    assert got.estimate == pytest.approx(quad().mass_kg - heavy.mass_kg, rel=0.02)
+    assert got.high - got.low < 0.02
+    assert told.found[0].manoeuvre != WEIGH
