@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 test tune
+.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"

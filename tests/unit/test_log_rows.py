@@ -16,7 +16,9 @@ from mcap.stream_reader import StreamReader
 
 from flightstack.types import FlatOutput, changed
 from flightstack_logs import rows
+from flightstack_logs.convert import convert
 from flightstack_logs.reader import read
+from flightstack_logs.recover import recover
 from flightstack_logs.topics import MESSAGE, TOPICS, Kind
 from flightstack_logs.writer import FlightLog
 
@@ -120,6 +122,39 @@ def test_a_compact_log_holds_every_message_of_every_topic(tmp_path: Path) -> Non
         counts = Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
     packed = [name for name, topic in TOPICS.items() if topic.packed and topic.kind is Kind.TABLE]
     assert {counts[name] for name in packed} == {8}  # of 400 in 1.6 s
+
+
+def test_converted_a_compact_log_has_every_message_on_its_own(tmp_path: Path) -> None:
+    log = FlightLog.open(tmp_path / "a.mcap", metadata={"run": {"seed": "7"}}, compact=True)
+    rng, names = random.Random(6), [name for name, topic in TOPICS.items() if name != "/clock"]
+    for k in range(100):
+        for name in names:
+            log.write(name, k * 4000, sample_record(TOPICS[name], rng))
+    log.close()
+    made = convert(read(tmp_path / "a.mcap"), tmp_path / "b.mcap")
+    assert made.messages == 100 * len(names)
+    with (tmp_path / "b.mcap").open("rb") as file:
+        counts = Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
+    assert counts == dict.fromkeys(names, 100)
+    back = [read(tmp_path / f"{name}.mcap") for name in "ab"]
+    assert back[1].metadata["run"] == {"seed": "7"}
+    for name, table in back[0].tables.items():
+        for column, values in table.columns.items():
+            np.testing.assert_array_equal(values, back[1].tables[name][column], err_msg=f"{name} {column}")
+
+
+def test_a_cut_off_compact_log_is_mended_with_its_rows(tmp_path: Path) -> None:
+    log = FlightLog.open(tmp_path / "a.mcap", metadata={}, compact=True)
+    for k in range(500):
+        log.tick(tick_record(k * 4000))
+    log.flush()
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
+    log.close()
+    recover(tmp_path / "cut.mcap", tmp_path / "b.mcap")
+    cut, mended = read(tmp_path / "cut.mcap"), read(tmp_path / "b.mcap")
+    assert (cut.complete, mended.complete) == (False, True)
+    for whole in (cut, mended):
+        assert whole.tables["/tick"].t_us.tolist() == [k * 4000 for k in range(500)]  # what was flushed is there
 
 
 def test_a_compact_flight_says_in_every_tick_whether_the_rest_was_the_same(tmp_path: Path) -> None:

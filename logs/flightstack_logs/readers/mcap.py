@@ -15,8 +15,8 @@ from flightstack_logs.topics import LEVELS
 from flightstack_logs.wire import decode_columns, walk
 
 
-def read_mcap(path: Path, data: bytes) -> Log:
-    """The log in `data`; damage is in its notes."""
+def read_mcap(path: Path, data: bytes, *, align: bool = True) -> Log:
+    """The log in `data`; damage is in its notes.  `align`: the vehicle's stamps on the log's time line."""
     content = scan(data, str(path))
     notes = list(content.notes)
     blocks = {each.topic: each for each in content.channels.values() if each.topic.startswith(rows.PREFIX)}
@@ -49,7 +49,7 @@ def read_mcap(path: Path, data: bytes) -> Log:
         kind="mcap",
         complete=content.finished and not content.notes,
         notes=tuple(notes),
-        tables=aligned(tables),
+        tables=aligned(tables) if align else tables,
         messages=messages,
         about=about,
         metadata=content.metadata,
