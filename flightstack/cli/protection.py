@@ -12,6 +12,7 @@ otherwise         where the scenario has a region: certified in flight, once eno
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -195,6 +196,9 @@ def _in_site(
 SOUND = "sound"
 _FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
 """Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
+_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
+"""All thrust that there is, or no more than 1.6 hovers in turn: for a light vehicle lag and delay of all of it cost more
+than it gives, and nothing would ever close."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"
@@ -232,7 +236,10 @@ def _online(
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(
+        sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2,
+        thrust_shares=_THRUST_SHARES,
+    )  # fmt: skip
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
 
