@@ -197,8 +197,8 @@ SOUND = "sound"
 _FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
 """Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
 _THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
-"""All thrust that there is, or no more than 1.6 hovers in turn: for a light vehicle lag and delay of all of it cost more
-than it gives, and nothing would ever close."""
+"""All thrust that there is, or no more than 1.6 hovers, in turn: for a light vehicle lag and delay of all of it cost
+more than it gives, and nothing would ever close."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"
