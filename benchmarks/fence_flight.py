@@ -52,6 +52,8 @@ class Attack:
     begins_s: float = 4.0
     gusts: bool = True
     """The force turns every second or two, at its full size."""
+    pumps: bool = False
+    """Instead it is along the velocity at every moment: it drives the loop where that answers most."""
     reference: Any = None
     """A function of the time since the attack began: a FlatOutput relative to the start, flown with NOMINAL."""
     speed_mps: float = 3.0
@@ -144,8 +146,8 @@ def _leaning(lean: F64, q_ned_frd: F64) -> tuple[float, float]:
 class FenceFlight:
     """One flight; `run` flies it."""
 
-    def __init__(self, world: World, site: Path, attack: Attack, told: float = 1.0) -> None:
-        """`told`: the share of the true doubts that the filter is told; less than 1 is a lie."""
+    def __init__(self, world: World, site: Path, attack: Attack, told: float = 1.0, given: Path | None = None) -> None:
+        """`told`: the share of the true doubts that the filter is told; less than 1 is a lie; `given`: certificate."""
         self.world, self.attack = world, attack
         believed, _ = files.load_vehicle(world.vehicle)
         with tempfile.TemporaryDirectory(prefix="fence-") as folder:
@@ -154,7 +156,7 @@ class FenceFlight:
                 path.write_text(vehicle_to_toml(vehicle), encoding="utf-8")
             options = FlyOptions(
                 scenario=world.scenario, seed=world.seed, vehicle=str(paths[0]), truth=str(paths[1]),
-                sensors=world.grade, plant=world.plant, site=site,
+                sensors=world.grade, plant=world.plant, site=site, certificate=given,
             )  # fmt: skip
             setup = prepare(options)
         prepared, before = setup.flight, setup.flight.stack
@@ -248,13 +250,21 @@ class FenceFlight:
     def _blow(self, time_s: float) -> None:
         if not self.attack.gusts or time_s < self._wind_until_s:
             return
-        rng = self._wind
-        self._wind_until_s = time_s + rng.uniform(0.2, 2.5)
-        way = rng.normal(size=3) * np.array([1.0, 1.0, 0.6])
+        if self.attack.pumps:
+            vel = self.vehicle.plant.vel_ned_mps.copy()
+            way, self._wind_until_s = vel / max(float(np.linalg.norm(vel)), 1e-6), time_s + 0.02
+        else:
+            way = self._drawn_way(time_s)
         size = float(np.linalg.norm(self.world.wind_g))
-        force = size * self._weight_n * way / np.linalg.norm(way)
+        force = size * self._weight_n * way / max(float(np.linalg.norm(way)), 1e-6)
         values = {"north_n": float(force[0]), "east_n": float(force[1]), "down_n": float(force[2])}
         self.vehicle.plant.set_effect("constant_force", values)
+
+    def _drawn_way(self, time_s: float) -> F64:
+        """Another direction, for a while."""
+        self._wind_until_s = time_s + self._wind.uniform(0.2, 2.5)
+        way: F64 = self._wind.normal(size=3) * np.array([1.0, 1.0, 0.6])
+        return way
 
     def run(self, seconds: float, *, keep: bool = False) -> Outcome:
         """Take off, then attack for so long."""

@@ -199,7 +199,7 @@ class Learned:
     surprise = Element(31)
     """Largest recent error of prediction, in its own standard deviations."""
     delay_s = Element(32)
-    """With which samples are taken: the latency, or the believed delay until that is evident."""
+    """Delay of commands that the sample was made with: the latency, and before that is evident the file's."""
 
     @classmethod
     def nothing(cls) -> Learned:
@@ -207,7 +207,7 @@ class Learned:
         row = np.zeros(33)
         row[6], row[8] = 1.0, -1.0
         row[9:25] = np.nan
-        row[31] = np.nan
+        row[31:] = np.nan
         return cls(row)
 
 
@@ -310,7 +310,7 @@ class TickRecord(NamedTuple):
     """Whether the governor of rate commands changed the command."""
 
     @property
-    def latency_s(self) -> float:
+    def delay_s(self) -> float:
         """Delay of commands that the learner goes by; NaN where nothing learns."""
         return self.learned.delay_s if self.learned.stage >= 0.0 else math.nan
 

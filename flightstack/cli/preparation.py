@@ -27,7 +27,7 @@ from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from flightstack_logs.topics import CERTIFICATE, Attachment
+from flightstack_logs.topics import CERTIFICATE, SITE_OUTLINES, Attachment
 from flightstack_logs.writer import FlightLog
 
 DEFAULT_CONTROLLER = "flatness"
@@ -132,6 +132,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if options.site is not None:
         settings["site"] = str(options.site)
         carried[f"site{options.site.suffix}"] = files.read_text(options.site).text
+        assert protection.site is not None
+        carried[SITE_OUTLINES] = protection.site.outlines
     if protection.certificate is not None:
         settings["certificate"] = protection.certificate_from
         carried[CERTIFICATE] = protection.certificate

@@ -35,7 +35,7 @@ from flightstack.cli.given_certificate import (
     round_trip_max_s,
 )
 from flightstack.cli.sensors import error_statistics
-from flightstack.cli.site import SitePlan, load_site, plan_site
+from flightstack.cli.site import SitePlan, given_prior, load_site, plan_site
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
@@ -43,6 +43,7 @@ from flightstack.region import Region
 from flightstack.safety_filter import BarrierFilter
 from flightstack.scenario import Scenario
 from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
+from flightstack.site.certificate import require_same
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
@@ -183,13 +184,16 @@ def _in_site(
     for name, is_given in (
         ("--no-filter", not options.filtering),
         ("--as-published", options.as_published),
-        ("--certificate", options.certificate is not None),
     ):
         if is_given:
-            raise InputError(f"--site is kept by a filter and certificate of its own: leave out {name}")
+            raise InputError(f"--site is kept by a filter of its own: leave out {name}")
     estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     governor = governor_for(believed, model, scenario.limits, sensors)
-    made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor)
+    prior, text = given_prior(options.certificate, believed, sensors)
+    made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor, prior)
+    if options.certificate is not None:
+        require_checked(options.certificate)
+        require_same(text, str(options.certificate), made.certificate)
     return Protection(made.words, True, filter=made.filter(model, scenario.limits), site=made)
 
 

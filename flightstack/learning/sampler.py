@@ -77,7 +77,7 @@ S_LATENCY = S_APPLIED + 1
 S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body axes
 S_TARGET_FRD = S_HEADING + 2
 S_HEIGHT = S_TARGET_FRD + 3
-S_DELAY = S_HEIGHT + 1
+S_DELAY = S_HEIGHT + 1  # that the sample was made with, evident or not
 SAMPLE = S_DELAY + 1
 
 

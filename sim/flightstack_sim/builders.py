@@ -29,6 +29,7 @@ _SENSORS_ENABLED: Final = 0x0301402F
 _SENSORS_HEALTHY: Final = 0x0320C83F
 _PREARM_CHECK: Final = 1 << 28
 _RANGEFINDER_M: Final = 100.0
+_TERMINATED: Final = 8
 _NO_ITEMS, _NO_MISSION = 0xFFFF, 1
 _CAPABILITIES: Final = 0xE8FF
 _GOOD_RATIOS: Final = (0.05, 0.05, 0.05, 0.05, 0.01)
@@ -206,7 +207,9 @@ def heartbeat(view: View) -> m.Heartbeat:
     commander = view.commander
     mode = commander.mode
     status = 0
-    if commander.armed:
+    if commander.terminated:
+        status = _TERMINATED
+    elif commander.armed:
         status = _CRITICAL if commander.in_failsafe else _ACTIVE
     elif view.can_arm:
         status = _STANDBY
@@ -328,6 +331,8 @@ def mission_current(view: View) -> m.MissionCurrent:
     if not total:
         return m.MissionCurrent(0, _NO_ITEMS, _NO_MISSION, navigator.mission_mode)
     ids = plans.ids
+    if not view.mission_valid:
+        return m.MissionCurrent(plans.current, total, _NO_MISSION, navigator.mission_mode)
     return m.MissionCurrent(
         plans.current, total, navigator.mission_state, navigator.mission_mode, ids[MISSION], ids[FENCE], ids[RALLY]
     )

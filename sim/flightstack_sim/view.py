@@ -64,6 +64,7 @@ class View:
         "fixes_reported",
         "frame",
         "mag_frd_gauss",
+        "mission_valid",
         "navigator",
         "ping_sequence",
         "plans",
@@ -98,6 +99,7 @@ class View:
         self.battery = BatteryState(vehicle.params)
         self.sysid = 1
         self.plans = Plans()
+        self.mission_valid = False
         self.fence = FenceWatch(self.plans, vehicle.params, frame)
         self.silenced: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from being sent."""

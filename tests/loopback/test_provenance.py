@@ -227,7 +227,7 @@ def test_consistent_forgeries_are_refused_from_the_file_alone(flown: Flown, why:
             estimate[name] = (0.0 * np.array(estimate[name])).tolist()
     verdict = check(resealed(data))
     assert not verdict.valid
-    assert {"doubts": "finer than anything"}.get(why, why) in verdict.lines[-1], verdict.lines[-1]
+    assert why in verdict.lines[-1], verdict.lines[-1]
 
 
 def test_commands_held_for_no_time_are_refused(flown: Flown) -> None:
@@ -244,7 +244,7 @@ def test_a_log_of_other_ticks_is_refused(flown: Flown) -> None:
         ("/tick", "vel_ned_mps"),
         ("/tick", "imu_age_us"),
         ("/command", "thrust_norm"),
-        ("/tick", "latency_s"),
+        ("/tick", "delay_s"),
     ):
         forged = copy.deepcopy(flown.recording)
         values = forged.tables[topic][column] = np.array(forged.tables[topic][column])

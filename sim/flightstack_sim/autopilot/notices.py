@@ -42,11 +42,13 @@ def _said(name: str, levels: int, severity: int, text: str, arguments: bytes = b
 
 # Reasons of arming and disarming (PX4's arm_disarm_reason).
 BY_COMMAND: Final = 4
+BY_MISSION_START: Final = 5
 BY_LANDING: Final = 6
 BY_PREFLIGHT: Final = 7
 BY_FAILSAFE: Final = 14
 _REASONS: Final = {
     BY_COMMAND: "external command",
+    BY_MISSION_START: "mission start",
     BY_LANDING: "landing",
     BY_PREFLIGHT: "auto preflight disarming",
     BY_FAILSAFE: "failsafe",
@@ -102,6 +104,25 @@ FENCE_WITHOUT_VEHICLE: Final = Notice(
     0, 0, b"", CRITICAL, "Geofence invalid, doesn't contain current vehicle position\t"
 )
 OUTSIDE_FENCE: Final = Notice(0, 0, b"", CRITICAL, "Reposition is outside geofence\t")
+
+TERMINATED: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: Flight termination active\t")
+EXECUTING_MISSION: Final = Notice(0, 0, b"", INFO, "Executing Mission\t")
+NO_VALID_MISSION: Final = Notice(0, 0, b"", CRITICAL, "Mission start denied! No valid mission\t")
+
+
+def mission_rejected(why: str) -> Notice:
+    """A stored mission can't be flown."""
+    return Notice(0, 0, b"", CRITICAL, f"Mission rejected: {why}\t")
+
+
+def outside_fence(number: int) -> Notice:
+    """A stored mission leads out of the fence."""
+    return Notice(0, 0, b"", CRITICAL, f"Geofence violation for waypoint {number}\t")
+
+
+def climbs(height_m: float) -> Notice:
+    """A mission begins with a climb."""
+    return Notice(0, 0, b"", INFO, f"Climb to {height_m:.1f} meters above home\t")
 
 
 def armed(reason: int) -> Notice:
