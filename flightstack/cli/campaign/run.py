@@ -217,6 +217,7 @@ def _flown(work: Campaign) -> CampaignResult:
         if spec.keep == "failures" and missing:
             work.fly_again([plan_of(i) for i in missing if work.journal.entries[i]["log"] is None])
         flown = work.journal.ordered(None if spec.search else spec.count)
+        stopped = work.stopped
         again = [entry["equal"] for entry in flown if entry.get("equal") is not None]
         reflown = len(again), sum(again)
     work.journal.flush()
