@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help fly test campaign format lint types imports unit bench-plant bench-flight bench-gap bench-gp bench-barrier crosscheck paper campaign-learning campaign-learning-quick attack campaign-barrier campaign-barrier-quick campaign-barrier-filters campaign-barrier-filters-quick gap-blind gap-blind-quick gap-rough gap-recorded gap-rotorpy px4 mutants docs client-20 client-dronekit decoder fuzz faults tune clean
+.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -26,8 +26,11 @@ help:
 	@echo "make client-dronekit    DroneKit connects, arms, changes modes, lands"
 	@echo "make decoder      tshark (to be installed beforehand) decodes every frame that the simulator sends"
 	@echo "make fuzz         a million hostile datagrams against both ends (the tests take 100,000)"
+	@echo "make replay       the reference flights' inputs through today's stack: what a change does to them (UPDATE=1 keeps it)"
+	@echo "make same BASE=COMMIT   flights by two commits, which must write the same bytes"
 	@echo "make faults       every fault flown: the table of docs/safety.md"
 	@echo "make mutants      put small faults into the safety-relevant code, one at a time; lists what the tests do not notice (an hour)"
+	@echo "make house        code lines, long files and functions, parameters, subscripts, names used twice"
 	@echo "make docs         build the documentation into site/; a broken link fails"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
@@ -35,6 +38,7 @@ help:
 	@echo "make campaign-barrier   5,000 flights against an adversary that searches: docs/barrier-campaign.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
 	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier-filters.md (campaign-barrier-filters-quick: a few)"
 	@echo "make gap-rough          200 blind cases with a rough vehicle file, plain and with ranges: docs/gap.md"
+	@echo "make campaign-fence     flights in random sites against adversaries: docs/site.md; goes on where it was cut off, MINUTES=60 bounds it"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
 	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
@@ -97,6 +101,9 @@ bench-barrier: $(BIN)/.installed
 paper: $(BIN)/.installed
 	$(BIN)/flightstack reproduce --out runs/paper
 
+house: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.house
+
 mutants: $(BIN)/.installed-dev
 	$(BIN)/python -m benchmarks.mutants
 
@@ -127,6 +134,13 @@ decoder: $(BIN)/.installed-dev
 fuzz: $(BIN)/.installed-dev
 	FLIGHTSTACK_FUZZ=1000000 $(BIN)/python -m pytest -q tests/property/test_fuzz.py
 
+replay: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.reference_flights $(if $(UPDATE),--update)
+
+same: $(BIN)/.installed
+	@[ -n "$(BASE)" ] || { echo "error: say which commit: make same BASE=COMMIT" >&2; exit 2; }
+	$(BIN)/python -m benchmarks.same $(BASE)
+
 faults: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.faults
 
@@ -148,6 +162,9 @@ campaign-barrier: $(BIN)/.installed
 
 campaign-barrier-quick: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier_attack --quick
+
+campaign-fence: $(BIN)/.installed-dev
+	$(BIN)/python -m benchmarks.fence $(if $(MINUTES),--minutes $(MINUTES))
 
 campaign-barrier-filters: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.barrier_campaign

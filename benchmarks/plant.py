@@ -20,21 +20,24 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("SCIPY_ARRAY_API", "1")  # crazyflow wants it before SciPy is imported
 
 import numpy as np
 
+from flightstack.trajectory import sinusoid
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
+from flightstack_sim.batch import BatchClosedLoop
 from flightstack_sim.plant import BatchPlant, NativePlant
 
 ROOT = Path(__file__).resolve().parent.parent
 DT_S = 1e-3
 RUNS = 3
 BATCH = 10_000
+LOOPS = 1_000
 COMMAND = np.full(4, 0.7)
 IN_THE_AIR = "--plant jsbsim, in the air"
 ALL_EFFECTS: dict[str, dict[str, float]] = {
@@ -94,6 +97,8 @@ def ours(seconds: float) -> Iterator[Row]:
         yield Row("flightstack", f"one vehicle, a call a step, {label}", best_rate(_calls(vehicle), seconds), "RK4")
         yield Row("flightstack", f"one vehicle, compiled loop, {label}", best_rate(_loop(vehicle), seconds), "RK4")
         yield Row("flightstack", f"{BATCH} vehicles, one call, {label}", best_rate(_batch(vehicle), seconds), "RK4")
+        rate = best_rate(_closed_loop(vehicle), seconds)
+        yield Row("flightstack", f"{LOOPS} closed loops, ticks of 4 ms, {label}", rate, "four RK4 steps a tick")
 
 
 def _calls(vehicle: Vehicle) -> Callable[[], int]:
@@ -127,6 +132,19 @@ def _batch(vehicle: Vehicle) -> Callable[[], int]:
     def run() -> int:
         plant.step(commands)
         return BATCH
+
+    return run
+
+
+def _closed_loop(vehicle: Vehicle) -> Callable[[], int]:
+    plain = replace(vehicle, effects={})
+    path = sinusoid((0.0, 0.0, -1.5), (1.0, 0.8, 0.3), (1.2, 1.0, 0.7), (0.0, 0.5, 0.0), yaw_rad=0.3)
+    reference = np.array([path.at(0.004 * k).row for k in range(64)])
+    batch = BatchClosedLoop(plain, [vehicle] * LOOPS)
+
+    def run() -> int:
+        batch.fly(reference)
+        return 64 * LOOPS
 
     return run
 

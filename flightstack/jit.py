@@ -175,6 +175,11 @@ def njit_called(function: F) -> F:
     return _compiled(function, inline=False, relaxed=False)
 
 
+def njit_free(function: F) -> F:
+    """`njit_called` that lets Python's other threads work meanwhile: for long loops over many vehicles."""
+    return _compiled(function, inline=False, relaxed=False, nogil=True)
+
+
 def njit_vector(function: F) -> F:
     """`njit` for loops over many points: sums may be taken in another order and products fused into them.
 
@@ -184,8 +189,10 @@ def njit_vector(function: F) -> F:
     return _compiled(function, inline=True, relaxed=True)
 
 
-def _compiled(function: F, inline: bool, relaxed: bool) -> F:
+def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> F:
     # Said outright: a function that leaves fastmath open takes it over from whichever caller compiles it first.
     fastmath = {"reassoc", "contract", "nsz"} if relaxed else False
-    compiled: F = numba.njit(cache=True, error_model="numpy", forceinline=inline, fastmath=fastmath)(function)
+    compiled: F = numba.njit(
+        cache=True, error_model="numpy", forceinline=inline, fastmath=fastmath, nogil=nogil
+    )(function)  # fmt: skip
     return compiled

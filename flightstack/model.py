@@ -142,14 +142,12 @@ class Limiter:
     __slots__ = ("_constants",)
 
     def __init__(self, model: Model, limits: Limits) -> None:
-        thrust_range = model.thrust_range_n(limits)
-        curve = (model.max_thrust_n, model.thrust_model_factor)
-        self._constants = np.array([*thrust_range, *limits.rate_max_radps, *curve])
+        self._constants = limiter_row(model, limits)
 
     def limit(self, thrust_n: float, rate_frd_radps: F64, now_us: int) -> tuple[Command, bool]:
         """The command within the limits, and whether thrust was cut; what is not a number stays so, for the guard."""
         rate = np.empty(3)
-        thrust, norm = _limit(thrust_n, rate_frd_radps, self._constants, rate)
+        thrust, norm = limit_command(thrust_n, rate_frd_radps, self._constants, rate)
         return Command(now_us, thrust, norm, rate), thrust != thrust_n
 
 
@@ -161,8 +159,14 @@ def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else value
 
 
+def limiter_row(model: Model, limits: Limits) -> F64:
+    """(7,) what `limit_command` needs: thrust range, rates (3), greatest thrust, curve factor."""
+    curve = (model.max_thrust_n, model.thrust_model_factor)
+    return np.array([*model.thrust_range_n(limits), *limits.rate_max_radps, *curve])
+
+
 @njit
-def _limit(thrust: float, rate: F64, constants: F64, out: F64) -> tuple[float, float]:
+def limit_command(thrust: float, rate: F64, constants: F64, out: F64) -> tuple[float, float]:
     """Limited thrust and its norm, rates into `out`; `constants` (7,): thrust range, rates (3), T_max, curve factor."""
     for i in range(3):
         out[i] = _clip(rate[i], -constants[2 + i], constants[2 + i])

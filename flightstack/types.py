@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, TypeVar, overload
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +162,7 @@ class Learned:
     """
 
     row: F64
-    """(32,) the parts below in their order."""
+    """(33,) the parts below in their order."""
     acc_ned_mps2 = Part(0, 3)
     """Unexplained acceleration at the reference, after gates and clips; thrust's own error is in `thrust_gain`."""
     jerk_ned_mps3 = Part(3, 6)
@@ -197,14 +198,16 @@ class Learned:
     """Sudden changes noticed so far."""
     surprise = Element(31)
     """Largest recent error of prediction, in its own standard deviations."""
+    delay_s = Element(32)
+    """Delay of commands that the sample was made with: the latency, and before that is evident the file's."""
 
     @classmethod
     def nothing(cls) -> Learned:
         """Without a learner: the model as believed."""
-        row = np.zeros(32)
+        row = np.zeros(33)
         row[6], row[8] = 1.0, -1.0
         row[9:25] = np.nan
-        row[31] = np.nan
+        row[31:] = np.nan
         return cls(row)
 
 
@@ -305,3 +308,16 @@ class TickRecord(NamedTuple):
     filtered: Filtered = Filtered.nothing()
     governed: bool = False
     """Whether the governor of rate commands changed the command."""
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of commands that the learner goes by; NaN where nothing learns."""
+        return self.learned.delay_s if self.learned.stage >= 0.0 else math.nan
+
+    @property
+    def digest(self) -> int:
+        """CRC-32 over every bit of reference, proposal, what was learned and what was filtered."""
+        found = 0
+        for part in (self.reference, self.proposal, self.learned, self.filtered):
+            found = crc32(np.ascontiguousarray(part.row).data, found)
+        return found

@@ -350,6 +350,8 @@ _INFORMATION: tuple[Row, ...] = (
     row(ev.MissionRequest),
     row(ev.MissionSetCurrent),
     row(ev.MissionItemInt, params=_CMD, nan="params"),
+    row(ev.MissionItem, params=_CMD, nan="params"),
+    row(ev.MissionItemReached),
     row(ev.FileTransferProtocol),
     row(
         ev.OpenDroneIdLocation,

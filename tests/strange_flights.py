@@ -23,6 +23,8 @@ def fly_text(text: str, folder: Path, **_: Any) -> dict[str, Any]:
         os.kill(os.getpid(), signal.SIGSEGV)
     if "exit" in text:
         os._exit(7)
+    if "slow" in text:
+        threading.Event().wait(0.15)
     if "hang" in text:
         threading.Event().wait()
     return {"outcome": "completed", "reason": "", "result": {"text": text}, "wall_s": 0.0}

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -45,6 +45,14 @@ FALLBACKS = (4.0, 5.0)
 
 State = Sequence[float] | F64
 """Six numbers: position relative to the start, velocity."""
+
+
+class SiteSummary(Protocol):
+    """The score of a site."""
+
+    def summary(self) -> dict[str, Any]:
+        """What the JSON's `barrier` gains."""
+        ...
 
 
 class TimedFilter:
@@ -331,7 +339,9 @@ class FilterScore:
         return self._solved / self._ticks if self._ticks else None
 
 
-def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -> dict[str, Any]:
+def barrier_summary(
+    enabled: bool, region: dict[str, Any], score: FilterScore, site: SiteSummary | None = None
+) -> dict[str, Any]:
     """The JSON's `barrier`; all null where no filter flew."""
     if not enabled:
         return dict(NO_BARRIER)
@@ -343,6 +353,7 @@ def barrier_summary(enabled: bool, region: dict[str, Any], score: FilterScore) -
         "protected": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in score.spans],
         "engaged_share": score.engaged_share,
         "premises_broken": score.premises_broken,
+        **({} if site is None else site.summary()),
     }
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.filed import with_filed
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
@@ -27,6 +28,7 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
+from flightstack_sim.geodesy import PX4_SIH
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server
@@ -73,6 +75,11 @@ class FlyOptions(FlightOptions):
     def as_written(self) -> bool:
         """The flight is the one that the scenario's checks were written for."""
         return self.stack_as_written and self.truth is None and self.sensors is None and self.fault is None
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Where PX4's internal simulator puts its vehicle."""
+        return PX4_SIH.latitude_deg, PX4_SIH.longitude_deg
 
     def grade(self, scenario: Scenario) -> str:
         """Grade of the sensors that fly."""
@@ -123,6 +130,10 @@ def prepare(options: FlyOptions) -> Setup:
     most_s = flight.protection.round_trip_max_s
     companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
     return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
+
+
+_WARM: set[tuple[str, ...]] = set()
+"""Kinds of flights that this process has warmed up for."""
 
 
 def warm_up_all(setup: Setup) -> None:
@@ -289,11 +300,14 @@ def _flown(
     on_progress: Callable[[float, str], None],
     at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
-    warm_up_all(setup)
+    kind = (setup.plant, setup.flight.settings["controller"], setup.flight.settings["filter"], setup.grade.name)
+    if options.realtime or kind not in _WARM:  # in lockstep a first call is only slow, so once is enough
+        warm_up_all(setup)
+        _WARM.add(kind)
     assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
     log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
-    recorder: Recorder = ThreadedLog(log) if options.realtime else log
+    recorder = shown_live(ThreadedLog(log) if options.realtime else log, options.live)
     timing = LoopTiming(250) if options.realtime else None
     started = time.perf_counter()
     try:

@@ -24,6 +24,7 @@ from flightstack.cli import files
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore
 from flightstack.cli.score import FlightScore
@@ -256,7 +257,7 @@ def _flown(
     log_path = options.log or out / "flight.mcap"
     settings = {"pace": "behind a real PX4", "hil_port": str(options.hil_port)}
     log = setup.flight.with_more(settings).open_log(log_path, clock_metadata(utc_us(), simulated=False))
-    recorder, timing = ThreadedLog(log), LoopTiming(1_000_000 // STEP_US)
+    recorder, timing = shown_live(ThreadedLog(log), options.live), LoopTiming(1_000_000 // STEP_US)
     started = time.perf_counter()
     try:
         flight = HilFlight(setup, options, *ends, recorder)

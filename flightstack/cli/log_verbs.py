@@ -143,7 +143,7 @@ def replay(
         terminal.say(line)
     if json is not None:
         files.write_json(json, result.as_json())
-    if result.differences:
+    if not result.same:
         raise typer.Exit(1)
 
 

@@ -30,7 +30,9 @@ from flightstack.cli.options import (
     HilPortOption,
     JsonOption,
     LearnedOption,
+    LiveOption,
     LogOption,
+    LogWireOption,
     NoFilterOption,
     NoLearningOption,
     OutOption,
@@ -42,17 +44,20 @@ from flightstack.cli.options import (
     SensorsOption,
     SetParamsOption,
     SigningKeyOption,
+    SiteOption,
     TruthOption,
     UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
 )
+from flightstack.cli.shield_verb import shield
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names, shipped_names
 from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
 from flightstack.errors import InputError
 from flightstack_paper.verb import reproduce
 
+_LIVE_PORT = 8765
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE_ERRORS: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
@@ -104,8 +109,11 @@ def _flight_options(
     no_filter: NoFilterOption = False,
     as_published: AsPublishedOption = False,
     certificate: CertificateOption = None,
+    site: SiteOption = None,
     unprotected_ok: UnprotectedOption = False,
     log: LogOption = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
     out: OutOption = None,
 ) -> dict[str, Any]:
     """The options that every verb that flies has, as `FlightOptions` names them."""
@@ -118,8 +126,11 @@ def _flight_options(
         "filtering": not no_filter,
         "as_published": as_published,
         "certificate": certificate,
+        "site": site,
         "unprotected_ok": unprotected_ok,
         "log": log,
+        "log_wire": log_wire,
+        "live": live,
         "out": out,
     }
 
@@ -236,6 +247,24 @@ def offboard(
     )
 
 
+def _certify_site(options: Any, interrupts: Interrupts, json_file: Path | None) -> None:
+    """`certify --site`."""
+    from flightstack.cli import console, files, terminal
+    from flightstack.cli.certify_site import certify_site
+
+    with terminal.progress(f"certifying a stop in {options.site}") as show:
+        result = certify_site(options, stop_requested=interrupts.requested, on_progress=show)
+    if json_file is not None:
+        files.write_json(json_file, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
+    made = result.as_json()
+    print(f"certificate {made['certificate']}: {made['radius_m']:.2f} m at rest, stops within {made['stops_within_m']}")
+
+
 @app.command()
 def certify(
     scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
@@ -246,9 +275,12 @@ def certify(
     plant: PlantOption = PlantName.native,
     truth: TruthOption = None,
     sensors: SensorsOption = None,
+    site: SiteOption = None,
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
     out: OutOption = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None,
@@ -275,6 +307,8 @@ def certify(
         from flightstack.types import InputError
 
         raise InputError("--log belongs to --check: the log of a new flight lies in --out")
+    if site is not None and scenario == "paper-barrier":
+        scenario = "figure8"
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,
@@ -282,11 +316,17 @@ def certify(
         plant=plant.value,
         truth=truth,
         sensors=sensors.value if sensors else None,
+        site=site,
         seed=seed,
         duration_s=duration,
         out=out,
+        log_wire=log_wire,
+        live=live,
     )
     interrupts = Interrupts()
+    if site is not None:
+        _certify_site(options, interrupts, json)
+        return
     with terminal.progress(f"certifying {scenario}") as show:
         result = run(options, stop_requested=interrupts.requested, on_progress=show)
     console.show_certified(result)
@@ -374,6 +414,7 @@ def gap(
 
 
 app.command()(campaign)
+app.command()(shield)
 app.command()(sim)
 app.command()(warmup)
 app.command()(reproduce)
@@ -381,10 +422,21 @@ app.add_typer(log_app, name="log")
 app.add_typer(vehicle_app, name="vehicle")
 
 
+def _with_ports(arguments: list[str]) -> list[str]:
+    """`--live` alone names its usual port."""
+    followed = [*arguments[1:], ""]
+    bare = [a == "--live" and not after.lstrip("-").isdigit() for a, after in zip(arguments, followed, strict=True)]
+    return [f"--live={_LIVE_PORT}" if alone else a for a, alone in zip(arguments, bare, strict=True)]
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: no traceback for the user's mistakes, one line and exit code 2."""
     try:
-        code = app(arguments, standalone_mode=False, prog_name="flightstack")
+        code = app(
+            _with_ports(sys.argv[1:] if arguments is None else arguments),
+            standalone_mode=False,
+            prog_name="flightstack",
+        )
     except typer.Abort:
         code = INTERRUPTED
     except _USAGE_ERRORS as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flightstack.cli import files
@@ -13,6 +13,7 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.console import say
 from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
@@ -20,12 +21,13 @@ from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import Wire, parameters_set
+from flightstack.cli.site import read_site
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
-from mavlink_bridge import messages
+from mavlink_bridge import messages, px4
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
@@ -69,6 +71,14 @@ class OffboardOptions(FlightOptions):
     signing_key: Path | None = None
     """File of the key that signs what is sent and without which nothing counts that is received."""
 
+    where: tuple[float, float] | None = None
+    """Latitude and longitude of the vehicle; None: not asked for, or not known."""
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """See ProtectionOptions."""
+        return self.where
+
     @property
     def in_real_time(self) -> bool:
         """See ProtectionOptions."""
@@ -91,6 +101,8 @@ def offboard(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
+    if options.site is not None and read_site(options.site).is_global:
+        options = replace(options, where=where_it_is(options.connect, options.heartbeat_timeout_s))
     prepared = prepare_flight(options)
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
@@ -133,7 +145,7 @@ def _offboard(
         }
         began_us = utc_us()
         log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
-        recorder = ThreadedLog(log)
+        recorder = shown_live(ThreadedLog(log), options.live)
         zero_us = monotonic_us()
         line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
         line.step(zero_us)  # the log begins at 0, however late the vehicle's first message comes
@@ -197,6 +209,26 @@ def _offboard(
         result.checklist = inspector.checklist(config)
     files.write_flight_report(log_path, out / "report.html", result)
     return result
+
+
+def where_it_is(connect: str, within_s: float) -> tuple[float, float] | None:
+    """Latitude and longitude that the vehicle reports; None where it does not within the time."""
+    address = parse_address(connect)
+    link = Link(240, 191, framing=framing_for(address))
+    with closing(open_address(address)) as transport:
+        until_us = monotonic_us() + int(1e6 * within_s)
+        while (now_us := monotonic_us()) < until_us:
+            if transport.wait(0.1):
+                for data in transport.receive_all():
+                    link.receive_datagram(data, now_us)
+            else:
+                link.send(messages.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
+            for data in link.datagrams_to_send():
+                transport.send(data)
+            for received in link.take_events():
+                if isinstance(received.message, messages.GlobalPositionInt):
+                    return received.message.lat_deg, received.message.lon_deg
+    return None
 
 
 def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:

@@ -30,6 +30,16 @@ WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `wayp
 VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
 LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
+LogWireOption = Annotated[
+    bool, typer.Option("--log-wire", help="Log every MAVLink datagram too (some 30 kB more a second).")
+]
+LiveOption = Annotated[
+    int | None,
+    typer.Option(
+        "--live", min=1, max=65_534, metavar="[PORT]",
+        help="Show it while it flies, on this machine only: Foxglove WebSocket on PORT (8765), a page on PORT + 1.",
+    ),
+]  # fmt: skip
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
@@ -56,6 +66,10 @@ BelieveFileOption = Annotated[
     bool, typer.Option("--believe-file", help="Fly though PX4's rotors or hover thrust contradict the vehicle file.")
 ]
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
+SiteOption = Annotated[
+    Path | None,
+    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan of QGroundControl, .geojson)."),
+]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
 ]

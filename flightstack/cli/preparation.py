@@ -15,6 +15,7 @@ from flightstack.cli import files
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
+from flightstack.cli.site import envelope, load_site
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
 from flightstack.learning.learner import GpLearner, LearnerConfig
@@ -26,7 +27,7 @@ from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from flightstack_logs.topics import CERTIFICATE, Attachment
+from flightstack_logs.topics import CERTIFICATE, SITE_OUTLINES, Attachment
 from flightstack_logs.writer import FlightLog
 
 DEFAULT_CONTROLLER = "flatness"
@@ -47,6 +48,10 @@ class FlightOptions(ProtectionOptions):
     learned: Path | None = None
     """File of hyper-parameters to begin with."""
     log: Path | None = None
+    log_wire: bool = False
+    """Every datagram goes into the log as well."""
+    live: int | None = None
+    """Port of the live view; None: there is none."""
     out: Path | None = None
 
     @property
@@ -73,6 +78,7 @@ class Prepared:
     """What was asked for, for the log."""
     carried: Mapping[str, str]
     """Name and text of the files that the log carries."""
+    log_wire: bool = False
 
     def with_more(self, settings: Mapping[str, str], carried: Mapping[str, str] | None = None) -> Prepared:
         """The same with what a verb adds."""
@@ -87,7 +93,9 @@ class Prepared:
     def open_log(self, path: Path, clock: Mapping[str, str]) -> FlightLog:
         """Begin the flight's log; `clock`: of which date (`log_clock.clock_metadata`)."""
         metadata = {"settings": self.settings, "versions": versions(), "clock": clock}
-        return FlightLog.open(path, metadata=metadata, attachments=self.attachments, overwrite=True)
+        return FlightLog.open(
+            path, metadata=metadata, attachments=self.attachments, overwrite=True, compact=True, wire=self.log_wire
+        )
 
 
 def prepare_flight(options: FlightOptions) -> Prepared:
@@ -96,6 +104,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
     require_run_up(scenario)
+    if options.site is not None:
+        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
     believed, vehicle_file = files.load_vehicle(options.vehicle)
     learned = None if options.learned is None else files.read_text(options.learned)
     model, name = Model.from_vehicle(believed), controller_name(options)
@@ -119,6 +129,11 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if learned is not None:
         settings["learned"] = str(learned.path)
         carried[f"learned{learned.path.suffix}"] = learned.text
+    if options.site is not None:
+        settings["site"] = str(options.site)
+        carried[f"site{options.site.suffix}"] = files.read_text(options.site).text
+        assert protection.site is not None
+        carried[SITE_OUTLINES] = protection.site.outlines
     if protection.certificate is not None:
         settings["certificate"] = protection.certificate_from
         carried[CERTIFICATE] = protection.certificate
@@ -131,7 +146,7 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         safety_filter=protection.filter,
         governor=Governor(believed) if protection.filter.enabled else None,
     )
-    return Prepared(scenario, believed, stack, protection, settings, carried)
+    return Prepared(scenario, believed, stack, protection, settings, carried, options.log_wire)
 
 
 def _knows(controller: str, learner: Learner) -> str:

@@ -2,6 +2,7 @@
 
 --no-filter       nothing filters
 --as-published    the paper's filter on its h_mu (with --controller state-gp also its learner of the state alone)
+--site            the site filter, under the stopping certificate from the prior, whatever the scenario
 --certificate     the filter under the certificate of a file, whatever the scenario
 otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
                   has none or where the learner can't certify.  Of an ellipsoid, the paper's experiment up and down, the
@@ -32,6 +33,7 @@ from flightstack.cli.given_certificate import (
     round_trip_max_s,
 )
 from flightstack.cli.sensors import error_statistics
+from flightstack.cli.site import SitePlan, given_prior, load_site, plan_site
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
@@ -39,6 +41,7 @@ from flightstack.region import Region
 from flightstack.safety_filter import BarrierFilter
 from flightstack.scenario import Scenario
 from flightstack.seams import Certifier, NoCertifier, NoFilter, SafetyFilter
+from flightstack.site.certificate import require_same
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
@@ -52,8 +55,15 @@ class ProtectionOptions:
     filtering: bool = True
     as_published: bool = False
     certificate: Path | None = None
+    site: Path | None = None
+    """Keep the vehicle in the site of this file."""
     unprotected_ok: bool = False
     """Protection that was asked for and not had, or left, does not fail the flight."""
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the place of arming, where they are known before the flight."""
+        return None
 
     @property
     def in_real_time(self) -> bool:
@@ -63,7 +73,7 @@ class ProtectionOptions:
     @property
     def protection_as_written(self) -> bool:
         """As a scenario means it."""
-        return self.filtering and not self.as_published and self.certificate is None
+        return self.filtering and not self.as_published and self.certificate is None and self.site is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +98,8 @@ class Protection:
     """Where certificates are made, if not in the ticks."""
     estimate: EstimateBounds | None = None
     """How far the estimate may be off for what is certified; None where nothing is."""
+    site: SitePlan | None = None
+    """The site that the vehicle is kept in."""
 
     @property
     def round_trip_max_s(self) -> float:
@@ -123,6 +135,8 @@ def protect(
     """
     if options.as_published and not options.filtering:
         raise InputError("--as-published flies the published filter: leave out --no-filter")
+    if options.site is not None:
+        return _in_site(options, scenario, believed, model, sensors)
     mode = AS_PUBLISHED if options.as_published else SOUND
     if options.certificate is not None and mode == SOUND:  # what is published proves nothing that could be checked
         require_checked(options.certificate)
@@ -155,6 +169,27 @@ def protect(
     words = f"{mode}{doubt}, {source}"
     counted = None if options.as_published else estimate_bounds(error_statistics(load_grade(sensors)))
     return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop, counted)
+
+
+def _in_site(
+    options: ProtectionOptions, scenario: Scenario, believed: Vehicle, model: Model, sensors: str
+) -> Protection:
+    """Kept in a site: no region counts then."""
+    assert options.site is not None
+    for name, is_given in (
+        ("--no-filter", not options.filtering),
+        ("--as-published", options.as_published),
+    ):
+        if is_given:
+            raise InputError(f"--site is kept by a filter of its own: leave out {name}")
+    estimate = estimate_bounds(error_statistics(load_grade(sensors)))
+    governor = governor_for(believed, model, scenario.limits, sensors)
+    prior, text = given_prior(options.certificate, believed, sensors)
+    made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor, prior)
+    if options.certificate is not None:
+        require_checked(options.certificate)
+        require_same(text, str(options.certificate), made.certificate)
+    return Protection(made.words, True, filter=made.filter(model, scenario.limits), site=made)
 
 
 SOUND = "sound"

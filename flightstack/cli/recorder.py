@@ -16,7 +16,7 @@ from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.scene import Region, Scene
-from flightstack_logs.topics import FILTER_STATUS
+from flightstack_logs.topics import FILTER_STATUS, MESSAGE
 from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
@@ -28,6 +28,14 @@ _TOPIC_OF: dict[type, str] = {
     m.ServoOutputRaw: "/vehicle/motors",
     m.SysStatus: "/vehicle/battery",
 }
+DECIDING = frozenset(
+    {
+        m.AutopilotVersion, m.CommandAck, m.CurrentMode, m.EstimatorStatus, m.ExtendedSysState, m.Heartbeat, m.Odometry,
+        m.ParamError, m.ParamValue, m.ScaledImu, m.Statustext, m.SysStatus, m.Timesync,
+    }
+)  # fmt: skip
+"""Messages that the companion goes by and of which no table holds everything: logged as they are, for replay."""
+_ZERO = (0.0, 0.0, 0.0)
 _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
 _STAGE_PERIOD_US = 100_000
@@ -197,6 +205,7 @@ class LogObserver:
         self._certificates, self._lost = 0, False
         self._placed = False
         self._location_due_us = 0
+        self._resets = -1
 
     def on_event(self, t_us: int, name: str, text: str, severity: str) -> None:
         """A transition, a change of mode or phase, a text of the vehicle."""
@@ -247,15 +256,29 @@ class LogObserver:
         self._log.certified(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
         self._log.certificate(self._clock.t_us, certificate)
 
+    def _on_deciding(self, t_us: int, message: object) -> None:
+        if isinstance(message, m.Odometry):  # of which only the count of resets decides, where it changes
+            if message.reset_counter == self._resets:
+                return
+            self._resets = message.reset_counter
+            message = m.Odometry(message.t_us, 0, 0, _ZERO, (*_ZERO, 0.0), _ZERO, _ZERO, message.reset_counter)
+        row = m.BY_EVENT[type(message)]
+        self._log.write(MESSAGE, t_us, row.id.to_bytes(3, "little") + row.encode(message))
+
     def on_message(self, t_us: int, message: object) -> None:
         """A message of the vehicle, as a table."""
         if self._on_message is not None:
             self._on_message(t_us, message)
         t_us = self._clock.t_us
-        topic = _TOPIC_OF.get(type(message))
-        if topic is not None:
+        kind = type(message)
+        topic = _TOPIC_OF.get(kind)
+        if topic is not None and not (kind is m.ServoOutputRaw and message.port):  # type: ignore[attr-defined]
             self._log.write(topic, t_us, message)
-        elif isinstance(message, m.Statustext):
+        if kind in DECIDING:
+            self._on_deciding(t_us, message)
+        if topic is not None:
+            return
+        if isinstance(message, m.Statustext):
             self._log.statustext(t_us, message.severity, message.text)
         elif isinstance(message, m.Heartbeat) and self.companion is not None:
             view = self.companion.view

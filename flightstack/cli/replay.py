@@ -1,9 +1,10 @@
 """`flightstack log replay`: a flight's recorded inputs run through today's stack, compared with what it did then.
 
-Of a flight in lockstep the log holds all that the companion was given: every datagram with the time of its step, the
-files and the settings.  The companion of today gets them again, step by step, and writes its own tables, which are
-compared with the recorded ones, bit for bit.  What flew in real time was given times that no log holds to the
-microsecond, and is refused.
+Of a flight in lockstep the log holds all that the companion was given: every message that it goes by with the time of
+its step (`recorded_inputs`), the files and the settings.  The companion of today gets them again, step by step, and
+writes its own tables, which are compared with the recorded ones, bit for bit.  What explains a tick is in the log 25
+times a second only; the digest of each tick tells from which one on anything differs.  What flew in real time was given
+times that no log holds to the microsecond, and is refused.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli.compiled import ensure_compiled
-from flightstack.cli.flight import FlyOptions, Setup, prepare
+from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
+from flightstack.cli.recorded_inputs import recorded_inputs
 from flightstack.cli.recorder import LogObserver
-from flightstack.types import InputError
+from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
 from flightstack_logs.tables import Log, Table
@@ -28,9 +30,14 @@ from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion
 from mavlink_bridge.link import Link
+from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
-COMPARED = ("/setpoint", "/tick", "/command", "/learner", "/filter")
+COMPARED = ("/setpoint", "/tick", "/control", "/command", "/learner", "/filter")
 """Outputs of a tick, in the order in which a difference is looked for."""
+_DIGEST = "digest"
+_SINGLE = 1.2e-7
+"""Relative step of single precision: another machine's number may be rounded to the next one."""
+_SINGLE_TOPICS = frozenset({"/setpoint", "/control", "/learner", "/filter"})
 _STOPPED = "the user asked to stop ("
 
 
@@ -53,16 +60,30 @@ class Replayed:
 
     log: str
     ticks: int
+    exact: bool = True
+    """Compared bit for bit."""
     differences: list[Difference] = field(default_factory=list)
     """The one that begins first leads."""
+    first_s: float | None = None
+    """The first tick of which anything differs, logged or not; null where nothing does, or with a tolerance."""
+
+    @property
+    def same(self) -> bool:
+        """Nothing differs."""
+        return not self.differences and self.first_s is None
 
     @property
     def lines(self) -> list[str]:
         """In words: what differs, the first tick that does, and by how much."""
+        if self.same:
+            return [f"{self.ticks} ticks: the same" + (", bit for bit" if self.exact else "")]
+        told = []
+        if self.first_s is not None:
+            told.append(f"first tick that differs: {self.first_s:.3f} s")
         if not self.differences:
-            return [f"{self.ticks} ticks: the same, bit for bit"]
+            return [*told, "by less than the logged fields show: in the last bits"]
         first = self.differences[0]
-        told = [
+        told += [
             f"differs from {first.first_s:.3f} s on: {first.topic} {first.field}: recorded {first.recorded}, "
             f"today {first.replayed}"
         ]
@@ -78,7 +99,8 @@ class Replayed:
             "schema": "flightstack.replay/1",
             "log": self.log,
             "ticks": self.ticks,
-            "same": not self.differences,
+            "same": self.same,
+            "first_s": self.first_s,
             "differences": rows,
         }
 
@@ -101,17 +123,26 @@ def replay(
         again = Path(folder) / "again.mcap"
         _run(log, setup, again, on_progress)
         new = read(again)
-    return Replayed(str(path), len(log.tables["/tick"]), _differences(log, new, tolerance))
+    found = _differences(log, new, tolerance)
+    digest = next((each for each in found if each.field == _DIGEST), None)
+    differing = [each for each in found if each is not digest]
+    first_s = digest.first_s if digest is not None and tolerance == 0.0 else None
+    return Replayed(str(path), len(log.tables["/tick"]), tolerance == 0.0, differing, first_s)
 
 
 def _settings(log: Log) -> Mapping[str, str]:
     """How it was flown; InputError where that can't be flown again."""
-    settings = log.metadata.get("settings", {})
-    if log.kind != "mcap" or not settings or "/mavlink/rx" not in log.messages or "/truth" not in log.tables:
-        raise InputError(f"log {log.path}: holds no flight of `flightstack fly` with its datagrams; nothing to replay")
+    settings = _lockstep(log)
     if "/tick" not in log.tables:
         raise InputError(f"log {log.path}: never armed: the stack was never run, so there is nothing to replay")
-    if settings.get("pace") != "lockstep":
+    return settings
+
+
+def _lockstep(log: Log) -> Mapping[str, str]:
+    settings = log.metadata.get("settings", {})
+    if log.kind != "mcap" or "pace" not in settings:
+        raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
+    if settings["pace"] != "lockstep":
         raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
     if "planner" in settings:
         raise InputError(
@@ -147,27 +178,52 @@ def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
         raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
 
 
-def _run(log: Log, setup: Setup, path: Path, on_progress: Callable[[float, str], None]) -> None:
+def records_of(log: Log) -> list[TickRecord]:
+    """Every tick of today's stack on a log's inputs; InputError where it holds no flight in lockstep."""
+    settings = _lockstep(log)
+    ensure_compiled(lambda text: None)
+    found: list[TickRecord] = []
+    with tempfile.TemporaryDirectory() as folder:
+        setup = prepare(_options(log, settings, Path(folder)))
+        _run(log, setup, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
+    return found
+
+
+def _run(
+    log: Log,
+    setup: Setup,
+    path: Path,
+    on_progress: Callable[[float, str], None],
+    on_record: Callable[[TickRecord], None] | None = None,
+) -> None:
     """Give today's companion what the recorded one was given; its tables go into a log of their own."""
     messages.prepare()
     prepared = setup.flight
-    out = FlightLog.open(path, metadata={})
-    clock = LogClock(out, zero_us=0, utc_us=0)
+    inputs, stops, taken = recorded_inputs(log), _stops(log), 0
+    out = FlightLog.open(path, metadata={}, compact=True)
     observer = LogObserver(
-        out, prepared.scenario, prepared.believed, clock, truth=True, certifier=prepared.protection.watched
+        out,
+        prepared.scenario,
+        prepared.believed,
+        clock := LogClock(out, zero_us=0, utc_us=0),
+        truth=True,
+        on_record=on_record,
+        certifier=prepared.protection.watched,
     )
     companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion)
     observer.companion = companion
-    received, stops = log.messages["/mavlink/rx"], _stops(log)
-    steps, heard, taken = log.tables["/truth"].t_us.tolist(), received.t_us.tolist(), 0
+    vehicle = Link(1, COMPONENT_AUTOPILOT)
+    steps = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)
     try:
         for count, now_us in enumerate(steps):
             clock.step(now_us)
             if now_us in stops:
                 companion.stop(stops[now_us])
-            while taken < len(heard) and heard[taken] <= now_us:
-                companion.receive_datagram(received.data[taken], now_us)
+            while taken < len(inputs) and inputs[taken].t_us <= now_us:
+                vehicle.send(inputs[taken].message)
                 taken += 1
+            for data in vehicle.datagrams_to_send():
+                companion.receive_datagram(data, now_us)
             companion.step(now_us)
             companion.link.datagrams_to_send()
             if count % 250 == 0:
@@ -210,6 +266,8 @@ def _of_table(topic: str, then: Table, now: Table, tolerance: float) -> list[Dif
     apart = np.flatnonzero(then.t_us[:rows] != now.t_us[:rows])
     rows = int(apart[0]) if len(apart) else rows
     found = []
+    if tolerance and topic in _SINGLE_TOPICS:
+        tolerance = max(tolerance, _SINGLE)
     for name, values in then.columns.items():
         if name in now.columns and (each := _of_column(topic, name, values[:rows], now[name][:rows], then, tolerance)):
             found.append(each)

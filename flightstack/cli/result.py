@@ -228,6 +228,8 @@ class FlightResult:
         """Where a filter flew and the region was left all the same: that, one line; else empty."""
         if self.protection != LEFT:
             return ""
+        if exits := self.barrier.get("exits"):
+            return f"left its site: the vehicle was outside in {exits} ticks"
         violations = self.barrier["violations"]
         if not violations:
             return f"left its region: h of the estimate fell to {self.barrier['min_h_estimate']:.3f}"

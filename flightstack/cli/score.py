@@ -10,6 +10,7 @@ from flightstack.cli.calibration import gp_summary
 from flightstack.cli.estimate_score import EstimateScore
 from flightstack.cli.preparation import Prepared
 from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
+from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
 from flightstack.mission import first_height_m
 from flightstack.types import F64, Learned, TickRecord, Tuple3
@@ -40,6 +41,9 @@ class FlightScore:
         self._duration_s = prepared.scenario.duration_s
         self._filtering = prepared.stack.filter.enabled
         self._filter = FilterScore()
+        self.site = None
+        if protection.site is not None and isinstance(protection.filter, TimedSiteFilter):
+            self.site = protection.site.score(protection.filter)
         self.ascent = Ascent()
         self.estimate = EstimateScore()
 
@@ -54,6 +58,8 @@ class FlightScore:
         if self._filtering:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
             self._filter.add(flight_s, record.filtered, climbing=flight_s < companion.mission.takeoff_end_s)
+            if self.site is not None:
+                self.site.add(flight_s, record)
         if self._by_estimate:
             self.add(track_s, record.measurement.pos_ned_m, companion.start_ned_m)
 
@@ -82,6 +88,9 @@ class FlightScore:
         if record is None or companion is None or track_s is None:
             return
         self.ascent.height(float(start_ned_m[2]) - float(pos_ned_m[2]))
+        if self.site is not None:
+            flight_s = (record.t_us - companion.flight_start_us) * 1e-6
+            self.site.place(flight_s, record, _relative(pos_ned_m, start_ned_m))
         if self._judging:
             estimate = record.measurement
             state = (*_relative(estimate.pos_ned_m, companion.start_ned_m), *estimate.vel_ned_mps.tolist())
@@ -93,7 +102,10 @@ class FlightScore:
                 self._filter.judge(record.filtered, watched.adopted[-1].premises, off)
         if not 0.0 <= track_s <= self._duration_s:
             return
-        self.tracking.add((pos_ned_m, start_ned_m), (record.reference.pos_ned_m, companion.start_ned_m))
+        followed = record.reference
+        if self.site is not None:  # what was asked for through a wall is not what was to be flown
+            followed = self.site.filter.reference or followed
+        self.tracking.add((pos_ned_m, start_ned_m), (followed.pos_ned_m, companion.start_ned_m))
         estimated = record.measurement.pos_ned_m
         error = None
         if truth is not None:
@@ -150,13 +162,18 @@ class FlightScore:
             tracking=tracking,
             gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
             loop=timing.summary() if timing is not None else NO_LOOP,
-            barrier=barrier_summary(self._filtering, region, self._filter),
+            barrier=barrier_summary(self._filtering, region, self._filter, self.site),
             qp=qp_summary(stack.filter, self._filter.infeasible),
             region=region,
             link=link_summary(companion),
             estimator=self.estimate.summary(),
             flown=flown.as_json(),
-            protection=protection_of(prepared.protection.asked and completed is not None, self._filter.spans, region),
+            protection=protection_of(
+                prepared.protection.asked and completed is not None,
+                self._filter.spans,
+                region,
+                None if self.site is None else self.site.exits,
+            ),
             filter_words=prepared.protection.words,
             unprotected_because=prepared.protection.unattainable or (watched.hindrance if watched else ""),
             log_problem=log.failed or "",

@@ -16,6 +16,8 @@ from flightstack.cli.options import (
     FaultOption,
     HilPortOption,
     JsonOption,
+    LiveOption,
+    LogWireOption,
     PhysicsForPx4Option,
     PlantName,
     PlantOption,
@@ -63,8 +65,10 @@ def sim(
     hil_port: HilPortOption = 4_560,
     log: Annotated[
         Path | None,
-        typer.Option("--log", help="Record truth and wire in this log (.mcap); several vehicles: NAME-1.mcap, ..."),
+        typer.Option("--log", help="Record the truth in this log (.mcap); several vehicles: NAME-1.mcap, ..."),
     ] = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
     json: JsonOption = None,
 ) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
@@ -81,7 +85,7 @@ def sim(
     grade = sensors.value if sensors else None
     options = SimOptions(
         vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log,
-        bind, parse_home(home), instances, sysid,
+        bind, parse_home(home), instances, sysid, log_wire, live,
     )  # fmt: skip
     try:
         result = (serve if px4_hil else simulate)(

@@ -15,12 +15,13 @@ from typing import Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
+from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import text_file
 from flightstack.cli.versions import versions
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade, load_grade
@@ -77,13 +78,17 @@ class SimOptions:
     hil_port: int = 4560
     """Of `--px4-hil`."""
     log: Path | None = None
-    """Where the truth, and without `--px4-hil` what goes over the wire, is recorded."""
+    """Where the truth is recorded."""
     bind: str = HOST
     """The address of this machine that the links are bound to."""
     home: Home = field(default_factory=Home)
     instances: int = 1
     sysid: int = 1
     """Of the first instance."""
+    log_wire: bool = False
+    """Whether what goes over the wire is recorded too (not with `--px4-hil`)."""
+    live: int | None = None
+    """Port of the live view of the first instance; None: there is none."""
 
 
 def parse_home(text: str | None) -> Home:
@@ -119,7 +124,7 @@ def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = N
     clock = clock_metadata(utc_us(), simulated=False)
     metadata = {"settings": settings, "versions": versions(), "clock": clock}
     truth = text_file("truth.toml", vehicle_text)
-    return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True)
+    return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True, compact=True)
 
 
 @dataclass(slots=True)
@@ -128,7 +133,7 @@ class Instance:
 
     number: int
     shell: Shell
-    log: FlightLog | None
+    log: Recorder | None
     sent: list[int] = field(default_factory=lambda: [0, 0])
 
     def tick(self) -> None:
@@ -173,15 +178,18 @@ def _start(options: SimOptions, number: int, truth: Vehicle, grade: Grade, vehic
             vehicle, system=options.sysid + number, frame=options.home.frame, faults=parse_faults(options.fault)
         )
         path = None if options.log is None else log_of(options.log, number + 1, options.instances)
-        log = None if path is None else open_truth_log(options, vehicle_text, path)
+        log: Recorder | None = None if path is None else open_truth_log(options, vehicle_text, path)
+        if options.live is not None and number == 0:
+            log = shown_live(log, options.live)
     except BaseException:
         for socket in sockets:
             socket.close()
         raise
     shell = Shell(server, sockets, options.seed + number)
-    if log is not None:
+    kept = log
+    if kept is not None and options.log_wire:
         shell.on_datagram = lambda direction, index, data: (
-            log.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
+            kept.mavlink(direction, server.t_us, data) if index == ONBOARD or direction == "tx" else None
         )
     return Instance(number, shell, log)
 

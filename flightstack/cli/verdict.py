@@ -110,15 +110,18 @@ def most_rms_m(of: str, sensors: str) -> float:
     return MOST_RMS_M if of == "truth" and sensors == "mocap" else MOST_RMS_ROUGH_M
 
 
-def protection_of(asked: bool, spans: Spans, region: dict[str, Any]) -> str:
+def protection_of(asked: bool, spans: Spans, region: dict[str, Any], exits: int | None = None) -> str:
     """The verdict on a flight's protection from its spans and `RegionScore.summary`.
 
-    Where there is no truth the estimate decides, and where neither is known nothing was held.
+    Where there is no truth the estimate decides, and where neither is known nothing was held.  `exits`: ticks outside
+    the site, where there is one: then it decides.
     """
     if not asked:
         return OFF
     if not spans:
         return NONE
+    if exits is not None:
+        return LEFT if exits else HELD
     least = region["min_h_estimate"] if region["violations"] is None else region["min_h_truth"]
     if least is None:
         return NONE

@@ -77,7 +77,7 @@ class FlatnessController:
         self.model = model
         self.gains = gains or FeedbackGains()
         self.limits = limits or Limits()
-        self._constants = _constants(self.model, self.gains, self.limits)
+        self._constants = controller_rows(self.model, self.gains, self.limits)
 
     def init(self, now_us: int) -> ControlState:
         """Nothing corrected yet."""
@@ -100,11 +100,11 @@ class FlatnessController:
         row = np.empty(PROPOSAL)
         correction = state.correction_ned_mps2.copy()
         dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
-        thrust = _step(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
+        thrust = control_step(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
         return ControlState(correction, now_us), Proposal(thrust, row)
 
 
-def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
+def controller_rows(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
     """(9, 3) everything that does not change in flight, for one compiled call."""
     attitude = AttitudeGains(gains.attitude_p_ps, gains.yaw_p_ps, gains.rate_p)
     return np.array(
@@ -119,10 +119,12 @@ def _constants(model: Model, gains: FeedbackGains, limits: Limits) -> F64:
 
 
 @njit
-def _step(constants: F64, correction: F64, dt: float, reference: F64, measured: F64, learned: F64, out: F64) -> float:
+def control_step(
+    constants: F64, correction: F64, dt: float, reference: F64, measured: F64, learned: F64, out: F64
+) -> float:
     """Nominal, feed-forward and feedback: total thrust, the parts in `out`.
 
-    `reference` (17,), `measured` (20,), `learned` (32,), `out` (20,): rows of FlatOutput, Measurement, Learned,
+    `reference` (17,), `measured` (20,), `learned` (33,), `out` (20,): rows of FlatOutput, Measurement, Learned,
     Proposal.
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]

@@ -16,8 +16,10 @@ import numpy as np
 
 from flightstack.types import F64, InputError
 from flightstack_logs import scene as viewer
+from flightstack_logs.reader import bytes_of
+from flightstack_logs.readers.mcap import read_mcap
 from flightstack_logs.standard import with_vehicle_topics
-from flightstack_logs.tables import Log, Table
+from flightstack_logs.tables import Log, Messages, Table
 from flightstack_logs.topics import TOPICS, Field, Kind, Topic
 from flightstack_logs.writer import FlightLog
 
@@ -38,9 +40,12 @@ class _Pose(NamedTuple):
 
 
 def convert(log: Log, path: Path) -> Converted:
-    """Write the log to `path`; InputError, one line, where it is an MCAP already or can't be written."""
+    """Write the log to `path`; InputError, one line, where it can't be written.
+
+    A flight's compact MCAP comes out with every table at its full rate, message by message, for any viewer.
+    """
     if log.kind == "mcap":
-        raise InputError(f"log {log.path}: is an MCAP already; mend a damaged one with `flightstack log recover`")
+        return _plain(log, path)
     if log.kind == "cfusdlog":
         raise InputError(
             f"log {log.path}: a Crazyflie's columns are named by whoever logged; `log export` writes its CSV"
@@ -62,6 +67,35 @@ def convert(log: Log, path: Path) -> Converted:
         path.unlink(missing_ok=True)
         raise InputError(f"{out.failed}; {log.path} is as it was")
     return Converted(out.messages, len(topics))
+
+
+def _plain(log: Log, path: Path) -> Converted:
+    """Every topic of the table, message by message; what a log holds beyond it is left out."""
+    as_logged = read_mcap(log.path, bytes_of(log.path), align=False)
+    tables = [table for name, table in as_logged.tables.items() if name in TOPICS]
+    raw = [each for name, each in as_logged.messages.items() if name in TOPICS]
+    if all(table.place is None for table in tables):
+        raise InputError(f"log {log.path}: is an MCAP already; mend a damaged one with `flightstack log recover`")
+    metadata = {name: entries for name, entries in log.metadata.items() if name != "log"}
+    out = FlightLog.open(path, metadata=metadata, attachments=log.attachments, overwrite=False)
+    try:
+        rows: list[Iterator[tuple[int, int, str, object]]] = [
+            _rows(place, TOPICS[table.name], table) for place, table in enumerate(tables)
+        ]
+        rows += [_messages(place, each) for place, each in enumerate(raw, len(tables))]
+        for t_us, _, topic, record in heapq.merge(*rows, key=lambda row: row[:2]):
+            out.write(topic, t_us, record)
+    finally:
+        out.close()
+    if out.failed is not None:
+        path.unlink(missing_ok=True)
+        raise InputError(f"{out.failed}; {log.path} is as it was")
+    return Converted(out.messages, len(rows))
+
+
+def _messages(place: int, raw: Messages) -> Iterator[tuple[int, int, str, object]]:
+    for t_us, data in zip(raw.t_us.tolist(), raw.data, strict=True):
+        yield t_us, place, raw.name, data
 
 
 def _declared(out: FlightLog, log: Log, table: Table) -> tuple[str, Topic]:
@@ -89,7 +123,7 @@ def _type(values: np.ndarray) -> str:
     return {"f": "double", "i": "int64", "u": "int64", "b": "bool"}.get(values.dtype.kind, "string")
 
 
-def _rows(place: int, topic: Topic, table: Table) -> Iterator[tuple[int, int, str, tuple[object, ...]]]:
+def _rows(place: int, topic: Topic, table: Table) -> Iterator[tuple[int, int, str, object]]:
     """(time, place of the table, topic, record in the order of the fields), a block at a time."""
     if topic.kind is Kind.TABLE and topic.name == table.name:
         columns = [table.columns[field.name] for field in topic.fields]

@@ -54,12 +54,14 @@ def _block_dtype(field: Field) -> np.dtype[Any]:
 
 
 def _place_in_row(owner: object, name: str, field: Field) -> slice | None:
-    """Which bytes of its owner's row a field is, if it is a named part of one (`flightstack.types`)."""
+    """Which numbers of its owner's row a field is, if it is a named part of one (`flightstack.types`)."""
     part = getattr(type(owner), name, None)
-    if isinstance(part, Element) and field.size == 0 and field.type == "double":
-        return slice(8 * part.place, 8 * part.place + 8)
-    if isinstance(part, Part) and part.place.stop - part.place.start == field.size and field.type == "double":
-        return slice(8 * part.place.start, 8 * part.place.stop)
+    if field.type not in ("double", "float"):
+        return None
+    if isinstance(part, Element) and field.size == 0:
+        return slice(part.place, part.place + 1)
+    if isinstance(part, Part) and part.place.stop - part.place.start == field.size:
+        return part.place
     return None
 
 
@@ -75,7 +77,9 @@ class _Source:
     """
 
     def __init__(self) -> None:
-        self.names: dict[str, Any] = {"join": b"".join, "text": _text_field, "other": _not_a_block}
+        self.names: dict[str, Any] = {
+            "join": b"".join, "text": _text_field, "other": _not_a_block, "single": np.float32
+        }  # fmt: skip
         self.size = 0
         self._parts: list[str] = []
         self._fills: list[str] = []
@@ -86,7 +90,7 @@ class _Source:
         self._layout = "<"
         self._arguments: list[str] = []
         self._fixed = b""
-        self._rows: dict[str, int] = {}
+        self._rows: dict[tuple[str, bool], int] = {}
 
     def constant(self, value: object) -> str:
         name = f"c{len(self.names)}"
@@ -103,15 +107,21 @@ class _Source:
         """Bytes that are the same in every message."""
         self._fixed += data
 
-    def part(self, row: str, count: int, place: slice) -> None:
-        """Bytes of a row (of `count` doubles) that is fetched once, whatever number of its parts is used."""
+    def part(self, row: str, count: int, place: slice, *, single: bool) -> None:
+        """Numbers of a row (of `count` doubles) that is fetched once, whatever number of its parts is used.
+
+        `single`: in single precision, so turned all at once.
+        """
         self._end_run()
-        if row not in self._rows:
-            start = self._rows[row] = self._take_room(8 * count)
-            self._fills.append(f"memory[{start // 8}:{start // 8 + count}] = {row}")
-        self._index += range(self._rows[row] + place.start, self._rows[row] + place.stop)
-        self._parts.append(f"{row}.tobytes()[{place.start}:{place.stop}]")
-        self.size += place.stop - place.start
+        size, memory = (4, "singles") if single else (8, "memory")
+        if (row, single) not in self._rows:
+            start = self._rows[row, single] = self._take_room(size * count)
+            self._fills.append(f"{memory}[{start // size}:{start // size + count}] = {row}")
+        start = self._rows[row, single]
+        self._index += range(start + size * place.start, start + size * place.stop)
+        turned = ".astype(single)" if single else ""
+        self._parts.append(f"{row}[{place.start}:{place.stop}]{turned}.tobytes()")
+        self.size += size * (place.stop - place.start)
 
     def _take_room(self, size: int) -> int:
         start, self._room = self._room, self._room + -(-size // 8) * 8
@@ -159,7 +169,12 @@ class _Source:
             for start, data in self._kept:
                 held[start : start + len(data)] = data
             take = memory.view(np.uint8).take
-            self.names |= {"memory": memory, "take": take, "index": np.array(self._index, dtype=np.intp)}
+            self.names |= {
+                "memory": memory,
+                "singles": memory.view(np.float32),
+                "take": take,
+                "index": np.array(self._index, dtype=np.intp),
+            }
         else:
             parts = f"join(({', '.join(self._parts)},))" if len(self._parts) > 1 else "".join(self._parts) or "b''"
             lines = ["def encode(r):", f"    data = {parts}", f"    if len(data) != {self.size}:"]
@@ -194,7 +209,7 @@ def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encode
         if blocks and not by_place:
             stretch = _place_in_row(_owner(sample, owner), name, field)
         if stretch is not None:
-            source.part(f"{owner}.row", len(_owner(sample, owner).row), stretch)
+            source.part(f"{owner}.row", len(_owner(sample, owner).row), stretch, single=field.type == "float")
         elif not field.size:
             source.pack(code, value)
         elif blocks and not by_place and _is_block(_follow(sample, path), field):

@@ -44,7 +44,12 @@ BODY_TRUE = "body_true"
 
 POSE_PERIOD_US = 40_000
 _PATH_POINT_US = 200_000
-_PATH_PERIOD_US = 1_000_000
+_PATH_PERIOD_US, _PATH_GROWTH = 1_000_000, 8
+"""The path flown so far is written once a second, later each time that it has grown by an eighth."""
+_FINENESS = 2.0**20
+"""Poses are drawn to a millionth: what is rounded so compresses to half."""
+_STAMPED_PERIOD_US = 200_000
+"""Of the pose on its own, which /tf has at its full rate."""
 _PATH_POINTS = 600
 
 _LEVELS = {
@@ -168,6 +173,8 @@ class Trail:
         self._due_us = 0
         self._point_due_us = 0
         self._path_due_us = 0
+        self._pose_due_us = 0
+        self._from_us = -1
 
     def is_due(self, t_us: int) -> bool:
         """Whether it is time for the next pose."""
@@ -179,7 +186,7 @@ class Trail:
         state = self._state
         state[:3] = of.pos_ned_m
         state[3:] = of.q_ned_frd
-        x, y, z, qw, qx, qy, qz = (_POSE_MATRIX @ state).tolist()
+        x, y, z, qw, qx, qy, qz = (np.rint(_POSE_MATRIX @ state * _FINENESS) / _FINENESS).tolist()
         stamp = timestamp(t_us)
         place = Vector3(x=x, y=y, z=z)
         turn = Quaternion(x=qx, y=qy, z=qz, w=qw)
@@ -187,14 +194,15 @@ class Trail:
             timestamp=stamp, parent_frame_id=WORLD, child_frame_id=self._frame, translation=place, rotation=turn
         )
         pose = Pose(position=place, orientation=turn)
-        views = [
-            (f"{self._prefix}/tf", FrameTransforms(transforms=[move]).encode()),
-            (f"{self._prefix}/pose", PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()),
-        ]
+        views = [(f"{self._prefix}/tf", FrameTransforms(transforms=[move]).encode())]
+        if t_us >= self._pose_due_us:
+            self._pose_due_us = t_us + _STAMPED_PERIOD_US
+            views.append((f"{self._prefix}/pose", PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()))
         if t_us >= self._point_due_us and math.isfinite(x + y + z):
             self._add_point(t_us, pose, Point3(x=x, y=y, z=z))
         if t_us >= self._path_due_us and self._points:
-            self._path_due_us = t_us + _PATH_PERIOD_US
+            self._from_us = t_us if self._from_us < 0 else self._from_us
+            self._path_due_us = t_us + max(_PATH_PERIOD_US, (t_us - self._from_us) // _PATH_GROWTH)
             path = PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
             views.append((f"{self._prefix}/path", path.encode()))
             if not self._truth:

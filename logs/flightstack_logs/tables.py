@@ -28,6 +28,8 @@ class Table:
     """Field -> (N,) or (N, k); float64, int64, bool or str.  The vehicle's stamps are on the log's time line."""
     units: dict[str, str]
     """Field -> unit, as the log says."""
+    place: NDArray[np.int64] | None = None
+    """(N,) place of each row among everything that was written packed (`rows`)."""
 
     def __len__(self) -> int:
         return len(self.t_us)
@@ -75,6 +77,8 @@ class Messages:
     t_us: NDArray[np.int64]
     """(N,) as in `Table`."""
     data: list[bytes]
+    place: NDArray[np.int64] | None = None
+    """As in `Table`."""
 
     def __len__(self) -> int:
         return len(self.t_us)

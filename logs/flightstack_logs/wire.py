@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack_logs.topics import Topic
 
 _VARINT, _FIXED64, BYTES, _FIXED32 = 0, 1, 2, 5
 _STRING = 9
+_LENGTHY = {"string": _STRING, "bytes": 12}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ def descriptor(topic: Topic) -> bytes:
     package, _, name = topic.schema.rpartition(".")
     message = _bytes_field(1, name.encode())
     for number, field in enumerate(topic.fields, 1):
-        kind = _STRING if field.type == "string" else SCALARS[field.type].number
+        kind = _LENGTHY[field.type] if field.type in _LENGTHY else SCALARS[field.type].number
         entry = _bytes_field(1, field.name.encode()) + _int_field(3, number) + _int_field(4, 3 if field.size else 1)
         message += _bytes_field(2, entry + _int_field(5, kind))
     file_name = f"{topic.schema.replace('.', '/')}.proto"
@@ -190,15 +192,23 @@ def _check_prefixes(block: bytes, layout: _Layout, count: int) -> None:
         raise ValueError("its messages differ in form")
 
 
-def decode_columns(schema: bytes, schema_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
+def decode_columns(
+    schema: bytes, schema_name: str, messages: Sequence[bytes] | NDArray[np.uint8]
+) -> dict[str, np.ndarray]:
     """Messages of one TABLE topic (at least one) as columns (N,) or (N, k), in the schema's order.
 
-    Floats come as float64, integers as int64, strings as numpy strings.  ValueError where they aren't of this form.
+    `messages` may be (N, size) bytes where all are of one size.  Floats come as float64, integers as int64, strings as
+    numpy strings.  ValueError where they aren't of this form.
     """
     fields = _proto_fields(schema, schema_name)
-    layout = _layout(messages[0], fields)
+    layout = _layout(bytes(messages[0]), fields)
     size, count = layout.dtype.itemsize, len(messages)
-    block = b"".join([message[:size] for message in messages] if layout.texts else messages)
+    if isinstance(messages, np.ndarray):
+        block = messages[:, :size].tobytes()
+        told = [row.tobytes() for row in messages] if messages.shape[1] > size else []
+    else:
+        block = b"".join([message[:size] for message in messages] if layout.texts else messages)
+        told = list(messages)
     if len(block) != size * count:
         raise ValueError("its messages differ in length")
     columns: dict[str, np.ndarray] = {}
@@ -206,13 +216,13 @@ def decode_columns(schema: bytes, schema_name: str, messages: Sequence[bytes]) -
         _check_prefixes(block, layout, count)
         values = np.frombuffer(block, dtype=layout.dtype)
         columns = {name: np.ascontiguousarray(values[name].astype(result)) for name, result in layout.results.items()}
-    columns |= _texts(messages, size, layout.texts)
+    columns |= _texts(told, size, count, layout.texts)
     return {field.name: columns[field.name] for _, field in sorted(fields.items())}
 
 
-def _texts(messages: Sequence[bytes], begin: int, texts: dict[int, str]) -> dict[str, np.ndarray]:
-    """The string columns: what stands behind the fixed part of each message; absent means empty."""
-    columns = {number: [""] * len(messages) for number in texts}
+def _texts(messages: Sequence[bytes], begin: int, count: int, texts: dict[int, str]) -> dict[str, np.ndarray]:
+    """The string columns: what stands behind the fixed part of each of `count` messages; absent means empty."""
+    columns = {number: [""] * count for number in texts}
     for row, message in enumerate(messages):
         if len(message) == begin:
             continue

@@ -215,6 +215,26 @@ class MissionItemInt(NamedTuple):
     mission_type: int = 0
 
 
+class MissionItem(NamedTuple):
+    """The same, legacy: the place in degrees as floats."""
+
+    target_system: int
+    target_component: int
+    seq: int
+    frame: int
+    command: int
+    current: int
+    autocontinue: int
+    params: tuple[float, float, float, float, float, float, float]
+    mission_type: int = 0
+
+
+class MissionItemReached(NamedTuple):
+    """A mission item has been reached, or what it asks for done."""
+
+    seq: int
+
+
 class FileTransferProtocol(NamedTuple):
     """MAVLink FTP, payload opaque here."""
 

@@ -13,6 +13,7 @@ from flightstack_sim.autopilot.commander import ESTIMATE_READY_US
 from flightstack_sim.autopilot.failsafe import battery_warning
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.battery_state import CURRENT_A
+from flightstack_sim.plans import FENCE, MISSION, RALLY
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
 
@@ -28,6 +29,8 @@ _SENSORS_ENABLED: Final = 0x0301402F
 _SENSORS_HEALTHY: Final = 0x0320C83F
 _PREARM_CHECK: Final = 1 << 28
 _RANGEFINDER_M: Final = 100.0
+_TERMINATED: Final = 8
+_NO_ITEMS, _NO_MISSION = 0xFFFF, 1
 _CAPABILITIES: Final = 0xE8FF
 _GOOD_RATIOS: Final = (0.05, 0.05, 0.05, 0.05, 0.01)
 _VERSION: Final = 0x01120040  # 1.18.0 alpha
@@ -204,7 +207,9 @@ def heartbeat(view: View) -> m.Heartbeat:
     commander = view.commander
     mode = commander.mode
     status = 0
-    if commander.armed:
+    if commander.terminated:
+        status = _TERMINATED
+    elif commander.armed:
         status = _CRITICAL if commander.in_failsafe else _ACTIVE
     elif view.can_arm:
         status = _STANDBY
@@ -320,8 +325,17 @@ def ping(view: View) -> m.Ping:
 
 
 def mission_current(view: View) -> m.MissionCurrent:
-    """No mission."""
-    return m.MissionCurrent(0, 65535, 1, 2)
+    """The mission's item in force; what is flown of it."""
+    plans, navigator = view.plans, view.navigator
+    total = len(plans.mission)
+    if not total:
+        return m.MissionCurrent(0, _NO_ITEMS, _NO_MISSION, navigator.mission_mode)
+    ids = plans.ids
+    if not view.mission_valid:
+        return m.MissionCurrent(plans.current, total, _NO_MISSION, navigator.mission_mode)
+    return m.MissionCurrent(
+        plans.current, total, navigator.mission_state, navigator.mission_mode, ids[MISSION], ids[FENCE], ids[RALLY]
+    )
 
 
 def current_event_sequence(view: View) -> m.CurrentEventSequence:

@@ -13,8 +13,20 @@ from typing import Any, Final
 
 from flightstack.types import Tuple3
 from flightstack_sim import builders, streams
-from flightstack_sim.autopilot.commander import FORCE, ArmRequest, FlyRequest, GoRequest, ModeRequest, Request, Sender
+from flightstack_sim.autopilot import notices
+from flightstack_sim.autopilot.commander import (
+    FORCE,
+    ArmRequest,
+    FlyRequest,
+    GoRequest,
+    ModeRequest,
+    Request,
+    Sender,
+    StartRequest,
+    TerminateRequest,
+)
 from flightstack_sim.autopilot.goal import Goal, orbit_goal
+from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.streams import LinkStreams
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
@@ -23,6 +35,14 @@ from mavlink_bridge.px4 import Cmd, Result
 FRAME_GLOBAL_INT: Final = 5
 UNSUPPORTED_FRAME: Final = 9
 """MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME."""
+_START: Final = 300
+_TERMINATE: Final = 185
+_INJECT: Final = 420
+_GPS_UNIT, _BATTERY, _MOTOR = 4, 100, 101
+"""FAILURE_UNIT."""
+_WORKS, _OFF, _STUCK, _WRONG = 0, 1, 2, 4
+"""FAILURE_TYPE."""
+_MOTORS: Final = 4
 _GET_HOME: Final = 410
 _REQUEST_PROTOCOL: Final = 519
 _REQUEST_CAPABILITIES: Final = 520
@@ -56,6 +76,8 @@ class Context:
     """To send on the same link, in order."""
     requests: list[Request] = field(default_factory=list)
     """For the commander, which answers them."""
+    said: list[Notice] = field(default_factory=list)
+    """To be said on every link."""
 
 
 Params = tuple[float, float, float, float, float, float, float]
@@ -146,6 +168,35 @@ def _take_off(context: Context, params: Params) -> None:
     context.requests.append(FlyRequest(context.sender, Cmd.NAV_TAKEOFF, params[6]))
 
 
+def _terminate(context: Context, params: Params) -> Result | None:
+    """DO_FLIGHTTERMINATION; there is no way back."""
+    if not params[0] > 0.5:
+        return Result.DENIED
+    context.requests.append(TerminateRequest(context.sender))
+    return None
+
+
+def _inject(context: Context, params: Params) -> Result | None:
+    """INJECT_FAILURE; what isn't simulated is UNSUPPORTED."""
+    unit, kind, instance = (_integer(value) if math.isfinite(value) else 0 for value in params[:3])
+    view, sensors = context.view, context.view.vehicle.sensors
+    if unit == _MOTOR and kind in (_WORKS, _OFF) and 0 <= instance <= _MOTORS:
+        view.vehicle.fail_motor(instance, failed=kind == _OFF)
+    elif unit == _BATTERY and kind in (_WORKS, _OFF):
+        view.battery.forced = 0.0 if kind == _OFF else None
+    elif unit == _GPS_UNIT and kind == _WORKS:
+        sensors.position_valid = True
+    elif unit == _GPS_UNIT and kind in (_OFF, _STUCK, _WRONG):
+        sensors.position_valid = False  # whatever is wrong with it, the estimator takes it no more
+    else:
+        return Result.UNSUPPORTED
+    return Result.ACCEPTED
+
+
+def _start_mission(context: Context, params: Params) -> None:
+    context.requests.append(StartRequest(context.sender))
+
+
 def _land(context: Context, params: Params) -> None:
     context.requests.append(FlyRequest(context.sender, Cmd.NAV_LAND))
 
@@ -159,6 +210,9 @@ def _reposition(context: Context, params: Params) -> Result | None:
     place = _place(context, params)
     if place is None:
         return Result.DENIED
+    if context.view.fence.forbids(place[0], place[1]):
+        context.said.append(notices.OUTSIDE_FENCE)  # PX4 takes the command for all that
+        return Result.ACCEPTED
     if params[0] > 0.0:  # False where it is unset
         context.view.navigator.cruise_mps = min(params[0], _FASTEST_MPS)
     yaw = math.remainder(params[3], 2.0 * math.pi) if math.isfinite(params[3]) else math.nan
@@ -283,6 +337,9 @@ _HANDLERS: Final[dict[int, Handler]] = {
     Cmd.COMPONENT_ARM_DISARM: _arm,
     Cmd.NAV_TAKEOFF: _take_off,
     Cmd.NAV_LAND: _land,
+    _START: _start_mission,
+    _TERMINATE: _terminate,
+    _INJECT: _inject,
     Cmd.NAV_RETURN_TO_LAUNCH: _return,
     Cmd.PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     Cmd.SET_MESSAGE_INTERVAL: _set_interval,

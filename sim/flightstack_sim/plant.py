@@ -6,12 +6,15 @@ a plant shows is a view into its rows and is updated in place by each step.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import njit, njit_free
 from flightstack.types import F64, InputError, Tuple3, Tuple4
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack_sim.effects import (
@@ -51,6 +54,8 @@ from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, ste
 
 PLANTS = ("native", "jsbsim")
 MAX_DELAY_S = 0.25
+_LEAST_SHARE = 500
+"""Vehicles that are worth a thread: to start one for a step takes some 50 us."""
 _BLOCK = 256  # steps whose gust normals are drawn at once
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 
@@ -117,6 +122,14 @@ def step_rows(state: F64, params: F64) -> None:
         step_row(params[i], state[i], work)
 
 
+@njit_free
+def step_rows_beside(state: F64, params: F64) -> None:
+    """`step_rows` while other threads step other rows."""
+    work = np.empty((3, EVALUATED))
+    for i in range(state.shape[0]):
+        step_row(params[i], state[i], work)
+
+
 @njit
 def run_rows(state: F64, params: F64, normals: F64, steps: int) -> None:
     """`steps` steps with the same commands; normals (steps, N, 5), or (0, N, 5) for steps without gusts."""
@@ -163,7 +176,7 @@ def state_rows(params: F64, *, dt_us: int, max_delay_s: float = MAX_DELAY_S) -> 
     return state
 
 
-class _Gusts:
+class Gusts:
     """Blocks of standard normals for (N, 5) a step; none are drawn while no vehicle has turbulence."""
 
     def __init__(self, seed: int, state: F64) -> None:
@@ -211,7 +224,7 @@ class NativePlant:
         self._ground = ground
         self._params = parameter_row(vehicle, dt_us=dt_us, ground=ground)[None, :]
         self._state = state_rows(self._params, dt_us=dt_us)
-        self._gusts = _Gusts(seed, self._state)
+        self._gusts = Gusts(seed, self._state)
         row = self.state_row = self._state[0]
         self.params_row = self._params[0]
         self._shown = row[:S_RING]
@@ -310,14 +323,20 @@ class BatchPlant:
     `pos_ned_m`, ... are (N, 3 or 4) views into the state rows.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], *, seed: int, dt_us: int = 1000) -> None:
+    def __init__(
+        self, vehicles: Sequence[Vehicle], *, seed: int, dt_us: int = 1000, threads: int | None = None
+    ) -> None:
+        """`threads`: how many step them (default: one for each core where there are enough vehicles)."""
         self.dt_us = dt_us
+        cores = min(os.cpu_count() or 1, len(vehicles) // _LEAST_SHARE)
+        self._threads = max(1, cores if threads is None else min(threads, len(vehicles)))
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
         self.t_us = 0
         self._params = np.stack([parameter_row(vehicle, dt_us=dt_us) for vehicle in vehicles])
         delays = [vehicle.effects.get("transport_delay", {}).get("delay_s", 0.0) for vehicle in vehicles]
         self._state = state_rows(self._params, dt_us=dt_us, max_delay_s=max(delays))
         self._command = self._state[:, S_COMMAND : S_COMMAND + 4]
-        self._gusts = _Gusts(seed, self._state)
+        self._gusts = Gusts(seed, self._state)
         self._gusty = bool(np.any(self._params[:, turbulence.SIGMA] != 0.0))
         self.pos_ned_m = self._state[:, S_POS : S_POS + 3]
         self.vel_ned_mps = self._state[:, S_VEL : S_VEL + 3]
@@ -339,7 +358,14 @@ class BatchPlant:
         self._command[:] = motor_command
         if self._gusty:
             self._gusts.draw()
-        step_rows(self._state, self._params)
+        if self._pool is None:
+            step_rows(self._state, self._params)
+        else:
+            edges = np.linspace(0, len(self._state), self._threads + 1).astype(int).tolist()
+            parts = [slice(low, high) for low, high in pairwise(edges)]
+            jobs = [self._pool.submit(step_rows_beside, self._state[part], self._params[part]) for part in parts]
+            for job in jobs:
+                job.result()
         self.t_us += self.dt_us
 
 

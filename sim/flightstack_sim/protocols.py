@@ -1,8 +1,8 @@
-"""The small protocols beside commands: parameters, missions, files, clocks, missed events.
+"""The small protocols beside commands: parameters, files, clocks, missed events.
 
 Each function takes a message addressed to this vehicle and returns what to send back on the same link.
 Parameters: integers are bit-cast into the float field (byte-wise union); the list begins with `_HASH_CHECK`;
-what can't be read or set is answered by PARAM_ERROR.  There are no missions and no files: clients are told so at once.
+what can't be read or set is answered by PARAM_ERROR.  There are no files: clients are told so at once.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ from mavlink_bridge import messages as m
 _HASH_NAME: Final = "_HASH_CHECK"
 _HASH_TYPE: Final = 5  # UINT32
 _NO_INDEX: Final = 65535
-_MISSION_ACCEPTED: Final = 0
-_MISSION_ERROR: Final = 1
-_MISSION_UNSUPPORTED: Final = 3
 _EVENTS_KEPT: Final = 40
 
 
@@ -97,24 +94,6 @@ class ParameterList:
             self._next += 1
             count -= 1
         return items
-
-
-# --- missions: none ---
-
-
-def answer_mission(message: Any, sender: Sender) -> Any:
-    """Mission messages: the lists are empty and stay so."""
-    system, component = sender.system, sender.component
-    mission_type = getattr(message, "mission_type", 0)
-    if isinstance(message, m.MissionRequestList):
-        return m.MissionCount(system, component, 0, mission_type)
-    if isinstance(message, m.MissionClearAll):
-        result = _MISSION_ACCEPTED
-    elif isinstance(message, m.MissionCount):
-        result = _MISSION_ACCEPTED if message.items == 0 else _MISSION_UNSUPPORTED
-    else:
-        result = _MISSION_ERROR
-    return m.MissionAck(system, component, result, mission_type)
 
 
 # --- files: none ---

@@ -14,14 +14,21 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from flightstack_sim import commands, protocols
+from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
-from flightstack_sim.autopilot.navigator import Navigator
+from flightstack_sim.autopilot.failure_detector import FailureDetector
+from flightstack_sim.autopilot.mission import MissionFlight
+from flightstack_sim.autopilot.navigator import NOT_STARTED, Navigator
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
+from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Sticks, from_manual_control
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
+from flightstack_sim.fence import FenceWatch
 from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack_sim.plan_transfer import PlanTransfer
+from flightstack_sim.plans import Plans
 from flightstack_sim.protocols import EventMemory, ParameterList
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 from flightstack_sim.streams import LinkKind, LinkStreams
@@ -42,12 +49,13 @@ PARAMS_PER_TICK: Final = 4
 class _Port:
     """One MAVLink link and what belongs to it."""
 
-    __slots__ = ("gcs_at_us", "link", "parameters", "streams", "synced_us", "text_id")
+    __slots__ = ("gcs_at_us", "link", "parameters", "plans", "streams", "synced_us", "text_id")
 
-    def __init__(self, kind: LinkKind, system: int) -> None:
+    def __init__(self, kind: LinkKind, system: int, plans: Plans) -> None:
         self.link = Link(system, 1)
         self.streams = LinkStreams(kind)
         self.parameters = ParameterList()
+        self.plans = PlanTransfer(plans)
         self.gcs_at_us = NEVER
         self.text_id = 0
         self.synced_us: int | None = None
@@ -73,19 +81,27 @@ class Server:
         vehicle.sensors.origin_altitude_m = frame.altitude_m
         self.system = system
         self.commander = Commander(vehicle.params)
-        self.navigator = Navigator(vehicle.params, frame.altitude_m)
+        self.plans = Plans()
+        self.fence = FenceWatch(self.plans, vehicle.params, frame)
+        self.mission = MissionFlight(self.plans, vehicle.params, frame, self.fence.forbids)
+        self.navigator = Navigator(vehicle.params, frame.altitude_m, self.mission)
         self.view = View(vehicle, self.commander.state, self.navigator.state, frame, unix_at_boot_us)
+        self.view.plans, self.view.fence = self.plans, self.fence
         self.view.sysid = system
         self.events = EventMemory()
         self.faults = Injector(faults)
         self.deaf_to: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from the autopilot."""
-        self._ports = [_Port(kind, system) for kind in links]
+        self._ports = [_Port(kind, system, self.plans) for kind in links]
         self._requests: list[Request] = []
         self._offboard: ControlSetpoint | None = None
         self._offboard_at_us = NEVER
         self._gcs_at_us = NEVER
         self._breached = False
+        self.stick_flight = StickFlight(vehicle.params)
+        self.detector = FailureDetector(vehicle.params)
+        self._sticks, self._sticks_at_us = Sticks(), NEVER
+        self._tell_reached_us = 0
         self._next_slow_us = 0
         self._was_armed = False
 
@@ -135,6 +151,12 @@ class Server:
         if setpoint is not None:
             self._offboard, self._offboard_at_us = setpoint, received.t_us
 
+    def _on_sticks(self, link_index: int, received: Received) -> None:
+        """MANUAL_CONTROL, where parameters let it count (COM_RC_IN_MODE 1 to 3)."""
+        addressed = received.message.target in (0, self.system)
+        if addressed and 1.0 <= self.vehicle.params.get("COM_RC_IN_MODE") <= 3.0:
+            self._sticks, self._sticks_at_us = from_manual_control(received.message), received.t_us
+
     def _on_heartbeat(self, link_index: int, received: Received) -> None:
         if received.message.type == TYPE_GCS:
             port = self._ports[link_index]
@@ -156,6 +178,21 @@ class Server:
         for reply in context.replies:
             port.link.send(reply)
         self._requests.extend(context.requests)
+        self._say(context.said, self.view.t_us)
+
+    def _on_plan(self, link_index: int, received: Received) -> None:
+        """Missions, fences and rally points."""
+        sender = Sender(link_index, received.system, received.component)
+        port = self._ports[link_index]
+        for answer in port.plans.handle(received.message, sender, received.t_us):
+            port.link.send(answer)
+        self._tell_of_plans(port)
+        self._watch_mission()  # whoever stores one starts it at once
+
+    def _tell_of_plans(self, port: _Port) -> None:
+        if port.plans.said:
+            self._say(port.plans.said, self.view.t_us)
+            port.plans.said.clear()
 
     def _on_protocol(self, link_index: int, received: Received) -> None:
         """Everything that is answered at once on the same link."""
@@ -180,8 +217,6 @@ class Server:
         elif isinstance(message, m.RequestEvent):
             for event in self.events.answer(message, sender):
                 port.link.send(event)
-        else:
-            answer = protocols.answer_mission(message, sender)
         if answer is not None:
             port.link.send(answer)
 
@@ -211,9 +246,17 @@ class Server:
             takeoff_altitude_m=state.takeoff_altitude_m,
             goal=state.goal,
             now_us=now_us,
+            landed=landed,
         )
         if said:
             self._say(said, now_us)
+        if state.armed and state.mode in FLOWN_BY_STICKS:
+            setpoint = self.stick_flight.step(
+                state.mode, self._sticks, view.pos_ned_m, view.vel_ned_mps, view.heading_rad,
+                vehicle.control.hover_thrust.value,
+            )  # fmt: skip
+        else:
+            self.stick_flight.leave()
         if setpoint is not view.setpoint:
             view.use(setpoint)
         vehicle.advance(setpoint, n_ms)
@@ -263,16 +306,57 @@ class Server:
             self.view.battery.remaining,
             valid,
             self._breached,
+            self.mission.valid,
+            self.mission.finished,
+            self._sticks_at_us,
+            self.detector.failed,
+            self.mission.returns,
         )
 
     def _slow(self) -> None:
         """What is looked at ten times a second."""
         view = self.view
-        self._breached = self.navigator.outside_fence(view.pos_ned_m)
+        self.detector.look(view.q_ned_frd, view.t_us, armed=self.commander.state.armed)
+        self._watch_fence()
+        self._watch_mission()
+        for port in self._ports:
+            for message in port.plans.step(view.t_us):
+                port.link.send(message)
+            self._tell_of_plans(port)
         self._next_slow_us = view.t_us - view.t_us % SLOW_US + SLOW_US
         view.refresh_slow()
         if view.t_us >= HOME_SET_US and self.navigator.state.home_ned_m is None:
             self.navigator.set_home(view.pos_ned_m, view.t_us)
+
+    def _watch_mission(self) -> None:
+        """What was stored, and which item was reached: said once at once, then every second."""
+        said, state = self.mission.renew(), self.navigator.state
+        if (
+            said
+            or not self.mission.valid
+            or (self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION)
+        ):
+            state.mission_state = NOT_STARTED
+        self.view.mission_valid = self.mission.valid
+        self._say(said, self.view.t_us)
+        news = self.mission.news
+        if not news and self.mission.reached >= 0 and self.view.t_us >= self._tell_reached_us:
+            news.append(self.mission.reached)
+        if news:
+            self._tell_reached_us = self.view.t_us + 1_000_000
+            for port in self._ports:
+                for reached in news:
+                    port.link.send(m.MissionItemReached(reached))
+            news.clear()
+
+    def _watch_fence(self) -> None:
+        """The cylinder of the parameters, and what a client has stored."""
+        view, position = self.view, self.view.pos_ned_m
+        self._say(self.fence.renew(position, self.navigator.state.home_ned_m, landed=self.vehicle.landed), view.t_us)
+        breached = self.navigator.outside_fence(position) or self.fence.outside(position[0], position[1])
+        if breached and not self._breached and self.vehicle.params.get("GF_ACTION") != 0.0:
+            self._say((notices.FENCE_LEFT,), view.t_us)
+        self._breached = breached
 
     # --- out ---
 
@@ -313,6 +397,7 @@ class Server:
 
 
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
+    m.ManualControl: Server._on_sticks,
     m.SetAttitudeTarget: Server._on_attitude_target,
     m.SetPositionTargetLocalNed: Server._on_position_target,
     m.SetPositionTargetGlobalInt: Server._on_position_target,
@@ -328,9 +413,13 @@ _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
     m.FileTransferProtocol: Server._on_protocol,
     m.SetGpsGlobalOrigin: Server._on_protocol,
     m.RequestEvent: Server._on_protocol,
-    m.MissionRequestList: Server._on_protocol,
-    m.MissionClearAll: Server._on_protocol,
-    m.MissionCount: Server._on_protocol,
-    m.MissionRequestInt: Server._on_protocol,
-    m.MissionRequest: Server._on_protocol,
+    m.MissionRequestList: Server._on_plan,
+    m.MissionClearAll: Server._on_plan,
+    m.MissionCount: Server._on_plan,
+    m.MissionRequestInt: Server._on_plan,
+    m.MissionRequest: Server._on_plan,
+    m.MissionItemInt: Server._on_plan,
+    m.MissionItem: Server._on_plan,
+    m.MissionAck: Server._on_plan,
+    m.MissionSetCurrent: Server._on_plan,
 }

@@ -15,7 +15,9 @@ from flightstack_sim.autopilot.navigator import NavigatorState
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlKind, ControlSetpoint
 from flightstack_sim.battery_state import BatteryState
 from flightstack_sim.estimator import Accuracy
+from flightstack_sim.fence import FenceWatch
 from flightstack_sim.geodesy import LocalFrame
+from flightstack_sim.plans import Plans
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
 _MAG_PERIOD_US: Final = 20_000
@@ -57,12 +59,15 @@ class View:
         "commander",
         "covariances",
         "event_sequence",
+        "fence",
         "fields_updated",
         "fixes_reported",
         "frame",
         "mag_frd_gauss",
+        "mission_valid",
         "navigator",
         "ping_sequence",
+        "plans",
         "pos_ned_m",
         "pressure_hpa",
         "q_ned_frd",
@@ -93,6 +98,9 @@ class View:
         self.covariances = _covariances(self.accuracy)
         self.battery = BatteryState(vehicle.params)
         self.sysid = 1
+        self.plans = Plans()
+        self.mission_valid = False
+        self.fence = FenceWatch(self.plans, vehicle.params, frame)
         self.silenced: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from being sent."""
         self.clock_offset_us = 0

@@ -68,7 +68,7 @@ def test_the_papers_path_is_flown_inside_its_region_with_the_filter_on(tracked: 
     assert bool(log.tables["/vehicle/status"]["armed"].any())
     assert float(np.ptp(log.tables["/truth"]["pos_ned_m"][:, 0])) > 2.0
     acting = log.tables["/filter"]["status"] >= 2.0
-    assert float(np.mean(acting[1000:3500])) == 1.0  # tick after tick, once it was up there
+    assert float(np.mean(acting[100:350])) == 1.0  # tick after tick, once it was up there
     assert result.region["filtered_ticks"] > 3000
 
 
@@ -130,8 +130,8 @@ def test_what_is_in_the_json_is_what_the_log_shows(tracked: tuple[FlightResult, 
     e = truth["pos_ned_m"][flown] - truth["pos_ned_m"][flown][0] - [0.0, 0.0, -1.5]
     x, y = e / [2.0, 1.5, 1.0], truth["vel_ned_mps"][flown] / [1.2, 1.35, 0.6]
     h = np.min(1.0 - (x * x + y * y + 2.0 * 0.3 * x * y) / (1.0 - 0.3**2), axis=1)
-    engaged = round(250 * result.region["engaged_s"])
-    assert (h[engaged - 100 : engaged] > 0.03).all()
+    engaged = round(25 * result.region["engaged_s"])
+    assert (h[engaged - 10 : engaged] > 0.03).all()
     assert result.barrier["min_h_truth"] == pytest.approx(float(h[engaged:].min()), abs=0.01)
 
 
@@ -142,7 +142,7 @@ def test_the_log_carries_the_certificate_of_the_flight(folder: Path, tracked: tu
     assert given == (folder / "whole.json").read_bytes()
     assert last is not None
     assert parse_certificate(last.decode(), "attached").version == 5
-    assert set(log.tables["/filter"]["version"][100:].tolist()) == {5.0}
+    assert set(log.tables["/filter"]["version"][10:].tolist()) == {5.0}
     page = Path(str(result.report)).read_text()
     assert 'id="barrier-ledger"' in page
     assert 'id="barrier-solve"' in page

@@ -39,7 +39,7 @@ def test_it_really_flew_and_was_filtered_and_fed(flown: tuple[CertifyResult, Log
     assert np.ptp(truth["vel_ned_mps"][exploring, 2]) > 0.5  # it went up and down
     assert result.flight.gp["fed"] > 1000
     status = log.tables["/filter"]["status"]
-    assert (status >= 2.0).sum() > 1000  # engaged: passed or changed
+    assert (status >= 2.0).sum() > 100  # engaged: passed or changed
 
 
 def test_the_region_grew_and_was_never_left(flown: tuple[CertifyResult, Log]) -> None:

@@ -26,7 +26,7 @@ RIGHT_MODEL = ("hover", "figure8", "minimum-snap")
 
 
 def _fly(tmp_path: Path, scenario: str, **options: object) -> tuple[FlightResult, Log]:
-    result = fly(FlyOptions(scenario=scenario, out=tmp_path, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
+    result = fly(FlyOptions(scenario=scenario, out=tmp_path, log_wire=True, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
     return result, read(tmp_path / "flight.mcap")
 
 

@@ -253,4 +253,4 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:
     assert result["log_complete"] is False
     log = read(tmp_path / "flight.mcap")
     assert not log.complete
-    assert len(log.tables["/truth"]) > 100
+    assert len(log.tables["/truth"]) > 10

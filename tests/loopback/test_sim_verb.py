@@ -66,7 +66,7 @@ def test_instances_have_px4s_ports_and_ids_a_taken_one_is_left_out_and_all_end_w
         home = ("--home", "-33.5,151.25,20,90")
         sim = start(
             "--port", port, "--gcs-port", gcs_port, "--instances", 3, "--sysid", 7, *home, "--log", log,
-            "--json", json_file,
+            "--log-wire", "--json", json_file,
         )  # fmt: skip
         with sim:
             assert sim.stdout is not None

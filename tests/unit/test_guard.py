@@ -177,3 +177,47 @@ def test_the_thrust_that_carries_is_learned_within_a_few_seconds() -> None:
     assert share == pytest.approx(1.0 - math.exp(-3.0), abs=2e-3)
     tilted = changed(GOOD, q_ned_frd=quat_from_euler(math.pi / 3, 0.0, 0.0))
     assert carried_thrust(0.0, heavy, tilted, 1_000_000) == pytest.approx(0.7 * MODEL.weight_n)
+
+
+@pytest.mark.parametrize("towards_deg", range(0, 360, 45))
+def test_the_envelope_is_a_cylinder_about_the_place_of_arming(towards_deg: int) -> None:
+    origin = np.array([40.0, -30.0, 5.0])
+    away = np.array([math.cos(math.radians(towards_deg)), math.sin(math.radians(towards_deg)), 0.0])
+    for distance_m, name in ((LIMITS.radius_m - 0.01, ""), (LIMITS.radius_m + 0.01, "brake: outside the envelope")):
+        measurement = changed(GOOD, pos_ned_m=origin + distance_m * away)
+        assert GUARD.check(HOVER, measurement, origin, MODEL.weight_n, 1000)[1] == name
+    for up_m, name in ((LIMITS.height_m - 0.01, ""), (LIMITS.height_m + 0.01, "brake: outside the envelope")):
+        measurement = changed(GOOD, pos_ned_m=origin - np.array([0.0, 0.0, up_m]))
+        assert GUARD.check(HOVER, measurement, origin, MODEL.weight_n, 1000)[1] == name
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-3.0, 3.0), st.floats(-8.0, 8.0), st.floats(-8.0, 8.0)
+)  # fmt: skip
+def test_the_brake_turns_thrust_the_short_way_to_an_acceleration_against_the_velocity(
+    roll: float, pitch: float, yaw: float, north_mps: float, east_mps: float
+) -> None:
+    """At 1 /s of the velocity, 3 m/s^2 at most; the turn is 4 /s of the cross product of both thrust directions."""
+    speed = math.hypot(north_mps, east_mps)
+    per_s = min(1.0, 3.0 / speed) if speed else 1.0
+    wanted = np.array([-per_s * north_mps, -per_s * east_mps, -9.80665])
+    q = quat_from_euler(roll, pitch, yaw)
+    body = Rotation.from_quat(q, scalar_first=True).inv().apply(wanted / np.linalg.norm(wanted))
+    expected = 4.0 * np.cross([0.0, 0.0, -1.0], body)  # about the thrust axis it has no part
+    out, name = check(
+        Command(1000, math.nan, 0.5, np.zeros(3)), q_ned_frd=q, vel_ned_mps=np.array([north_mps, east_mps, 0.0])
+    )
+    assert name == "brake: command not finite"
+    most = np.array(LIMITS.rate_max_radps)
+    assert out.rate_frd_radps == pytest.approx(np.clip(expected, -most, most), abs=1e-9)
+
+
+def test_a_brake_that_a_filter_made_passes_outside_the_envelope_and_only_that() -> None:
+    outside = changed(GOOD, pos_ned_m=np.array([LIMITS.radius_m + 1.0, 0.0, -2.0]))
+    turned, name = GUARD.check(HOVER, outside, ORIGIN, MODEL.weight_n, 1000, turned=True)
+    assert turned is HOVER
+    assert name == "brake: outside the envelope"
+    own, name = GUARD.check(HOVER, outside, ORIGIN, MODEL.weight_n, 1000)
+    assert own is not HOVER
+    assert name == "brake: outside the envelope"

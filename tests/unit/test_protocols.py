@@ -114,17 +114,6 @@ def test_a_ping_to_all_comes_back_to_its_sender(station: Station) -> None:
     assert [ping for ping in station.all(m.Ping) if ping.target_system] == [m.Ping(77, 5, 245, 190)]
 
 
-def test_missions_are_empty(station: Station) -> None:
-    station.clear()
-    for kind in (0, 1, 2):
-        station.send(m.MissionRequestList(1, 1, kind))
-    station.send(m.MissionClearAll(1, 1, 0))
-    station.send(m.MissionRequestInt(1, 1, 0, 0))
-    station.run(0.01)
-    assert station.all(m.MissionCount) == [m.MissionCount(245, 190, 0, kind) for kind in (0, 1, 2)]
-    assert [ack.type for ack in station.all(m.MissionAck)] == [0, 1]
-
-
 def test_a_file_request_is_refused_at_once(station: Station) -> None:
     station.clear()
     payload = bytes([7, 0, 3, 4, 5, 0, 0, 0, 0, 0, 0, 0]) + b"/etc\0"  # open "/etc" for reading, sequence 7, session 3

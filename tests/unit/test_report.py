@@ -126,7 +126,8 @@ def write_flight(path: Path, topics: set[str]) -> Log:
         if t >= 0.0:
             put("/setpoint", t_us, pos_ned_m=wanted + origin + ([0.0, 0.0, 9.0] if t > LAND_S else 0.0))
             put("/command", t_us, thrust_n=15.0, rate_frd_radps=[0.0, 0.1, 0.0])
-            put("/tick", t_us, thrust_ff_n=14.0, thrust_saturated=10.0 <= t < 15.0, q_ned_frd=q)
+            put("/control", t_us, thrust_ff_n=14.0)
+            put("/tick", t_us, thrust_saturated=10.0 <= t < 15.0, q_ned_frd=q)
     log.close()
     assert log.failed is None, log.failed
     return read(path)
@@ -134,7 +135,7 @@ def write_flight(path: Path, topics: set[str]) -> Log:
 
 FLOWN = {
     "/truth", "/events", "/vehicle/statustext", "/vehicle/local_position", "/vehicle/attitude", "/vehicle/motors",
-    "/vehicle/status", "/setpoint", "/command", "/tick",
+    "/vehicle/status", "/setpoint", "/command", "/tick", "/control",
 }  # fmt: skip
 
 

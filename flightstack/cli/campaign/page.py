@@ -126,18 +126,19 @@ def _drivers(result: CampaignResult) -> str:
 
 
 def _by_factor(influence: Influence) -> str:
-    bins = influence.bins
-    most = max((each.ci95[1] for each in bins if each.flights), default=1.0)
-    plot = Plot((0.0, float(len(bins))), (0.0, max(most * 100.0, 1.0)), (influence.factor, "failures, %"),
-                f"Failures by {influence.factor}", height=300.0)  # fmt: skip
-    for k, each in enumerate(bins):
-        if not each.flights:
-            continue
+    bins = [each for each in influence.bins if each.flights]
+    most = max(max(100.0 * each.ci95[1] for each in bins), 1.0)
+    numbers = all(each.ends is not None for each in bins)
+    places = [each.ends or (float(k), k + 1.0) for k, each in enumerate(bins)]
+    label = influence.factor if numbers else "values in the order below"
+    span = (places[0][0], places[-1][1])
+    plot = Plot(span, (0.0, most), (label, "failures, %"), f"Failures by {influence.factor}", height=300.0)
+    for (left, right), each in zip(places, bins, strict=True):
         low, high = (100.0 * end for end in each.ci95)
-        rate = 100.0 * each.failed / each.flights
-        plot.boxes(np.array([[k + 0.15, k + 0.85, 0.0, rate]]), np.array([0.75]), "failed")
-        plot.line(np.array([[k + 0.5, low], [k + 0.5, high]]), "ci", label=f"{each.words}: {rate:.3g} %")
-    listed = "; ".join(f"{k}–{k + 1}: {each.words} ({each.failed} of {each.flights})" for k, each in enumerate(bins))
+        rate, edge, middle = 100.0 * each.failed / each.flights, 0.04 * (right - left), 0.5 * (left + right)
+        plot.boxes(np.array([[left + edge, right - edge, 0.0, rate]]), np.array([0.75]), "failed")
+        plot.line(np.array([[middle, low], [middle, high]]), "ci", label=f"{each.words}: {rate:.3g} %")
+    listed = "; ".join(f"{each.words}: {each.failed} of {each.flights}" for each in bins)
     return plot.svg() + f'<p class="note">{escape(listed)}</p>'
 
 

@@ -108,7 +108,8 @@ class Campaign:
         return {
             "flight": plan.flight, "seed": plan.seed, "scenario": plan.scenario, "values": dict(plan.values),
             "outcome": row["outcome"], "reason": row["reason"], "log": log, "report": report, "result": row["result"],
-            "timing": {"wall_s": row["wall_s"], "attempts": done.attempts, "worker": done.worker},
+            "timing": {"wall_s": row["wall_s"], "cpu_s": row.get("cpu_s")}
+            | {"attempts": done.attempts, "worker": done.worker},
         }  # fmt: skip
 
     def _keep(self, done: Done) -> tuple[str | None, str | None]:
@@ -188,17 +189,22 @@ def campaign(
     return result
 
 
+def _drawn(spec: CampaignSpec, planner: Planner) -> Callable[[int], Plan]:
+    """Flight -> its plan."""
+    design = Design(spec)
+    return lambda flight: planner.plan(flight, design.values(flight), spec.seed_of(flight))
+
+
 def _flown(work: Campaign) -> CampaignResult:
     spec, planner = work.spec, work.planner
-    design = Design(spec)
     found: dict[str, Any] | None = None
+    if spec.search is None:
+        plan_of = _drawn(spec, planner)
+        work.fly(plan_of(i) for i in range(spec.count))
+    else:
+        from flightstack.cli.campaign.search import search
 
-    def plan_of(flight: int) -> Plan:
-        return planner.plan(flight, design.values(flight), spec.seed_of(flight))
-
-    if spec.search is not None:
-        raise InputError(f"{spec.path}: [search] is not there yet in this version")
-    work.fly(plan_of(i) for i in range(spec.count))
+        found, plan_of = search(work)
     flown = work.journal.ordered(None if spec.search else spec.count)
     stopped = work.stopped
     reflown = (0, 0)
@@ -240,5 +246,7 @@ def _version() -> str:
 
 def _executor(options: CampaignOptions, spec: CampaignSpec) -> Executor:
     if options.scheduler is not None:
-        raise InputError(f"--scheduler {options.scheduler}: is not there yet in this version")
+        from flightstack.cli.campaign.cluster import Cluster
+
+        return Cluster(options.scheduler, options.out / "flying", spec.keep)
     return Pool(options.workers or os.cpu_count() or 1, options.out / "flying", spec.keep)

@@ -11,7 +11,7 @@ from flightstack.errors import InputError
 
 CROSS_ENTROPY, CMA_ES, SPLITTING = "cross-entropy", "cma-es", "splitting"
 METHODS = (CROSS_ENTROPY, CMA_ES, SPLITTING)
-_KEYS = ("method", "target", "adversary", "below", "maximise", "population", "confirm")
+_KEYS = ("method", "target", "adversary", "below", "maximise", "population", "stop")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,9 @@ class Search:
     maximise: bool = False
     """The worst is the greatest: found where the target rises above `below`."""
     population: int | None = None
+    """Flights of a generation, or of a level."""
+    stop: bool = True
+    """End with the generation in which the first failure is found."""
 
 
 def parse_search(table: object, where: str) -> Search:
@@ -39,7 +42,7 @@ def parse_search(table: object, where: str) -> Search:
     method = table.get("method", CROSS_ENTROPY)
     if method not in METHODS:
         raise InputError(f"{where}.method = {method!r} is not known; known are {', '.join(METHODS)}")
-    for key in ("adversary", "maximise"):
+    for key in ("adversary", "maximise", "stop"):
         if not isinstance(table.get(key, False), bool):
             raise InputError(f"{where}.{key} = {table[key]!r} is not allowed; it must be true or false")
     population = table.get("population")
@@ -52,4 +55,5 @@ def parse_search(table: object, where: str) -> Search:
         below=number(table.get("below", 0.0), f"{where}.below", -1e12, 1e12),
         maximise=bool(table.get("maximise", False)),
         population=population,
+        stop=bool(table.get("stop", method != SPLITTING)),
     )

@@ -21,11 +21,11 @@ def fly_text(text: str, folder: Path, *, keep: str, kept: bool, on_progress: Cal
     """Fly the scenario in `text`; log and report stay in `folder` where they are to be kept.
 
     `keep`: failures, all or none; `kept`: whatever comes of it.  The row: outcome, reason, result (fly's JSON or None),
-    wall_s.  Raises nothing but what ends a process.
+    wall_s, cpu_s.  Raises nothing but what ends a process.
     """
     from flightstack.cli import flight
 
-    began = time.perf_counter()
+    began, cpu_s = time.perf_counter(), time.process_time()
     row: Row = {"outcome": REFUSED, "reason": "", "result": None}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -41,7 +41,7 @@ def fly_text(text: str, folder: Path, *, keep: str, kept: bool, on_progress: Cal
         row |= {"outcome": CRASHED, "reason": f"{type(error).__name__}: {error}"}
     finally:
         gc.collect()  # what a flight leaves behind in cycles is much for the few objects that the collector counts
-    row["wall_s"] = time.perf_counter() - began
+    row["wall_s"], row["cpu_s"] = time.perf_counter() - began, time.process_time() - cpu_s
     return row
 
 

@@ -50,6 +50,8 @@ class Bin:
     words: str
     flights: int
     failed: int
+    ends: tuple[float, float] | None = None
+    """Of a number's bin; None: one value."""
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -125,7 +127,12 @@ def _bins(column: F64, failed: np.ndarray) -> tuple[Bin, ...]:
     edges = np.unique(np.quantile(column, np.linspace(0.0, 1.0, _BINS + 1)))
     place = np.clip(np.searchsorted(edges, column, side="right") - 1, 0, len(edges) - 2)
     return tuple(
-        Bin(f"{edges[k]:.3g} to {edges[k + 1]:.3g}", int((place == k).sum()), int(failed[place == k].sum()))
+        Bin(
+            f"{edges[k]:.3g} to {edges[k + 1]:.3g}",
+            int((place == k).sum()),
+            int(failed[place == k].sum()),
+            (float(edges[k]), float(edges[k + 1])),
+        )
         for k in range(len(edges) - 1)
     )
 

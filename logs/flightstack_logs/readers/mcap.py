@@ -7,47 +7,63 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack_logs import rows
 from flightstack_logs.log_clock import aligned
-from flightstack_logs.mcap_file import Channel, scan
+from flightstack_logs.mcap_file import Channel, McapContent, scan
 from flightstack_logs.tables import About, Log, Messages, Table
 from flightstack_logs.topics import LEVELS
 from flightstack_logs.wire import decode_columns, walk
 
 
-def read_mcap(path: Path, data: bytes) -> Log:
-    """The log in `data`; damage is in its notes."""
+def read_mcap(path: Path, data: bytes, *, align: bool = True) -> Log:
+    """The log in `data`; damage is in its notes.  `align`: the vehicle's stamps on the log's time line."""
     content = scan(data, str(path))
     notes = list(content.notes)
+    blocks = {each.topic: each for each in content.channels.values() if each.topic.startswith(rows.PREFIX)}
     tables: dict[str, Table] = {}
     messages: dict[str, Messages] = {}
     about: dict[str, About] = {}
-    for channel in content.channels.values():
+    for channel in _with_packed(content, blocks):
         if channel.topic in about:
             notes.append(f"topic {channel.topic}: has a second channel; skipped")
             continue
         about[channel.topic] = _about(channel)
+        bodies: list[bytes] | NDArray[np.uint8]
         times, bodies = _in_time(channel)
+        places = None
         try:
+            if (block := blocks.get(rows.PREFIX + channel.topic)) is not None and block.messages:
+                packed = rows.unpack(block.messages)
+                times, bodies, places = packed.t_us, packed.messages, packed.place
             columns = _columns(channel, bodies)
         except (ValueError, KeyError) as error:
             columns = None
             notes.append(f"topic {channel.topic}: kept as raw messages, {error}")
         if columns is None:
-            messages[channel.topic] = Messages(channel.topic, times, bodies)
+            data_of = bodies if isinstance(bodies, list) else [row.tobytes() for row in bodies]
+            messages[channel.topic] = Messages(channel.topic, times, data_of, places)
         else:
-            tables[channel.topic] = Table(channel.topic, times, columns, _units(channel))
+            tables[channel.topic] = Table(channel.topic, times, columns, _units(channel), places)
     return Log(
         path=path,
         kind="mcap",
         complete=content.finished and not content.notes,
         notes=tuple(notes),
-        tables=aligned(tables),
+        tables=aligned(tables) if align else tables,
         messages=messages,
         about=about,
         metadata=content.metadata,
         attachments=tuple(content.attachments),
         size_bytes=len(data),
     )
+
+
+def _with_packed(content: McapContent, blocks: dict[str, Channel]) -> list[Channel]:
+    """The topics of a log; blocks of rows are no topics, but one of which there is nothing else is."""
+    found = [channel for channel in content.channels.values() if channel.topic not in blocks]
+    known = {channel.topic for channel in found}
+    alone = [name.removeprefix(rows.PREFIX) for name in blocks]
+    return found + [Channel(topic, "", {"kind": "raw"}, None) for topic in alone if topic not in known]
 
 
 def _in_time(channel: Channel) -> tuple[NDArray[np.int64], list[bytes]]:
@@ -59,12 +75,12 @@ def _in_time(channel: Channel) -> tuple[NDArray[np.int64], list[bytes]]:
     return times[order], [channel.messages[index] for index in order.tolist()]
 
 
-def _columns(channel: Channel, bodies: list[bytes]) -> dict[str, np.ndarray] | None:
+def _columns(channel: Channel, bodies: list[bytes] | NDArray[np.uint8]) -> dict[str, np.ndarray] | None:
     """The messages as columns, or None where they are not meant to be."""
     schema = channel.schema
-    if schema is None or channel.message_encoding != "protobuf" or not bodies:
+    if schema is None or channel.message_encoding != "protobuf" or not len(bodies):
         return None
-    if schema.name == "foxglove.Log":
+    if schema.name == "foxglove.Log" and isinstance(bodies, list):
         return _log_columns(bodies)
     if schema.name.startswith("flightstack."):
         return decode_columns(schema.data, schema.name, bodies)

@@ -49,6 +49,13 @@ def _mark(text: str) -> str:
 
 
 def _h(flight: FlightReport, barrier: Barrier) -> Panel:
+    if barrier.site:
+        clear = known(("of the way out", "learned", barrier.h))
+        return Panel(
+            "barrier-h", "Clearance of the way out, with all of its tube", "m", 3, tuple(clear),
+            (Line(0.0, "forbidden"),), tuple(signals.intervals(barrier.intervened)), note=_note(barrier),
+            strip=_strip(barrier.status), cut=(-1.0, 5.0),
+        )  # fmt: skip
     curves = (
         *known(("of the measured state", "measured", barrier.h_state)),
         *known(("of the predicted state, as filtered", "learned", barrier.h)),
@@ -139,6 +146,9 @@ def _band_scale(curves: tuple[Curve, ...]) -> tuple[float, ...]:
     return float(np.clip(np.nanmax(edges[0]), -most, most)), float(np.clip(np.nanmin(edges[1]), -most, most))
 
 
+_PLANES = ("Position and velocity, each axis", "The site, from above")
+
+
 def planes(flight: FlightReport) -> tuple[Plane, ...]:
     """The path in each axis' plane, with the scenario's region and the certified ones."""
     barrier = flight.barrier
@@ -154,6 +164,8 @@ def planes(flight: FlightReport) -> tuple[Plane, ...]:
     shown = signals.thin(state, PATH_POINTS)
     engaged = _held(barrier.status, shown.t_s) >= _ENGAGED
     changes = _changes(barrier, state)
+    if barrier.site:
+        return (_map(barrier, shown, engaged, changes),)
     return tuple(
         Plane(
             AXES[axis],
@@ -164,6 +176,14 @@ def planes(flight: FlightReport) -> tuple[Plane, ...]:
         )
         for axis in range(3)
     )
+
+
+def _map(barrier: Barrier, shown: Samples, engaged: np.ndarray, changes: F64) -> Plane:
+    """The path in the site, from above; engaged (n,): whether the filter was."""
+    above = [1, 0]
+    outlines = tuple(Outline("region" if i == 0 else "before", line[:, above]) for i, line in enumerate(barrier.site))
+    path = shown.values[:, above]
+    return Plane("site", parted(path, ~engaged), parted(path, engaged), changes[:, above], outlines, is_map=True)
 
 
 def _held(signal: Samples, t_s: F64) -> F64:
@@ -242,11 +262,13 @@ def planes_html(flight: FlightReport) -> str:
         keys.append(("certified", "certified"))
     if len(barrier.certificates) > 1:
         keys.append(("before", "certified at first"))
+    if barrier.site:
+        keys += [("region", "the site"), ("before", "kept out of")]
     if barrier.region is not None:
         keys.append(("region", "the scenario's region"))
     legend = "".join(f'<span class="key {role}"><i></i>{escape(text)}</span>' for role, text in keys)
     return (
-        '<section class="panel" id="barrier-planes"><h2>Position and velocity, each axis</h2>'
+        f'<section class="panel" id="barrier-planes"><h2>{_PLANES[bool(barrier.site)]}</h2>'
         f'<div class="keys">{legend}</div><div class="grid">{images}</div></section>'
     )
 

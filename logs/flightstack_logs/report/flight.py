@@ -130,6 +130,8 @@ class Barrier:
     """The scenario's."""
     certificates: tuple[Certificate, ...] = ()
     """The one that the flight began with and the last one, where the log has them."""
+    site: tuple[F64, ...] = ()
+    """(n, 2) lines of the site, north and east from the start: the one to stay in, then those to keep out of."""
 
 
 @dataclass(frozen=True, slots=True)

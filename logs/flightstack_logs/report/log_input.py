@@ -7,6 +7,7 @@ relative to the place of arming: so does the result's tracking error.  The estim
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -36,7 +37,7 @@ from flightstack_logs.report.flight import (
     samples,
     timing_from_result,
 )
-from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE
+from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, SITE_OUTLINES
 
 _PHASE_OF = {"land": "landing", "done": "landing"}
 _NOT_FLOWN = {"connect", "landed"}
@@ -56,7 +57,7 @@ def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightRepo
         phases=phases,
         events=_events(source),
         thrust_command_n=source.signal("/command", "thrust_n"),
-        thrust_feedforward_n=source.signal("/tick", "thrust_ff_n"),
+        thrust_feedforward_n=source.signal("/control", "thrust_ff_n"),
         thrust_truth_n=_total(source.signal("/truth", "rotor_thrust_n")),
         thrust_saturated=source.signal("/tick", "thrust_saturated"),
         rate_command_frd_radps=source.signal("/command", "rate_frd_radps"),
@@ -296,6 +297,7 @@ def _barrier(source: _Source) -> Barrier | None:
         state=_state(source),
         region=scenario.region if scenario is not None and judged_by_scenario else None,
         certificates=_certificates(source.log),
+        site=_site(source.log),
     )
 
 
@@ -308,6 +310,16 @@ def _state(source: _Source) -> Samples | None:
             shifted = position.values if start is None else position.values - start
             return Samples(position.t_s, np.concatenate([shifted, signals.resample(velocity, position.t_s)], axis=1))
     return None
+
+
+def _site(log: Log) -> tuple[F64, ...]:
+    """The lines of the site; none where the log has no site, or one that can't be read."""
+    data = log.attachment(SITE_OUTLINES)
+    try:
+        lines = [] if data is None else json.loads(data)["lines"]
+        return tuple(np.array(line, dtype=np.float64).reshape(-1, 2) for line in lines)
+    except (ValueError, KeyError, TypeError):
+        return ()
 
 
 def _certificates(log: Log) -> tuple[Certificate, ...]:

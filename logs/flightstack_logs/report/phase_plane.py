@@ -15,6 +15,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 8.0, 36.0
 _ANGLES = 180
 _HALVINGS = 40
 _TICKS = 5
+_MAP = ("east, m", "north, m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +39,8 @@ class Plane:
     changed: F64
     """Where the filter changed the command."""
     outlines: tuple[Outline, ...] = ()
+    is_map: bool = False
+    """Seen from above instead: (n, 2) are east and north, m, to one scale."""
 
 
 def ellipse(centre_m: float, semi_m: float, semi_mps: float) -> F64:
@@ -81,6 +84,9 @@ def plane_svg(plane: Plane, *, width: float = 420.0, height: float = 320.0) -> s
     pad = 0.06 * np.maximum(high - low, 0.1)
     low, high = low - pad, high + pad
     size = np.array([width - _LEFT - _RIGHT, -(height - _TOP - _BOTTOM)])
+    if plane.is_map:
+        half = 0.5 * np.abs(size) * float(np.max((high - low) / np.abs(size)))
+        low, high = 0.5 * (low + high) - half, 0.5 * (low + high) + half
     corner = np.array([_LEFT, height - _BOTTOM])
 
     def place(points: F64) -> F64:
@@ -88,9 +94,10 @@ def plane_svg(plane: Plane, *, width: float = 420.0, height: float = 320.0) -> s
 
     clip = f"plane-{plane.name}"
     frame = f'x="{_LEFT}" y="{_TOP}" width="{size[0]:.0f}" height="{-size[1]:.0f}"'
-    label = f"Path in the plane of position and velocity, {plane.name}"
+    label = "Path from above" if plane.is_map else f"Path in the plane of position and velocity, {plane.name}"
+    names = _MAP if plane.is_map else (f"position {plane.name}, m", "velocity, m/s")
     out = [f'<svg class="plane" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{label}">']
-    out += _axes(low, high, place, width, height, plane.name)
+    out += _axes(low, high, place, width, height, names)
     out.append(f'<clipPath id="{clip}"><rect {frame}/></clipPath><g clip-path="url(#{clip})">')
     for line in plane.outlines:
         closed = " ".join(_xy(place(line.points)))
@@ -130,7 +137,7 @@ def ticks(low: float, high: float) -> list[float]:
 
 
 def _axes(
-    low: F64, high: F64, place: Callable[[F64], F64], width: float, height: float, name: str
+    low: F64, high: F64, place: Callable[[F64], F64], width: float, height: float, names: tuple[str, str]
 ) -> list[str]:  # fmt: skip
     """Grid, numbers and names."""
     base, left = height - _BOTTOM, _LEFT
@@ -144,10 +151,10 @@ def _axes(
         out.append(f'<line class="grid" x1="{left:.1f}" x2="{width - _RIGHT:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
         out.append(f'<text x="{left - 6:.1f}" y="{y + 4:.1f}" text-anchor="end">{_number(at)}</text>')
     middle = left + 0.5 * (width - left - _RIGHT)
-    out.append(f'<text x="{middle:.1f}" y="{height - 6:.1f}" text-anchor="middle">position {name}, m</text>')
+    out.append(f'<text x="{middle:.1f}" y="{height - 6:.1f}" text-anchor="middle">{names[0]}</text>')
     half = 0.5 * (base + _TOP)
     turn = f'transform="rotate(-90 11 {half:.1f})"'
-    out.append(f'<text x="11" y="{half:.1f}" text-anchor="middle" {turn}>velocity, m/s</text>')
+    out.append(f'<text x="11" y="{half:.1f}" text-anchor="middle" {turn}>{names[1]}</text>')
     return out
 
 

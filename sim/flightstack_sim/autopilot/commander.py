@@ -34,6 +34,7 @@ FORCE: Final = 21196.0
 
 ACCEPTED: Final = 0
 TEMPORARILY_REJECTED: Final = 1
+DENIED: Final = 2
 
 COMMAND_SET_MODE: Final = 176
 COMMAND_ARM: Final = 400
@@ -41,6 +42,8 @@ COMMAND_TAKEOFF: Final = 22
 COMMAND_LAND: Final = 21
 COMMAND_RETURN: Final = 20
 COMMAND_ORBIT: Final = 34
+COMMAND_START: Final = 300
+COMMAND_TERMINATE: Final = 185
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
@@ -88,7 +91,19 @@ class GoRequest(NamedTuple):
     changes_mode: bool = True
 
 
-Request = ModeRequest | ArmRequest | FlyRequest | GoRequest
+class StartRequest(NamedTuple):
+    """MISSION_START: fly the mission, arming where need be."""
+
+    sender: Sender
+
+
+class TerminateRequest(NamedTuple):
+    """DO_FLIGHTTERMINATION."""
+
+    sender: Sender
+
+
+Request = ModeRequest | ArmRequest | FlyRequest | GoRequest | StartRequest | TerminateRequest
 
 
 class Answer(NamedTuple):
@@ -116,6 +131,16 @@ class Inputs(NamedTuple):
     """Whether the estimate has a horizontal position."""
     breached: bool = False
     """Outside the geofence."""
+    mission_valid: bool = False
+    """A mission that can be flown is stored."""
+    mission_over: bool = False
+    """It has been flown to its end."""
+    sticks_at_us: int = NEVER
+    """When a pilot's sticks last came."""
+    attitude_failed: bool = False
+    """The failure detector's verdict."""
+    mission_returns: bool = False
+    """Its present item asks for Return."""
 
 
 class Outputs(NamedTuple):
@@ -157,6 +182,10 @@ class CommanderState:
     gcs_lost: bool = True
     """No ground station is heard; true until one is."""
     gcs_seen: bool = False
+    sticks_heard: bool = False
+    """Since arming: before, nobody counts on them."""
+    terminated: bool = False
+    """Flight termination is for good, until the next start."""
 
     @property
     def in_failsafe(self) -> bool:
@@ -186,6 +215,12 @@ class Commander:
         if inputs.takeoff_done and state.intended is modes.TAKEOFF and state.armed:
             state.intended = modes.HOLD
             self._apply_mode(now_us, chosen=True)
+        if state.intended is modes.MISSION and state.armed:
+            if inputs.mission_returns:
+                self._choose(modes.RTL, now_us)
+                self._notices.append(notices.RETURNING)
+            elif (inputs.mission_over or not inputs.mission_valid) and not inputs.landed:
+                self._choose(modes.HOLD, now_us)
         for request in inputs.requests:
             self._handle(request, inputs, now_us)
         if now_us >= state.next_cycle_us:
@@ -209,9 +244,14 @@ class Commander:
         state = self.state
         age_us = now_us - inputs.last_setpoint_us
         ready = now_us >= ESTIMATE_READY_US
+        sticks = now_us - inputs.sticks_at_us < self._params.get("COM_RC_LOSS_T") * 1e6
+        if sticks and state.armed:
+            state.sticks_heard = True
         conditions = Conditions(
-            ready,
+            ready and not state.terminated,
             age_us < self._params.get("COM_OF_LOSS_T") * 1e6,
+            sticks=sticks,
+            mission=inputs.mission_valid,
             armed=state.armed,
             position_valid=inputs.position_valid,
             gcs_missing=state.gcs_lost and not state.armed and self._params.get("NAV_DLL_ACT") > 0.0,
@@ -241,7 +281,12 @@ class Commander:
             state.gcs_lost,
             battery_warning(inputs.battery_remaining, self._params),
             inputs.breached,
+            state.sticks_heard and not state.checks.conditions.sticks,
+            inputs.attitude_failed,
         )
+        if state.terminated:
+            state.mode = modes.TERMINATION
+            return
         selected = self._failsafe.update(status, now_us, chosen=chosen)
         state.action = selected.action
         if selected.announce:
@@ -253,6 +298,7 @@ class Commander:
         if selected.action is Action.DISARM:
             self._disarm(notices.BY_FAILSAFE)
         else:
+            state.terminated = selected.action is Action.TERMINATE
             state.mode = failsafe.ACTION_MODES.get(selected.action, state.intended)
 
     def _disarm_by_timer(self, now_us: int) -> None:
@@ -311,7 +357,8 @@ class Commander:
         self._failsafe.reset()
         if not state.intended.kept_after_disarm:
             state.intended = state.kept
-        state.mode = state.intended
+        state.mode = modes.TERMINATION if state.terminated else state.intended
+        state.sticks_heard = False
         self._notices.append(notices.disarmed(reason))
 
     # --- requests ---
@@ -325,6 +372,11 @@ class Commander:
             self._arm_or_disarm(request, inputs, now_us)
         elif isinstance(request, GoRequest):
             self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
+        elif isinstance(request, TerminateRequest):
+            self._terminate(now_us)
+            self._answers.append(Answer(request.sender, COMMAND_TERMINATE, ACCEPTED))
+        elif isinstance(request, StartRequest):
+            self._answers.append(Answer(request.sender, COMMAND_START, self._start_mission(inputs, now_us)))
         else:
             self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
 
@@ -368,6 +420,29 @@ class Commander:
         if chosen and notice is not None:
             self._notices.append(notice)
         return ACCEPTED if chosen else TEMPORARILY_REJECTED
+
+    def _terminate(self, now_us: int) -> None:
+        """DO_FLIGHTTERMINATION: the motors stop, for good."""
+        state = self.state
+        if not state.terminated:
+            state.terminated, state.action = True, Action.TERMINATE
+            self._notices.append(notices.failsafe(state.intended.custom_mode, Action.TERMINATE))
+            self._notices.append(notices.TERMINATED)
+        self._apply_mode(now_us)
+
+    def _start_mission(self, inputs: Inputs, now_us: int) -> int:
+        """MISSION_START: choose the mode, and arm."""
+        self._check(inputs, now_us)
+        if not inputs.mission_valid or not self._choose(modes.MISSION, now_us):
+            self._notices.append(notices.NO_VALID_MISSION)
+            return DENIED
+        if not self.state.armed:
+            if not self.state.checks.arms(modes.MISSION):
+                self._notices.append(notices.ARMING_DENIED)
+                return TEMPORARILY_REJECTED
+            self._arm(notices.BY_MISSION_START, now_us)
+            self._apply_mode(now_us)
+        return ACCEPTED
 
     def _go(self, request: GoRequest, now_us: int) -> int:
         """Reposition (in Hold) or orbit; without the change of mode the goal counts where Hold flies already."""

@@ -15,6 +15,7 @@ from typing import Final
 from flightstack.types import Tuple3
 from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.goal import Circle, Goal, hold_at
+from flightstack_sim.autopilot.mission import MissionFlight
 from flightstack_sim.autopilot.modes import Mode
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.params import Params
@@ -22,6 +23,9 @@ from flightstack_sim.autopilot.setpoint import HOLD, LAND, NAN, OFF, ControlKind
 
 _ARRIVED_M: Final = 1.0
 _LANDING_MODES: Final = (modes.LAND, modes.PRECLAND)
+_MISSION_LIKE: Final = (modes.MISSION, modes.TAKEOFF, modes.LAND)
+NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 2, 3, 4, 5
+"""MISSION_STATE."""
 
 
 @dataclass(slots=True)
@@ -41,15 +45,20 @@ class NavigatorState:
     """Horizontal speed of automatic modes by DO_CHANGE_SPEED; NaN: MPC_XY_CRUISE."""
     goal: Goal | None = None
     circle: Circle | None = None
+    mission_state: int = 2
+    """MISSION_STATE: 2 not started, 3 active, 4 paused, 5 complete."""
+    mission_mode: int = 2
+    """1: the mode that flies is one that follows a mission; 2: suspended."""
 
 
 class Navigator:
     """PX4's navigator for one vehicle; `state` is plain data."""
 
-    __slots__ = ("_altitude_m", "_params", "state")
+    __slots__ = ("_altitude_m", "_params", "mission", "state")
 
-    def __init__(self, params: Params, home_altitude_m: float) -> None:
+    def __init__(self, params: Params, home_altitude_m: float, mission: MissionFlight | None = None) -> None:
         self._params = params
+        self.mission = mission
         self._altitude_m = home_altitude_m
         self.state = NavigatorState()
 
@@ -79,12 +88,14 @@ class Navigator:
         takeoff_altitude_m: float = NAN,
         goal: Goal | None = None,
         now_us: int = 0,
+        landed: bool = False,
     ) -> tuple[ControlSetpoint, tuple[Notice, ...]]:
         """The setpoint for this tick and what is to be said about it."""
         state = self.state
         said: tuple[Notice, ...] = ()
         if mode is not state.mode or armed is not state.armed:
-            state.setpoint, said = self._enter(mode, pos_ned_m, takeoff_altitude_m) if armed else (OFF, ())
+            self._tell_mission(mode, state.mode)
+            state.setpoint, said = self._enter(mode, pos_ned_m, takeoff_altitude_m, landed) if armed else (OFF, ())
             state.mode, state.armed, state.goal, state.circle = mode, armed, None, None
             state.takeoff_done = False
         if not armed:
@@ -97,7 +108,25 @@ class Navigator:
             said += self._fly_home(pos_ned_m)
         elif mode is modes.HOLD or mode is modes.ORBIT:
             self._pursue(goal, pos_ned_m, now_us)
+        elif mode is modes.MISSION and self.mission is not None:
+            self._fly_mission(self.mission, pos_ned_m, now_us, landed)
         return self._paced(state.setpoint), said
+
+    def _fly_mission(self, mission: MissionFlight, pos_ned_m: Tuple3, now_us: int, landed: bool) -> None:
+        state = self.state
+        state.setpoint = mission.step(pos_ned_m, now_us, landed=landed)
+        if mission.cruise_mps is not None:
+            state.cruise_mps, mission.cruise_mps = mission.cruise_mps, None
+        state.mission_state = COMPLETE if mission.finished else ACTIVE
+
+    def _tell_mission(self, mode: Mode, before: Mode | None) -> None:
+        """What MISSION_CURRENT says of it."""
+        state = self.state
+        state.mission_mode = 1 if mode in _MISSION_LIKE else 2
+        if mode is modes.MISSION:
+            state.mission_state = COMPLETE if self.mission is not None and self.mission.finished else ACTIVE
+        elif before is modes.MISSION and state.mission_state == ACTIVE:
+            state.mission_state = PAUSED
 
     def _pursue(self, goal: Goal | None, pos_ned_m: Tuple3, now_us: int) -> None:
         """Go where a command said."""
@@ -118,13 +147,15 @@ class Navigator:
         return self.state.setpoint
 
     def _enter(
-        self, mode: Mode, pos_ned_m: Tuple3, takeoff_altitude_m: float
+        self, mode: Mode, pos_ned_m: Tuple3, takeoff_altitude_m: float, landed: bool
     ) -> tuple[ControlSetpoint, tuple[Notice, ...]]:
         """First setpoint of a mode that an armed vehicle has just entered."""
         if mode is modes.TAKEOFF:
             return self._start_takeoff(pos_ned_m, takeoff_altitude_m)
         if mode is modes.RTL:
             return self._start_return(pos_ned_m)
+        if mode is modes.MISSION and self.mission is not None:
+            return HOLD, self.mission.start(self.state.home_ned_m, pos_ned_m, landed=landed)
         if mode is modes.DESCEND:
             return self._descend(), ()
         if mode in _LANDING_MODES:

@@ -42,11 +42,13 @@ def _said(name: str, levels: int, severity: int, text: str, arguments: bytes = b
 
 # Reasons of arming and disarming (PX4's arm_disarm_reason).
 BY_COMMAND: Final = 4
+BY_MISSION_START: Final = 5
 BY_LANDING: Final = 6
 BY_PREFLIGHT: Final = 7
 BY_FAILSAFE: Final = 14
 _REASONS: Final = {
     BY_COMMAND: "external command",
+    BY_MISSION_START: "mission start",
     BY_LANDING: "landing",
     BY_PREFLIGHT: "auto preflight disarming",
     BY_FAILSAFE: "failsafe",
@@ -70,6 +72,57 @@ REPOSITION_REJECTED: Final = _said("commander_reposition_rejected", 0x63, CRITIC
 ORBIT_REJECTED: Final = Notice(0, 0, b"", CRITICAL, "Orbit command rejected")
 READY: Final = Notice(0, 0, b"", INFO, "Ready for takeoff!\t")
 HEADING_NOT_STABLE: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: heading estimate not stable\t")
+
+
+# The mission protocol's.
+PLAN_BUSY: Final = _said("mavlink_mission_getlist_busy", 0x33, CRITICAL, "WPM: REJ. CMD: Busy")
+PLAN_REQUEST_BUSY: Final = _said("mavlink_mission_mis_req_ignored_busy", 0x33, CRITICAL, "WPM: REJ. CMD: Busy")
+PLAN_COUNT_IGNORED: Final = _said("mavlink_mission_ignore_mis_count", 0x33, CRITICAL, "WPM: IGN MISSION_COUNT: Busy")
+PLAN_CLEAR_IGNORED: Final = _said("mavlink_mission_ignore_clear", 0x33, CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+PLAN_CURRENT_BUSY: Final = _said("mavlink_mission_state_busy", 0x33, CRITICAL, "WPM: IGN WP CURR CMD: Busy")
+PLAN_NOT_IN_LIST: Final = _said("mavlink_mission_seq_out_of_bounds", 0x33, CRITICAL, "WPM: WP CURR CMD: Not in list")
+PLAN_UNEXPECTED: Final = _said("mavlink_mission_wp_unexpected", 0x33, CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected")
+PLAN_LIST_IGNORED: Final = _said(
+    "mavlink_mission_req_ignored", 0x44, INFO, "Mission download request ignored, already active"
+)
+PLAN_NO_TRANSFER: Final = _said("mavlink_mission_no_transfer", 0x33, CRITICAL, "IGN MISSION_ITEM: No transfer")
+PLAN_ITEM_BUSY: Final = _said("mavlink_mission_mis_item_busy", 0x33, CRITICAL, "IGN MISSION_ITEM: Busy")
+PLAN_ITEM_INVALID: Final = _said("mavlink_mission_mis_item_invalid", 0x33, CRITICAL, "IGN MISSION_ITEM: Invalid item")
+PLAN_ITEM_PARTNER: Final = _said(
+    "mavlink_mission_item_partner_id_mismatch", 0x33, CRITICAL, "REJ. MIS ITEM: partner id mismatch"
+)
+PLAN_REQUEST_PARTNER: Final = _said(
+    "mavlink_mission_partner_id_mismatch2", 0x33, CRITICAL, "WPM: REJ. CMD: partner id mismatch"
+)
+PLAN_ACK_PARTNER: Final = _said(
+    "mavlink_mission_partner_id_mismatch", 0x33, CRITICAL, "REJ. WP CMD: partner id mismatch"
+)
+PLAN_TIMEOUT: Final = _said("mavlink_mission_op_timeout", 0x33, CRITICAL, "Operation timeout")
+FENCE_LEFT: Final = Notice(0, 0, b"", CRITICAL, "Geofence: approaching or outside geofence\t")
+FENCE_WITHOUT_HOME: Final = Notice(0, 0, b"", CRITICAL, "Geofence invalid, doesn't contain Home position\t")
+FENCE_WITHOUT_VEHICLE: Final = Notice(
+    0, 0, b"", CRITICAL, "Geofence invalid, doesn't contain current vehicle position\t"
+)
+OUTSIDE_FENCE: Final = Notice(0, 0, b"", CRITICAL, "Reposition is outside geofence\t")
+
+TERMINATED: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: Flight termination active\t")
+EXECUTING_MISSION: Final = Notice(0, 0, b"", INFO, "Executing Mission\t")
+NO_VALID_MISSION: Final = Notice(0, 0, b"", CRITICAL, "Mission start denied! No valid mission\t")
+
+
+def mission_rejected(why: str) -> Notice:
+    """A stored mission can't be flown."""
+    return Notice(0, 0, b"", CRITICAL, f"Mission rejected: {why}\t")
+
+
+def outside_fence(number: int) -> Notice:
+    """A stored mission leads out of the fence."""
+    return Notice(0, 0, b"", CRITICAL, f"Geofence violation for waypoint {number}\t")
+
+
+def climbs(height_m: float) -> Notice:
+    """A mission begins with a climb."""
+    return Notice(0, 0, b"", INFO, f"Climb to {height_m:.1f} meters above home\t")
 
 
 def armed(reason: int) -> Notice:

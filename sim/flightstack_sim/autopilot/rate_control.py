@@ -113,6 +113,14 @@ class RateControl:
 
 
 @njit
+def aim(row: F64, rate: F64, thrust: float) -> None:
+    """Armed, with these rates (3,) rad/s and this collective thrust from now on; the integrator runs."""
+    for axis in range(3):
+        row[_RATE_SP + axis] = rate[axis]
+    row[_THRUST_SP], row[_ARMED], row[_HOLD_I] = thrust, 1.0, 0.0
+
+
+@njit
 def motors_of(row: F64) -> F64:
     """The motor commands in a loop's row."""
     return row[_MOTORS:_MIX]

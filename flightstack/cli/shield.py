@@ -1,0 +1,144 @@
+"""`flightstack shield`: any offboard program behind the site filter (docs/site.md)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from select import select
+from typing import Any
+
+from flightstack.barrier.estimate_bounds import estimate_bounds
+from flightstack.cli import files
+from flightstack.cli.controllers import build
+from flightstack.cli.given_certificate import require_checked
+from flightstack.cli.offboard import where_it_is
+from flightstack.cli.protection import governor_for
+from flightstack.cli.result import percentiles
+from flightstack.cli.sensors import error_statistics
+from flightstack.cli.shield_controller import Relay
+from flightstack.cli.shield_router import ShieldRouter
+from flightstack.cli.site import envelope, given_prior, load_site, plan_site, read_site
+from flightstack.governor import Governor
+from flightstack.model import Model
+from flightstack.site.certificate import require_same
+from flightstack.stack import Stack
+from flightstack.state_observer import StateObserver
+from flightstack.types import InputError
+from flightstack.warmup import warm_up
+from flightstack_sim.grade import load_grade
+from mavlink_bridge import messages
+from mavlink_bridge.transport.address import Serial, UdpOut, open_address, parse_address
+from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.udp import UdpSocket
+
+PERIOD_US = 4_000
+PORT_STEP = 40
+_SCENARIO = "hover"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShieldOptions:
+    """What `shield` was asked for."""
+
+    connect: str
+    serve: str
+    site: Path
+    vehicle: str | None = None
+    certificate: Path | None = None
+    sensors: str = "mocap"
+    duration_s: float | None = None
+    """End after so long; None: when stopped."""
+
+
+def shield_stack(
+    options: ShieldOptions, place: tuple[float, float] | None
+) -> tuple[Stack, Relay, StateObserver | None]:
+    """The stack behind the router; InputError, one line, where site, vehicle or certificate won't do."""
+    site = load_site(options.site, place)
+    scenario, _ = files.load_scenario(_SCENARIO)
+    believed, _ = files.load_vehicle(options.vehicle)
+    model, limits = Model.from_vehicle(believed), envelope(scenario.limits, site)
+    grade = load_grade(options.sensors)
+    statistics = error_statistics(grade)
+    governor = governor_for(believed, model, limits, options.sensors)
+    prior, text = given_prior(options.certificate, believed, options.sensors)
+    planned = plan_site(site, None, believed, model, estimate_bounds(statistics), governor, prior)
+    if options.certificate is not None:
+        require_checked(options.certificate)
+        require_same(text, str(options.certificate), planned.certificate)
+    relay = Relay(build("flatness", model, limits, learning=False)[0], model)
+    stack = Stack(
+        model, limits, controller=relay, safety_filter=planned.filter(model, limits), governor=Governor(believed)
+    )
+    return stack, relay, StateObserver(statistics) if statistics.independent else None
+
+
+def open_serve(address: str) -> UdpSocket:
+    """The socket for the program: udpout speaks first, from 40 ports above, as PX4 does."""
+    parsed = parse_address(address)
+    if isinstance(parsed, Serial):
+        raise InputError(f"--serve {address}: a program is served over UDP: udpout:HOST:PORT or udpin:HOST:PORT")
+    if isinstance(parsed, UdpOut):
+        return UdpSocket.bind(parsed.host, parsed.port + PORT_STEP, peer=(parsed.host, parsed.port), latch=False)
+    return UdpSocket.bind(parsed.host, parsed.port, latch=True, drop_foreign=True)
+
+
+def shield(
+    options: ShieldOptions, *, stop_requested: Callable[[], str], on_progress: Callable[[float, str], None]
+) -> dict[str, Any]:
+    """Route until stopped; the JSON."""
+    place = where_it_is(options.connect, 10.0) if read_site(options.site).is_global else None
+    stack, relay, refiner = shield_stack(options, place)
+    messages.prepare()
+    warm_up(stack, files.load_scenario(_SCENARIO)[0])
+    router = ShieldRouter(stack, relay, refiner)
+    latencies: list[float] = []
+    began_us = next_us = monotonic_us()
+    with ExitStack() as opened:
+        vehicle = opened.enter_context(closing(open_address(options.connect)))
+        program = opened.enter_context(closing(open_serve(options.serve)))
+        on_progress(0.0, "routing")
+        while not stop_requested():
+            now_us = monotonic_us()
+            if options.duration_s is not None and now_us - began_us > 1e6 * options.duration_s:
+                break
+            select([vehicle.fileno(), program.fileno()], [], [], max(next_us - now_us, 0) * 1e-6)
+            came = time.perf_counter_ns()
+            now_us, passed = monotonic_us(), 0
+            for data in vehicle.receive_all():
+                for kept in router.from_vehicle(data, now_us):
+                    program.send(kept)
+                    passed += 1
+            for data in program.receive_all():
+                for kept in router.from_program(data, now_us):
+                    vehicle.send(kept)
+                    passed += 1
+            if passed and len(latencies) < 1_000_000:
+                latencies.append((time.perf_counter_ns() - came) * 1e-3)
+            if now_us >= next_us:
+                next_us = max(next_us + PERIOD_US, now_us)
+                for data in router.step(now_us):
+                    vehicle.send(data)
+    return result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us))
+
+
+def result_of(router: ShieldRouter, options: ShieldOptions, latencies: list[float], seconds: float) -> dict[str, Any]:
+    """`flightstack.shield/1`."""
+    score = router.score
+    share = 1.0 / score.ticks if score.ticks else 0.0
+    return {
+        "schema": "flightstack.shield/1",
+        "site": str(options.site),
+        "seconds": seconds,
+        "vehicle_heard": router.system != 0,
+        "setpoints": score.setpoints,
+        "ticks": score.ticks,
+        "changed_share": score.changed * share,
+        "governor_share": score.governed * share,
+        "stopped_ticks": score.stopped,
+        "handed_over": score.handed_over,
+        "added_latency_us": percentiles(latencies),
+    }

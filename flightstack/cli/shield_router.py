@@ -1,0 +1,248 @@
+"""A MAVLink router whose setpoints are made safe; sans-IO: datagrams in, datagrams out, time given.
+
+From the vehicle everything passes, but for the answers to the router's own clock questions; from the program
+everything but setpoints (SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT) to this vehicle.  What these
+ask for goes through the stack, and every 4 ms body rates and thrust go to the vehicle, for as long as setpoints come.
+
+The program's silence for SILENT_S: the vehicle stops and holds; after HOLDS_S of that it is handed over to PX4's Hold.
+The router never selects OFFBOARD, arms or takes a mode away from a pilot: outside OFFBOARD it says what the program
+would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flightstack.cli.shield_controller import Relay, hold_of, reference_of
+from flightstack.predictor import predict
+from flightstack.stack import Stack, StackState
+from flightstack.state_observer import StateObserver
+from flightstack.types import F64, Measurement, TickRecord
+from flightstack_sim.autopilot.offboard import from_attitude_target, from_position_target
+from flightstack_sim.autopilot.setpoint import ControlSetpoint
+from mavlink_bridge import messages as m
+from mavlink_bridge import px4
+from mavlink_bridge.framing import Frame, frame_at
+from mavlink_bridge.layout import CRC_EXTRAS
+from mavlink_bridge.link import Link
+from mavlink_bridge.messages import BY_ID, MESSAGES
+from mavlink_bridge.requests import CommandQueue, set_mode
+from mavlink_bridge.vehicle_view import VehicleView
+from mavlink_bridge.voice import Voice, yaw_of
+
+SILENT_US = 500_000
+HOLDS_US = 5_000_000
+_STREAMS = ((m.AttitudeQuaternion, 4_000), (m.LocalPositionNed, 8_000), (m.HighresImu, 4_000), (m.CurrentMode, 20_000),
+            (m.ExtendedSysState, 100_000))  # fmt: skip
+_SETPOINTS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
+_EXTRAS = CRC_EXTRAS | {row.id: row.crc_extra for row in MESSAGES}
+_SETPOINT_IDS = frozenset(m.id_of(kind) for kind in _SETPOINTS)
+_TIMESYNC_ID = m.id_of(m.Timesync)
+_AGAIN_US = 2_000_000
+_HEARTBEAT_US, _TIMESYNC_US = 1_000_000, 100_000
+_STALE_US = 100_000
+_OWN_STAMPS = 64
+
+
+@dataclass(slots=True)
+class ShieldScore:
+    """What was done with what was asked for."""
+
+    setpoints: int = 0
+    """Of the program."""
+    ticks: int = 0
+    """In which the stack flew the vehicle."""
+    changed: int = 0
+    governed: int = 0
+    stopped: int = 0
+    """In which nobody asked for anything any more."""
+    handed_over: bool = False
+    refused: list[str] = field(default_factory=list)
+
+
+class ShieldRouter:
+    """One vehicle and one program."""
+
+    def __init__(self, stack: Stack, relay: Relay, refiner: StateObserver | None) -> None:
+        self.link, self.view, self.score = Link(240, 191), VehicleView(), ShieldScore()
+        self.system = 0
+        self.record: TickRecord | None = None
+        """Of the last tick in OFFBOARD."""
+        self.origin_ned_m: F64 | None = None
+        """Where the vehicle was armed."""
+        self._stack, self._relay, self._refiner = stack, relay, refiner
+        self._commands, self._voice = CommandQueue(self.link), Voice(self.link)
+        self._state: StackState | None = None
+        self._wish: ControlSetpoint | None = None
+        self._wish_us = -1
+        self._hold: tuple[F64, float] | None = None
+        """Place and heading that are held once nobody asks any more."""
+        self._rest, self._rested = np.zeros(3), 0
+        self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
+        self._stamps: set[int] = set()
+        self._in_offboard = False
+
+    # ---------------------------------------------------------------- pass
+
+    def from_vehicle(self, data: bytes, now_us: int) -> list[bytes]:
+        """Take a datagram of the vehicle; what the program gets of it."""
+        self.link.receive_datagram(data, now_us)
+        for received in self.link.take_events():
+            message = received.message
+            if isinstance(message, m.Heartbeat) and message.autopilot == px4.AUTOPILOT_PX4 and not self.system:
+                self.system = self._voice.system = received.system
+            if received.system == self.system and received.component == px4.COMPONENT_AUTOPILOT:
+                if isinstance(message, m.CommandAck) and message.target_system == self.link.system:
+                    self._commands.acknowledge(message)
+                elif not isinstance(message, m.Timesync) or message.ts1_ns in self._stamps:
+                    self.view.update(message, now_us)
+        return _without(data, self._is_own_answer)
+
+    def from_program(self, data: bytes, now_us: int) -> list[bytes]:
+        """Take a datagram of the program; what the vehicle gets of it."""
+        return _without(data, lambda frame, payload: self._take_setpoint(frame, payload, now_us))
+
+    def _is_own_answer(self, frame: Frame, payload: bytes) -> bool:
+        if frame.id != _TIMESYNC_ID:
+            return False
+        message: Any = _decoded(frame, payload)
+        return message is not None and message.tc1_ns != 0 and message.ts1_ns in self._stamps
+
+    def _take_setpoint(self, frame: Frame, payload: bytes, now_us: int) -> bool:
+        """Whether a frame was a setpoint for this vehicle: then it goes no further."""
+        if frame.id not in _SETPOINT_IDS:
+            return False
+        message: Any = _decoded(frame, payload)
+        if message is None or message.target_system not in (0, self.system):
+            return message is None  # nonsense for anybody is kept back too
+        wish = self._wished(message)
+        if wish is not None:
+            self._wish, self._wish_us, self._hold = wish, now_us, None
+            self.score.setpoints += 1
+        return True
+
+    def _wished(self, message: Any) -> ControlSetpoint | None:
+        """What a setpoint asks for, as PX4 reads it; None where it asks for nothing."""
+        if isinstance(message, m.SetAttitudeTarget):
+            return from_attitude_target(message, self._wish)
+        if isinstance(message, m.SetPositionTargetLocalNed):
+            measurement = predict(self.view.streams, self.view.clock.vehicle_us(self._wish_us))
+            return from_position_target(message, 0.0 if measurement is None else yaw_of(measurement.q_ned_frd))
+        return None  # positions on the globe are not read
+
+    # ---------------------------------------------------------------- step
+
+    def step(self, now_us: int) -> list[bytes]:
+        """Every 4 ms: what goes to the vehicle."""
+        if self.system:
+            self._keep_in_touch(now_us)
+            self._fly(now_us)
+            self._commands.step(now_us, self.system)
+        return self.link.datagrams_to_send()
+
+    def _keep_in_touch(self, now_us: int) -> None:
+        if now_us - self._heartbeat_us >= _HEARTBEAT_US:
+            self._heartbeat_us = now_us
+            self.link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
+        if now_us - self._timesync_us >= _TIMESYNC_US:
+            self._timesync_us = now_us
+            if len(self._stamps) > _OWN_STAMPS:
+                self._stamps.clear()
+            self._stamps.add(now_us * 1000)
+            self.link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
+        self.view.params.ask(self.link, self.system, now_us)
+        if now_us - self._asked_us >= _AGAIN_US and self._is_slow(now_us):
+            self._asked_us = now_us
+            for kind, interval_us in _STREAMS:
+                what = (float(m.id_of(kind)), float(interval_us))
+                self._commands.request((px4.Cmd.SET_MESSAGE_INTERVAL, what), now_us)
+
+    def _is_slow(self, now_us: int) -> bool:
+        """Whether the streams are slower than the stack needs (a program may ask for slower ones)."""
+        streams, t_us = self.view.streams, self.view.clock.vehicle_us(now_us)
+        oldest = min(streams.attitude_us, streams.position_us, streams.imu_us)
+        return oldest < 0 or t_us - oldest > 30_000 or self.view.landed_state == 0
+
+    def _fly(self, now_us: int) -> None:
+        t_us = self.view.clock.vehicle_us(now_us)
+        measurement = self._measured(t_us)
+        factor = self.view.params.values.get("THR_MDL_FAC")
+        if measurement is None or factor is None or t_us - self.view.streams.attitude_us > _STALE_US:
+            return
+        self._voice.thrust_model_factor = self._relay.thrust_model_factor = factor
+        grounded = self.view.on_ground
+        if grounded and not self.view.armed:
+            self._rested = min(self._rested + 1, 500)
+            self._rest += (measurement.pos_ned_m - self._rest) / self._rested
+            self.origin_ned_m, self._state = self._rest.copy(), None
+        elif self.view.armed:
+            self._rested = 0
+        if self._wish is None or self.origin_ned_m is None:
+            return
+        entered, self._in_offboard = self.view.in_offboard and not self._in_offboard, self.view.in_offboard
+        if not self.view.armed or (grounded and not self._in_offboard):
+            if now_us - self._wish_us < SILENT_US:
+                self._voice.stand(t_us)
+            return
+        silent = now_us - self._wish_us > SILENT_US
+        if silent and not self._in_offboard:  # nobody asks, and somebody else flies
+            self._wish = None
+            return
+        if self._state is None or entered:
+            self._state = self._stack.init(measurement, self.origin_ned_m)
+        self._tick(measurement, silent, t_us, now_us)
+
+    def _tick(self, measurement: Measurement, silent: bool, t_us: int, now_us: int) -> None:
+        assert self._wish is not None
+        assert self._state is not None
+        if silent:
+            if self._hold is None:
+                speed = measurement.vel_ned_mps
+                place = measurement.pos_ned_m + 0.25 * float(np.linalg.norm(speed)) * speed
+                self._hold = place, yaw_of(measurement.q_ned_frd)
+            self._relay.wish, reference = None, hold_of(*self._hold)
+            self.score.stopped += 1
+            if now_us - self._wish_us > SILENT_US + HOLDS_US:
+                self.score.handed_over = True
+                self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
+        else:
+            self._relay.wish, reference = self._wish, reference_of(self._wish, measurement)
+        self._state, command, record = self._stack.tick(self._state, measurement, reference, t_us)
+        self._voice.fly(command)
+        if self._in_offboard:
+            self.record = record
+            self.score.ticks += 1
+            self.score.changed += record.filtered.intervened == 1.0
+            self.score.governed += record.governed
+
+    def _measured(self, t_us: int) -> Measurement | None:
+        measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
+        if measurement is None or self._refiner is None:
+            return measurement
+        return self._refiner.refine(measurement)
+
+
+def _decoded(frame: Frame, payload: bytes) -> Any:
+    row = BY_ID.get(frame.id)
+    return None if row is None else row.decode(payload.ljust(row.size, b"\0"), 0)
+
+
+def _without(data: bytes, is_taken: Any) -> list[bytes]:
+    """The datagram without the frames that are taken; the very same bytes where none is."""
+    kept, at, since, taken = [], 0, 0, False
+    while at < len(data):
+        frame = frame_at(data, at, _EXTRAS)
+        if not isinstance(frame, Frame):
+            at += 1
+            continue
+        if is_taken(frame, data[frame.payload_at : frame.payload_at + frame.payload_size]):
+            kept.append(data[since:at])
+            since, taken = frame.end, True
+        at = frame.end
+    if not taken:
+        return [data]
+    rest = b"".join([*kept, data[since:]])
+    return [rest] if rest else []

@@ -1,0 +1,1 @@
+"""Where a vehicle may be: sites, their files, and the filter that keeps a vehicle in one (docs/site.md)."""

@@ -1,0 +1,167 @@
+"""The site filter: the command passes as long as a certified way out of its consequences is clear of all forbidden.
+
+Each tick: carry the state to when this command begins to act; slide it along what is near (`slide`); lay out how the
+vehicle would stop after it, and hold (`backup`), with the tube in which it is certain to stay (`tube`); where all of
+that is clear (`clearance`), the command is sent and this way out is committed.  Where it is not, as much of it as
+leaves a clear way is sent, else the way that was committed before is kept to: a committed tube covers all time to come,
+so that there is always something to do.  A command that is not changed passes bit for bit.
+
+What may break that: an estimate that jumps, a vehicle beyond the prior, a link that loses more than was told.  How far
+the vehicle is off its committed way is watched; beyond its tube a premise is broken.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.response import CHAIN, new_memory
+from flightstack.governor import GovernorLimits
+from flightstack.model import Limiter, Limits, Model
+from flightstack.site import bend as bending
+from flightstack.site import decide as d
+from flightstack.site import slide
+from flightstack.site.backup import ROW, STEPS
+from flightstack.site.clearance import CHUTE, OPEN, packed
+from flightstack.site.shape import Site
+from flightstack.site.stopping import GAIN_STEP, Stopping
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
+
+_EMPTY = np.full(len(Filtered.nothing().row), np.nan)
+_BEND_DT_S = 0.004
+
+
+class SiteState(NamedTuple):
+    """Everything that one tick hands to the next; the arrays are written in place."""
+
+    origin_ned_m: F64
+    memory: F64
+    """Commands sent: `response.new_memory`."""
+    numbers: F64
+    """`decide.MEMORY` numbers."""
+    committed: F64
+    """(STEPS, ROW) the way out that is committed."""
+    bent: F64
+    """`bend.SIZE` numbers."""
+
+
+class _Known(NamedTuple):
+    """One certificate's numbers, as compiled code takes them."""
+
+    vehicle: F64
+    rows: F64
+    soft: F64
+    tubes: F64
+    far: F64
+    """`slide` parameters of a reference."""
+    most_mps2: float
+    """More force than this falsifies it."""
+
+    @classmethod
+    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+        """Of a certificate."""
+        drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
+        ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
+        vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
+        far, doubts = made.soft[0].copy(), made.doubts[0]
+        far[slide.RADIUS] = made.kept_m
+        return cls(vehicle, made.rows, made.soft, made.tubes(), far, doubts.force_mps2 + doubts.rest_mps2)
+
+
+class SiteFilter:
+    """The filter for one believed vehicle and site; holds constants and buffers for one tick."""
+
+    enabled = True
+
+    def __init__(
+        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
+        prior: Stopping | None = None,
+    ) -> None:  # fmt: skip
+        """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
+        what is kept to once the certificate was falsified."""
+        self.model, self.limits, self.certificate, self.site = model, limits, certificate, site
+        self._limiter = Limiter(model, limits)
+        self._site = packed(site, chutes, chute_m)
+        self._known = [_Known.of(made, model, limits) for made in (certificate, prior or certificate)]
+        assert len(certificate.chain) == CHAIN
+        self._scratch, self._way = np.zeros((STEPS, ROW)), np.zeros((STEPS, 5))
+        self._rows, self._rate = np.zeros((slide.MOST_ROWS, 6)), np.zeros(3)
+        self.compile()
+
+    def compile(self) -> None:
+        """Call everything that a tick may need, once."""
+        still = np.zeros(3)
+        state = self.init(still)
+        level = np.zeros(20)
+        level[6], level[15] = 1.0, -9.8
+        measurement = Measurement(1000, level, 0, 0, 0)
+        command = Command(1000, self.model.weight_n, self.model.hover_norm, still)
+        self.bend(state, FlatOutput(np.zeros(17)))
+        self.step(state, measurement, command, command, Learned.nothing())
+
+    def init(self, origin_ned_m: F64) -> SiteState:
+        """Nothing committed; the site is relative to the origin, (3,)."""
+        numbers = np.zeros(d.MEMORY)
+        self._site[CHUTE] = self._site[OPEN]
+        low, high = self.certificate.prior.gain
+        numbers[d.GAIN], numbers[d.LAST_US] = (low * high) ** 0.5, -1.0
+        return SiteState(origin_ned_m.copy(), new_memory(), numbers, np.zeros((STEPS, ROW)), np.zeros(bending.SIZE))
+
+    def adopt(self, state: SiteState, certificate: Certificate) -> SiteState:
+        """Certificates of regions mean nothing here."""
+        return state
+
+    def governed(self, state: SiteState) -> GovernorLimits | None:
+        """Those of the certificate, always."""
+        return self.certificate.governor.limits
+
+    def bend(self, state: SiteState, setpoint: FlatOutput) -> FlatOutput:
+        """The reference, led along what it would go through."""
+        row, out = setpoint.row.copy(), np.empty(17)
+        row[:3] -= state.origin_ned_m
+        dt = state.numbers[d.HOLD_S] or _BEND_DT_S
+        if not np.isfinite(row[:6]).all():
+            return setpoint
+        far = self._in_force(state.numbers).far
+        if not bending.bend(state.bent, self._site, far, row, dt, self._rows, self._way, out):
+            return setpoint
+        out[:3] += state.origin_ned_m
+        return FlatOutput(out)
+
+    def _in_force(self, numbers: F64) -> _Known:
+        """The certificate's numbers, or the prior's once it was falsified."""
+        return self._known[1 if numbers[d.BEYOND_S] >= d.BROKEN_S else 0]
+
+    def _watch(self, numbers: F64) -> None:
+        """Whether the force that is shown is one that the certificate knows; once it was not for long, never again."""
+        if numbers[d.BEYOND_S] >= d.BROKEN_S:
+            return
+        shown = float(np.linalg.norm(numbers[d.FORCE : d.FORCE + 3]))
+        beyond = d.is_read(numbers) and shown > self._known[0].most_mps2
+        numbers[d.BEYOND_S] = numbers[d.BEYOND_S] + numbers[d.HOLD_S] if beyond else 0.0
+
+    def step(
+        self, state: SiteState, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[SiteState, Command, Filtered]:
+        """The safe command nearest to `command`; `sent` is the command of the tick before, as it went out."""
+        row, numbers = _EMPTY.copy(), state.numbers
+        row[7], row[32] = 0.0, command.thrust_n
+        if not (np.isfinite(measurement.row[:16]).all() and np.isfinite(command.rate_frd_radps).all()):
+            row[2] = d.WAITING
+            return state, command, Filtered(row)
+        times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
+        known = self._in_force(numbers)
+        norm, status = d.decide(
+            state.memory, known.vehicle, measurement.row, times, state.origin_ned_m, sent.thrust_norm,
+            sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps, self._site, known.rows, known.soft,
+            known.tubes, numbers, state.committed, self._scratch, self._way, row, self._rate,
+        )  # fmt: skip
+        self._watch(numbers)
+        row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0
+        if status != d.CHANGED:
+            return state, command, Filtered(row)
+        row[7] = 1.0
+        safe, _ = self._limiter.limit(self.model.thrust_of(norm), self._rate, command.t_us)
+        return state, safe, Filtered(row)

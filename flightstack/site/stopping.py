@@ -1,0 +1,249 @@
+"""The stopping certificate: from any speed the vehicle stops on a known way, within a known tube, and holds there.
+
+It is made once per vehicle, load and wind; no site enters (docs/site.md).  What it rests on without any flight is the
+prior: true over believed mass in a range, a force of any direction that may change at any time.  The thrust gain
+(delivered over believed thrust per mass) is read off the accelerometer once the vehicle flies; what that leaves open is
+again the force.  Lines of the ledger, all m/s^2, across and along (up and down):
+
+    force      |d| of the prior, in any direction at any time; the accelerometer shows it, the observer follows
+    gain       what thrust does more or less than believed, by the sine of the lean; up and down, by its change
+    estimate   the attitude's error, as acceleration (`estimate_bounds`); the tube itself has position and velocity
+    torque     thrust that torque adds within the governor's limits (`barrier.torque`)
+    model      what the way out and the vehicle's answer differ by without any doubt: MODEL_*, by test
+
+Force and gain are seen by the accelerometer (D of `tube`), the others are not (R).
+
+Authority: with the least gain g_l, thrust F carries weight and force in every direction phi of the force at once,
+
+    across = min over phi of sqrt((g_l F)^2 - (g + OVER f sin phi + up)^2) - DEMAND f cos phi
+
+and `up` is a stated share of what thrust leaves beyond weight and force.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.autopilot import torque_per_slope
+from flightstack.barrier.estimate_bounds import EstimateBounds
+from flightstack.barrier.response import C_HOLD, CHAIN
+from flightstack.barrier.torque import GovernorTerms, within
+from flightstack.model import Limits, Model
+from flightstack.site import backup as b
+from flightstack.site import slide
+from flightstack.site.tube import STEP_S as TUBE_STEP_S
+from flightstack.site.tube import Doubts, Tube, across, along
+from flightstack.types import F64, InputError
+from flightstack.types import STANDARD_GRAVITY_MPS2 as G
+from flightstack.vehicle import Vehicle
+
+MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2 = 0.15, 0.15
+"""Tested in `tests/physics/test_stopping.py`."""
+_OVER, _DEMAND = 1.05, 1.5
+_UP_SHARE, _UP_MOST, _DOWN = 0.3, 3.0, 2.0
+_ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
+"""Braking across, at most; and where the force is known to be small."""
+_ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
+_JERK_RADPS, _SNAP_SHARE = 1.6, 0.5
+_LEAN_MPS2 = 8.5
+_TILT_ROOM_RAD = math.radians(5.0)
+_SMOOTH_M = 0.1
+_SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
+_LAG_SHARE, _HOLD_S = 1.2, 0.006
+_LATE_S = 0.01
+_STEER_PS = 6.5
+GAIN_STEP = 0.02
+
+
+class Prior(NamedTuple):
+    """What is known before any flight."""
+
+    mass_low: float = 0.8
+    mass_high: float = 1.5
+    force_g: float = 0.15
+    """Of the true weight."""
+
+    @property
+    def gain(self) -> tuple[float, float]:
+        """Range of the thrust gain."""
+        return 1.0 / self.mass_high, 1.0 / self.mass_low
+
+
+class Line(NamedTuple):
+    """One line of the ledger."""
+
+    name: str
+    across_mps2: float
+    along_mps2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stopping:
+    """The certificate as the filter uses it."""
+
+    prior: Prior
+    ledger: tuple[Line, ...]
+    across: Tube
+    along: Tube
+    along_first: Tube
+    """Before the thrust gain was read."""
+    rows: F64
+    """(n, b.PARAMETERS) of the way out, for least gains from the prior's lowest on in steps of GAIN_STEP."""
+    soft: F64
+    """(n, slide.SOFT) of the smoothness, the same."""
+    chain: F64
+    """`response.CHAIN` numbers."""
+    response: F64
+    """(3, 3) of `response.lead`."""
+    governor: GovernorTerms
+    eps_gain: float
+    """What the accelerometer leaves open of the gain, as a share of it."""
+    doubts: tuple[Doubts, Doubts]
+    """Across and along: what the tubes are made of."""
+    lags_s: tuple[float, float]
+    thrust_mps2: float
+    """The most that the believed vehicle has, within the governor's limits."""
+
+    @property
+    def radius_m(self) -> float:
+        """Across, at rest."""
+        return float(self.across.radius_m[-1])
+
+    @property
+    def half_m(self) -> float:
+        """Up and down, at rest."""
+        return float(self.along.radius_m[-1])
+
+    @property
+    def kept_m(self) -> float:
+        """Distance that a reference keeps: the tube at rest and what smoothness needs."""
+        return self.radius_m + 1.5 * _SMOOTH_M
+
+    def tubes(self) -> F64:
+        """(2, b.STEPS, 2) radius and half height after each step of a way: before the gain was read, and after."""
+        at = np.minimum((np.arange(b.STEPS) + 1) * round(b.STEP_S / TUBE_STEP_S), len(self.across.radius_m) - 1)
+        one, two, first = (each.radius_m[at] for each in (self.across, self.along, self.along_first))
+        return np.stack([np.stack([one, first], axis=1), np.stack([one, two], axis=1)])
+
+    def row_of(self, gain_low: float) -> int:
+        """The row for a least gain, rounded down."""
+        return int(min(max((gain_low - self.prior.gain[0]) / GAIN_STEP, 0.0), len(self.rows) - 1))
+
+    def stopping_way_m(self, speed_mps: float, gain_low: float = math.inf) -> float:
+        """From level flight: how far the place of rest and all of its tube are, ahead."""
+        start = np.zeros(b.ROW)
+        start[3] = speed_mps
+        points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+        count = b.roll(start, self.rows[self.row_of(gain_low)], self.tubes()[1], points, way)
+        return float(np.max(way[:count, 0] + way[:count, 3])) if count else math.inf
+
+
+def stopping(
+    vehicle: Vehicle, model: Model, limits: Limits, estimate: EstimateBounds, governor: GovernorTerms,
+    prior: Prior | None = None, told: float = 1.0,
+) -> Stopping:  # fmt: skip
+    """The certificate from the prior; InputError where the vehicle can't hold against it.
+
+    `told`: the share of every doubt that is told; less than 1 is a lie, for tests that it would be found out.
+    """
+    prior = prior or Prior()
+    limits = within(limits, model, governor)
+    low_n, high_n = model.thrust_range_n(limits)
+    force = prior.force_g * G
+    hardest = _ACROSS_MOST_CALM if prior.force_g <= _CALM_G else _ACROSS_MOST
+    lean = math.atan((hardest + force) / G)
+    eps_p, eps_v, eps_a = (np.array(part) for part in (estimate.pos_m, estimate.vel_mps, estimate.acc_mps2))
+    flat_p, flat_v, flat_a = (float(np.hypot(*part[:2]) / math.sqrt(2.0)) for part in (eps_p, eps_v, eps_a))
+    ledger = (
+        Line("force", force, force),
+        Line("gain", force * math.sin(lean), 0.3 * force),
+        Line("estimate", flat_a, float(eps_a[2])),
+        Line("torque", governor.worst_mps2 * math.sin(lean), governor.worst_mps2),
+        Line("model", MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2),
+    )
+    doubts = (
+        Doubts(*_seen(ledger, 0, told), told * flat_p, told * flat_v),
+        Doubts(*_seen(ledger, 1, told), told * float(eps_p[2]), told * float(eps_v[2])),
+    )
+    gain_low, gain_high = prior.gain
+    unread = told * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
+    lag_across = _LAG_SHARE * model.rate_lag_s + _HOLD_S
+    lag_along = _LAG_SHARE * model.motor_lag_s + _HOLD_S + 0.01
+    tubes = across(lag_across, doubts[0]), along(lag_along, doubts[1])
+    first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
+    first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
+    slope = torque_per_slope(vehicle)[:2].min() * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else None
+    alpha = float(torque_per_slope(vehicle)[:2].min()) if slope is None else float(slope)
+    snap = _SNAP_SHARE * governor.roll_pitch_max * alpha * G
+    high = high_n / model.mass_kg
+    rows, soft = [], []
+    for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
+        a, up, lean_most = _authority(gain * high, force, hardest, limits)
+        gains, down = tubes[0].gains, tubes[1].gains
+        rows.append([
+            a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
+            math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
+        ])  # fmt: skip
+        soft.append([
+            tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
+            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * _DOWN,
+        ])  # fmt: skip
+    steer = 1.0 / _STEER_PS
+    chain = np.zeros(CHAIN)
+    chain[:] = [
+        model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
+        model.motor_lag_s, model.rate_lag_s, round(1e6 * model.transport_delay_s),
+        round(1e6 * model.transport_delay_s), steer, G, 0.004,
+    ]  # fmt: skip
+    chain[C_HOLD] = 0.004
+    response = np.array([
+        [steer, steer * model.rate_lag_s, 0.0], [steer, steer * model.rate_lag_s, 0.0], [model.motor_lag_s, 0.0, 0.0],
+    ])  # fmt: skip
+    made = Stopping(
+        prior, ledger, *tubes, first, np.array(rows), np.array(soft), chain, response, governor,
+        told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high,
+    )  # fmt: skip
+    if gain_low * high < (1.0 + prior.force_g) * G:
+        raise InputError(
+            f"vehicle {vehicle.name}: {high / G:.2f} times the believed weight is all its thrust; {prior.mass_high:g} "
+            f"times the believed mass and a force of {prior.force_g:g} g can't be held: nothing keeps it in a site"
+        )
+    for row, each in zip(made.rows, made.soft, strict=True):
+        each[slide.SLOW_S] = _slow_s(row, made.tubes()[1]) + _SMOOTH_LATE_S
+    return made
+
+
+def _seen(ledger: tuple[Line, ...], way: int, told: float) -> tuple[float, float]:
+    """What the accelerometer shows of the ledger, and what it does not; way 0 across, 1 along."""
+    sizes = [told * (line.across_mps2, line.along_mps2)[way] for line in ledger]
+    return sum(sizes[:2]), sum(sizes[2:])
+
+
+def _authority(most_mps2: float, force_mps2: float, hardest_mps2: float, limits: Limits) -> tuple[float, float, float]:
+    """Braking across, of a fall, and the greatest acceleration by lean, with so much thrust."""
+    spare = most_mps2 - G - _OVER * force_mps2
+    up = min(max(_UP_SHARE * spare, _UP_LEAST), _UP_MOST)
+    phi = np.linspace(0.0, 0.5 * math.pi, 46)
+    carried = G + _OVER * force_mps2 * np.sin(phi) + up
+    left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
+    a = min(max(float(left.min()), _ACROSS_LEAST), hardest_mps2)
+    tilted = min((G - _DOWN) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
+    return a, up, min(float(math.sqrt(max(most_mps2**2 - (G + up) ** 2, 1.0))), tilted)
+
+
+def _slow_s(row: F64, tube: F64) -> float:
+    """Time that a stop takes beyond its ideal way, at the worst of some speeds."""
+    points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+    slow = 0.0
+    for speed in (0.5, 1.0, 2.0, 3.0, 5.0):
+        start = np.zeros(b.ROW)
+        start[3] = speed
+        count = b.roll(start, row, tube, points, way)
+        if count:
+            slow = max(slow, (points[count - 1, 0] - 0.5 * speed**2 / row[b.ACROSS]) / speed)
+    return float(slow)

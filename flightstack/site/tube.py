@@ -1,0 +1,129 @@
+"""How far a vehicle that follows a known way can be from it: exact for the linear loop, whatever the disturbance does.
+
+Across, the loop is a chain: position error p, its rate v, the acceleration a that lean gives, its rate j, which follows
+what is asked for with the rate loop's lag; the observer's o follows what the accelerometer shows beyond the model:
+
+    p' = v,   v' = a + d + r,   a' = j,   tau_o o' = d - o
+    tau j' = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j
+
+d is a force that the accelerometer shows (at most D), r what it does not (R); n_p and n_v are the estimate's errors, at
+most eps_p and eps_v, from the first moment on (the way begins where the vehicle is believed to be).  Up and down thrust
+answers at once but for one lag.  Bounded inputs of any shape move p by at most the L1 norms of the answers,
+
+    |p(t)| <= D int |g_d| + R int |g_r| + eps_p (|x_p(t)| + int |g_p|) + eps_v (|x_v(t)| + int |g_v|)
+
+and the demand that the loop makes is bounded the same way.  o may start anywhere in [-D, D]: its own answer counts.
+Norms are worked out by integrating the answers over HORIZON_S in steps of STEP_S (matrix exponential).  For vectors the
+same bound holds: the loop is alike in all directions.
+Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of a linear system for bounded inputs).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+
+from flightstack.types import F64
+
+STEP_S, HORIZON_S = 0.01, 8.0
+OBSERVER_S = 0.1
+"""tau_o."""
+MOST_MPS2 = 9.0
+"""The loop asks for no more, the estimate's errors included: thrust and lean give no more."""
+_ACROSS_POLES = tuple(0.8 + 0.2 * k for k in range(11))
+_ALONG_POLES = tuple(0.75 + 0.25 * k for k in range(18))
+
+
+class Doubts(NamedTuple):
+    """Bounds of what moves a loop."""
+
+    force_mps2: float
+    """D."""
+    rest_mps2: float
+    """R."""
+    eps_p_m: float
+    eps_v_mps: float
+
+
+class Gains(NamedTuple):
+    """Of the feedback; for a chain of thrust alone `acc_ps` is 0."""
+
+    acc_ps: float
+    vel_ps2: float
+    pos_ps3: float
+
+
+class Tube(NamedTuple):
+    """What a loop keeps to."""
+
+    gains: Gains
+    radius_m: F64
+    """(n,) bound of the position's error at STEP_S k; the last holds from then on."""
+    demand_mps2: float
+    """Greatest acceleration that the feedback asks for."""
+    rate_mps: float
+    """Greatest error of velocity."""
+
+
+def across(lag_s: float, doubts: Doubts) -> Tube:
+    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched."""
+    found = []
+    for pole in _ACROSS_POLES:
+        gains = Gains(3.0 * pole, 3.0 * pole**2, pole**3)
+        matrix = np.zeros((5, 5))
+        matrix[[0, 1, 2], [1, 2, 3]] = 1.0
+        matrix[3] = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, -gains.acc_ps]) / lag_s
+        matrix[4, 4] = -1.0 / OBSERVER_S
+        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
+        found.append(_tube(gains, matrix, demand, doubts))
+    return _best(found)
+
+
+def along(lag_s: float, doubts: Doubts) -> Tube:
+    """The vertical loop with the least tube that asks for no more than there is."""
+    found = []
+    for pole in _ALONG_POLES:
+        gains = Gains(0.0, 2.0 * pole, pole**2)
+        matrix = np.zeros((4, 4))
+        matrix[[0, 1], [1, 2]] = 1.0
+        matrix[2] = np.array([-gains.pos_ps3, -gains.vel_ps2, -1.0, -1.0]) / lag_s
+        matrix[3, 3] = -1.0 / OBSERVER_S
+        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 1.0])
+        found.append(_tube(gains, matrix, demand, doubts))
+    return _best(found)
+
+
+def _best(found: list[Tube | None]) -> Tube:
+    """The least tube among those that ask for little enough; else the one that asks for least."""
+    tubes = [tube for tube in found if tube is not None]
+    return min(tubes, key=lambda tube: (max(tube.demand_mps2, MOST_MPS2), float(tube.radius_m[-1])))
+
+
+def _tube(gains: Gains, matrix: F64, demand: F64, doubts: Doubts) -> Tube | None:
+    """Of one loop; None where it does not settle well within the horizon."""
+    if float(np.linalg.eigvals(matrix).real.max()) > -4.0 / HORIZON_S:
+        return None
+    order, count = len(matrix), round(HORIZON_S / STEP_S) + 1
+    step, answers = expm(STEP_S * matrix), np.empty((count, order, order))
+    answers[0] = np.eye(order)
+    for k in range(1, count):
+        answers[k] = step @ answers[k - 1]
+    into = np.zeros((order, 4))  # d, r, n_p, n_v
+    into[1, :2] = 1.0
+    into[-1, 0] = 1.0 / OBSERVER_S
+    into[-2, 2:] = matrix[-2, :2]
+    sizes = np.array(doubts)
+    started = np.array([doubts.eps_p_m, doubts.eps_v_mps, *([0.0] * (order - 3)), doubts.force_mps2])
+
+    def bound(row: F64) -> F64:
+        """Of row @ state over time."""
+        forced = np.abs(row @ answers @ into)
+        grown = np.concatenate([np.zeros((1, 4)), np.cumsum(0.5 * STEP_S * (forced[1:] + forced[:-1]), axis=0)])
+        highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers) @ started)
+        return highest
+
+    place, rate = np.eye(order)[0], np.eye(order)[1]
+    asked = float(bound(demand)[-1]) + demand[0] * doubts.eps_p_m + demand[1] * doubts.eps_v_mps
+    return Tube(gains, bound(place), float(asked), float(bound(rate)[-1]))

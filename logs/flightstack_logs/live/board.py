@@ -1,0 +1,103 @@
+"""What the live page shows: the newest of everything, put down by the flight and rendered when a browser asks."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from flightstack.types import TickRecord
+from flightstack_logs import scene as viewer
+
+_PATH_POINTS = 600
+_POINT_US = 200_000
+_REFERENCE_POINTS = 300
+_EVENTS = 40
+
+
+class Board:
+    """Written by the flight's thread, read by the page's; each entry is replaced as a whole, so no lock is needed."""
+
+    def __init__(self) -> None:
+        self._now: dict[str, Any] = {}
+        self._path: deque[tuple[float, ...]] = deque(maxlen=_PATH_POINTS)
+        self._events: deque[tuple[float, str, str]] = deque(maxlen=_EVENTS)
+        self._scene: dict[str, Any] = {}
+        self._point_due_us = 0
+
+    def tick(self, t_us: int, record: TickRecord) -> None:
+        """One tick of the stack."""
+        at, wanted = record.measurement.pos_ned_m, record.reference.pos_ned_m
+        learned, filtered = record.learned, record.filtered
+        self._now |= {
+            "t_s": t_us * 1e-6,
+            "pos_ned_m": at.tolist(),
+            "reference_ned_m": wanted.tolist(),
+            "error_m": math.dist(at, wanted),
+            "h": filtered.h,
+            "filter": filtered.status,
+            "changed": filtered.intervened,
+            "stage": learned.stage,
+            "points": learned.points,
+            "sigma_mps2": learned.sigma_frd_mps2.tolist(),
+            "thrust": record.command.thrust_norm,
+            "guard": record.guard,
+        }
+        if t_us >= self._point_due_us:
+            self._point_due_us = t_us + _POINT_US
+            self._path.append(tuple(at.tolist()))
+
+    def truth(self, t_us: int, truth: Any) -> None:
+        """The simulator's truth; without a companion it is also what moves."""
+        self._now |= {"t_s": t_us * 1e-6, "true_ned_m": [float(value) for value in truth.pos_ned_m]}
+        if "pos_ned_m" not in self._now and t_us >= self._point_due_us:
+            self._point_due_us = t_us + _POINT_US
+            self._path.append(tuple(self._now["true_ned_m"]))
+
+    def status(self, mode: str, armed: bool, landed: bool) -> None:
+        """What the vehicle says of itself."""
+        self._now |= {"mode": mode, "armed": armed, "landed": landed}
+
+    def timing(self, late_us: float, missed: int) -> None:
+        """How punctual the loop is."""
+        self._now |= {"late_us": late_us, "missed": missed}
+
+    def event(self, t_us: int, name: str, text: str) -> None:
+        """Something happened."""
+        self._events.append((t_us * 1e-6, name, text))
+        if name == "phase":
+            self._now["phase"] = text
+
+    def scene(self, view: viewer.Scene) -> None:
+        """What does not move."""
+        path = np.zeros((0, 3)) if view.reference_ned_m is None else view.reference_ned_m
+        self._scene |= {"reference": path[:: max(1, len(path) // _REFERENCE_POINTS)].tolist()}
+        if view.region is not None:
+            self._scene["region"] = _region(view.region)
+
+    def certified(self, region: viewer.Region) -> None:
+        """What a new certificate allows."""
+        self._scene["certified"] = _region(region)
+
+    def as_json(self) -> bytes:
+        """All of it; what is not finite is null."""
+        said = {"now": dict(self._now), "path": list(self._path), "events": list(self._events), "scene": self._scene}
+        return json.dumps(_finite(said)).encode()
+
+
+def _region(region: viewer.Region) -> dict[str, Any]:
+    return {"shape": region.shape, "center": list(region.center_ned_m), "half": list(region.half_size_m)}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, Iterable) and not isinstance(value, str | bytes):
+        return [_finite(each) for each in value]
+    return value

@@ -1,0 +1,108 @@
+"""Many messages of one topic as one: what makes a flight's log small and keeps every bit.
+
+In a compact log the messages of a fast table stand in blocks, a channel `/rows/TOPIC` for each topic; the topic itself
+carries a thinned copy, which any viewer shows.  A block is a protocol buffer:
+
+    1  size   sfixed32   bytes of a row
+    2  data   bytes      (size, n) bytes: byte k of all rows side by side, each less that of the row before, modulo 256
+
+and a row is its log time (int64, us), its place in the order of everything written (uint32) and the message as it would
+stand in the topic, little-endian.  Byte by byte and row less row is what compresses: of a number that changes slowly
+only the last bytes differ.  Rows of another size (a text at their end) stand in a block of their own.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack_logs.topics import Field, Kind, Topic
+from flightstack_logs.wire import BYTES, descriptor, varint, walk
+
+PREFIX = "/rows"
+_HEAD = struct.Struct("<qI")
+_HEAD_TYPE = np.dtype([("t_us", "<i8"), ("place", "<u4")])
+_SIZE_TAG = varint(1 << 3 | 5)
+_DATA_TAG = varint(2 << 3 | BYTES)
+SCHEMA_NAME = "flightstack.Rows"
+
+
+def schema() -> bytes:
+    """The FileDescriptorSet of a block."""
+    fields = Field("size", "int32", 0, "", ""), Field("data", "bytes", 0, "", "")
+    return descriptor(Topic("", Kind.TABLE, SCHEMA_NAME, 0.0, "", "", fields))
+
+
+class Blocks:
+    """Rows that are collected until the chunk ends."""
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[str, int], list[bytes]] = {}
+        self._count = 0
+
+    def add(self, topic: str, t_us: int, message: bytes) -> None:
+        """One more row."""
+        row = _HEAD.pack(t_us, self._count & 0xFFFF_FFFF) + message
+        self._count += 1
+        key = topic, len(row)
+        rows = self._rows.get(key)
+        if rows is None:
+            rows = self._rows[key] = []
+        rows.append(row)
+
+    def take(self) -> list[tuple[str, bytes]]:
+        """(topic, block) of all that was collected, which is forgotten."""
+        found = [(topic, pack(rows)) for (topic, _), rows in self._rows.items() if rows]
+        for rows in self._rows.values():
+            rows.clear()
+        return found
+
+
+def pack(rows: list[bytes]) -> bytes:
+    """One block of rows that are all of one size."""
+    size = len(rows[0])
+    table = np.frombuffer(b"".join(rows), np.uint8).reshape(-1, size)
+    data = np.diff(table, axis=0, prepend=np.zeros((1, size), np.uint8)).T.tobytes()
+    return b"".join((_SIZE_TAG, struct.pack("<i", size), _DATA_TAG, varint(len(data)), data))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unpacked:
+    """All rows of a topic, in the order written."""
+
+    t_us: NDArray[np.int64]
+    place: NDArray[np.int64]
+    """(n,) among everything in the log's blocks."""
+    messages: NDArray[np.uint8] | list[bytes]
+    """(n, size) where all are of one size."""
+
+
+def unpack(blocks: list[bytes]) -> Unpacked:
+    """The rows of all blocks of a topic; ValueError where one is damaged."""
+    by_size: dict[int, list[NDArray[np.uint8]]] = {}
+    for block in blocks:
+        table = _table(block)
+        by_size.setdefault(table.shape[1], []).append(table)
+    tables = [np.concatenate(parts) for parts in by_size.values()]
+    heads = np.concatenate([np.ascontiguousarray(table[:, : _HEAD.size]) for table in tables]).view(_HEAD_TYPE)[:, 0]
+    order = np.argsort(heads["place"], kind="stable")
+    t_us, place = heads["t_us"][order].astype(np.int64), heads["place"][order].astype(np.int64)
+    if len(tables) == 1:
+        return Unpacked(t_us, place, tables[0][order, _HEAD.size :])
+    bodies = [row[_HEAD.size :].tobytes() for table in tables for row in table]
+    return Unpacked(t_us, place, [bodies[index] for index in order.tolist()])
+
+
+def _table(block: bytes) -> NDArray[np.uint8]:
+    """(n, size) the rows of one block."""
+    fields = dict(walk(block))
+    packed, data = fields.get(1), fields.get(2)
+    if not isinstance(packed, bytes) or not isinstance(data, bytes) or len(packed) != 4:
+        raise ValueError("a block of rows is malformed")
+    size = int.from_bytes(packed, "little")
+    if size < _HEAD.size or not data or len(data) % size:
+        raise ValueError("a block of rows is malformed")
+    return np.cumsum(np.frombuffer(data, np.uint8).reshape(size, -1), axis=1, dtype=np.uint8).T

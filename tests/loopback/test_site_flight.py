@@ -1,0 +1,110 @@
+"""`--site` from the command line's side: what is refused, what is flown, and what the JSON says of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flightstack.cli.flight import FlyOptions, fly, prepare
+from flightstack.cli.main import main
+from flightstack.cli.result import FlightResult
+from flightstack.types import InputError
+
+HEAD = 'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 3.3\n'
+BOX = f"{HEAD}inside = [[-6.0, -5.0], [6.0, -5.0], [6.0, 5.0], [-6.0, 5.0]]\n"
+WALL = f"{HEAD}inside = [[-6.0, -5.0], [2.2, -5.0], [2.2, 5.0], [-6.0, 5.0]]\n"
+
+
+def _site(folder: Path, text: str, name: str = "site.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def _fly(folder: Path, text: str, scenario: str, **more: object) -> FlightResult:
+    options = FlyOptions(scenario=scenario, out=folder, site=_site(folder, text), **more)  # type: ignore[arg-type]
+    return fly(options, stop_requested=lambda: "")
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory: pytest.TempPathFactory) -> FlightResult:
+    """A lap of the figure of eight deep inside a box."""
+    return _fly(tmp_path_factory.mktemp("free"), BOX, "figure8", duration_s=8.0)
+
+
+@pytest.fixture(scope="module")
+def walled(tmp_path_factory: pytest.TempPathFactory) -> FlightResult:
+    """The same with a wall through its northern lobe."""
+    return _fly(tmp_path_factory.mktemp("walled"), WALL, "figure8", duration_s=6.0)
+
+
+def test_nothing_near_changes_nothing(free: FlightResult) -> None:
+    """The box of the figure of eight: commands unchanged, the error of the unfiltered flight (1.4 cm)."""
+    barrier = free.as_json()["barrier"]
+    assert free.passed, free.failure()
+    assert free.protection == "held"
+    assert barrier["changed_share"] <= 0.05
+    assert barrier["exits"] == 0
+    assert barrier["bent"] == []
+    assert free.tracking["rmse_m"] < 0.017
+    assert barrier["engaged_share"] >= 0.95
+
+
+def test_a_mission_through_a_wall_is_flown_along_it_and_told_so(walled: FlightResult) -> None:
+    barrier = walled.as_json()["barrier"]
+    assert walled.protection == "held", walled.failure()
+    assert barrier["exits"] == 0
+    assert barrier["premises_broken"] == 0
+    assert {each["edge"] for each in barrier["bent"]} == {"edge 1"}
+    assert all(each["from_s"] <= each["to_s"] for each in barrier["bent"])
+    assert barrier["changed_share"] > 0.0
+    assert json.dumps(walled.as_json())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{HEAD}inside = [[3.0, 3.0], [9.0, 3.0], [9.0, 9.0]]\n", "the start"),
+        (f"{HEAD}inside = [[-0.2, -5.0], [6.0, -5.0], [6.0, 5.0], [-0.2, 5.0]]\n", "the start"),
+        (f"{BOX}[[keep_out]]\ncentre = [0.2, 0.2]\nradius_m = 0.1\nfloor_m = 1.0\n", "the way to the track"),
+        (BOX.replace("3.3", "1.5"), "ceiling"),
+        (BOX.replace("3.3", "0.4"), "between floor and ceiling"),
+        (f"{BOX}[chute]\nradius_m = 0.2\n", "chute.radius_m"),
+        (f"{HEAD}inside = [[0.0, 0.0], [4.0, 4.0], [4.0, 0.0], [0.0, 4.0]]", "edges 0 and 2"),
+        (f'{HEAD}frame = "global"\ninside = [[8.54, 47.39], [8.56, 47.39], [8.56, 47.41]]', "swapped"),
+        (f'{HEAD}frame = "global"\ninside = [[40.0, 8.0], [40.1, 8.0], [40.1, 8.1]]', "km from the vehicle"),
+    ],
+)
+def test_refused_before_take_off(tmp_path: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["fly", "figure8", "--site", str(_site(tmp_path, text)), "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err.strip().splitlines()
+    assert end.value.code == 2
+    assert len(error) == 1
+    assert error[0].startswith("error: ")
+    assert said in error[0]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("more", [{"filtering": False}, {"as_published": True}])
+def test_what_contradicts_a_site_is_named(tmp_path: Path, more: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="leave out --"):
+        prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, BOX), **more))  # type: ignore[arg-type]
+
+
+def test_a_certificate_of_something_else_is_refused(tmp_path: Path) -> None:
+    for text in ('{"schema": "flightstack.certificate/2"}', "nonsense", "[]"):
+        with pytest.raises(InputError, match=r"JSON|certify --site"):
+            prepare(
+                FlyOptions(scenario="figure8", site=_site(tmp_path, BOX), certificate=_site(tmp_path, text, "c.json"))
+            )
+
+
+def test_a_missing_file_and_a_huge_one_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        prepare(FlyOptions(scenario="figure8", site=tmp_path / "none.toml"))
+    corners = ", ".join(f"[{i}.0, 0.0]" for i in range(1_000_000))
+    with pytest.raises(InputError, match="more than 1000 edges"):
+        prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, f"{HEAD}inside = [{corners}]")))

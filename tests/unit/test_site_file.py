@@ -1,0 +1,134 @@
+"""Site files: what is read, and one line for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from flightstack.site.file import parse_site
+from flightstack.types import InputError
+
+BOX = "[[-6.0, -5.0], [6.0, -5.0], [6.0, 5.0], [-6.0, 5.0]]"
+HEAD = 'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 5.0\n'
+
+
+def test_the_contract_s_example() -> None:
+    text = f'{HEAD}frame = "local"\ninside = {BOX}\n[[keep_out]]\npolygon = [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]]\n'
+    text += "[[keep_out]]\ncentre = [3.0, 3.0]\nradius_m = 0.5\nceiling_m = 2.0\n"
+    text += "[[keep_out]]\ncentre = [3.0, -3.0, 2.0]\nradius_m = 0.5\n[chute]\nradius_m = 1.0\n"
+    site = parse_site(text, "box.toml")
+    assert not site.is_global
+    assert (site.floor_m, site.ceiling_m, site.edges, site.chute_m) == (0.3, 5.0, 7, 1.0)
+    cylinder, sphere = site.keep_outs[1:]
+    assert (cylinder.centre, cylinder.radius_m, cylinder.ceiling_m) == ((3.0, 3.0), 0.5, 2.0)
+    assert math.isnan(cylinder.height_m)
+    assert sphere.height_m == 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{HEAD}inside = [[0.0, 0.0], [4.0, 4.0], [4.0, 0.0], [0.0, 4.0]]", "crosses itself: edges 0 and 2"),
+        (f"{HEAD}inside = [[0.0, 0.0], [4.0, 0.0], [2.0, 0.0], [2.0, 3.0]]", "crosses itself: edges 0 and 1"),
+        (f"{HEAD}inside = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 0.0], [0.0, 4.0]]", "crosses itself"),
+        (f"{HEAD}inside = []", "inside is empty"),
+        (f"{HEAD}", "inside must be a list"),
+        (f"{HEAD}inside = [[0.0, 0.0], [1.0, 1.0]]", "at least 3"),
+        (f"{HEAD}inside = [[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]", "edge 0 has no length"),
+        (f"{HEAD}inside = [[0.0, 0.0], [nan, 1.0], [1.0, 1.0]]", "corner 1"),
+        (f"{HEAD}inside = [[0.0, 0.0], [inf, 1.0], [1.0, 1.0]]", "corner 1"),
+        (f'{HEAD}inside = [[0.0, 0.0], ["x", 1.0], [1.0, 1.0]]', "corner 1"),
+        (f'schema = "flightstack.site/1"\nfloor_m = 5.0\nceiling_m = 2.0\ninside = {BOX}', "floor_m = 5"),
+        (f"{HEAD}inside = {BOX}\nwidth = 3", "unknown key width"),
+        (f'schema = "flightstack.site/2"\ninside = {BOX}', "flightstack.site/1"),
+        (f'{HEAD}frame = "utm"\ninside = {BOX}', "frame"),
+        (f'{HEAD}frame = "global"\ninside = [[151.2, -33.8], [151.3, -33.8], [151.3, -33.9]]', "swapped"),
+        (f"{HEAD}inside = {BOX}\n[[keep_out]]\nradius_m = 1.0", "either polygon or centre"),
+        (f"{HEAD}inside = {BOX}\n[[keep_out]]\ncentre = [0.0, 0.0]", "radius_m"),
+        (f"{HEAD}inside = {BOX}\n[[keep_out]]\ncentre = [0.0, 0.0]\nradius_m = nan", "radius_m"),
+        (f"{HEAD}inside = {BOX}\nkeep_out = 3", "list of tables"),
+        (f"{HEAD}inside = [" + "[0.0, 1.0], " * 1_002 + "]", "at most 1000"),
+        ("x" * 2_100_000, "more than 1000 edges"),
+        ("not = [toml", "not valid TOML"),
+    ],
+)
+def test_a_bad_site_is_one_line(text: str, said: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_site(text, "site.toml")
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 300
+
+
+def _plan(polygons: list[object], circles: list[object] | None = None) -> str:
+    fence = {"version": 2, "polygons": polygons, "circles": circles or []}
+    return json.dumps({"fileType": "Plan", "version": 1, "geoFence": fence})
+
+
+SQUARE = [[47.0, 8.0], [47.001, 8.0], [47.001, 8.001], [47.0, 8.001]]
+
+
+def test_a_plan_s_fence() -> None:
+    circle = {"inclusion": False, "circle": {"center": [47.0005, 8.0005], "radius": 10.0}}
+    site = parse_site(_plan([{"inclusion": True, "polygon": SQUARE}], [circle]), "field.plan")
+    assert site.is_global
+    assert len(site.inside) == 4
+    assert site.keep_outs[0].radius_m == 10.0
+    flat = site.local(47.0, 8.0)
+    # 0.001 degree: 111.17 m north at latitude 47 (meridian), 76.1 m east (WGS84 tables)
+    np.testing.assert_allclose(flat.inside[2], [111.17, 76.1], atol=0.1)
+
+
+def test_a_round_fence_is_the_polygon_inside_it() -> None:
+    circle = {"inclusion": True, "circle": {"center": [47.0, 8.0], "radius": 100.0}}
+    flat = parse_site(_plan([], [circle]), "field.plan").local(47.0, 8.0)
+    reach = np.hypot(*flat.inside.T)
+    assert len(flat.inside) == 64
+    assert np.all(np.abs(reach - 100.0) < 0.5)
+
+
+def test_geojson_with_a_hole_and_a_keep_out() -> None:
+    ring = [[b, a] for a, b in [*SQUARE, SQUARE[0]]]
+    hole = [[8.0004, 47.0004], [8.0006, 47.0004], [8.0006, 47.0006], [8.0004, 47.0004]]
+    feature = {
+        "type": "Feature",
+        "properties": {"ceiling_m": 30.0},
+        "geometry": {"type": "Polygon", "coordinates": [ring, hole]},
+    }
+    mast = {"type": "Feature", "properties": {"keep_out": True}, "geometry": {"type": "Polygon", "coordinates": [hole]}}
+    site = parse_site(json.dumps({"type": "FeatureCollection", "features": [feature, mast]}), "field.geojson")
+    assert site.ceiling_m == 30.0
+    assert site.edges == 4 + 3 + 3
+    assert site.inside[1].tolist() == SQUARE[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "said"),
+    [
+        (_plan([]), "a.plan", "0 areas"),
+        (_plan([{"inclusion": True, "polygon": SQUARE}] * 2), "a.plan", "2 areas"),
+        (_plan([{"inclusion": True, "polygon": [[47.0, None], [1.0, 2.0], [2.0, 3.0]]}]), "a.plan", "corner 0"),
+        ('{"fileType": "Plan"}', "a.plan", "no fence"),
+        ("[1]", "a.geojson", "neither"),
+        ('{"type": "Point", "coordinates": [1, 2]}', "a.geojson", "only a Polygon"),
+        ("{", "a.geojson", "not valid JSON"),
+        ("[" * 100_000, "a.geojson", "nested too deeply"),
+    ],
+)
+def test_a_bad_import_is_one_line(text: str, name: str, said: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_site(text, name)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_site_elsewhere_and_swapped_coordinates() -> None:
+    site = parse_site(_plan([{"inclusion": True, "polygon": SQUARE}]), "field.plan")
+    with pytest.raises(InputError, match="km from the vehicle"):
+        site.local(40.0, 8.0)
+    swapped = parse_site(_plan([{"inclusion": True, "polygon": [[b, a] for a, b in SQUARE]}]), "field.plan")
+    with pytest.raises(InputError, match="swapped"):
+        swapped.local(47.0, 8.0)
