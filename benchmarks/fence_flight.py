@@ -146,8 +146,8 @@ def _leaning(lean: F64, q_ned_frd: F64) -> tuple[float, float]:
 class FenceFlight:
     """One flight; `run` flies it."""
 
-    def __init__(self, world: World, site: Path, attack: Attack, told: float = 1.0) -> None:
-        """`told`: the share of the true doubts that the filter is told; less than 1 is a lie."""
+    def __init__(self, world: World, site: Path, attack: Attack, told: float = 1.0, given: Path | None = None) -> None:
+        """`told`: the share of the true doubts that the filter is told; less than 1 is a lie; `given`: certificate."""
         self.world, self.attack = world, attack
         believed, _ = files.load_vehicle(world.vehicle)
         with tempfile.TemporaryDirectory(prefix="fence-") as folder:
@@ -156,7 +156,7 @@ class FenceFlight:
                 path.write_text(vehicle_to_toml(vehicle), encoding="utf-8")
             options = FlyOptions(
                 scenario=world.scenario, seed=world.seed, vehicle=str(paths[0]), truth=str(paths[1]),
-                sensors=world.grade, plant=world.plant, site=site,
+                sensors=world.grade, plant=world.plant, site=site, certificate=given,
             )  # fmt: skip
             setup = prepare(options)
         prepared, before = setup.flight, setup.flight.stack

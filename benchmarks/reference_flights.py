@@ -119,9 +119,8 @@ def differences(then: list[Row], now: list[Row], tolerance: float = TOLERANCE) -
                  if not _near(old[name], new[name], tolerance)]  # fmt: skip
         if apart:
             most = max(abs(new - old) for _, old, new in apart)
-            found.append(
-                f"{name}: from {apart[0][0]:.3f} s on ({apart[0][1]:.9g}, today {apart[0][2]:.9g}), by {most:.3g}"
-            )
+            at_s, old, new = apart[0]
+            found.append(f"{name}: from {at_s:.3f} s on ({old:.9g}, today {new:.9g}), by {most:.3g} at most")
     return found
 
 

@@ -162,7 +162,7 @@ class Learned:
     """
 
     row: F64
-    """(32,) the parts below in their order."""
+    """(33,) the parts below in their order."""
     acc_ned_mps2 = Part(0, 3)
     """Unexplained acceleration at the reference, after gates and clips; thrust's own error is in `thrust_gain`."""
     jerk_ned_mps3 = Part(3, 6)
@@ -198,14 +198,16 @@ class Learned:
     """Sudden changes noticed so far."""
     surprise = Element(31)
     """Largest recent error of prediction, in its own standard deviations."""
+    delay_s = Element(32)
+    """Delay of commands that the sample was made with: the latency, and before that is evident the file's."""
 
     @classmethod
     def nothing(cls) -> Learned:
         """Without a learner: the model as believed."""
-        row = np.zeros(32)
+        row = np.zeros(33)
         row[6], row[8] = 1.0, -1.0
         row[9:25] = np.nan
-        row[31] = np.nan
+        row[31:] = np.nan
         return cls(row)
 
 
@@ -308,9 +310,9 @@ class TickRecord(NamedTuple):
     """Whether the governor of rate commands changed the command."""
 
     @property
-    def latency_s(self) -> float:
+    def delay_s(self) -> float:
         """Delay of commands that the learner goes by; NaN where nothing learns."""
-        return self.learned.latency_s if self.learned.stage >= 0.0 else math.nan
+        return self.learned.delay_s if self.learned.stage >= 0.0 else math.nan
 
     @property
     def digest(self) -> int:

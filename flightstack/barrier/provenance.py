@@ -2,9 +2,9 @@
 
 The log is named by SHA-256 of what the stack saw and did, tick by tick, from the learner's first tick on:
 
-    t_us, measurement (20 doubles), its three ages, thrust_norm, rate_frd_radps, latency_s  (little-endian, 232 bytes)
+    t_us, measurement (20 doubles), its three ages, thrust_norm, rate_frd_radps, delay_s  (little-endian, 232 bytes)
 
-integers as int64, latency_s -1 where nothing was learned from the tick.  All of it is in /tick and /command,
+integers as int64, delay_s -1 where nothing was learned from the tick.  All of it is in /tick and /command,
 so a certificate made in flight can name the log that is still being written.
 """
 
@@ -71,11 +71,11 @@ class Trail:
     def add(self, record: TickRecord) -> None:
         """One tick, as it goes to the log."""
         seen, command = record.measurement, record.command
-        latency_s = -1.0 if math.isnan(record.latency_s) else record.latency_s
+        delay_s = -1.0 if math.isnan(record.delay_s) else record.delay_s
         self._hash.update(
             _TICK.pack(
                 record.t_us, *seen.row.tolist(), seen.position_age_us, seen.attitude_age_us, seen.imu_age_us,
-                command.thrust_norm, *command.rate_frd_radps.tolist(), latency_s,
+                command.thrust_norm, *command.rate_frd_radps.tolist(), delay_s,
             )
         )  # fmt: skip
         self.from_us = self.from_us if self.from_us >= 0 else record.t_us

@@ -34,6 +34,7 @@ from .log import Recording
 from .premises import check_premises, estimate_of
 from .provenance import check_flight, check_keys
 from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
+from .stopping import check_stopping, is_stopping
 
 _TOP = (
     "schema", "mode", "version", "centre_ned_m", "delta", "k_sigma", "budget", "axes", "premises", "provenance",
@@ -88,6 +89,11 @@ def check(text: str, log: BinaryIO | Recording | None = None, vehicle: bytes | N
 
 
 def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicle: bytes | None) -> None:
+    if is_stopping(text):
+        if log is not None:
+            raise Refused("a certificate of a stop is not derived from a log: leave out --log")
+        lines += check_stopping(text)
+        return
     data = table_of(unsealed(text), _TOP, "certificate")
     lines.append("seal: fits")
     if data["mode"] != "sound":

@@ -31,7 +31,7 @@ TICK = (
     "pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_command",
     "position_age_us", "attitude_age_us", "imu_age_us", "vehicle_us",
 )  # fmt: skip
-WANTED = {"/tick": (*TICK, "latency_s"), "/command": ("thrust_norm", "rate_frd_radps")}
+WANTED = {"/tick": (*TICK, "delay_s"), "/command": ("thrust_norm", "rate_frd_radps")}
 WINDOW = 15
 """Samples whose mean is a point."""
 _GAP_S, _AWAY_M, _FORCE_MPS2, _LEAST_WEIGHTS, _MOST_MPS2 = 0.05, 0.1, 40.0, 0.3, 0.8 * G
@@ -107,7 +107,7 @@ class Ticks:
         inside = (times >= first_us) & (times <= last_us)
         if not inside.any() or times[inside][0] != first_us or times[inside][-1] != last_us:
             raise Refused(f"log: has no ticks from {first_us} to {last_us} us")
-        delay = tick["latency_s"]
+        delay = tick["delay_s"]
         kept = {name: column[inside] for name, column in tick.items()}
         return cls(
             times[inside], kept, command["thrust_norm"][inside], command["rate_frd_radps"][inside], delay[inside]

@@ -51,7 +51,7 @@ class TimedLearner:
 def gp_summary(
     learner: Learner, model: Model, last: Learned | None, rows: Sequence[F64], truths: Sequence[Truth]
 ) -> dict[str, Any]:
-    """The JSON's `gp`: of the tracked ticks `rows` (32,) are what was learned and `truths` what was true.
+    """The JSON's `gp`: of the tracked ticks `rows` (33,) are what was learned and `truths` what was true.
 
     `last` is what the flight's last tick knew; `truths` is empty where nobody knows the truth.
     """

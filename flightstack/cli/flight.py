@@ -132,6 +132,10 @@ def prepare(options: FlyOptions) -> Setup:
     return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
 
 
+_WARM: set[tuple[str, ...]] = set()
+"""Kinds of flights that this process has warmed up for."""
+
+
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
@@ -296,7 +300,10 @@ def _flown(
     on_progress: Callable[[float, str], None],
     at_end: Callable[[Recorder, int], None],
 ) -> FlightResult:
-    warm_up_all(setup)
+    kind = (setup.plant, setup.flight.settings["controller"], setup.flight.settings["filter"], setup.grade.name)
+    if options.realtime or kind not in _WARM:  # in lockstep a first call is only slow, so once is enough
+        warm_up_all(setup)
+        _WARM.add(kind)
     assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
     log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))

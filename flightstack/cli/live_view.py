@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from flightstack.cli.console import say
+from flightstack.errors import InputError
 from flightstack_logs.writer import Recorder
 
 R = TypeVar("R", Recorder, "Recorder | None")
@@ -16,6 +17,11 @@ def shown_live(recorder: R, port: int | None) -> R | Recorder:
         return recorder
     from flightstack_logs.live.recorder import LiveRecorder
 
-    live = LiveRecorder(recorder, port)
+    try:
+        live = LiveRecorder(recorder, port)
+    except InputError:
+        if recorder is not None:
+            recorder.close()
+        raise
     say(f"live: page http://127.0.0.1:{port + 1}/, Foxglove ws://127.0.0.1:{port}")
     return live

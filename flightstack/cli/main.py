@@ -247,6 +247,24 @@ def offboard(
     )
 
 
+def _certify_site(options: Any, interrupts: Interrupts, json_file: Path | None) -> None:
+    """`certify --site`."""
+    from flightstack.cli import console, files, terminal
+    from flightstack.cli.certify_site import certify_site
+
+    with terminal.progress(f"certifying a stop in {options.site}") as show:
+        result = certify_site(options, stop_requested=interrupts.requested, on_progress=show)
+    if json_file is not None:
+        files.write_json(json_file, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)
+    made = result.as_json()
+    print(f"certificate {made['certificate']}: {made['radius_m']:.2f} m at rest, stops within {made['stops_within_m']}")
+
+
 @app.command()
 def certify(
     scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
@@ -257,6 +275,7 @@ def certify(
     plant: PlantOption = PlantName.native,
     truth: TruthOption = None,
     sensors: SensorsOption = None,
+    site: SiteOption = None,
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
     out: OutOption = None,
@@ -288,6 +307,8 @@ def certify(
         from flightstack.types import InputError
 
         raise InputError("--log belongs to --check: the log of a new flight lies in --out")
+    if site is not None and scenario == "paper-barrier":
+        scenario = "figure8"
     options = FlyOptions(
         scenario=scenario,
         as_published=as_published,
@@ -295,6 +316,7 @@ def certify(
         plant=plant.value,
         truth=truth,
         sensors=sensors.value if sensors else None,
+        site=site,
         seed=seed,
         duration_s=duration,
         out=out,
@@ -302,6 +324,9 @@ def certify(
         live=live,
     )
     interrupts = Interrupts()
+    if site is not None:
+        _certify_site(options, interrupts, json)
+        return
     with terminal.progress(f"certifying {scenario}") as show:
         result = run(options, stop_requested=interrupts.requested, on_progress=show)
     console.show_certified(result)

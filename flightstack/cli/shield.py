@@ -13,15 +13,17 @@ from typing import Any
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
 from flightstack.cli.controllers import build
+from flightstack.cli.given_certificate import require_checked
 from flightstack.cli.offboard import where_it_is
 from flightstack.cli.protection import governor_for
 from flightstack.cli.result import percentiles
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_router import ShieldRouter
-from flightstack.cli.site import envelope, load_site, plan_site, read_site
+from flightstack.cli.site import envelope, given_prior, load_site, plan_site, read_site
 from flightstack.governor import Governor
 from flightstack.model import Model
+from flightstack.site.certificate import require_same
 from flightstack.stack import Stack
 from flightstack.state_observer import StateObserver
 from flightstack.types import InputError
@@ -55,8 +57,6 @@ def shield_stack(
     options: ShieldOptions, place: tuple[float, float] | None
 ) -> tuple[Stack, Relay, StateObserver | None]:
     """The stack behind the router; InputError, one line, where site, vehicle or certificate won't do."""
-    if options.certificate is not None:
-        raise InputError(f"--certificate {options.certificate}: no certificate of a stop is read yet; leave it out")
     site = load_site(options.site, place)
     scenario, _ = files.load_scenario(_SCENARIO)
     believed, _ = files.load_vehicle(options.vehicle)
@@ -64,7 +64,11 @@ def shield_stack(
     grade = load_grade(options.sensors)
     statistics = error_statistics(grade)
     governor = governor_for(believed, model, limits, options.sensors)
-    planned = plan_site(site, None, believed, model, estimate_bounds(statistics), governor)
+    prior, text = given_prior(options.certificate, believed, options.sensors)
+    planned = plan_site(site, None, believed, model, estimate_bounds(statistics), governor, prior)
+    if options.certificate is not None:
+        require_checked(options.certificate)
+        require_same(text, str(options.certificate), planned.certificate)
     relay = Relay(build("flatness", model, limits, learning=False)[0], model)
     stack = Stack(
         model, limits, controller=relay, safety_filter=planned.filter(model, limits), governor=Governor(believed)

@@ -15,16 +15,18 @@ from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import TimedFilter
+from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
 from flightstack.scenario import Scenario
 from flightstack.site import bend as bending
 from flightstack.site import decide
+from flightstack.site.certificate import prior_of
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, KeepOut, Site
-from flightstack.site.stopping import Stopping, stopping
+from flightstack.site.stopping import Prior, Stopping, stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
 
@@ -40,6 +42,8 @@ class TimedSiteFilter(TimedFilter):
         super().__init__(site_filter)
         self.numbers: F64 = np.zeros(decide.MEMORY)
         self.bent: F64 = np.zeros(bending.SIZE)
+        self.force_most_mps2 = 0.0
+        """The greatest force that the accelerometer showed, once the chute was left."""
         self.reference: FlatOutput | None = None
         """As it was followed at the last tick."""
 
@@ -55,6 +59,9 @@ class TimedSiteFilter(TimedFilter):
         after = super().step(state, measurement, command, sent, learned)
         assert isinstance(after[0], SiteState)
         self.numbers, self.bent = after[0].numbers, after[0].bent
+        if decide.is_read(self.numbers):
+            shown = self.numbers[decide.FORCE : decide.FORCE + 3]
+            self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
 
 
@@ -73,6 +80,8 @@ class SiteScore:
     kept: int = 0
     broken: int = 0
     bent: list[dict[str, Any]] = field(default_factory=list)
+    is_narrow: bool = False
+    """The certificate is narrower than the prior, and may be falsified."""
     clearance_m: float = math.inf
     """Of the vehicle at the last tick."""
     _bending: bool = False
@@ -88,7 +97,8 @@ class SiteScore:
         self.changed += record.filtered.intervened == 1.0
         self.governed += record.governed
         self.kept += kept
-        self.broken += kept and bool(numbers[decide.OFF] > 0.0)
+        falsified = bool(numbers[decide.BEYOND_S] >= decide.BROKEN_S)
+        self.broken += (kept and bool(numbers[decide.OFF] > 0.0)) or (falsified and self.is_narrow)
         bent = self.filter.bent[bending.BENT] > 0.0
         if bent and self._bending:
             self.bent[-1]["to_s"] = flight_s
@@ -133,14 +143,19 @@ class SitePlan:
     certificate: Stopping
     chutes: F64
     chute_m: float
+    prior: Stopping | None = None
+    """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
         """The filter."""
-        return TimedSiteFilter(SiteFilter(model, limits, self.certificate, self.site, self.chutes, self.chute_m))
+        return TimedSiteFilter(
+            SiteFilter(model, limits, self.certificate, self.site, self.chutes, self.chute_m, self.prior)
+        )
 
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
-        return SiteScore(self.site, packed(self.site, self.chutes, self.chute_m), timed)
+        flat = packed(self.site, self.chutes, self.chute_m)
+        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None)
 
     @property
     def outlines(self) -> str:
@@ -154,7 +169,7 @@ class SitePlan:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
         return (
-            f"site {self.site.source}, stopping certificate from the prior (mass {prior.mass_low:g} to "
+            f"site {self.site.source}, stopping certificate (mass {prior.mass_low:g} to "
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
             f"{made.stopping_way_m(3.0):.1f} m from 3 m/s"
         )
@@ -197,6 +212,14 @@ def envelope(limits: Limits, site: Site) -> Limits:
     )
 
 
+def given_prior(path: Path | None, believed: Vehicle, sensors: str) -> tuple[Prior | None, str]:
+    """What a certificate's file says of mass and force, and its text; the prior's where no file was given."""
+    if path is None:
+        return None, ""
+    text = files.read_text(path).text
+    return prior_of(text, str(path), vehicle_hash(believed), sensors), text
+
+
 def plan_site(
     site: Site,
     scenario: Scenario | None,
@@ -204,13 +227,15 @@ def plan_site(
     model: Model,
     estimate: EstimateBounds,
     governor: GovernorTerms,
+    prior: Prior | None = None,
 ) -> SitePlan:
     """The certificate for a site in local metres; InputError where start, landing or the way between lie outside.
 
     `scenario` None: what is flown is not known, and only the start is looked at.
     """
     limits = Limits() if scenario is None else scenario.limits
-    certificate = stopping(believed, model, limits, estimate, governor)
+    certificate = stopping(believed, model, limits, estimate, governor, prior)
+    wider = None if prior is None else stopping(believed, model, limits, estimate, governor)
     kept, half = certificate.kept_m, certificate.half_m
     chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
@@ -226,7 +251,7 @@ def plan_site(
     if scenario is None:
         start = np.zeros((1, 2))
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
-        return SitePlan(site, certificate, start, chute_m)
+        return SitePlan(site, certificate, start, chute_m, wider)
     mission = plan(scenario, np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
@@ -237,7 +262,7 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m)
+    return SitePlan(site, certificate, chutes, chute_m, wider)
 
 
 def _require_clear(site: Site, flat: F64, place: F64, size: tuple[float, float], what: str) -> None:

@@ -78,7 +78,7 @@ def follow(
 ) -> None:
     """Feed-forward and attitude feedback for `acc`, `jerk` (3,) and the reference's velocity, snap and yaw.
 
-    `vehicle` (5, 3) of `vehicle_rows`; `reference` (17,) and `learned` (32,): rows of FlatOutput and Learned; `gain`:
+    `vehicle` (5, 3) of `vehicle_rows`; `reference` (17,) and `learned` (33,): rows of FlatOutput and Learned; `gain`:
     delivered over believed thrust; `q` (4,), `r` (3, 3), `rate` (3,): the present attitude and body rates.
     Into `out` (20,), a Proposal's row: thrust_ff, rate_ff, rate_fb, attitude_error.
     """

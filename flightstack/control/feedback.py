@@ -124,7 +124,7 @@ def control_step(
 ) -> float:
     """Nominal, feed-forward and feedback: total thrust, the parts in `out`.
 
-    `reference` (17,), `measured` (20,), `learned` (32,), `out` (20,): rows of FlatOutput, Measurement, Learned,
+    `reference` (17,), `measured` (20,), `learned` (33,), `out` (20,): rows of FlatOutput, Measurement, Learned,
     Proposal.
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]

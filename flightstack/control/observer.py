@@ -16,7 +16,7 @@ import numpy as np
 
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
-from flightstack.learning.sampler import S_APPLIED, S_LATENCY, S_OK, S_TARGET_FRD, SAMPLE, Sampler
+from flightstack.learning.sampler import S_APPLIED, S_DELAY, S_LATENCY, S_OK, S_TARGET_FRD, SAMPLE, Sampler
 from flightstack.model import Model
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
 
@@ -60,7 +60,7 @@ def observe(cutoff: float, state: F64, sample: F64, q: F64, dt: float) -> None:
 
 @njit
 def feed_forward(state: F64, learned: F64) -> None:
-    """Add the estimate to what is learned: acceleration and its derivative, clipped; `learned` (32,) in place."""
+    """Add the estimate to what is learned: acceleration and its derivative, clipped; `learned` (33,) in place."""
     for i in range(3):
         learned[i] += min(max(state[i], -_MAX_MPS2), _MAX_MPS2)
         if abs(state[i]) < _MAX_MPS2:
@@ -111,7 +111,7 @@ class DisturbanceObserver:
 
 @njit
 def _learn(cutoff: float, state: F64, sample: F64, measured: F64, dt: float, out: F64) -> None:
-    """`observe` and write a Learned's row `out` (32,), which holds nothing learned."""
+    """`observe` and write a Learned's row `out` (33,), which holds nothing learned."""
     observe(cutoff, state, sample, measured[6:10], dt)
     feed_forward(state, out)
     out[8] = 3.0 if state[_BEGUN] != 0.0 else 0.0
@@ -120,4 +120,4 @@ def _learn(cutoff: float, state: F64, sample: F64, measured: F64, dt: float, out
         out[9 + i] = r[0, i] * state[0] + r[1, i] * state[1] + r[2, i] * state[2]
         if sample[S_OK] != 0.0:
             out[15 + i] = sample[S_TARGET_FRD + i]
-    out[25], out[26] = sample[S_APPLIED], sample[S_LATENCY]
+    out[25], out[26], out[32] = sample[S_APPLIED], sample[S_LATENCY], sample[S_DELAY]

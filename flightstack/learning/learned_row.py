@@ -92,7 +92,7 @@ def assemble(
     expected: F64, variance: F64, fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int,
     changes: int, surprise: float, fed_forward: F64, usual_thrust: float, row: F64,
 ) -> None:  # fmt: skip
-    """A Learned row (32,): feed-forward at the reference, residual at the state, counters.
+    """A Learned row (33,): feed-forward at the reference, residual at the state, counters.
 
     What was `looked` up ahead, (2, 4), is carried along over `carry_s`, into `forward`.
     """
@@ -131,7 +131,7 @@ def assemble(
     for i in range(3):
         row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
     row[25] = sample[s.S_APPLIED]
-    row[26] = sample[s.S_LATENCY]
+    row[26], row[32] = sample[s.S_LATENCY], sample[s.S_DELAY]
     sure = -1.0
     if not math.isnan(told[0] + told[1] + told[2]):
         sure = 1.0 - 3.0 * math.sqrt(max(told[0], told[1], told[2])) / limits[3]

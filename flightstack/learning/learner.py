@@ -195,7 +195,7 @@ class GpLearner:
             self._look_ahead(state, measurement.t_us)
         elif state.steps % _GAIN_EVERY == 1:
             _look_at_gain(state)
-        row, carry_s = np.empty(32), 1e-6 * (measurement.t_us - state.forward_us)
+        row, carry_s = np.empty(33), 1e-6 * (measurement.t_us - state.forward_us)
         assemble(
             self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
             state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,

@@ -77,7 +77,8 @@ S_LATENCY = S_APPLIED + 1
 S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body axes
 S_TARGET_FRD = S_HEADING + 2
 S_HEIGHT = S_TARGET_FRD + 3
-SAMPLE = S_HEIGHT + 1
+S_DELAY = S_HEIGHT + 1  # that the sample was made with, evident or not
+SAMPLE = S_DELAY + 1
 
 
 class Sampler:
@@ -302,7 +303,8 @@ def _sample(
         out[S_RATE_INPUT + i] = memory[_M_RATE + i]
         out[S_RATE_TARGET + i] = rate[i] - memory[_M_RATE + i]
     out[S_APPLIED] = thrust
-    out[S_LATENCY] = pick * _CANDIDATE_STEP_S if memory[_M_EVIDENT] != 0.0 else math.nan
+    out[S_DELAY] = pick * _CANDIDATE_STEP_S
+    out[S_LATENCY] = out[S_DELAY] if memory[_M_EVIDENT] != 0.0 else math.nan
     out[S_HEADING], out[S_HEADING + 1] = c, s
     out[S_HEIGHT] = height
     upright = r[2, 2] > 0.0

@@ -37,15 +37,17 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 (
     COMMITTED, SINCE_US, COUNT, GAIN, READ_S, LAST_US, EDGE, CLEARANCE, OFF, KEPT, SHARE, HOLD_S, FORCE,
 ) = range(13)  # fmt: skip
-SENT, LEFT, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7
+SENT, LEFT, BEYOND_S, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7, FORCE + 8
 """1 where a way out is committed; when it begins, its number of points; the gain and for how long it was read; time of
 the last tick; what was nearest to being forbidden, how clear the way is; how far the vehicle is from the way that it
 follows; 1 where it follows it; share of the wanted command that was let through; the hold; the force that
-the accelerometer shows (3, NED, m/s^2); body rates sent last (3); 1 once the chute of take-off was left."""
+the accelerometer shows (3, NED, m/s^2); body rates sent last (3); 1 once the chute of take-off was left; for how long
+the force has been more than the certificate says (s; BROKEN_S: once and for all)."""
 WAITING, PASSED, CHANGED = 1, 2, 3
 _READ_AFTER_S, _READ_TIME_S = 0.5, 0.5
 _AIRBORNE_M = 0.1
 _LEAST_THRUST = 0.35
+BROKEN_S = 0.1
 _SHARES = (0.75, 0.5, 0.25, 0.125)
 _NEAR_M = 100.0
 _FORCE_MOST_MPS2 = 4.0

@@ -47,28 +47,45 @@ class SiteState(NamedTuple):
     """`bend.SIZE` numbers."""
 
 
+class _Known(NamedTuple):
+    """One certificate's numbers, as compiled code takes them."""
+
+    vehicle: F64
+    rows: F64
+    soft: F64
+    tubes: F64
+    far: F64
+    """`slide` parameters of a reference."""
+    most_mps2: float
+    """More force than this falsifies it."""
+
+    @classmethod
+    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+        """Of a certificate."""
+        drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
+        ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
+        vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
+        far, doubts = made.soft[0].copy(), made.doubts[0]
+        far[slide.RADIUS] = made.kept_m
+        return cls(vehicle, made.rows, made.soft, made.tubes(), far, doubts.force_mps2 + doubts.rest_mps2)
+
+
 class SiteFilter:
     """The filter for one believed vehicle and site; holds constants and buffers for one tick."""
 
     enabled = True
 
     def __init__(
-        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float
-    ) -> None:
-        """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin."""
+        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
+        prior: Stopping | None = None,
+    ) -> None:  # fmt: skip
+        """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
+        what is kept to once the certificate was falsified."""
         self.model, self.limits, self.certificate, self.site = model, limits, certificate, site
         self._limiter = Limiter(model, limits)
         self._site = packed(site, chutes, chute_m)
-        self._tubes = certificate.tubes()
-        drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
-        low, high = certificate.prior.gain
-        self._vehicle = np.concatenate([
-            certificate.chain, certificate.response.ravel(), limits.rate_max_radps,
-            [drag, certificate.eps_gain, low, high, GAIN_STEP],
-        ])  # fmt: skip
+        self._known = [_Known.of(made, model, limits) for made in (certificate, prior or certificate)]
         assert len(certificate.chain) == CHAIN
-        self._far = certificate.soft[0].copy()
-        self._far[slide.RADIUS] += certificate.kept_m - certificate.soft[0, slide.RADIUS]
         self._scratch, self._way = np.zeros((STEPS, ROW)), np.zeros((STEPS, 5))
         self._rows, self._rate = np.zeros((slide.MOST_ROWS, 6)), np.zeros(3)
         self.compile()
@@ -107,10 +124,23 @@ class SiteFilter:
         dt = state.numbers[d.HOLD_S] or _BEND_DT_S
         if not np.isfinite(row[:6]).all():
             return setpoint
-        if not bending.bend(state.bent, self._site, self._far, row, dt, self._rows, self._way, out):
+        far = self._in_force(state.numbers).far
+        if not bending.bend(state.bent, self._site, far, row, dt, self._rows, self._way, out):
             return setpoint
         out[:3] += state.origin_ned_m
         return FlatOutput(out)
+
+    def _in_force(self, numbers: F64) -> _Known:
+        """The certificate's numbers, or the prior's once it was falsified."""
+        return self._known[1 if numbers[d.BEYOND_S] >= d.BROKEN_S else 0]
+
+    def _watch(self, numbers: F64) -> None:
+        """Whether the force that is shown is one that the certificate knows; once it was not for long, never again."""
+        if numbers[d.BEYOND_S] >= d.BROKEN_S:
+            return
+        shown = float(np.linalg.norm(numbers[d.FORCE : d.FORCE + 3]))
+        beyond = d.is_read(numbers) and shown > self._known[0].most_mps2
+        numbers[d.BEYOND_S] = numbers[d.BEYOND_S] + numbers[d.HOLD_S] if beyond else 0.0
 
     def step(
         self, state: SiteState, measurement: Measurement, command: Command, sent: Command, learned: Learned
@@ -122,11 +152,13 @@ class SiteFilter:
             row[2] = d.WAITING
             return state, command, Filtered(row)
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
+        known = self._in_force(numbers)
         norm, status = d.decide(
-            state.memory, self._vehicle, measurement.row, times, state.origin_ned_m, sent.thrust_norm,
-            sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps, self._site, self.certificate.rows,
-            self.certificate.soft, self._tubes, numbers, state.committed, self._scratch, self._way, row, self._rate,
+            state.memory, known.vehicle, measurement.row, times, state.origin_ned_m, sent.thrust_norm,
+            sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps, self._site, known.rows, known.soft,
+            known.tubes, numbers, state.committed, self._scratch, self._way, row, self._rate,
         )  # fmt: skip
+        self._watch(numbers)
         row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0
         if status != d.CHANGED:
             return state, command, Filtered(row)

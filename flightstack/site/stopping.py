@@ -45,7 +45,8 @@ MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2 = 0.15, 0.15
 """Tested in `tests/physics/test_stopping.py`."""
 _OVER, _DEMAND = 1.05, 1.5
 _UP_SHARE, _UP_MOST, _DOWN = 0.3, 3.0, 2.0
-_ACROSS_MOST = 4.0
+_ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
+"""Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _SNAP_SHARE = 1.6, 0.5
 _LEAN_MPS2 = 8.5
@@ -101,6 +102,11 @@ class Stopping:
     governor: GovernorTerms
     eps_gain: float
     """What the accelerometer leaves open of the gain, as a share of it."""
+    doubts: tuple[Doubts, Doubts]
+    """Across and along: what the tubes are made of."""
+    lags_s: tuple[float, float]
+    thrust_mps2: float
+    """The most that the believed vehicle has, within the governor's limits."""
 
     @property
     def radius_m(self) -> float:
@@ -148,7 +154,8 @@ def stopping(
     limits = within(limits, model, governor)
     low_n, high_n = model.thrust_range_n(limits)
     force = prior.force_g * G
-    lean = math.atan((_ACROSS_MOST + force) / G)
+    hardest = _ACROSS_MOST_CALM if prior.force_g <= _CALM_G else _ACROSS_MOST
+    lean = math.atan((hardest + force) / G)
     eps_p, eps_v, eps_a = (np.array(part) for part in (estimate.pos_m, estimate.vel_mps, estimate.acc_mps2))
     flat_p, flat_v, flat_a = (float(np.hypot(*part[:2]) / math.sqrt(2.0)) for part in (eps_p, eps_v, eps_a))
     ledger = (
@@ -175,7 +182,7 @@ def stopping(
     high = high_n / model.mass_kg
     rows, soft = [], []
     for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
-        a, up, lean_most = _authority(gain * high, force, limits)
+        a, up, lean_most = _authority(gain * high, force, hardest, limits)
         gains, down = tubes[0].gains, tubes[1].gains
         rows.append([
             a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
@@ -199,7 +206,7 @@ def stopping(
     ])  # fmt: skip
     made = Stopping(
         prior, ledger, *tubes, first, np.array(rows), np.array(soft), chain, response, governor,
-        told * (force + MODEL_ALONG_MPS2) / G,
+        told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high,
     )  # fmt: skip
     if gain_low * high < (1.0 + prior.force_g) * G:
         raise InputError(
@@ -217,14 +224,14 @@ def _seen(ledger: tuple[Line, ...], way: int, told: float) -> tuple[float, float
     return sum(sizes[:2]), sum(sizes[2:])
 
 
-def _authority(most_mps2: float, force_mps2: float, limits: Limits) -> tuple[float, float, float]:
+def _authority(most_mps2: float, force_mps2: float, hardest_mps2: float, limits: Limits) -> tuple[float, float, float]:
     """Braking across, of a fall, and the greatest acceleration by lean, with so much thrust."""
     spare = most_mps2 - G - _OVER * force_mps2
     up = min(max(_UP_SHARE * spare, _UP_LEAST), _UP_MOST)
     phi = np.linspace(0.0, 0.5 * math.pi, 46)
     carried = G + _OVER * force_mps2 * np.sin(phi) + up
     left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
-    a = min(max(float(left.min()), _ACROSS_LEAST), _ACROSS_MOST)
+    a = min(max(float(left.min()), _ACROSS_LEAST), hardest_mps2)
     tilted = min((G - _DOWN) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
     return a, up, min(float(math.sqrt(max(most_mps2**2 - (G + up) ** 2, 1.0))), tilted)
 

@@ -29,6 +29,7 @@ _SENSORS_ENABLED: Final = 0x0301402F
 _SENSORS_HEALTHY: Final = 0x0320C83F
 _PREARM_CHECK: Final = 1 << 28
 _RANGEFINDER_M: Final = 100.0
+_TERMINATED: Final = 8
 _NO_ITEMS, _NO_MISSION = 0xFFFF, 1
 _CAPABILITIES: Final = 0xE8FF
 _GOOD_RATIOS: Final = (0.05, 0.05, 0.05, 0.05, 0.01)
@@ -206,7 +207,9 @@ def heartbeat(view: View) -> m.Heartbeat:
     commander = view.commander
     mode = commander.mode
     status = 0
-    if commander.armed:
+    if commander.terminated:
+        status = _TERMINATED
+    elif commander.armed:
         status = _CRITICAL if commander.in_failsafe else _ACTIVE
     elif view.can_arm:
         status = _STANDBY

@@ -23,6 +23,7 @@ from flightstack_sim.autopilot.commander import (
     Request,
     Sender,
     StartRequest,
+    TerminateRequest,
 )
 from flightstack_sim.autopilot.goal import Goal, orbit_goal
 from flightstack_sim.autopilot.notices import Notice
@@ -35,6 +36,13 @@ FRAME_GLOBAL_INT: Final = 5
 UNSUPPORTED_FRAME: Final = 9
 """MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME."""
 _START: Final = 300
+_TERMINATE: Final = 185
+_INJECT: Final = 420
+_GPS_UNIT, _BATTERY, _MOTOR = 4, 100, 101
+"""FAILURE_UNIT."""
+_WORKS, _OFF, _STUCK, _WRONG = 0, 1, 2, 4
+"""FAILURE_TYPE."""
+_MOTORS: Final = 4
 _GET_HOME: Final = 410
 _REQUEST_PROTOCOL: Final = 519
 _REQUEST_CAPABILITIES: Final = 520
@@ -158,6 +166,31 @@ def _arm(context: Context, params: Params) -> None:
 
 def _take_off(context: Context, params: Params) -> None:
     context.requests.append(FlyRequest(context.sender, Cmd.NAV_TAKEOFF, params[6]))
+
+
+def _terminate(context: Context, params: Params) -> Result | None:
+    """DO_FLIGHTTERMINATION; there is no way back."""
+    if not params[0] > 0.5:
+        return Result.DENIED
+    context.requests.append(TerminateRequest(context.sender))
+    return None
+
+
+def _inject(context: Context, params: Params) -> Result | None:
+    """INJECT_FAILURE; what isn't simulated is UNSUPPORTED."""
+    unit, kind, instance = (_integer(value) if math.isfinite(value) else 0 for value in params[:3])
+    view, sensors = context.view, context.view.vehicle.sensors
+    if unit == _MOTOR and kind in (_WORKS, _OFF) and 0 <= instance <= _MOTORS:
+        view.vehicle.fail_motor(instance, failed=kind == _OFF)
+    elif unit == _BATTERY and kind in (_WORKS, _OFF):
+        view.battery.forced = 0.0 if kind == _OFF else None
+    elif unit == _GPS_UNIT and kind == _WORKS:
+        sensors.position_valid = True
+    elif unit == _GPS_UNIT and kind in (_OFF, _STUCK, _WRONG):
+        sensors.position_valid = False  # whatever is wrong with it, the estimator takes it no more
+    else:
+        return Result.UNSUPPORTED
+    return Result.ACCEPTED
 
 
 def _start_mission(context: Context, params: Params) -> None:
@@ -305,6 +338,8 @@ _HANDLERS: Final[dict[int, Handler]] = {
     Cmd.NAV_TAKEOFF: _take_off,
     Cmd.NAV_LAND: _land,
     _START: _start_mission,
+    _TERMINATE: _terminate,
+    _INJECT: _inject,
     Cmd.NAV_RETURN_TO_LAUNCH: _return,
     Cmd.PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     Cmd.SET_MESSAGE_INTERVAL: _set_interval,

@@ -139,6 +139,14 @@ def _tell_attitude(server: Server, value: float) -> None:
     server.view.silenced -= _ATTITUDES
 
 
+def _stop_motor(server: Server, value: float) -> None:
+    server.vehicle.fail_motor(int(value), failed=True)
+
+
+def _run_motor(server: Server, value: float) -> None:
+    server.vehicle.fail_motor(int(value), failed=False)
+
+
 def _jump_clock(server: Server, value: float) -> None:
     server.view.clock_offset_us += round(1e6 * value)
 
@@ -193,6 +201,11 @@ FAULTS: Final[tuple[FaultSpec, ...]] = (
     FaultSpec(
         "clock-jump", "every stamp of the autopilot's jumps by VALUE seconds", "the companion hands back: Hold at once",
         _HANDED_BACK, value=1.0, unit="s", limits=(-1e4, 1e4), start=_jump_clock,
+    ),
+    FaultSpec(
+        "motor-loss", "motor VALUE (1 to 4) gives no thrust", "it tumbles and falls",
+        "tests/unit/test_by_hand.py::test_a_quadrotor_that_loses_a_motor_tumbles_and_falls",
+        value=1.0, unit="1..4", limits=(1.0, 4.0), start=_stop_motor, stop=_run_motor,
     ),
     *(
         FaultSpec(

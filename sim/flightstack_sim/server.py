@@ -16,11 +16,13 @@ from typing import Any, Final
 from flightstack_sim import commands, protocols
 from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
+from flightstack_sim.autopilot.failure_detector import FailureDetector
 from flightstack_sim.autopilot.mission import MissionFlight
 from flightstack_sim.autopilot.navigator import NOT_STARTED, Navigator
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
+from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Sticks, from_manual_control
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
 from flightstack_sim.fence import FenceWatch
@@ -96,6 +98,9 @@ class Server:
         self._offboard_at_us = NEVER
         self._gcs_at_us = NEVER
         self._breached = False
+        self.stick_flight = StickFlight(vehicle.params)
+        self.detector = FailureDetector(vehicle.params)
+        self._sticks, self._sticks_at_us = Sticks(), NEVER
         self._tell_reached_us = 0
         self._next_slow_us = 0
         self._was_armed = False
@@ -146,6 +151,12 @@ class Server:
         if setpoint is not None:
             self._offboard, self._offboard_at_us = setpoint, received.t_us
 
+    def _on_sticks(self, link_index: int, received: Received) -> None:
+        """MANUAL_CONTROL, where parameters let it count (COM_RC_IN_MODE 1 to 3)."""
+        addressed = received.message.target in (0, self.system)
+        if addressed and 1.0 <= self.vehicle.params.get("COM_RC_IN_MODE") <= 3.0:
+            self._sticks, self._sticks_at_us = from_manual_control(received.message), received.t_us
+
     def _on_heartbeat(self, link_index: int, received: Received) -> None:
         if received.message.type == TYPE_GCS:
             port = self._ports[link_index]
@@ -176,6 +187,7 @@ class Server:
         for answer in port.plans.handle(received.message, sender, received.t_us):
             port.link.send(answer)
         self._tell_of_plans(port)
+        self._watch_mission()  # whoever stores one starts it at once
 
     def _tell_of_plans(self, port: _Port) -> None:
         if port.plans.said:
@@ -238,6 +250,13 @@ class Server:
         )
         if said:
             self._say(said, now_us)
+        if state.armed and state.mode in FLOWN_BY_STICKS:
+            setpoint = self.stick_flight.step(
+                state.mode, self._sticks, view.pos_ned_m, view.vel_ned_mps, view.heading_rad,
+                vehicle.control.hover_thrust.value,
+            )  # fmt: skip
+        else:
+            self.stick_flight.leave()
         if setpoint is not view.setpoint:
             view.use(setpoint)
         vehicle.advance(setpoint, n_ms)
@@ -289,12 +308,15 @@ class Server:
             self._breached,
             self.mission.valid,
             self.mission.finished,
+            self._sticks_at_us,
+            self.detector.failed,
             self.mission.returns,
         )
 
     def _slow(self) -> None:
         """What is looked at ten times a second."""
         view = self.view
+        self.detector.look(view.q_ned_frd, view.t_us, armed=self.commander.state.armed)
         self._watch_fence()
         self._watch_mission()
         for port in self._ports:
@@ -375,6 +397,7 @@ class Server:
 
 
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
+    m.ManualControl: Server._on_sticks,
     m.SetAttitudeTarget: Server._on_attitude_target,
     m.SetPositionTargetLocalNed: Server._on_position_target,
     m.SetPositionTargetGlobalInt: Server._on_position_target,

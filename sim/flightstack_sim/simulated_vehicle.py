@@ -71,6 +71,11 @@ class SimulatedVehicle:
         """The last raw position fix that has become known."""
         return self.sensors.fix
 
+    def fail_motor(self, number: int, *, failed: bool) -> None:
+        """A motor (1 to 4; 0: any) gives no thrust from now on, or works again; one at a time."""
+        effectiveness = 0.0 if failed else 1.0
+        self.plant.set_effect("rotor_fault", {"rotor": float(number or 1), "effectiveness": effectiveness})
+
     def advance(self, setpoint: ControlSetpoint, n_ms: int = ESTIMATE_EVERY_MS) -> None:
         """Fly `setpoint` for n_ms milliseconds."""
         while n_ms > 0:

@@ -1,4 +1,7 @@
-"""Adversaries in a site: references through walls and corners, pushes, dither, gusts; no exit."""
+"""Adversaries in a site: references through walls and corners, pushes, dither, gusts; no exit.
+
+And with a force twice as large as the prior says, exits are seen: the tests can fail.
+"""
 
 from __future__ import annotations
 
@@ -36,16 +39,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def attacked(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[float, float, float]) -> Outcome:
     world = World(seed=seed, scenario="hover", vehicle="quad-x", grade="mocap", mass_ratio=mass, wind_g=wind_g)
-    return FenceFlight(world, site, Attack(kind, seed=seed)).run(10.0)
+    return FenceFlight(world, site, Attack(kind, seed=seed)).run(8.0)
 
 
 @pytest.mark.parametrize(
     ("kind", "seed", "mass", "wind_g"),
     [
-        (PUSH, 32, 1.0, (0.1, 0.1, 0.05)),
-        (PUSH, 0, 0.8, (0.0, 0.15, 0.0)),
+        (PUSH, 304, 1.4, (0.1, 0.1, 0.05)),
         (THROUGH, 21, 0.8, (0.1, 0.0, 0.1)),
-        (THROUGH, 9, 1.4, (0.1, 0.0, 0.0)),
         (DITHER, 30, 1.2, (0.0, 0.1, 0.0)),
         (RANDOM, 3, 1.2, (0.0, 0.0, 0.0)),
     ],
@@ -55,3 +56,9 @@ def test_no_exit(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[fl
     assert outcome.exits == 0
     assert outcome.engaged >= 0.95 * outcome.ticks
     assert outcome.changed > 0
+
+
+def test_half_of_the_true_force_is_found_out(site: Path) -> None:
+    outcome = attacked(site, PUSH, 304, 1.4, (0.2, 0.2, 0.1))
+    assert outcome.exits > 0
+    assert outcome.broken > 0

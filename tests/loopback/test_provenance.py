@@ -244,7 +244,7 @@ def test_a_log_of_other_ticks_is_refused(flown: Flown) -> None:
         ("/tick", "vel_ned_mps"),
         ("/tick", "imu_age_us"),
         ("/command", "thrust_norm"),
-        ("/tick", "latency_s"),
+        ("/tick", "delay_s"),
     ):
         forged = copy.deepcopy(flown.recording)
         values = forged.tables[topic][column] = np.array(forged.tables[topic][column])

@@ -88,10 +88,18 @@ def test_refused_before_take_off(tmp_path: Path, text: str, said: str, capsys: p
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("more", [{"filtering": False}, {"as_published": True}, {"certificate": Path("x.json")}])
+@pytest.mark.parametrize("more", [{"filtering": False}, {"as_published": True}])
 def test_what_contradicts_a_site_is_named(tmp_path: Path, more: dict[str, object]) -> None:
     with pytest.raises(InputError, match="leave out --"):
         prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, BOX), **more))  # type: ignore[arg-type]
+
+
+def test_a_certificate_of_something_else_is_refused(tmp_path: Path) -> None:
+    for text in ('{"schema": "flightstack.certificate/2"}', "nonsense", "[]"):
+        with pytest.raises(InputError, match=r"JSON|certify --site"):
+            prepare(
+                FlyOptions(scenario="figure8", site=_site(tmp_path, BOX), certificate=_site(tmp_path, text, "c.json"))
+            )
 
 
 def test_a_missing_file_and_a_huge_one_are_one_line(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def tick_record(t_us: int, pos_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.
         reference=reference,
         measurement=measurement,
         proposal=Proposal(11.0, np.concatenate([(11.5, -0.5), *three[11:14], *three[9:11], three[14]])),
-        learned=Learned(rng.uniform(size=32)),
+        learned=Learned(rng.uniform(size=33)),
         command=command,
         thrust_saturated=True,
         guard=guard,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flightstack.cli.campaign.adversary import Adversary
 from flightstack.cli.campaign.design import Design
 from flightstack.cli.campaign.plan import Planner, parsed
-from flightstack.cli.campaign.spec import CampaignSpec, parse_spec
+from flightstack.cli.campaign.spec import CampaignSpec, load_spec, parse_spec
 from flightstack.dotted import changed, changed_vehicle
 from flightstack.errors import InputError
 from flightstack.toml_text import toml_text
@@ -104,6 +106,24 @@ def test_a_plan_is_a_scenario_that_says_it_all() -> None:
     assert changed_grade("mocap", scenario.grade_changes, "x").imu.accel_bias_std_mps2 == 0.2
     assert dict(scenario.flight) == {"fault": "none", "no-learning": True, "seed": 4}
     assert scenario.checks == ()  # those of the scenario as it is written
+
+
+@pytest.mark.parametrize("path", sorted((QUAD.parents[3] / "campaigns").glob("*.toml")), ids=lambda each: each.stem)
+def test_the_campaigns_that_come_along_can_be_flown(path: Path) -> None:
+    spec = load_spec(path)
+    planner = Planner(spec)
+    values = Design(spec).values(0)
+    plan = planner.plan(0, values, spec.seed_of(0))
+    if spec.search is not None:
+        adversary = Adversary(planner)
+        for share in (0.0, 0.3, 1.0 - 1e-12):
+            plan = adversary.against(plan, [share] * adversary.dimensions)
+            truth = parsed(plan).truth_vehicle(_quad()).effects["constant_force"]
+            most_n = max(0.15 * _quad().weight_n, math.hypot(*truth.values()))
+            pushes = [math.hypot(*dict(event.values).values()) for event in parsed(plan).events]
+            assert len(pushes) >= 4
+            assert max(pushes) <= most_n + 1e-9
+    assert changed_vehicle(_quad(), parsed(plan).truth.changes, "x").mass_kg == values["body.mass_kg"]
 
 
 def test_what_makes_no_vehicle_and_no_grade_is_refused_in_one_line() -> None:

@@ -260,7 +260,7 @@ def test_info_counts_messages_rates_and_events(tmp_path: Path) -> None:
     assert topics["/truth"].source == "simulator"
     units = {field.name: (field.unit, field.size) for field in topics["/tick"].fields}
     assert units["pos_ned_m"] == ("m", 3)
-    assert units["latency_s"] == ("s", 0)
+    assert units["delay_s"] == ("s", 0)
     assert summary.attachments == {"vehicle.toml": len(VEHICLE.data)}
     assert [(event.t_s, event.source, event.text) for event in summary.events[:2]] == [
         (0.0, "companion", "number 0"),

@@ -17,7 +17,7 @@ class PageServer(ThreadingHTTPServer):
     """`http://127.0.0.1:PORT/`; OSError where the port is taken."""
 
     daemon_threads = True
-    allow_reuse_address = False
+    allow_reuse_address = True  # of connections of the last flight that are still dying; never beside another server
     block_on_close = False
 
     def __init__(self, port: int, board: Board) -> None:

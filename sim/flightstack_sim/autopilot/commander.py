@@ -43,6 +43,7 @@ COMMAND_LAND: Final = 21
 COMMAND_RETURN: Final = 20
 COMMAND_ORBIT: Final = 34
 COMMAND_START: Final = 300
+COMMAND_TERMINATE: Final = 185
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
@@ -96,7 +97,13 @@ class StartRequest(NamedTuple):
     sender: Sender
 
 
-Request = ModeRequest | ArmRequest | FlyRequest | GoRequest | StartRequest
+class TerminateRequest(NamedTuple):
+    """DO_FLIGHTTERMINATION."""
+
+    sender: Sender
+
+
+Request = ModeRequest | ArmRequest | FlyRequest | GoRequest | StartRequest | TerminateRequest
 
 
 class Answer(NamedTuple):
@@ -128,6 +135,10 @@ class Inputs(NamedTuple):
     """A mission that can be flown is stored."""
     mission_over: bool = False
     """It has been flown to its end."""
+    sticks_at_us: int = NEVER
+    """When a pilot's sticks last came."""
+    attitude_failed: bool = False
+    """The failure detector's verdict."""
     mission_returns: bool = False
     """Its present item asks for Return."""
 
@@ -171,6 +182,10 @@ class CommanderState:
     gcs_lost: bool = True
     """No ground station is heard; true until one is."""
     gcs_seen: bool = False
+    sticks_heard: bool = False
+    """Since arming: before, nobody counts on them."""
+    terminated: bool = False
+    """Flight termination is for good, until the next start."""
 
     @property
     def in_failsafe(self) -> bool:
@@ -229,9 +244,13 @@ class Commander:
         state = self.state
         age_us = now_us - inputs.last_setpoint_us
         ready = now_us >= ESTIMATE_READY_US
+        sticks = now_us - inputs.sticks_at_us < self._params.get("COM_RC_LOSS_T") * 1e6
+        if sticks and state.armed:
+            state.sticks_heard = True
         conditions = Conditions(
-            ready,
+            ready and not state.terminated,
             age_us < self._params.get("COM_OF_LOSS_T") * 1e6,
+            sticks=sticks,
             mission=inputs.mission_valid,
             armed=state.armed,
             position_valid=inputs.position_valid,
@@ -262,7 +281,12 @@ class Commander:
             state.gcs_lost,
             battery_warning(inputs.battery_remaining, self._params),
             inputs.breached,
+            state.sticks_heard and not state.checks.conditions.sticks,
+            inputs.attitude_failed,
         )
+        if state.terminated:
+            state.mode = modes.TERMINATION
+            return
         selected = self._failsafe.update(status, now_us, chosen=chosen)
         state.action = selected.action
         if selected.announce:
@@ -274,6 +298,7 @@ class Commander:
         if selected.action is Action.DISARM:
             self._disarm(notices.BY_FAILSAFE)
         else:
+            state.terminated = selected.action is Action.TERMINATE
             state.mode = failsafe.ACTION_MODES.get(selected.action, state.intended)
 
     def _disarm_by_timer(self, now_us: int) -> None:
@@ -332,7 +357,8 @@ class Commander:
         self._failsafe.reset()
         if not state.intended.kept_after_disarm:
             state.intended = state.kept
-        state.mode = state.intended
+        state.mode = modes.TERMINATION if state.terminated else state.intended
+        state.sticks_heard = False
         self._notices.append(notices.disarmed(reason))
 
     # --- requests ---
@@ -346,6 +372,9 @@ class Commander:
             self._arm_or_disarm(request, inputs, now_us)
         elif isinstance(request, GoRequest):
             self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
+        elif isinstance(request, TerminateRequest):
+            self._terminate(now_us)
+            self._answers.append(Answer(request.sender, COMMAND_TERMINATE, ACCEPTED))
         elif isinstance(request, StartRequest):
             self._answers.append(Answer(request.sender, COMMAND_START, self._start_mission(inputs, now_us)))
         else:
@@ -391,6 +420,15 @@ class Commander:
         if chosen and notice is not None:
             self._notices.append(notice)
         return ACCEPTED if chosen else TEMPORARILY_REJECTED
+
+    def _terminate(self, now_us: int) -> None:
+        """DO_FLIGHTTERMINATION: the motors stop, for good."""
+        state = self.state
+        if not state.terminated:
+            state.terminated, state.action = True, Action.TERMINATE
+            self._notices.append(notices.failsafe(state.intended.custom_mode, Action.TERMINATE))
+            self._notices.append(notices.TERMINATED)
+        self._apply_mode(now_us)
 
     def _start_mission(self, inputs: Inputs, now_us: int) -> int:
         """MISSION_START: choose the mode, and arm."""

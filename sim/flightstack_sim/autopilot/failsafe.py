@@ -19,7 +19,7 @@ from enum import Enum, IntEnum, auto
 from typing import Final, NamedTuple
 
 from flightstack_sim.autopilot import modes
-from flightstack_sim.autopilot.modes import Mode
+from flightstack_sim.autopilot.modes import Mode, Need
 from flightstack_sim.autopilot.params import Params
 
 
@@ -40,6 +40,7 @@ class Cause(IntEnum):
     """Why; the numbers are those of PX4's failsafe event."""
 
     GENERIC = 0
+    MANUAL_CONTROL_LOSS = 1
     GCS_LOSS = 2
     BATTERY_LOW = 3
     BATTERY_CRITICAL = 4
@@ -84,6 +85,10 @@ class Status(NamedTuple):
     battery: Warning = Warning.NONE
     breached: bool = False
     """Outside the geofence."""
+    sticks_lost: bool = False
+    """A pilot's sticks were heard since arming, and are no more."""
+    attitude_failed: bool = False
+    """The failure detector has seen an attitude that no flight has."""
 
 
 class Selected(NamedTuple):
@@ -119,6 +124,8 @@ _ON_BREACH: Final = {1: Action.WARN, 2: Action.HOLD, 3: Action.RETURN, 4: Action
 _ON_CRITICAL: Final = {1: Action.RETURN, 2: Action.LAND, 3: Action.RETURN}
 _ON_EMERGENCY: Final = {1: Action.RETURN, 2: Action.LAND, 3: Action.LAND}
 _LEAST_DELAY_S: Final = 0.1
+_BREAKER: Final = 121212.0
+"""CBRK_FLIGHTTERM: the failure detector must not end the flight."""
 _NO_GCS_NEEDED: Final = (modes.LAND, modes.PRECLAND)
 
 
@@ -172,6 +179,23 @@ def _on_gcs_loss(status: Status, params: Params, at_arming: Warning) -> _Wanted 
     return _Wanted(action, Cause.GCS_LOSS, ends, Takeover.NEVER if final else Takeover.AFTER_HOLD)
 
 
+def _on_sticks_loss(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+    action = _ON_LINK_LOSS.get(int(params.get("NAV_RCL_ACT")), Action.NONE)
+    if not status.sticks_lost or action is Action.NONE:
+        return None
+    final = action in (Action.TERMINATE, Action.DISARM)
+    ends = Ends.NEVER if action is Action.TERMINATE else Ends.ON_MODE_CHANGE
+    return _Wanted(action, Cause.MANUAL_CONTROL_LOSS, ends, Takeover.NEVER if final else Takeover.AFTER_HOLD)
+
+
+def _on_attitude_failure(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+    if not status.attitude_failed:
+        return None
+    if params.get("CBRK_FLIGHTTERM") == _BREAKER:
+        return _Wanted(Action.WARN)
+    return _Wanted(Action.TERMINATE, ends=Ends.NEVER, takeover=Takeover.NEVER)
+
+
 def _on_breach(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
     action = _ON_BREACH.get(int(params.get("GF_ACTION")), Action.NONE)
     if not status.breached or action is Action.NONE:
@@ -199,17 +223,21 @@ def _fallback(status: Status, params: Params, at_arming: Warning) -> _Wanted | N
     if intended is modes.OFFBOARD and not status.offboard_signal:
         action = on_offboard_loss(params)
         intended = ACTION_MODES.get(action, intended)
+    if intended.need is Need.STICKS:  # lost sticks are another cause's business
+        return None if intended is not modes.POSCTL or runs(modes.HOLD, status.can_run) else _Wanted(Action.RETURN)
     if action is not Action.DISARM and intended is not modes.TERMINATION and not runs(intended, status.can_run):
         action = Action.RETURN
     return None if action is Action.NONE else _Wanted(action, takeover=Takeover.AT_ONCE)
 
 
 _CAUSES: Final[dict[str, Callable[[Status, Params, Warning], _Wanted | None]]] = {
+    "sticks": _on_sticks_loss,
     "ground station": _on_gcs_loss,
     "fence": _on_breach,
     "battery low": _on_battery(Warning.LOW, Cause.BATTERY_LOW, {}),
     "battery critical": _on_battery(Warning.CRITICAL, Cause.BATTERY_CRITICAL, _ON_CRITICAL),
     "battery emergency": _on_battery(Warning.EMERGENCY, Cause.BATTERY_EMERGENCY, _ON_EMERGENCY),
+    "attitude": _on_attitude_failure,
     "mode": _fallback,
 }
 """Every cause, in the order in which PX4 looks at them."""

@@ -105,6 +105,7 @@ FENCE_WITHOUT_VEHICLE: Final = Notice(
 )
 OUTSIDE_FENCE: Final = Notice(0, 0, b"", CRITICAL, "Reposition is outside geofence\t")
 
+TERMINATED: Final = Notice(0, 0, b"", CRITICAL, "Preflight Fail: Flight termination active\t")
 EXECUTING_MISSION: Final = Notice(0, 0, b"", INFO, "Executing Mission\t")
 NO_VALID_MISSION: Final = Notice(0, 0, b"", CRITICAL, "Mission start denied! No valid mission\t")
 

@@ -1,0 +1,139 @@
+"""Certificates of a stop (`flightstack.stopping/1`): ledger, tubes and braking worked out anew; shares no code.
+
+Across: p' = v, v' = a + d + r, a' = j, lag j' = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
+o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each
+input are integrated by Runge and Kutta's rule; the sum of their absolute areas, each times its bound, is the least
+radius that may be claimed.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from .intervals import F64
+from .reading import Refused, Unreadable, number, numbers, table_of
+
+SCHEMA = "flightstack.stopping/1"
+_GRAVITY = 9.80665
+_OBSERVER_S = 0.1
+_STEP_S, _HORIZON_S = 0.002, 10.0
+_ROOM = 0.01
+"""Share by which a claimed radius may be less than what is found: both are integrated in steps."""
+_LINES = ("force", "gain", "estimate", "torque", "model")
+_LOOP = (
+    "lag_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
+    "demand_mps2",
+)  # fmt: skip
+_TOP = (
+    "schema", "vehicle", "vehicle_hash", "sensors", "prior", "learned", "ledger", "across", "along", "braking",
+    "stops_within_m",
+)  # fmt: skip
+
+
+def is_stopping(text: str) -> bool:
+    """Whether a text looks like one."""
+    return SCHEMA in text[:400]
+
+
+def check_stopping(text: str) -> list[str]:
+    """What was verified, a line each; Refused where something does not hold."""
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        raise Unreadable("not valid JSON") from None
+    top = table_of(said, _TOP, "certificate")
+    low, high, force_g = numbers(top["prior"], ("mass_low", "mass_high", "force_g"), "prior")
+    if not (0.3 <= low <= high <= 3.0 and 0.0 <= force_g <= 1.0):
+        raise Refused("prior: a range of masses from 0.3 to 3 and a force of at most 1 g are looked at")
+    sums = _ledger(top["ledger"], force_g)
+    lines = [f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
+    for i, name in enumerate(("across", "along")):
+        loop = dict(zip(_LOOP, numbers(top[name], _LOOP, name), strict=True))
+        for key, total in zip(("force_mps2", "rest_mps2"), sums[i], strict=True):
+            if not loop[key] >= total - 1e-9:
+                raise Refused(f"{name}.{key} = {loop[key]:.4g} is less than its lines in the ledger: {total:.4g}")
+        found = _radius(loop, i == 0)
+        if not loop["radius_m"] >= (1.0 - _ROOM) * found:
+            raise Refused(f"{name}: the tube reaches {found:.4f} m, not {loop['radius_m']:.4f} m")
+        lines.append(f"{name}: tube of {loop['radius_m']:.3f} m, found {found:.3f} m")
+    _braking(top["braking"], (low, high, force_g))
+    lines.append("braking: thrust carries weight, force and braking together")
+    return lines
+
+
+def _ledger(value: Any, force_g: float) -> list[tuple[float, float]]:
+    """What the accelerometer shows and what not, across and along."""
+    if not isinstance(value, list) or len(value) != len(_LINES):
+        raise Unreadable(f"ledger must be {len(_LINES)} lines")
+    table = []
+    for name, line in zip(_LINES, value, strict=True):
+        parts = table_of(line, ("name", "across_mps2", "along_mps2"), f"ledger.{name}")
+        if parts["name"] != name:
+            raise Refused(f"ledger: {name} is expected, not {str(parts['name'])[:40]}")
+        sizes = [number(parts[key], f"ledger.{name}.{key}") for key in ("across_mps2", "along_mps2")]
+        if min(sizes) < 0.0:
+            raise Refused(f"ledger.{name} is negative")
+        table.append(sizes)
+    if min(table[0]) < force_g * _GRAVITY - 1e-9:
+        raise Refused(f"ledger.force is less than the prior's {force_g:g} g")
+    return [(sum(row[way] for row in table[:2]), sum(row[way] for row in table[2:])) for way in (0, 1)]
+
+
+def _radius(loop: dict[str, float], is_across: bool) -> float:
+    """The sum of bounds times areas, after the initial errors."""
+    if not (loop["lag_s"] > 1e-3 and min(loop.values()) >= 0.0):
+        raise Refused("a loop's lag is at least 1 ms, and nothing in it is negative")
+    order = 5 if is_across else 4
+    a, into = np.zeros((order, order)), np.zeros((order, 4))
+    a[0, 1] = a[1, 2] = 1.0
+    asked, last = order - 2, order - 1
+    a[asked, :2] = -loop["pos_ps3"], -loop["vel_ps2"]
+    a[asked, asked] -= 1.0
+    gain = loop["acc_ps"] if is_across else 1.0
+    if is_across:
+        a[2, 3] = 1.0
+        a[asked, 2] = -gain
+    a[asked, last] = -gain
+    into[asked, 2:] = -loop["pos_ps3"], -loop["vel_ps2"]
+    a[asked] /= loop["lag_s"]
+    into[asked] /= loop["lag_s"]
+    a[last, last] = -1.0 / _OBSERVER_S
+    into[1, :2] = 1.0
+    into[last, 0] = 1.0 / _OBSERVER_S
+    if float(np.linalg.eigvals(a).real.max()) > -0.3:
+        raise Refused("a loop does not settle")
+    starts = np.zeros((order, 3))
+    starts[0, 0] = starts[1, 1] = starts[last, 2] = 1.0
+    bounds = np.array([loop["force_mps2"], loop["rest_mps2"], loop["eps_p_m"], loop["eps_v_mps"]])
+    begun = np.array([loop["eps_p_m"], loop["eps_v_mps"], loop["force_mps2"]])
+    return _greatest(a, np.hstack([into, starts]), bounds, begun)
+
+
+def _greatest(a: F64, x: F64, bounds: F64, begun: F64) -> float:
+    """The greatest sum at any time; x (order, 7): the answers' first values."""
+    h, area, greatest = _STEP_S, np.zeros(4), 0.0
+    for _ in range(round(_HORIZON_S / _STEP_S)):
+        k1 = a @ x
+        k2 = a @ (x + 0.5 * h * k1)
+        k3 = a @ (x + 0.5 * h * k2)
+        after = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + a @ (x + h * k3))
+        area += 0.5 * h * (np.abs(x[0, :4]) + np.abs(after[0, :4]))
+        x = after
+        greatest = max(greatest, float(area @ bounds + np.abs(x[0, 4:]) @ begun))
+    return greatest
+
+
+def _braking(value: Any, prior: tuple[float, float, float]) -> None:
+    """With the least gain, thrust carries the weight, the force from any side and the braking."""
+    thrust, across, up, down = numbers(value, ("thrust_mps2", "across_mps2", "up_mps2", "down_mps2"), "braking")
+    _, high, force_g = prior
+    force, least = force_g * _GRAVITY, thrust / high
+    if not (across > 0.0 and up > 0.0 and 0.0 < down < _GRAVITY):
+        raise Refused("braking: nothing of it may be 0, and a climb is braked by less than the weight")
+    phi = np.linspace(0.0, 0.5 * np.pi, 91)
+    needed = np.hypot(_GRAVITY + force * np.sin(phi) + up, across + force * np.cos(phi))
+    if not float(needed.max()) <= least + 1e-9:
+        raise Refused(f"braking: {needed.max():.3f} m/s^2 of thrust are needed, the least is {least:.3f}")

@@ -1,0 +1,93 @@
+"""Certificates of a stop as files, `flightstack.stopping/1` (JSON): what was learned, and all that follows from it.
+
+A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
+the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
+same numbers are made from the believed vehicle, and have to agree.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from flightstack.checked import number
+from flightstack.site import backup as b
+from flightstack.site.stopping import Prior, Stopping
+from flightstack.site.tube import Doubts, Tube
+from flightstack.types import InputError
+
+SCHEMA = "flightstack.stopping/1"
+_AGREE = 1e-6
+SPEEDS_MPS = (1.0, 3.0, 5.0)
+
+
+def as_json(made: Stopping, vehicle: str, vehicle_hash: str, sensors: str, learned: dict[str, Any]) -> str:
+    """The file's text; `learned`: where its prior comes from."""
+    least = made.rows[0]
+    loops = {name: _loop(tube, made.doubts[i], made.lags_s[i]) for i, (name, tube) in enumerate(_tubes(made).items())}
+    said = {
+        "schema": SCHEMA,
+        "vehicle": vehicle,
+        "vehicle_hash": vehicle_hash,
+        "sensors": sensors,
+        "prior": dict(made.prior._asdict()),
+        "learned": learned,
+        "ledger": [dict(line._asdict()) for line in made.ledger],
+        **loops,
+        "braking": {
+            "thrust_mps2": made.thrust_mps2,
+            "across_mps2": float(least[b.ACROSS]),
+            "up_mps2": float(least[b.UP]),
+            "down_mps2": float(least[b.DOWN]),
+        },
+        "stops_within_m": {f"{speed:g} m/s": made.stopping_way_m(speed, 0.0) for speed in SPEEDS_MPS},
+    }
+    return json.dumps(said, indent=1) + "\n"
+
+
+def _tubes(made: Stopping) -> dict[str, Tube]:
+    return {"across": made.across, "along": made.along}
+
+
+def _loop(tube: Tube, doubts: Doubts, lag_s: float) -> dict[str, float]:
+    gains = {name: float(value) for name, value in tube.gains._asdict().items()}
+    return {
+        "lag_s": lag_s,
+        **{name: float(value) for name, value in doubts._asdict().items()},
+        **gains,
+        "radius_m": float(tube.radius_m[-1]),
+        "demand_mps2": tube.demand_mps2,
+    }
+
+
+def prior_of(text: str, source: str, vehicle_hash: str, sensors: str) -> Prior:
+    """What a file says of mass and force; InputError where it is none, or for another vehicle or other sensors."""
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{source}: not valid JSON: {error}") from None
+    if not isinstance(said, dict) or said.get("schema") != SCHEMA:
+        raise InputError(
+            f'{source}: not a certificate of a stop (schema "{SCHEMA}"): a site needs one, made by `certify --site`'
+        )
+    if said.get("vehicle_hash") != vehicle_hash:
+        raise InputError(f"{source}: made for another vehicle ({said.get('vehicle')!r}); certify this one")
+    if said.get("sensors") != sensors:
+        raise InputError(f"{source}: made for {said.get('sensors')!r} sensors, this flight has {sensors}")
+    prior = said.get("prior")
+    if not isinstance(prior, dict):
+        raise InputError(f"{source}: prior is missing")
+    low = number(prior.get("mass_low"), f"{source}: prior.mass_low", 0.5, 2.0)
+    high = number(prior.get("mass_high"), f"{source}: prior.mass_high", low, 2.0)
+    return Prior(low, high, number(prior.get("force_g"), f"{source}: prior.force_g", 0.0, 0.5))
+
+
+def require_same(text: str, source: str, made: Stopping) -> None:
+    """InputError where the file's tubes or braking are not those that follow from its prior for this vehicle."""
+    said = json.loads(text)
+    again = json.loads(as_json(made, "", "", "", {}))
+    for part in ("across", "along", "braking"):
+        for key, value in again[part].items():
+            found = said.get(part, {}).get(key) if isinstance(said.get(part), dict) else None
+            if not isinstance(found, int | float) or not abs(found - value) <= _AGREE * max(1.0, abs(value)):
+                raise InputError(f"{source}: {part}.{key} = {found} does not follow from its prior ({value:.6g})")

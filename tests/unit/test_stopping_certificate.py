@@ -1,0 +1,111 @@
+"""Certificates of a stop: what the independent checker passes and refuses, and for whom a file holds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from flightstack.barrier.estimate_bounds import estimate_bounds
+from flightstack.certificate_check import check
+from flightstack.cli import files
+from flightstack.cli.certify_site import narrowed
+from flightstack.cli.protection import governor_for
+from flightstack.cli.sensors import error_statistics
+from flightstack.model import Limits, Model
+from flightstack.site.certificate import as_json, prior_of, require_same
+from flightstack.site.stopping import Prior, Stopping, stopping
+from flightstack.types import InputError
+from flightstack_sim.grade import load_grade
+
+
+@pytest.fixture(scope="module")
+def made() -> Stopping:
+    believed, _ = files.load_vehicle(None)
+    model = Model.from_vehicle(believed)
+    estimate = estimate_bounds(error_statistics(load_grade("mocap")))
+    governor = governor_for(believed, model, Limits(), "mocap")
+    return stopping(believed, model, Limits(), estimate, governor, Prior(0.94, 1.08, 0.05))
+
+
+@pytest.fixture(scope="module")
+def text(made: Stopping) -> str:
+    return as_json(made, "quad-x", "hash", "mocap", {"gain": 1.0})
+
+
+def test_an_honest_file_is_valid_and_stops_as_is_asked(made: Stopping, text: str) -> None:
+    verdict = check(text)
+    assert verdict.valid, verdict.lines
+    assert made.stopping_way_m(5.0, 0.0) < 4.2
+    assert made.radius_m < 0.35
+
+
+def _set(*path: object, to: object) -> Callable[[dict[str, Any]], None]:
+    def change(said: Any) -> None:
+        for key in path[:-1]:
+            said = said[key]
+        said[path[-1]] = to
+
+    return change
+
+
+def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
+    def change(said: Any) -> None:
+        for key in path[:-1]:
+            said = said[key]
+        said[path[-1]] *= by
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("forge", "said"),
+    [
+        (_times("across", "radius_m", by=0.95), "across: the tube reaches"),
+        (_times("along", "radius_m", by=0.9), "along: the tube reaches"),
+        (_times("across", "force_mps2", by=0.5), "less than its lines"),
+        (_times("along", "rest_mps2", by=0.5), "less than its lines"),
+        (_times("ledger", 0, "across_mps2", by=0.5), "less than the prior's"),
+        (_set("ledger", 3, "name", to="luck"), "torque is expected"),
+        (_times("ledger", 2, "across_mps2", by=-1.0), "negative"),
+        (_times("across", "lag_s", by=4.0), "across"),
+        (_set("across", "pos_ps3", to=0.0), "does not settle"),
+        (_times("braking", "across_mps2", by=3.0), "braking"),
+        (_set("prior", "mass_high", to=1.8), "braking"),
+        (_set("prior", "force_g", to=0.3), "less than the prior's"),
+        (_set("across", "radius_m", to=float("nan")), "number"),
+        (_set("across", "more", to=1.0), "not known"),
+    ],
+)
+def test_a_forged_file_is_refused(text: str, forge: Callable[[dict[str, Any]], None], said: str) -> None:
+    table = json.loads(text)
+    forge(table)
+    verdict = check(json.dumps(table))
+    assert not verdict.valid
+    assert said in verdict.lines[-1]
+
+
+def test_for_whom_it_holds(made: Stopping, text: str) -> None:
+    assert prior_of(text, "a.json", "hash", "mocap") == made.prior
+    require_same(text, "a.json", made)
+    for other in (("another", "mocap"), ("hash", "gps")):
+        with pytest.raises(InputError, match="made for"):
+            prior_of(text, "a.json", *other)
+    with pytest.raises(InputError, match="certify --site"):
+        prior_of('{"schema": "flightstack.certificate/2"}', "a.json", "hash", "mocap")
+    table = json.loads(text)
+    table["across"]["acc_ps"] *= 1.1
+    with pytest.raises(InputError, match="does not follow"):
+        require_same(json.dumps(table), "a.json", made)
+
+
+def test_what_a_flight_leaves_open_stays_within_the_prior() -> None:
+    calm = narrowed(1.0, 0.01, 0.2, 0.1)
+    assert calm.mass_low < 1.0 < calm.mass_high
+    assert calm.force_g == pytest.approx((1.5 * 0.2 + 0.1) / 9.80665)
+    wild = narrowed(0.7, 0.2, 9.0, 0.1)
+    assert wild.mass_low >= 0.8
+    assert wild.mass_high <= 1.5
+    assert wild.force_g == 0.15
