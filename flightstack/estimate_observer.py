@@ -18,6 +18,11 @@ added to the velocity is weight c^, axis by axis,
 with r^2 the mean square of c^ below 0.5 Hz and n^2 that of the rest: Wiener's share of what is slow, less of what is
 too small to matter.  Where position and velocity agree but for noise, as with motion capture, next to nothing is added.
 
+Why there are two observers: `state_observer` is a Kalman filter with the statistics of a grade whose errors of position
+and velocity are independent (simulated motion capture, GPS); where it flies, this one corrects nothing.  A real PX4's
+errors are not independent, velocity's is the derivative of position's: no such statistics hold, and this one corrects.
+It always runs, as it says how well the two streams agree; it bounds nothing.
+
 Position is left as it was received.  rms of c^ is a figure of the estimator's health.  A reset that the estimator
 counts, and any jump, moves p^ to the new position; what was known of c stays.
 """

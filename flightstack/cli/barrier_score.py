@@ -301,6 +301,8 @@ class FilterScore:
     """Ticks in which it was engaged, its fallbacks included."""
     interventions: int = 0
     infeasible: int = 0
+    governed: int = 0
+    """Engaged ticks in which the governor of rate commands changed the command."""
     premises_broken: int = 0
     """Engaged ticks in which a premise did not hold: as measured, or, of the estimate, by the truth."""
     spans: list[tuple[float, float]] = field(default_factory=list)
@@ -309,10 +311,11 @@ class FilterScore:
     _solved: int = 0
     _protecting: bool = False
 
-    def add(self, flight_s: float, filtered: Filtered, *, climbing: bool) -> None:
+    def add(self, flight_s: float, filtered: Filtered, *, climbing: bool, governed: bool = False) -> None:
         """One tick, `flight_s` after take-off began."""
         status = filtered.status
         self.acting += status >= SOLVED
+        self.governed += governed and status >= SOLVED
         self.interventions += filtered.intervened == 1.0
         self.infeasible += status in FALLBACKS
         protecting = SOLVED <= status < FALLBACKS[0] and not filtered.ended_by > 0.0
@@ -352,6 +355,7 @@ def barrier_summary(
         "interventions": score.interventions,
         "protected": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in score.spans],
         "engaged_share": score.engaged_share,
+        "governor_share": score.governed / score.acting if score.acting else None,
         "premises_broken": score.premises_broken,
         **({} if site is None else site.summary()),
     }

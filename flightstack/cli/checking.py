@@ -1,7 +1,8 @@
 """`flightstack certify --check`: the independent checker in a process of its own, with limits that no file gets past.
 
-500 MB of memory and 30 s, or 120 s with a log.  What the child finds comes back as one line of JSON; a child that is
-stopped, runs out of memory or dies says so in one line too.
+500 MB of memory and 30 s, or 120 s with a log.  The file is read once and its text handed to the child, so that what is
+flown is what was checked, whoever changes the file meanwhile.  What the child finds comes back as one line of JSON; a
+child that is stopped, runs out of memory or dies says so in one line too.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -37,15 +39,34 @@ def check_file(path: Path, log: Path | None = None, vehicle: Path | None = None)
     """
     if vehicle is not None and log is None:
         raise InputError("--vehicle belongs to --log: without the log nothing is derived from it")
-    given = [(path, FILE_BYTES)] + [(log, LOG_BYTES)] * (log is not None)
-    for one, most_bytes in [*given, *([(vehicle, FILE_BYTES)] if vehicle is not None else [])]:
-        assert one is not None
-        _readable(one, most_bytes)
-    arguments = [str(one) for one in (path, log, vehicle) if one is not None]
-    found = _in_child(arguments, TIME_LIMIT_S if log is None else LOG_TIME_LIMIT_S, f"{path}")
+    text = read_bounded(path)
+    for one, most_bytes in ((log, LOG_BYTES), (vehicle, FILE_BYTES)):
+        if one is not None:
+            _readable(one, most_bytes)
+    return check_text(text, str(path), [str(one) for one in (log, vehicle) if one is not None])
+
+
+def check_text(text: str, name: str, beside: Sequence[str] = ()) -> Verdict:
+    """The same of a text that was read already; `name` says whose it is, `beside` are paths of log and vehicle file."""
+    found = _in_child(text, list(beside), LOG_TIME_LIMIT_S if beside else TIME_LIMIT_S, name)
     if not found["readable"]:
-        raise InputError(f"{path}: {found['lines'][-1]}")
+        raise InputError(f"{name}: {found['lines'][-1]}")
     return Verdict(found["valid"], found["lines"], level=found["level"])
+
+
+def read_bounded(path: Path) -> str:
+    """The text of a file that may be one to check; InputError, one line, where it is none, too large or no text."""
+    _readable(path, FILE_BYTES)
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:  # not for ever, should it be a pipe by now
+            data = file.read(FILE_BYTES + 1) or b""
+        if len(data) > FILE_BYTES:
+            raise InputError(f"{path}: is larger than the {FILE_BYTES / 1e6:.0f} MB looked at")
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file (UTF-8 expected)") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
 
 
 def _readable(path: Path, most_bytes: int) -> None:
@@ -60,14 +81,14 @@ def _readable(path: Path, most_bytes: int) -> None:
         raise InputError(f"{path}: {about.st_size / 1e6:.0f} MB are more than the {most_bytes / 1e6:.0f} MB looked at")
 
 
-def _in_child(arguments: list[str], limit_s: float, name: str) -> dict[str, Any]:
+def _in_child(text: str, arguments: list[str], limit_s: float, name: str) -> dict[str, Any]:
     command = [sys.executable, "-P", "-m", "flightstack.cli.checking", *arguments]  # -P: no imports from where we are
     quiet, environment = subprocess.DEVNULL, os.environ | _ONE_THREAD
     with subprocess.Popen(
-        command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=quiet, env=environment
     ) as child:  # fmt: skip
         try:
-            said, _ = child.communicate(timeout=limit_s)
+            said, _ = child.communicate(text.encode("utf-8"), timeout=limit_s)
         except subprocess.TimeoutExpired:
             child.kill()
             raise InputError(f"{name}: no verdict within {limit_s:g} s; it is not to be relied on") from None
@@ -81,18 +102,16 @@ def _in_child(arguments: list[str], limit_s: float, name: str) -> dict[str, Any]
 
 
 def main(arguments: list[str]) -> None:
-    """The child: one line of JSON."""
+    """The child: the certificate's text comes in, one line of JSON goes out; `arguments`: log and vehicle file."""
     _limit_memory()
     try:
-        text = Path(arguments[0]).read_bytes()[: FILE_BYTES + 1].decode("utf-8")
-        if len(arguments) == 1:
+        text = sys.stdin.buffer.read(FILE_BYTES + 1).decode("utf-8")
+        if not arguments:
             verdict = check(text)
         else:
-            vehicle = Path(arguments[2]).read_bytes() if len(arguments) > 2 else None
-            with Path(arguments[1]).open("rb") as log:
+            vehicle = Path(arguments[1]).read_bytes() if len(arguments) > 1 else None
+            with Path(arguments[0]).open("rb") as log:
                 verdict = check(text, log, vehicle)
-    except UnicodeDecodeError:
-        verdict = Verdict(False, ["not a text file (UTF-8 expected)"], readable=False)
     except OSError as error:
         verdict = Verdict(False, [error.strerror or str(error)], readable=False)
     print(json.dumps(asdict(verdict)))

@@ -12,7 +12,7 @@ from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.records import Certificate
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED
-from flightstack.cli.checking import check_file
+from flightstack.cli.checking import check_text
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
 from flightstack.types import InputError
@@ -23,12 +23,12 @@ COMMAND_INTERVAL_S = 0.004
 """Of every loop that flies."""
 
 
-def require_checked(path: Path) -> None:
-    """InputError, one line, where the independent checker refuses the file or comes to no verdict."""
-    verdict = check_file(path)
+def require_checked(file: files.TextFile) -> None:
+    """InputError, one line, where the independent checker refuses the text or comes to no verdict."""
+    verdict = check_text(file.text, str(file.path))
     if not verdict.valid:
         raise InputError(
-            f"{path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
+            f"{file.path}: the independent checker refuses it: {verdict.lines[-1]}; certify anew: `flightstack certify`"
         )
 
 

@@ -12,6 +12,7 @@ otherwise         where the scenario has a region: certified in flight, once eno
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
+from flightstack.cli.checking import read_bounded
 from flightstack.cli.given_certificate import (
     certificate_for,
     require_checked,
@@ -138,9 +140,10 @@ def protect(
     if options.site is not None:
         return _in_site(options, scenario, believed, model, sensors)
     mode = AS_PUBLISHED if options.as_published else SOUND
-    if options.certificate is not None and mode == SOUND:  # what is published proves nothing that could be checked
-        require_checked(options.certificate)
-    file = None if options.certificate is None else files.read_text(options.certificate)
+    path = options.certificate
+    file = None if path is None else files.TextFile(path, read_bounded(path))
+    if file is not None and mode == SOUND:  # what is published proves nothing that could be checked
+        require_checked(file)
     given = None if file is None else certificate_for(file, mode, believed, model, scenario.limits)
     if file is not None and given is not None and mode == SOUND:
         require_premises(file.path, given, sensors)
@@ -160,15 +163,17 @@ def protect(
         return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
     stamp = {"vehicle": believed.name, "vehicle_hash": vehicle_hash(believed)}
     watched = WatchedCertifier(certifier, stamp, workshop)
-    text, path = ("", "") if file is None else (file.text, str(file.path))
+    text, source = ("", "") if file is None else (file.text, str(file.path))
     if not options.filtering:  # the certificate still says by which region the flight is judged
-        return Protection(_NO_FILTER, region=region, certifier=watched, certificate=text or None, certificate_from=path)
+        return Protection(
+            _NO_FILTER, region=region, certifier=watched, certificate=text or None, certificate_from=source
+        )
     made = PublishedFilter(model, scenario.limits) if options.as_published else BarrierFilter(model, scenario.limits)
-    source = f"certificate {file.path}" if file is not None else "certified in flight"
+    origin = f"certificate {source}" if source else "certified in flight"
     doubt = ", which can't be certified robustly" if options.as_published else ""
-    words = f"{mode}{doubt}, {source}"
+    words = f"{mode}{doubt}, {origin}"
     counted = None if options.as_published else estimate_bounds(error_statistics(load_grade(sensors)))
-    return Protection(words, True, region, TimedFilter(made), watched, text or None, path, given, workshop, counted)
+    return Protection(words, True, region, TimedFilter(made), watched, text or None, source, given, workshop, counted)
 
 
 def _in_site(
@@ -195,6 +200,9 @@ def _in_site(
 SOUND = "sound"
 _FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
 """Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
+_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
+"""All thrust that there is, or no more than 1.6 hovers, in turn: for a light vehicle lag and delay of all of it cost
+more than it gives, and nothing would ever close."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"
@@ -232,7 +240,10 @@ def _online(
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
-    config = CertifierConfig(sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2)
+    config = CertifierConfig(
+        sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2,
+        thrust_shares=_THRUST_SHARES,
+    )  # fmt: skip
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
 

@@ -109,10 +109,12 @@ NO_BARRIER: dict[str, Any] = {
     "interventions": None,
     "protected": None,
     "engaged_share": None,
+    "governor_share": None,
     "premises_broken": None,
 }
 """`protected`: from when to when (s after take-off) the filter kept to a certificate; `engaged_share`: its share of the
-ticks from the end of the climb to the command to land; `premises_broken`: engaged ticks in which one did not hold."""
+ticks from the end of the climb to the command to land; `governor_share`: of the engaged ticks, those in which the
+governor of rate commands changed the command; `premises_broken`: engaged ticks in which one did not hold."""
 NO_GP: dict[str, Any] = {
     "enabled": False,
     "points": None,

@@ -57,7 +57,8 @@ class FlightScore:
             return
         if self._filtering:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
-            self._filter.add(flight_s, record.filtered, climbing=flight_s < companion.mission.takeoff_end_s)
+            climbing = flight_s < companion.mission.takeoff_end_s
+            self._filter.add(flight_s, record.filtered, climbing=climbing, governed=record.governed)
             if self.site is not None:
                 self.site.add(flight_s, record)
         if self._by_estimate:

@@ -42,7 +42,7 @@ from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
 
 MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2 = 0.15, 0.15
-"""Tested in `tests/physics/test_stopping.py`."""
+"""Set, not derived: flights against adversaries stay within it (`tests/attack/test_fence.py`, docs/site.md)."""
 _OVER, _DEMAND = 1.05, 1.5
 _UP_SHARE, _UP_MOST, _DOWN = 0.3, 3.0, 2.0
 _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08

@@ -85,7 +85,7 @@ def test_without_the_filter_its_fields_are_null_and_the_region_is_judged_all_the
     assert "/filter" not in log.tables
     assert result.barrier == {
         "enabled": False, "min_h_truth": None, "min_h_estimate": None, "violations": None, "interventions": None,
-        "protected": None, "engaged_share": None, "premises_broken": None,
+        "protected": None, "engaged_share": None, "governor_share": None, "premises_broken": None,
     }  # fmt: skip
     assert result.protection == "off"
     assert result.qp["infeasible"] is None

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+from certificates import resealed
+
 from flightstack.certificate_check import check
 from flightstack.cli.certify import CertifyResult, certify
-from flightstack.cli.flight import FlyOptions
+from flightstack.cli.flight import FlyOptions, prepare
 from flightstack.cli.main import main
 from flightstack.explore import ExploreConfig
+from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
 
 SHORT = ExploreConfig(axes=(2,), rounds_max=3)
@@ -81,6 +86,25 @@ def test_the_file_convinces_the_checker_and_not_once_a_number_is_changed(
     assert capsys.readouterr().err.startswith("error:")
 
 
+def test_what_came_out_may_be_flown_by_the_vehicle_and_sensors_that_it_names(
+    flown: tuple[CertifyResult, Log], tmp_path: Path
+) -> None:
+    """With the independent checker asked, as `fly --certificate` does."""
+    certificate = flown[0].certificate
+    assert certificate is not None
+    ready = prepare(FlyOptions(scenario="paper-barrier", certificate=Path(certificate))).flight.protection
+    assert ready.given is not None
+    assert ready.words.startswith("sound, certificate ")
+    with pytest.raises(InputError, match="holds with mocap sensors, this flight has px4-sih"):
+        prepare(FlyOptions(scenario="paper-barrier", certificate=Path(certificate), sensors="px4-sih"))
+    data = json.loads(Path(certificate).read_text())
+    data["axes"][0]["margins"][0]["mps2"] *= 0.5
+    other = tmp_path / "other.json"
+    other.write_text(resealed(data))
+    with pytest.raises(InputError, match="the independent checker refuses it: "):
+        prepare(FlyOptions(scenario="paper-barrier", certificate=other))
+
+
 def test_the_page_lies_beside_the_flights_own(flown: tuple[CertifyResult, Log]) -> None:
     result, _ = flown
     assert result.report is not None
@@ -98,4 +122,19 @@ def test_knowledge_that_leaves_no_authority_is_refused_before_take_off(
         main(["certify", "--scenario", str(scenario), "--out", str(tmp_path / "out")])
     assert done.value.code == 2
     assert "0.05 g" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("scenario", "what"), [("paper-barrier", "position down"), ("paper-tracking", "position")])
+def test_sensors_that_are_too_rough_for_the_region_are_refused_before_take_off(
+    scenario: str, what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        main(["certify", "--scenario", scenario, "--sensors", "gps", "--out", str(tmp_path / "out")])
+    assert done.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1
+    assert f"{what}" in said
+    assert "the region's semi-axis is" in said
     assert not (tmp_path / "out").exists()

@@ -199,7 +199,7 @@ def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> Non
         barrier=barrier_summary(True, region, FilterScore(interventions=12)), qp=qp_summary(timed, 3), region=region
     ).as_json()
     barrier = {"enabled": True, "min_h_truth": 1.0, "min_h_estimate": 1.0, "violations": 0, "interventions": 12,
-               "protected": [], "engaged_share": None, "premises_broken": 0}  # fmt: skip
+               "protected": [], "engaged_share": None, "governor_share": None, "premises_broken": 0}  # fmt: skip
     assert result["barrier"] == barrier
     assert result["qp"]["solve_us"] == {"p50": 30.0, "p99": pytest.approx(39.8), "max": 40.0}
     assert result["qp"]["infeasible"] == 3
@@ -207,6 +207,14 @@ def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> Non
     assert sum(histogram["counts"]) == 3
     assert len(histogram["edges_us"]) == len(histogram["counts"]) + 1
     json.dumps(result, allow_nan=False)
+
+
+def test_the_governors_share_is_of_the_engaged_ticks() -> None:
+    score = FilterScore()
+    for governed in (True, True, False, False):
+        score.add(1.0, says(1), climbing=True, governed=True)
+        score.add(2.0, says(2), climbing=False, governed=governed)
+    assert barrier_summary(True, scored(BOX, np.full(3, -1.5)), score)["governor_share"] == 0.5
 
 
 def test_without_a_filter_every_field_is_null_and_the_region_is_told_all_the_same() -> None:

@@ -150,8 +150,9 @@ def test_a_child_that_takes_too_long_or_dies_is_said_to(monkeypatch: pytest.Monk
     monkeypatch.setattr(checking, "TIME_LIMIT_S", 0.01)
     with pytest.raises(InputError, match="no verdict within"):
         checking.check_file(path)
+    monkeypatch.setattr(checking.sys, "executable", "/bin/false")
     with pytest.raises(InputError, match="without a verdict"):
-        checking._in_child([], 20.0, "nothing")
+        checking.check_text("{}", "nothing")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux limits a process' data this way")

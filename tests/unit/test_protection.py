@@ -20,6 +20,7 @@ from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Budget, Certificate
 from flightstack.cli import protection
 from flightstack.cli.barrier_score import TimedFilter
+from flightstack.cli.files import TextFile
 from flightstack.cli.flight import FlyOptions
 from flightstack.cli.offboard import OffboardOptions
 from flightstack.cli.preparation import Prepared, prepare_flight
@@ -241,6 +242,17 @@ def test_a_certificate_for_other_sensors_or_quicker_commands_is_refused_in_one_l
     assert "a command every 2 ms, this loop gives one every 4 ms" in refused(scenario="hover", certificate=path)
     path.write_text(certificate_to_json(dataclasses.replace(stamped(), premises=None)))
     assert "names no premises" in refused(scenario="hover", certificate=path)
+
+
+def test_what_is_flown_is_the_text_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, checked = file_of(tmp_path), []
+
+    def changed_meanwhile(file: TextFile) -> None:
+        checked.append(file.text)
+        path.write_text("{}")
+
+    monkeypatch.setattr(protection, "require_checked", changed_meanwhile)
+    assert prepared("hover", certificate=path).protection.certificate == checked[0]
 
 
 def test_a_certificate_bounds_the_round_trip_of_the_link(tmp_path: Path) -> None:

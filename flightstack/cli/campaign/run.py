@@ -90,8 +90,12 @@ class Campaign:
     def fly_again(self, plans: Sequence[Plan]) -> tuple[int, int]:
         """Fly what is known already once more for its log; (flights, those of them that gave the same row)."""
         assert self.executor is not None
-        same = 0
-        for done in self.executor.run([replace(plan, kept=True) for plan in plans], self._stop, lambda: None):
+        same, kept = 0, [replace(plan, kept=True) for plan in plans]
+
+        def show() -> None:
+            self._on_progress(1.0, f"the {len(plans)} worst flights once more, for their logs")
+
+        for done in self.executor.run(kept, self._stop, show):
             entry, known = self._entry(done), self.journal.entries[done.plan.flight]
             equal = _comparable(entry) == _comparable(known)
             same += equal
@@ -213,6 +217,7 @@ def _flown(work: Campaign) -> CampaignResult:
         if spec.keep == "failures" and missing:
             work.fly_again([plan_of(i) for i in missing if work.journal.entries[i]["log"] is None])
         flown = work.journal.ordered(None if spec.search else spec.count)
+        stopped = work.stopped
         again = [entry["equal"] for entry in flown if entry.get("equal") is not None]
         reflown = len(again), sum(again)
     work.journal.flush()

@@ -319,7 +319,7 @@ def _ledger_row(name: str, axes: tuple[AxisCertificate, ...]) -> str:
 
 def _reasons(name: str, axes: tuple[AxisCertificate, ...]) -> str:
     """What a line comes from, once where it is the same on all axes."""
-    said = {}
+    said: dict[str, list[str]] = {}
     for axis in axes:
         for margin in axis.margins:
             if margin.name == name:

@@ -1,0 +1,250 @@
+"""Turbulence as a variance component: what the named effects leave, through the known drag, against Dryden's gusts.
+
+A gust has no mean, so it has no column; it shows in how the rest of the force hangs together.  With D the force that a
+metre per second of wind makes (the columns of a steady wind at this vehicle), the rest of blocks i and j correlates as
+
+    E[y_i y_j'] = sigma^2 sum_a D_ia rho_a(s_ij / L) D_ja' + noise,    s: distance flown through the air
+
+rho_a = exp(-x) along the wind, (1 - x/2) exp(-x) across and vertical (MIL-F-8785C's low-altitude form, one sigma and
+one length, as the simulator flies them).  Sigma, L and noise are judged by their likelihood on a grid; 95 % intervals
+are those of that grid.  Turbulence is named where this beats plain noise clearly, and beats every other law that a
+force of unknown origin may follow: one of place, airspeed or time, or one that swings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.compare import residual
+from flightstack.gap.naming.drivers import quantities
+from flightstack.gap.records import Estimate, Found, Samples
+from flightstack.gap.simulate import Knob, sensitivities
+from flightstack.gap.track import track
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+
+_BLOCK_S = 0.2
+_MOST_BLOCKS = 180
+_FEWEST_BLOCKS = 60
+_LENGTHS_M = np.geomspace(2.0, 200.0, 13)
+_RATIOS = np.geomspace(1e-4, 1e8, 97)
+_EVIDENCE = 20.0
+"""Natural logarithm of the likelihood ratio against noise from which gusts are named."""
+_BETTER = 20.0
+"""And against the best other law."""
+_LEAST_SIGMA_MPS = 0.2
+_USUAL_LENGTH_M, _LENGTH_SPREAD = 18.0, 0.7
+"""Gusts near the ground: median and spread of the length's logarithm, 5 to 70 m; a minute tells little of it."""
+_LEAST_AIRSPEED_MPS = 1.0
+_SPAN = (0.5, 1.5)
+_PERIODS_S = np.geomspace(0.8, 12.0, 9)
+_LENGTH_BIAS = 1.5
+"""By which a length may come out too large: means over blocks take short waves away (20 m for 10 was seen)."""
+_QUANTILES = (0.025, 0.5, 0.975)
+_WIND = tuple(Knob("steady_wind", f"{axis}_mps") for axis in ("north", "east", "down"))
+
+
+@dataclass(frozen=True, slots=True)
+class Gusts:
+    """Turbulence by the flights' own rest."""
+
+    sigma_mps: Estimate
+    length_m: Estimate
+    evidence: float
+    """Logarithm of the likelihood ratio against noise alone."""
+    other: float
+    """The same of the best other law."""
+    force_rms_mps2: float
+    """Of one step: what the gusts make through the drag, all three axes together."""
+
+    @property
+    def named(self) -> bool:
+        """Whether the rest is turbulence rather than noise or another law."""
+        return (
+            self.evidence > _EVIDENCE
+            and self.evidence > self.other + _BETTER
+            and self.sigma_mps.low > 0.0
+            and self.sigma_mps.estimate >= _LEAST_SIGMA_MPS
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Blocks:
+    """B blocks of all flights: rest and drag columns in units of the noise, and where, when and how far flown."""
+
+    y: F64
+    """(B, 3)."""
+    drag: F64
+    """(B, 3, 3): force axis, wind axis."""
+    turn: F64
+    """(B, 3, 3): world to body, in units of the noise."""
+    t_s: F64
+    flown_m: F64
+    place: F64
+    """(B, 3) m."""
+    airspeed: F64
+    """(B, 3) body, m/s."""
+    flight: NDArray[np.int64]
+    unit_mps2: float
+
+
+def gusts(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]]) -> Gusts | None:
+    """Turbulence in what `vehicle` leaves of these samples; None where no drag or too little shows it."""
+    blocks = _blocks(vehicle, flights, masks)
+    if blocks is None or len(blocks.t_s) < _FEWEST_BLOCKS or not np.any(blocks.drag):
+        return None
+    same = blocks.flight[:, None] == blocks.flight[None, :]
+    logs = np.empty((len(_LENGTHS_M), len(_RATIOS)))
+    noise = np.empty_like(logs)
+    for k, length in enumerate(_LENGTHS_M):
+        logs[k], noise[k] = _profile(_dryden(blocks, float(length)), blocks.y)
+    usual = -0.5 * (np.log(_LENGTHS_M / _USUAL_LENGTH_M) / _LENGTH_SPREAD) ** 2
+    weight = np.exp(logs + usual[:, None] - (logs + usual[:, None]).max())
+    weight /= weight.sum()
+    sigma = np.sqrt(_RATIOS[None, :]) * noise
+    best = np.unravel_index(int(np.argmax(logs)), logs.shape)
+    told = _estimate(sigma.ravel(), weight.ravel(), "sigma_mps")
+    length = _estimate(np.broadcast_to(_LENGTHS_M[:, None], logs.shape).ravel(), weight.ravel(), "length_m")
+    length = replace(length, low=length.low / _LENGTH_BIAS)
+    made = np.sqrt(np.mean(np.sum(blocks.drag**2, axis=(1, 2)))) * blocks.unit_mps2
+    return Gusts(told, length, float(logs[best]), _other_laws(blocks, same), float(made * told.estimate))
+
+
+def _dryden(blocks: _Blocks, length_m: float) -> F64:
+    """Covariance of the rest (3 B, 3 B) by gusts of 1 m/s and this length."""
+    distance = np.abs(blocks.flown_m[:, None] - blocks.flown_m[None, :])
+    along = np.exp(-distance / length_m) * (blocks.flight[:, None] == blocks.flight[None, :])
+    across = (1.0 - 0.5 * distance / length_m) * along
+    return _kernel(blocks.drag, [along, across, across])
+
+
+def _blocks(
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    masks: Sequence[NDArray[np.bool_]],
+) -> _Blocks | None:
+    parts = []
+    units = [np.nan_to_num(residual(vehicle, s).noise[:3]) for s in flights]
+    for number, (s, mask, unit) in enumerate(zip(flights, masks, units, strict=True)):
+        flight = track(s)
+        if {"vel_ned_mps", "q_ned_frd", "pos_ned_m"} & flight.missing or not np.all(unit > 0.0):
+            continue
+        y = residual(vehicle, s).y[:, :3]
+        drag = np.nan_to_num(sensitivities(vehicle, s, _WIND)[:, :3])
+        wind = vehicle.effects.get("steady_wind", {})
+        blown = np.array([wind.get(knob.parameter, 0.0) for knob in _WIND])
+        speed = np.maximum(np.linalg.norm(np.nan_to_num(flight.vel_ned_mps) - blown, axis=1), _LEAST_AIRSPEED_MPS)
+        size = max(1, round(_BLOCK_S / s.dt_s))
+        good = mask & s.valid & np.isfinite(y).all(axis=1)
+        count = len(good) // size
+        whole: NDArray[np.bool_] = np.asarray(good[: count * size].reshape(count, size).all(axis=1))
+
+        def mean(values: F64, size: int = size, count: int = count, whole: NDArray[np.bool_] = whole) -> F64:
+            cut = values[: count * size].reshape(count, size, *values.shape[1:])
+            return np.asarray(cut.mean(axis=1)[whole])
+
+        parts.append(
+            (
+                mean(np.nan_to_num(y)) / unit,
+                mean(drag) / unit[:, None],
+                mean(np.swapaxes(_to_world(s), 1, 2)) / unit[:, None],
+                mean(s.t_s[:, None])[:, 0],
+                mean(np.cumsum(speed)[:, None] * s.dt_s)[:, 0],
+                mean(np.nan_to_num(s.pos_ned_m)),
+                mean(quantities(s)["airspeed"]),
+                np.full(int(whole.sum()), number),
+            )
+        )
+    if not parts:
+        return None
+    whole_parts = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    thin = max(1, -(-len(whole_parts[0]) // _MOST_BLOCKS))
+    y, drag, turn, t_s, flown, place, airspeed, number_of = (each[::thin] for each in whole_parts)
+    unit_mps2 = float(np.sqrt(np.mean(np.array([u for u in units if np.all(u > 0.0)]) ** 2)))
+    return _Blocks(y, drag, turn, t_s, flown, place, airspeed, number_of.astype(np.int64), unit_mps2)
+
+
+def _to_world(samples: Samples) -> F64:
+    """(N, 3, 3) body to world."""
+    w, x, y, z = track(samples).q_ned_frd.T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
+        ],
+        axis=1,
+    )
+
+
+def _kernel(loads: F64, correlations: Sequence[F64]) -> F64:
+    """(3 B, 3 B) covariance of unit processes (one for each last axis of the loads) seen through loads (B, 3, A)."""
+    count = len(loads)
+    total = np.zeros((3 * count, 3 * count))
+    for a, correlation in enumerate(correlations):
+        load = loads[:, :, a].reshape(-1)
+        total += np.outer(load, load) * np.repeat(np.repeat(correlation, 3, axis=0), 3, axis=1)
+    return total
+
+
+def as_found(blown: Gusts, gap_power: float) -> Found:
+    """Turbulence among the names; `gap_power`: what is left of the force beyond the floor, mean square."""
+    share = 1.0 if gap_power <= 0.0 else min(1.0, blown.force_rms_mps2**2 / gap_power)
+    return Found(
+        "turbulence",
+        {"sigma_mps": blown.sigma_mps, "length_m": blown.length_m},
+        -2.0 * blown.evidence,
+        share,
+        float(chdtrc(2, 2.0 * blown.evidence)),
+    )
+
+
+def _profile(kernel: F64, y: F64) -> tuple[F64, F64]:
+    """Log likelihood ratio against noise alone by each ratio of variances, and the noise's deviation at each."""
+    values, vectors = np.linalg.eigh(kernel)
+    power = (vectors.T @ y.reshape(-1)) ** 2
+    spectrum = 1.0 + _RATIOS[:, None] * np.maximum(values, 0.0)[None, :]
+    n = len(power)
+    scale = (1.0 / spectrum) @ power / n
+    null = -0.5 * n * np.log(max(float(power.sum()), 1e-300) / n)
+    logs = -0.5 * n * np.log(np.maximum(scale, 1e-300)) - 0.5 * np.log(spectrum).sum(axis=1) - null
+    return logs, np.sqrt(scale)
+
+
+def _estimate(values: F64, weight: F64, parameter: str) -> Estimate:
+    """Median and 95 % interval of a parameter by its posterior on the grid."""
+    spec = next(p for p in EFFECT_SPECS["turbulence"].params if p.name == parameter)
+    order = np.argsort(values)
+    share, ordered = np.cumsum(weight[order]), values[order]
+    low, middle, high = (float(ordered[min(int(np.searchsorted(share, q)), len(order) - 1)]) for q in _QUANTILES)
+    within = [float(np.clip(v, spec.minimum, spec.maximum)) for v in (low, middle, high)]
+    before = 0.0 if spec.null is None else float(spec.null)
+    return Estimate(before, within[1], within[0], within[2])
+
+
+def _other_laws(blocks: _Blocks, same: NDArray[np.bool_]) -> float:
+    """Log likelihood ratio of the best other law: of place or airspeed, a drift with time, a force that swings."""
+    lag = np.abs(blocks.t_s[:, None] - blocks.t_s[None, :])
+    long_s = max(float(blocks.t_s.std()), 1.0)
+    laws = _smooth_in(blocks.place)
+    laws += [np.exp(-0.5 * (lag / (share * long_s)) ** 2) * same for share in (0.1, 0.3, 1.0)]
+    laws += [np.cos(2.0 * np.pi * lag / p) * np.exp(-lag / (4.0 * p)) * same for p in _PERIODS_S]
+    body = np.broadcast_to(np.diag(np.linalg.norm(blocks.turn[0], axis=1)), blocks.turn.shape)
+    pairs = [(blocks.turn, law) for law in laws] + [(body, law) for law in _smooth_in(blocks.airspeed)]
+    return max(float(_profile(_kernel(loads, [law] * 3), blocks.y)[0].max()) for loads, law in pairs)
+
+
+def _smooth_in(x: F64) -> list[F64]:
+    """Correlations (B, B) of smooth functions of a quantity (B, d), by its spread."""
+    spread = x.std(axis=0)
+    moved = x[:, spread > 1e-3] / spread[spread > 1e-3]
+    if not moved.shape[1]:
+        return []
+    square = ((moved[:, None, :] - moved[None, :, :]) ** 2).sum(axis=2)
+    return [np.exp(-0.5 * square / length**2) for length in _SPAN]

@@ -1,0 +1,34 @@
+"""Turbulence as a variance component: gusts of the plant are found with their size, a steady force is none."""
+
+from __future__ import annotations
+
+import pytest
+
+from flightstack.gap.gusts import gusts
+from flightstack.gap.records import Samples
+from tests import gap_batch as batch
+from tests.gap_hidden import HIDDEN, believed
+
+KINDS = ("", "turbulence", "constant_force")
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[str, Samples]:
+    hidden = [{}, *({name: HIDDEN[name]} for name in KINDS[1:])]
+    return dict(zip(KINDS, batch.fly(believed(), hidden), strict=True))
+
+
+def test_gusts_are_found_with_their_size(flights: dict[str, Samples]) -> None:
+    """The plant flies Dryden's filters, the likelihood has their autocorrelations: two writings of one law."""
+    found = gusts(believed(), [flights["turbulence"]], [flights["turbulence"].valid])
+    assert found is not None
+    assert found.named
+    assert found.sigma_mps.low <= HIDDEN["turbulence"]["sigma_mps"] <= found.sigma_mps.high
+    assert found.length_m.low <= HIDDEN["turbulence"]["length_m"] <= found.length_m.high
+
+
+@pytest.mark.parametrize("kind", ["", "constant_force"])
+def test_noise_and_a_steady_force_are_no_gusts(flights: dict[str, Samples], kind: str) -> None:
+    found = gusts(believed(), [flights[kind]], [flights[kind].valid])
+    assert found is not None
+    assert not found.named
