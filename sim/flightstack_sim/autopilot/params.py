@@ -174,7 +174,7 @@ _UNSORTED: tuple[ParamSpec, ...] = (
     _f("FD_FAIL_P_TTRI", 0.3, 0.02, 5.0, "s", "after so long"),
     _i("FD_FAIL_R", 60, 0, 180, "Roll that counts as a failure; 0: none", "deg"),
     _f("FD_FAIL_R_TTRI", 0.3, 0.02, 5.0, "s", "after so long"),
-    _i("SYS_FAILURE_EN", 0, 0, 1, "Failure injection is allowed"),
+    _i("SYS_FAILURE_EN", 1, 0, 1, "Failure injection is allowed"),
     _f("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "Horizontal acceleration of a trajectory"),
     _f("MPC_ACC_HOR_MAX", 5.0, 2.0, 15.0, "m/s^2", "Most horizontal acceleration of a trajectory"),
     _f("MPC_ACC_UP_MAX", 4.0, 2.0, 15.0, "m/s^2", "Most upward acceleration of a trajectory"),
