@@ -74,7 +74,7 @@ def test_jsbsim_s_f450_flies_its_own_motors_and_propellers(tmp_path: Path) -> No
     hovering = np.linalg.norm(truth["vel_ned_mps"], axis=1) < 0.1
     hovering &= truth["pos_ned_m"][:, 2] < truth["pos_ned_m"][:, 2].min() + 0.1
     thrust = np.sum(truth["rotor_thrust_n"], axis=1)[hovering]
-    assert len(thrust) > 500
+    assert len(thrust) > 100  # 25 a second
     assert np.median(thrust) == pytest.approx(1.4 * 9.8069, rel=0.01)
 
 
