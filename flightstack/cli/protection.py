@@ -192,7 +192,7 @@ def _in_site(
     prior, text = given_prior(options.certificate, believed, sensors)
     made = plan_site(load_site(options.site, options.place), scenario, believed, model, estimate, governor, prior)
     if options.certificate is not None:
-        require_checked(options.certificate)
+        require_checked(files.TextFile(options.certificate, text))
         require_same(text, str(options.certificate), made.certificate)
     return Protection(made.words, True, filter=made.filter(model, scenario.limits), site=made)
 

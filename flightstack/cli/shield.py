@@ -67,7 +67,7 @@ def shield_stack(
     prior, text = given_prior(options.certificate, believed, options.sensors)
     planned = plan_site(site, None, believed, model, estimate_bounds(statistics), governor, prior)
     if options.certificate is not None:
-        require_checked(options.certificate)
+        require_checked(files.TextFile(options.certificate, text))
         require_same(text, str(options.certificate), planned.certificate)
     relay = Relay(build("flatness", model, limits, learning=False)[0], model)
     stack = Stack(

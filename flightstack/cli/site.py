@@ -15,6 +15,7 @@ from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import TimedFilter
+from flightstack.cli.checking import read_bounded
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
@@ -216,7 +217,7 @@ def given_prior(path: Path | None, believed: Vehicle, sensors: str) -> tuple[Pri
     """What a certificate's file says of mass and force, and its text; the prior's where no file was given."""
     if path is None:
         return None, ""
-    text = files.read_text(path).text
+    text = read_bounded(path)
     return prior_of(text, str(path), vehicle_hash(believed), sensors), text
 
 
