@@ -23,13 +23,3 @@ def recorded() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("no recorded flights: set FLIGHTSTACK_TEST_DATA to their folder")
     return Path(folder)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What is known to be open is expected to fail, and is listed with its reason."""
-    from tests.known_failures import OPEN
-
-    for item in items:
-        for place, reason in OPEN.items():
-            if f"tests/{place}" in item.nodeid:
-                item.add_marker(pytest.mark.xfail(reason=reason, strict=False))

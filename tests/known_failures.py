@@ -1,3 +1,0 @@
-"""Tests that fail today, each with what is open; they run, and the list must shrink.  None does."""
-
-OPEN: dict[str, str] = {}
