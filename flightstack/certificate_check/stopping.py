@@ -22,6 +22,10 @@ _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
+_K_SIGMA = 4.3
+_LIGHTEST, _HEAVIEST, _MOST_FORCE_G = 0.8, 1.5, 0.15
+"""The prior of a vehicle that has not flown: nothing narrower has to be shown than this."""
+_SPEEDS_MPS = (1.0, 3.0, 5.0)
 _LINES = ("force", "gain", "estimate", "torque", "model")
 _LOOP = (
     "lag_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
@@ -48,8 +52,10 @@ def check_stopping(text: str) -> list[str]:
     low, high, force_g = numbers(top["prior"], ("mass_low", "mass_high", "force_g"), "prior")
     if not (0.3 <= low <= high <= 3.0 and 0.0 <= force_g <= 1.0):
         raise Refused("prior: a range of masses from 0.3 to 3 and a force of at most 1 g are looked at")
+    _learned(top["learned"], (low, high, force_g))
     sums = _ledger(top["ledger"], force_g)
-    lines = [f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
+    lines = ["prior: holds what the flight is said to have shown", f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
+    radius = 0.0
     for i, name in enumerate(("across", "along")):
         loop = dict(zip(_LOOP, numbers(top[name], _LOOP, name), strict=True))
         for key, total in zip(("force_mps2", "rest_mps2"), sums[i], strict=True):
@@ -59,9 +65,38 @@ def check_stopping(text: str) -> list[str]:
         if not loop["radius_m"] >= (1.0 - _ROOM) * found:
             raise Refused(f"{name}: the tube reaches {found:.4f} m, not {loop['radius_m']:.4f} m")
         lines.append(f"{name}: tube of {loop['radius_m']:.3f} m, found {found:.3f} m")
+        radius = loop["radius_m"] if i == 0 else radius
     _braking(top["braking"], (low, high, force_g))
     lines.append("braking: thrust carries weight, force and braking together")
+    _ways(top["stops_within_m"], float(top["braking"]["across_mps2"]), radius)
+    lines.append(
+        "stops_within_m: no shorter than that braking allows; vehicle and sensors are compared where it is flown"
+    )
     return lines
+
+
+def _learned(value: Any, prior: tuple[float, float, float]) -> None:
+    """The prior is no narrower than what was learned leaves open, nor than what is known without any flight."""
+    gain, sigma, force, _ = numbers(value, ("gain", "gain_sigma", "force_mps2", "flight_s"), "learned")
+    low, high, force_g = prior
+    if not (sigma >= 0.0 and force >= 0.0 and gain > 0.0):
+        raise Refused("learned: a gain is above 0, its deviation and a force are not below")
+    least, most = max(gain - _K_SIGMA * sigma, 1.0 / _HEAVIEST), min(gain + _K_SIGMA * sigma, 1.0 / _LIGHTEST)
+    if not (1.0 / high <= least + 1e-9 and 1.0 / low >= most - 1e-9):
+        raise Refused(f"prior: masses of {low:.4g} to {high:.4g} leave out what learned.gain allows")
+    if not force_g * _GRAVITY >= min(force, _MOST_FORCE_G * _GRAVITY) - 1e-9:
+        raise Refused(f"prior: {force_g:.4g} g is less than learned.force_mps2 = {force:.4g}")
+
+
+def _ways(value: Any, across_mps2: float, radius_m: float) -> None:
+    """Each way is at least the ideal one and the tube, and grows with speed."""
+    names = tuple(f"{speed:g} m/s" for speed in _SPEEDS_MPS)
+    before = 0.0
+    for speed, way in zip(_SPEEDS_MPS, numbers(value, names, "stops_within_m"), strict=True):
+        least = max(0.5 * speed * speed / across_mps2 + radius_m, before)
+        if not way >= least:
+            raise Refused(f"stops_within_m: from {speed:g} m/s it is at least {least:.3f} m, not {way:.3f} m")
+        before = way
 
 
 def _ledger(value: Any, force_g: float) -> list[tuple[float, float]]:

@@ -82,12 +82,20 @@ def prior_of(text: str, source: str, vehicle_hash: str, sensors: str) -> Prior:
     return Prior(low, high, number(prior.get("force_g"), f"{source}: prior.force_g", 0.0, 0.5))
 
 
+def _by_name(said: Any) -> dict[str, Any]:
+    """A file's tables, the ledger's lines among them by their names."""
+    lines = said.get("ledger") if isinstance(said, dict) else None
+    named = {str(line.get("name")): line for line in lines or () if isinstance(line, dict)}
+    return {**named, **said} if isinstance(said, dict) else named
+
+
 def require_same(text: str, source: str, made: Stopping) -> None:
-    """InputError where the file's tubes or braking are not those that follow from its prior for this vehicle."""
-    said = json.loads(text)
-    again = json.loads(as_json(made, "", "", "", {}))
-    for part in ("across", "along", "braking"):
+    """InputError where any number of the file is not the one that follows from its prior for this vehicle."""
+    said, again = (_by_name(json.loads(each)) for each in (text, as_json(made, "", "", "", {})))
+    for part in ("across", "along", "braking", "stops_within_m", *(line.name for line in made.ledger)):
         for key, value in again[part].items():
             found = said.get(part, {}).get(key) if isinstance(said.get(part), dict) else None
+            if isinstance(value, str):
+                continue
             if not isinstance(found, int | float) or not abs(found - value) <= _AGREE * max(1.0, abs(value)):
                 raise InputError(f"{source}: {part}.{key} = {found} does not follow from its prior ({value:.6g})")

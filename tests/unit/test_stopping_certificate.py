@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -20,6 +20,9 @@ from flightstack.site.stopping import Prior, Stopping, stopping
 from flightstack.types import InputError
 from flightstack_sim.grade import load_grade
 
+LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0}
+"""What a flight would have to show for the prior below."""
+
 
 @pytest.fixture(scope="module")
 def made() -> Stopping:
@@ -32,7 +35,7 @@ def made() -> Stopping:
 
 @pytest.fixture(scope="module")
 def text(made: Stopping) -> str:
-    return as_json(made, "quad-x", "hash", "mocap", {"gain": 1.0})
+    return as_json(made, "quad-x", "hash", "mocap", LEARNED)
 
 
 def test_an_honest_file_is_valid_and_stops_as_is_asked(made: Stopping, text: str) -> None:
@@ -77,6 +80,13 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
         (_set("prior", "force_g", to=0.3), "less than the prior's"),
         (_set("across", "radius_m", to=float("nan")), "number"),
         (_set("across", "more", to=1.0), "not known"),
+        (_set("prior", "mass_high", to=1.0), "learned"),
+        (_set("prior", "mass_low", to=1.0), "learned"),
+        (_set("learned", "gain", to=0.9), "learned"),
+        (_set("learned", "gain_sigma", to=0.1), "learned"),
+        (_set("learned", "force_mps2", to=0.9), "learned"),
+        (_set("stops_within_m", "5 m/s", to=2.2), "stops_within_m"),
+        (_set("stops_within_m", "3 m/s", to=9.0), "stops_within_m"),
     ],
 )
 def test_a_forged_file_is_refused(text: str, forge: Callable[[dict[str, Any]], None], said: str) -> None:
@@ -85,6 +95,34 @@ def test_a_forged_file_is_refused(text: str, forge: Callable[[dict[str, Any]], N
     verdict = check(json.dumps(table))
     assert not verdict.valid
     assert said in verdict.lines[-1]
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], float]]:
+    """Every number of a file and its place."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in parts:
+        yield from leaves(part, (*path, key))
+    if isinstance(value, int | float):
+        yield path, float(value)
+
+
+def test_no_number_that_a_flight_uses_can_be_changed(made: Stopping, text: str) -> None:
+    """What the checker cannot know (vehicle, sensors) is compared with what follows from the file's own prior."""
+    count = 0
+    for path, value in leaves(json.loads(text)):
+        if path[0] == "learned":  # it is where the prior comes from; what it must not say is above
+            continue
+        for factor in (0.99, 1.01):
+            table = json.loads(text)
+            _set(*path, to=value * factor if value else 0.01)(table)
+            changed = json.dumps(table)
+            again = made if path[0] != "prior" else None
+            if not check(changed).valid or again is None:
+                continue
+            with pytest.raises(InputError, match="does not follow"):
+                require_same(changed, "a.json", again)
+            count += 1
+    assert count > 20
 
 
 def test_for_whom_it_holds(made: Stopping, text: str) -> None:
