@@ -33,6 +33,18 @@ def free_ports() -> tuple[int, int]:
             return port, int(ground.getsockname()[1])
 
 
+def free_tcp_pair() -> int:
+    """A TCP port that is free, as is the next one."""
+    while True:
+        with socket.create_server((HOST, 0)) as one:
+            port = int(one.getsockname()[1])
+            try:
+                with socket.create_server((HOST, port + 1)):
+                    return port
+            except (OSError, OverflowError):
+                continue
+
+
 @contextmanager
 def simulator(port: int, gcs_port: int, *more: str, speed: float = SPEED) -> Iterator[None]:
     """Up and running inside; `more` goes to its command line."""

@@ -23,26 +23,14 @@ from flightstack_logs.live.recorder import LiveRecorder
 from flightstack_logs.reader import read
 from flightstack_logs.scene import Region, Scene
 from flightstack_logs.writer import FlightLog, Recorder
+from tests.simulator import HOST, free_tcp_pair
 
 CHROMIUM = Path("/usr/bin/chromium")
-HOST = "127.0.0.1"
-
-
-def free_ports() -> int:
-    """A port that is free, as is the next one."""
-    while True:
-        with socket.create_server((HOST, 0)) as one:
-            port = int(one.getsockname()[1])
-            try:
-                with socket.create_server((HOST, port + 1)):
-                    return port
-            except OSError:
-                continue
 
 
 @pytest.fixture
 def live() -> Iterator[tuple[LiveRecorder, int]]:
-    port = free_ports()
+    port = free_tcp_pair()
     recorder = LiveRecorder(None, port)
     yield recorder, port
     recorder.close()
@@ -129,7 +117,7 @@ def test_a_taken_port_is_one_line_and_leaves_the_other_free(live: tuple[LiveReco
     with pytest.raises(InputError, match=rf"--live: port {port + 1} .*name another") as told:
         LiveRecorder(None, port)
     assert "\n" not in str(told.value)
-    free = free_ports()
+    free = free_tcp_pair()
     with socket.create_server((HOST, free)), pytest.raises(InputError, match=f"port {free} "):
         LiveRecorder(None, free)
     with socket.create_server((HOST, free + 1)):
@@ -140,7 +128,7 @@ def test_browsers_that_never_read_or_go_away_change_nothing(tmp_path: Path) -> N
     """The log is byte for byte that of a flight that nobody watched."""
     logs = []
     for watched in (False, True):
-        path, port = tmp_path / f"{watched}.mcap", free_ports()
+        path, port = tmp_path / f"{watched}.mcap", free_tcp_pair()
         log = FlightLog.open(path, metadata={})
         recorder: Recorder = LiveRecorder(log, port) if watched else log
         clients = []

@@ -14,19 +14,7 @@ import pytest
 
 from flightstack.cli.main import _with_ports, main
 from flightstack_logs.reader import read
-
-HOST = "127.0.0.1"
-
-
-def free_ports() -> int:
-    while True:
-        with socket.create_server((HOST, 0)) as one:
-            port = int(one.getsockname()[1])
-            try:
-                with socket.create_server((HOST, port + 1)):
-                    return port
-            except OSError:
-                continue
+from tests.simulator import HOST, free_tcp_pair
 
 
 def watch(port: int, seen: list[dict[str, Any]], over: threading.Event) -> None:
@@ -42,7 +30,7 @@ def watch(port: int, seen: list[dict[str, Any]], over: threading.Event) -> None:
 
 
 def test_a_flight_is_watched_while_it_is_flown_and_its_log_is_as_ever(tmp_path: Path) -> None:
-    port, seen, over = free_ports(), list[dict[str, Any]](), threading.Event()
+    port, seen, over = free_tcp_pair(), list[dict[str, Any]](), threading.Event()
     watcher = threading.Thread(target=watch, args=(port, seen, over))
     watcher.start()
     logs = []
@@ -65,7 +53,7 @@ def test_a_flight_is_watched_while_it_is_flown_and_its_log_is_as_ever(tmp_path: 
 
 
 def test_a_taken_port_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    port = free_ports()
+    port = free_tcp_pair()
     with socket.create_server((HOST, port + 1)), pytest.raises(SystemExit) as ended:
         main(["fly", "hover", f"--live={port}", "--out", str(tmp_path)])
     assert ended.value.code == 2
