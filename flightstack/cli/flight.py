@@ -318,21 +318,22 @@ def _flown(
         finally:
             flight.close()
         at_end(recorder, flight.t_us)
+        result = flight.score.result(
+            log,
+            wall_s=time.perf_counter() - started,
+            clock_s=flight.t_us * 1e-6,
+            timing=timing,
+            completed=flight.companion.completed,
+            checked=options.as_written,
+            seed=options.seed,
+            plant=setup.plant,
+        )
+        result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
+        result.unprotected_ok = options.unprotected_ok
+        recorder.result(result.attachment())
     finally:
         recorder.close()
-    wall_s = time.perf_counter() - started
-    result = flight.score.result(
-        log,
-        wall_s=wall_s,
-        clock_s=flight.t_us * 1e-6,
-        timing=timing,
-        completed=flight.companion.completed,
-        checked=options.as_written,
-        seed=options.seed,
-        plant=setup.plant,
-    )
-    result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
-    result.unprotected_ok = options.unprotected_ok
+    result.log_problem = log.failed or ""
     return result
 
 
