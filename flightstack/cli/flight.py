@@ -254,11 +254,14 @@ class SimulatedFlight:
 def fly(
     options: FlyOptions,
     *,
-    stop_requested: Callable[[], str],
+    stop_requested: Callable[[], str] = lambda: "",
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
     report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
-    """Fly a scenario in the simulator; log and report lie where the result says."""
+    """Fly a scenario in the simulator; log and report lie where the result says.
+
+    `stop_requested` is asked each tick: words of why to land now, or nothing.  InputError before anything flies.
+    """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))
     return fly_setup(
