@@ -115,8 +115,7 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         learner = _learner(learned, name, believed, model, options)
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
     if protection.site is not None:
-        made = protection.site.certificate
-        controller = quieted(controller, made.governor, made.doubts[0].eps_v_mps)
+        controller = quieted(controller, protection.site.certificate)
     if protection.watched is not None:
         protection.watched.trail = Trail(vehicle_file.text)
     if protection.given is not None:  # settle inside it first, so that the filter engages before the track begins

@@ -71,7 +71,7 @@ def shield_stack(
         require_checked(files.TextFile(options.certificate, text))
         require_same(text, str(options.certificate), planned.certificate)
     inner = build("flatness", model, limits, learning=False)[0]
-    relay = Relay(quieted(inner, governor, planned.certificate.doubts[0].eps_v_mps), model)
+    relay = Relay(quieted(inner, planned.certificate), model)
     stack = Stack(
         model, limits, controller=relay, safety_filter=planned.filter(model, limits), governor=Governor(believed)
     )
