@@ -19,7 +19,7 @@ from flightstack.types import F64
 BENT, KNOWN, EDGE, PLACE, SPEED, ACC, SIZE = 0, 1, 2, 3, 6, 9, 12
 """Of the memory: 1 while bent, 1 once a place is known; what is in the way; the place (3, NED), its velocity (3), its
 acceleration (3)."""
-_FASTER_MPS = 1.5
+_FASTER_MPS = 3.0
 _BACK_M, _BACK_MPS = 0.02, 0.1
 _LEAD_M = 0.15
 _JUMP_M = 0.3
@@ -82,15 +82,16 @@ def _slowed(site: F64, s: F64, place: F64, v: F64, rows: F64) -> int:
     return code
 
 
+def begin(n: F64, measured: F64, origin_ned_m: F64) -> None:
+    """Begin where the vehicle is, as it moves."""
+    n[KNOWN], n[PLACE : PLACE + 3], n[SPEED : SPEED + 3] = 1.0, measured[:3] - origin_ned_m, measured[3:6]
+
+
 @njit_called
 def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F64, out: F64) -> bool:
     """The reference (17,), relative to the origin, as it is to be followed, in `out` (17,); whether it was changed."""
     for i in range(17):
         out[i] = reference[i]
-    if n[KNOWN] == 0.0:
-        n[KNOWN] = 1.0
-        for i in range(3):
-            n[PLACE + i] = 0.0
     place, speed, way_of, v = n[PLACE : PLACE + 3], n[SPEED : SPEED + 3], n[PLACE : PLACE + approach.SIZE], np.empty(3)
     free, edge = _is_clear(site, s, reference, place, way)
     if free:
