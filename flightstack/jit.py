@@ -24,8 +24,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching, types
+from numba.core import caching
 from numba.core import config as _numba_config
+from numba.core.types import unliteral  # type: ignore[attr-defined]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -202,8 +203,8 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
 
     def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
         # Once for all constants that are passed: LLVM puts them in when it inlines.
-        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
-        return called.get_call_template(tuple(types.unliteral(kind) for kind in args), plain)
+        plain = {name: unliteral(kind) for name, kind in kws.items()}
+        return called.get_call_template(tuple(unliteral(kind) for kind in args), plain)
 
     compiled.get_call_template = get_call_template
     compiled.get_overload = called.get_overload

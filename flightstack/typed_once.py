@@ -33,8 +33,8 @@ def typed_once() -> Iterator[None]:
         signature, self._impl_keys[known[key][0].args] = known[key]
         return signature
 
-    BaseFunction.get_call_type = get_call_type
+    BaseFunction.get_call_type = get_call_type  # type: ignore[method-assign]
     try:
         yield
     finally:
-        BaseFunction.get_call_type = original
+        BaseFunction.get_call_type = original  # type: ignore[method-assign]
