@@ -36,7 +36,7 @@ _CI = 1.959964
 
 
 def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
-    """Turbulence where it explains what is left of the force, and the names that hold beside it; gusts then are noise."""
+    """Turbulence where it explains what is left of the force, and the names that hold beside it."""
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
         return naming, gap
     held = {f.name for f in naming.found}
@@ -44,6 +44,8 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
     kept = [f for f in naming.found if f.name != _WIND]
     wind = [] if held & set(_MEANS) else [_wind(vehicle, naming)]
     told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)})
+    if told is None and back:  # what was taken back may stand for gusts itself
+        told = _beside(vehicle, naming, of, [*kept, *wind], {f.name for f in wind})
     if told is None:
         return naming, gap
     named, blown, twins = told
@@ -58,9 +60,9 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
     corrected = with_value(named.vehicle, found.name, {p: e.estimate for p, e in found.parameters.items()})
     rejected = tuple(r for r in named.rejected if r.name != found.name)
     whole = (*named.found, found)
-    return replace(
-        named, found=whole, vehicle=corrected, rejected=rejected, unexplained=Unexplained(False)
-    ), gap_of(gap.before, after, floor)
+    return replace(named, found=whole, vehicle=corrected, rejected=rejected, unexplained=Unexplained(False)), gap_of(
+        gap.before, after, floor
+    )
 
 
 def _beside(

@@ -18,7 +18,7 @@ gusts were noise takes their mean with it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,8 @@ _LEAST_AIRSPEED_MPS = 1.0
 _SPAN = (0.5, 1.5)
 _PERIODS_S = np.geomspace(0.8, 12.0, 9)
 _SPREAD_OUT = 2.0
-"""Of log likelihood ratios at the truth, times what they would be if this were all: on 24 flights of 24 s with lengths of
-5 to 100 m the length's mean 2 log ratio is 1.8 where 1 is due.  Intervals are as wide as that asks for."""
+"""By which log likelihood ratios at the truth are too large: on 24 flights of 24 s with lengths of 5 to 100 m the mean of
+twice that ratio is 1.8 for the length, where 1 is due.  Intervals are as wide as that asks for."""
 _PARTS = 4
 """Into which a block is cut for the mean of a correlation."""
 _QUANTILES = (0.025, 0.5, 0.975)
@@ -215,7 +215,9 @@ def _blocks(
     y, drag, turn, t_s, flown, within, place, airspeed, number_of, x, turning = (each[::thin] for each in whole_parts)
     unit_mps2 = float(np.sqrt(np.mean(np.array([u for u in units if np.all(u > 0.0)]) ** 2)))
     flat = x.reshape(3 * len(y), -1)
-    return _Blocks(y, drag, turn, t_s, flown, within, place, airspeed, number_of.astype(np.int64), flat, turning, unit_mps2)
+    return _Blocks(
+        y, drag, turn, t_s, flown, within, place, airspeed, number_of.astype(np.int64), flat, turning, unit_mps2
+    )
 
 
 def _turned(wind_ned_mps: F64) -> F64:
@@ -317,7 +319,11 @@ def _other_laws(blocks: _Blocks, same: NDArray[np.bool_]) -> float:
     laws += [np.exp(-0.5 * (lag / (share * long_s)) ** 2) * same for share in (0.1, 0.3, 1.0)]
     laws += [np.cos(2.0 * np.pi * lag / p) * np.exp(-lag / (4.0 * p)) * same for p in _PERIODS_S]
     body = np.broadcast_to(np.diag(np.linalg.norm(blocks.turn[0], axis=1)), blocks.turn.shape)
+    lift = body * np.array([0.0, 0.0, 1.0])  # what a thrust does that is not what it was
+    slow = [np.exp(-0.5 * (lag / (share * long_s)) ** 2) * same for share in (0.3, 1.0)]
+    slow += [np.exp(-lag / (share * long_s)) * same for share in (0.3, 3.0)]
     pairs = [(blocks.turn, law) for law in laws] + [(body, law) for law in _smooth_in(blocks.airspeed)]
+    pairs += [(lift, law) for law in slow]
     return max(float(_profile(_kernel(loads, [law] * 3), blocks).logs.max()) for loads, law in pairs)
 
 

@@ -198,9 +198,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     behind = (bench, state)
-    return Naming(
-        kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind
-    )
+    return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
 def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:

@@ -20,7 +20,7 @@ from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
 from flightstack.gap.pooled import Split
 from flightstack.gap.read import flight
-from flightstack.gap.records import Checked, Found, Gap, Samples, Unexplained
+from flightstack.gap.records import Checked, Found, Gap, Samples
 from flightstack.gap.refine import refine
 from flightstack.gap.report.words import sentence
 from flightstack.gap.result import GapResult

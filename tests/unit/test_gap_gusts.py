@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from flightstack.gap import pooled
@@ -10,6 +13,7 @@ from flightstack.gap.gusts import gusts
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Naming, name
 from flightstack.gap.records import Gap, Samples
+from flightstack.gap.simulate import knobs
 from flightstack.gap.verdict import gap_of, unexplained
 from tests import gap_batch as batch
 from tests.gap_hidden import HIDDEN, believed
@@ -39,9 +43,9 @@ def test_intervals_hold_on_flights_that_nobody_tuned_on(length_m: float, sigma_m
     told = [gusts(believed(), [flight], [flight.valid]) for flight in batch.fly(believed(), hidden, seed=31_000)]
     found = [each for each in told if each is not None and each.named]
     assert len(found) >= 7
-    for name, true in (("sigma_mps", sigma_mps), ("length_m", length_m)):
-        ranges = [getattr(each, name) for each in found]
-        assert sum(each.low <= true <= each.high for each in ranges) >= len(found) - 1, name
+    for parameter, true in (("sigma_mps", sigma_mps), ("length_m", length_m)):
+        ranges = [getattr(each, parameter) for each in found]
+        assert sum(each.low <= true <= each.high for each in ranges) >= len(found) - 1, parameter
 
 
 def _told(flight: Samples) -> tuple[Naming, Gap]:
@@ -78,6 +82,17 @@ def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Namin
             told = found.parameters[parameter]
             assert told.low <= true <= told.high, parameter
     assert not unexplained(naming.unexplained, gap, named=True).significant
+
+
+def test_a_thrust_that_fades_is_no_gust(flights: dict[str, Samples]) -> None:
+    """It acts along body z alone; a wind that is fitted beside gusts would take its mean and leave a drift."""
+    flight = flights[""]
+    share = 1.0 - 0.01 * (flight.t_s - flight.t_s[0])
+    fades = replace(flight, accel_frd_mps2=flight.accel_frd_mps2 * np.stack([1.0 + 0.0 * share] * 2 + [share], axis=1))
+    found = gusts(believed(), [fades], [fades.valid], knobs("steady_wind"))
+    assert found is not None
+    assert found.evidence > 20.0  # against mere noise it would pass
+    assert not found.named
 
 
 @pytest.mark.parametrize("kind", ["", "constant_force"])
