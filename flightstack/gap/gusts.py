@@ -49,8 +49,8 @@ _LEAST_AIRSPEED_MPS = 1.0
 _SPAN = (0.5, 1.5)
 _PERIODS_S = np.geomspace(0.8, 12.0, 9)
 _SPREAD_OUT = 2.0
-"""By which log likelihood ratios at the truth are too large: on 24 flights of 24 s with lengths of 5 to 100 m the mean of
-twice that ratio is 1.8 for the length, where 1 is due.  Intervals are as wide as that asks for."""
+"""By which log likelihood ratios at the truth are too large: on 24 flights of 24 s with lengths of 5 to 100 m the mean
+of twice the length's is 1.8, where 1 is due.  Intervals are as wide as that asks for."""
 _PARTS = 4
 """Into which a block is cut for the mean of a correlation."""
 _QUANTILES = (0.025, 0.5, 0.975)
