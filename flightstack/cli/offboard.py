@@ -191,22 +191,24 @@ def _offboard(
                 with last_words(companion, transport):
                     loop.run()
                 timing.dead_man = NO_DEAD_MAN if dead_man is None else dead_man.summary()
+            wall_s = time.perf_counter() - started
+            result = score.result(
+                log,
+                wall_s=wall_s,
+                clock_s=wall_s * companion.view.clock.rate,
+                timing=timing,
+                completed=None if options.dry_run else companion.completed,
+                checked=options.as_written,
+            )
+            result.link_too_slow = prepared.protection.link_too_slow(companion)
+            result.unprotected_ok = options.unprotected_ok
+            result.contradictions = inspector.found
+            if options.dry_run:
+                result.checklist = inspector.checklist(config)
+            recorder.result(result.attachment())
         finally:
             recorder.close()
-    wall_s = time.perf_counter() - started
-    result = score.result(
-        log,
-        wall_s=wall_s,
-        clock_s=wall_s * companion.view.clock.rate,
-        timing=timing,
-        completed=None if options.dry_run else companion.completed,
-        checked=options.as_written,
-    )
-    result.link_too_slow = prepared.protection.link_too_slow(companion)
-    result.unprotected_ok = options.unprotected_ok
-    result.contradictions, result.parameters_set = inspector.found, change.as_json()
-    if options.dry_run:
-        result.checklist = inspector.checklist(config)
+    result.log_problem, result.parameters_set = log.failed or "", change.as_json()
     files.write_flight_report(log_path, out / "report.html", result)
     return result
 
