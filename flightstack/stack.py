@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flightstack.applied import Applied
+from flightstack.barrier.initial import DOWN
 from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
 from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
@@ -111,7 +112,7 @@ class Stack:
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, before)
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
-                premises = _watched(certificate)
+                premises = _watched(certificate, self.model)
             if premises.version >= 0 and before.status >= _ENGAGED:
                 since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6)
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
@@ -156,7 +157,11 @@ _PREMISE = 33
 """Place of `Filtered.premise` in its row; `ended_by` follows."""
 
 
-def _watched(certificate: Certificate) -> WatchState:
+def _watched(certificate: Certificate, model: Model) -> WatchState:
     """The watch of a certificate that is taken; one without premises is not watched."""
     premises = certificate.premises
-    return WatchState() if premises is None else watched(certificate.version, premises)
+    if premises is None:
+        return WatchState()
+    down = next((axis.authority.table for axis in certificate.axes if axis.axis == DOWN), np.empty((7, 0)))
+    north, east, along = (each / model.mass_kg for each in model.drag_kgps)
+    return watched(certificate.version, premises, down, (north, east, along))

@@ -8,6 +8,13 @@ Another certificate, with premises of its own, begins anew.
 Stream ages are compared with one and a half of each stream's periods and the certificate's jitter; of the rest each is
 compared with its own range (`premises`).  What the estimate is off by cannot be seen here: its bound is scored against
 the truth in simulation.
+
+**The gain.**  At nearly constant thrust the slope that is learned and the constant beside it trade against each other;
+only what they give together is known, and a certificate's bounds are about nothing else.  So where down is certified
+the learner's acceleration at the estimated state is compared with the certificate's mean there, at both ends of the
+certified thrust.  D apart is told as a gain, the certificate's less D / (cos(tilt) times the greatest thrust), which
+is within the premise's range where D is within the certificate's bound.  Of thrust that changes by a share it is the
+changed gain; what of it is taken for a constant, which no slope tells, counts as well.
 """
 
 from __future__ import annotations
@@ -17,10 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from flightstack.barrier.assess import column_at
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Tuple3
 
 NAMES = (
     "", "speed north", "speed east", "speed down", "lean north", "lean east", "thrust", "applied thrust",
@@ -39,6 +47,9 @@ _VALID = 2.0
 _AHEAD_S = 0.3
 """Where a vehicle at this speed is brought to rest: so far on its way."""
 _NUMBERS = 24
+_NO_TABLE = np.empty((7, 0))
+_LEAST_UP = 0.5
+"""Of the thrust axis' part along down: beyond it, where no certificate holds, the slope alone is compared."""
 
 
 class WatchState(NamedTuple):
@@ -48,6 +59,8 @@ class WatchState(NamedTuple):
     """Of the certificate that is watched."""
     numbers: F64 = np.zeros(_NUMBERS)
     """Its premises for compiled code."""
+    down: F64 = _NO_TABLE
+    """(7, n) what it says of acceleration along down (`Authority.table`); empty where it says nothing."""
     broken_s: float = 0.0
     """How long premises were broken of late."""
     broken: int = 0
@@ -69,14 +82,21 @@ class Seen(NamedTuple):
     """Since the command before."""
 
 
-def watched(version: int, premises: Premises) -> WatchState:
-    """The watch of a certificate that is taken."""
+def watched(
+    version: int, premises: Premises, down: F64 = _NO_TABLE, drag_per_s: Tuple3 = (0.0, 0.0, 0.0)
+) -> WatchState:
+    """The watch of a certificate that is taken.
+
+    `down` (7, n): its bounds along down, empty where there are none; `drag_per_s`: the believed drag along the body's
+    axes, which the learner's residual leaves out.
+    """
     low, high = zip(*premises.speeds_mps, strict=True)
     numbers = [
         *low, *high, premises.lean, *premises.thrust_mps2, *premises.applied_share, *premises.thrust_gain,
         *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
+        *drag_per_s,
     ]  # fmt: skip
-    return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]))
+    return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), down)
 
 
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:
@@ -84,7 +104,11 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     ages_s = np.array([measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us]) * 1e-6
     learned = seen.learned
     latency_s = learned.latency_s if learned.latency_s > 0.0 else math.nan
-    gain = learned.thrust_gain if learned.stage >= _VALID else math.nan
+    gain = math.nan
+    if learned.stage >= _VALID:
+        gain = _gain_at_ends(
+            state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg
+        )
     broken = _broken(
         state.numbers, measurement.row, ages_s, seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s,
         seen.interval_s, measurement.battery_v,
@@ -100,6 +124,33 @@ def _rest(measurement: Measurement, yaw_rad: float) -> FlatOutput:
     """At rest a little ahead."""
     zero = np.zeros(3)
     return FlatOutput.of(measurement.pos_ned_m + _AHEAD_S * measurement.vel_ned_mps, zero, zero, zero, zero, yaw_rad)
+
+
+@njit
+def _gain_at_ends(p: F64, down: F64, row: F64, learned: F64, applied_mps2: float) -> float:
+    """The learner's gain as compared with the certificate's (see above): at the end where they are further apart.
+
+    `row`: a Measurement's, `learned`: a Learned's.
+    """
+    slope = learned[6]
+    r = quat_to_matrix(row[6:10])
+    up = r[2, 2]
+    if down.shape[1] == 0 or up < _LEAST_UP:
+        return slope  # type: ignore[no-any-return]
+    gain = column_at(down, 2, row[5])
+    apart = STANDARD_GRAVITY_MPS2 - up * applied_mps2
+    for i in range(3):
+        along = r[0, i] * row[3] + r[1, i] * row[4] + r[2, i] * row[5]
+        apart += r[2, i] * (learned[9 + i] - p[19 + i] * along)
+    apart -= column_at(down, 1, row[5]) - gain * up * applied_mps2
+    if math.isnan(apart):
+        return slope  # type: ignore[no-any-return]
+    worst = 0.0
+    for i in range(7, 9):
+        at = apart / up + (gain - slope) * (p[i] - applied_mps2)
+        if abs(at) > abs(worst):
+            worst = at
+    return gain - worst / p[8]  # type: ignore[no-any-return]
 
 
 @njit

@@ -51,7 +51,7 @@ class Premises:
     applied_share: Range
     """Thrust that the motors report over thrust sent."""
     thrust_gain: Range
-    """Delivered over believed thrust, as learned."""
+    """Delivered over believed thrust, as learned at the ends of the certified thrust (`premise_watch`)."""
     delay_s: Range
     """From sending a command to its first effect."""
     jitter_s: float

@@ -138,7 +138,8 @@ def evaluate_rows(state: F64, params: F64) -> None:
     y, dy = work[0], work[1]
     for i in range(state.shape[0]):
         row, p = state[i], params[i]
-        y[:] = row[:EVALUATED]
+        for k in range(EVALUATED):  # a copy of slices takes 2 s to compile: it may fail, and would say so
+            y[k] = row[k]
         u = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
         evaluate(p, y, rotor_speeds(p, u), air_velocity(p, row), battery_sag.factor(p, row[S_VOLTAGE]), dy)
         for j in range(3):

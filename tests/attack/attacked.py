@@ -7,14 +7,19 @@ from benchmarks.attack_flight import AttackFlight, Outcome
 from benchmarks.attack_worlds import World
 
 
-def attacked(world: World, seed: int, strategy: Strategy, seconds: float = 10.0) -> Outcome:
-    """Learn, certify, attack; the outcome of a flight that counts."""
+def engaged(world: World, seed: int) -> AttackFlight:
+    """A flight that has learned, certified and engaged, and keeps the certificate that it has."""
     flight = AttackFlight(world, seed)
     engaged_s = flight.fly_until_engaged(40.0)
     assert engaged_s is not None, f"never engaged: {flight.ended or 'nothing was certified'}"
     assert flight.certificate is not None
     flight.held.hold(flight.certificate)
-    return flight.attack(strategy, seconds)
+    return flight
+
+
+def attacked(world: World, seed: int, strategy: Strategy, seconds: float = 10.0) -> Outcome:
+    """Learn, certify, attack; the outcome of a flight that counts."""
+    return engaged(world, seed).attack(strategy, seconds)
 
 
 def held(outcome: Outcome, may_break: tuple[int, ...] = ()) -> None:

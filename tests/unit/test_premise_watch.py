@@ -13,7 +13,7 @@ from flightstack.barrier.estimate_bounds import BENCH, does_not_fit, estimate_bo
 from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, watch, watched
 from flightstack.barrier.premises import Premises
 from flightstack.cli.sensors import error_statistics
-from flightstack.frames import quat_from_euler
+from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.region import Region
 from flightstack.types import Command, Learned, Measurement, changed
 from flightstack_sim.grade import load_grade
@@ -130,3 +130,72 @@ def test_gps_does_not_fit_the_papers_regions_and_fits_a_large_one() -> None:
     assert "position down is known to 0.89 m (4.3 sigma)" in said
     assert does_not_fit(mocap, small, (2,)) == ""
     assert does_not_fit(gps, large, (0, 1, 2)) == ""
+
+
+GREATEST, BOUND, FLOWN = 15.0, 0.4, 13.0
+DOWN_SAYS = np.array([[-1.5, 1.5], [9.6, 10.0], [0.7, 0.7], [-1.0, -1.0], [6.0, 6.0], [BOUND, BOUND], [BOUND, BOUND]])
+"""Gravity and a drag of 0.133 /s upwards of it; a gain of 0.7 that is known to 0.4 m/s^2 at 5 and at 15 m/s^2."""
+HELD_GAIN = replace(PREMISES, thrust_gain=(0.7 - BOUND / GREATEST, 0.7 + BOUND / GREATEST))
+
+
+def knows(gain: float, constant_mps2: float, applied_mps2: float = FLOWN) -> Seen:
+    """A learner that says: acceleration down = g + constant - gain * thrust, while so much thrust acts."""
+    residual = np.array([0.0, 0.0, (1.0 - gain) * applied_mps2 + constant_mps2])
+    applied_n = applied_mps2 * MASS_KG
+    learned = changed(seen().learned, thrust_gain=gain, applied_thrust_n=applied_n, residual_frd_mps2=residual)
+    return seen()._replace(learned=learned)
+
+
+def ended(tick: Seen, premises: Premises = HELD_GAIN, **measurement: Any) -> str:
+    """What ends a certificate of DOWN_SAYS."""
+    drag = (0.05, 0.06, 0.1)
+    return NAMES[run(50, watched(1, premises, DOWN_SAYS, drag), measured(**measurement), tick).ended]
+
+
+MIDDLE = 9.8 - 9.80665
+"""What DOWN_SAYS has beside gravity at rest."""
+
+
+def test_slope_and_constant_that_trade_against_each_other_end_nothing() -> None:
+    for gain in (0.66, 0.74):  # beyond the range by themselves; off by 0.4 * 10 / 13 = 0.31 m/s^2 at 5 m/s^2
+        assert not HELD_GAIN.thrust_gain[0] <= gain <= HELD_GAIN.thrust_gain[1]
+        assert not ended(knows(gain, MIDDLE + (gain - 0.7) * FLOWN))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_thrust_that_changes_by_a_share_is_noticed_where_it_leaves_the_bound(sign: float) -> None:
+    edge = BOUND / (0.7 * GREATEST)  # 3.8 %: the certificate's bound at the greatest thrust
+    for share, name in ((0.98 * edge, ""), (1.02 * edge, "thrust gain")):
+        assert ended(knows(0.7 * (1.0 + sign * share), MIDDLE)) == name
+    # taken for a constant it is as much at every thrust: the slope alone would never tell
+    for off, name in ((0.98 * BOUND, ""), (1.02 * BOUND, "thrust gain")):
+        assert ended(knows(0.7, MIDDLE + sign * off)) == name
+
+
+@pytest.mark.parametrize("end", [5.0, 15.0])
+def test_a_slope_is_noticed_where_it_leaves_the_bound_at_either_end(end: float) -> None:
+    for share, name in ((0.98, ""), (1.02, "thrust gain")):
+        flown = 20.0 - end  # the other end
+        off = share * BOUND / (end - flown)
+        assert ended(knows(0.7 + off, MIDDLE + off * flown, flown)) == name
+
+
+def test_lean_speeds_and_believed_drag_are_counted_with() -> None:
+    """A truth of the certificate's own, leaning and moving: nothing is apart, by vectors written out here."""
+    narrow = replace(PREMISES, thrust_gain=(0.7 - 1e-6, 0.7 + 1e-6))
+    q, vel = quat_from_euler(0.1, -0.15, 0.7), np.array([0.3, -0.2, 1.2])
+    turn = np.array(quat_to_matrix(q))
+    said_down = np.interp(vel[2], [-1.5, 1.5], [9.6, 10.0]) - 0.7 * FLOWN * turn[2, 2]
+    specific_ned = np.array([0.3, -0.1, said_down - 9.80665])
+    residual = turn.T @ specific_ned + np.array([0.0, 0.0, FLOWN]) + np.array([0.05, 0.06, 0.1]) * (turn.T @ vel)
+    tick = knows(0.7, 0.0)
+    tick = tick._replace(learned=changed(tick.learned, residual_frd_mps2=residual))
+    assert not ended(tick, narrow, q_ned_frd=q, vel_ned_mps=vel)
+    off = changed(tick.learned, residual_frd_mps2=residual + np.array([0.0, 0.0, 1e-4]))
+    assert ended(tick._replace(learned=off), narrow, q_ned_frd=q, vel_ned_mps=vel) == "thrust gain"
+
+
+def test_what_the_learner_cannot_say_leaves_the_slope_to_be_compared() -> None:
+    lost = seen(thrust_gain=0.55)
+    assert ended(lost) == "thrust gain"
+    assert not ended(seen())
