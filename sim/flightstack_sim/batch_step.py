@@ -238,9 +238,11 @@ def _each_alone(steps: tuple[int, int], params: F64, state: F64, first: int) -> 
     for i in range(LANES):
         for j in range(PARAMS):
             p[j] = own[j * LANES + i]
-        row[:] = state[:, first + i]
+        for j in range(row.shape[0]):
+            row[j] = state[j, first + i]
         call(steps[1], p, row, row.shape[0])
-        state[:, first + i] = row
+        for j in range(row.shape[0]):
+            state[j, first + i] = row[j]
 
 
 @njit_called
