@@ -56,9 +56,6 @@ _GAIN = 4e-3
 _SWING = 4e-3
 """And a load's length, as its swing at the start is not known; relative."""
 _MEMORY_S = 5.0
-_SLOW_MPS2 = 0.005
-"""What an attitude's slow error of half a milliradian leaves in a flight's mean: no block of it sees that as noise.
-On three flights with our simulator's own sensors steady forces were off by 3.4 to 7.6 mm/s^2, three half intervals."""
 _STATES = 1.15
 """Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
@@ -161,7 +158,7 @@ def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
         return np.zeros(3), np.full(3, _BIAS_STD_MPS2)
     seen = np.var(blocks, axis=0, ddof=1) / len(blocks)
     trust = _BIAS_STD_MPS2**2 / (_BIAS_STD_MPS2**2 + seen)
-    return trust * np.mean(blocks, axis=0), np.hypot(np.sqrt(trust * seen), _SLOW_MPS2)
+    return trust * np.mean(blocks, axis=0), np.sqrt(trust * seen)
 
 
 class _Problem:
