@@ -102,6 +102,7 @@ _STYLE = """
 .keys .kernel i { border-color: var(--muted); border-top-style: dotted; }
 .keys .target i { border-color: var(--learned); }
 .keys .between i { border-color: var(--three); }
+@media (max-width: 1150px) { .tables > .wide { grid-column: span 12; } }
 @media (max-width: 640px) {
   .rounds { font-size: 11px; } .rounds th:nth-child(4), .rounds td:nth-child(4) { display: none; }
 }
