@@ -20,7 +20,7 @@ SPEED_ACROSS = (1, 2)
 @pytest.mark.parametrize(
     ("vertical", "wave", "gate_h", "together"),
     [
-        (GRADIENT, SINE, 2.0, False), (GRADIENT, SQUARE, 0.3, True), (OUTWARD, SINE, 0.2, True),
+        (GRADIENT, SINE, 2.0, False), (GRADIENT, SQUARE, 0.25, True), (OUTWARD, SINE, 0.2, True),
         (ALONG, SQUARE, 0.5, False), (SWING, SINE, 0.4, True),
     ],
 )  # fmt: skip
