@@ -19,6 +19,8 @@ from flightstack.types import F64
 KINDS = (PUSH, THROUGH, DITHER, RANDOM)
 _GPS_SHARE, _EDGE_SHARE, _JSBSIM_SHARE = 1.0 / 6.0, 0.25, 0.25
 _FORCE_G, _MASSES = 0.15, (0.8, 1.5)
+_CLIMBED_S = 14.0
+"""To 8 m, with GPS: whoever pushes before pushes into the ground under the open chute, of which nothing is promised."""
 _SLOT_M = {"mocap": 1.5, "gps": 20.0}
 HOVER = """schema = "flightstack.scenario/1"
 name = "hover"
@@ -123,6 +125,6 @@ def drawn_world(seed: int, folder: Path) -> World:
 
 
 def drawn_attack(seed: int) -> Attack:
-    """The adversary of a flight; a third drives the force along the velocity."""
-    rng = np.random.default_rng([24, seed])
-    return Attack(KINDS[seed % len(KINDS)], seed=seed, pumps=bool(rng.uniform() < 1.0 / 3.0))
+    """The adversary of a flight, once it is in the air; a third drives the force along the velocity."""
+    rng, begins_s = np.random.default_rng([24, seed]), 4.0 if drawn_grade(seed) == "mocap" else _CLIMBED_S
+    return Attack(KINDS[seed % len(KINDS)], seed=seed, begins_s=begins_s, pumps=bool(rng.uniform() < 1.0 / 3.0))

@@ -21,7 +21,7 @@ from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
-from flightstack.gap.naming.candidates import negligible
+from flightstack.gap.naming.candidates import negligible, plausible
 from flightstack.gap.naming.drift import drifts_better
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
@@ -342,10 +342,10 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
             continue
         i = made.slots.index((effect, spec.name))
         reach = _CI * float(np.sqrt(max(made.covariance[i, i], 0.0)))
-        if reach == 0.0:
-            found[spec.name] = Estimate(before, now, spec.minimum, spec.maximum)
-        else:
-            found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
+        low, high = plausible(state.start, effect, spec.name)
+        if reach > 0.0:
+            low, high = max(now - reach, low), min(now + reach, high)
+        found[spec.name] = Estimate(before, now, min(low, now), max(high, now))
     return found
 
 
