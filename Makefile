@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same test tune
+.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -32,6 +32,7 @@ help:
 	@echo "make mutants      put small faults into the safety-relevant code, one at a time; lists what the tests do not notice (an hour)"
 	@echo "make house        code lines, long files and functions, parameters, subscripts, names used twice"
 	@echo "make docs         build the documentation into site/; a broken link fails"
+	@echo "make screenshots  the pictures of docs/screenshots, flown and taken anew"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make attack       every attack on a certificate that is known, as tests"
@@ -110,6 +111,9 @@ mutants: $(BIN)/.installed-dev
 $(BIN)/.installed-docs: $(BIN)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
+
+screenshots: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.screenshots
 
 docs: $(BIN)/.installed-docs
 	$(BIN)/mkdocs build --strict --quiet

@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from flightstack.cli.result import steady
 from flightstack_logs.mcap_file import Channel, scan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,7 +27,6 @@ FLIGHTS: dict[str, tuple[str, ...]] = {
     "figure8": ("figure8", "--duration", "4", "--sensors", "gps"),
     "published": ("paper-barrier", "--duration", "4", "--as-published"),
 }
-_TIMED = frozenset({"wall_time_s", "realtime_factor", "log", "report", "step_us", "solve_us", "histogram", "loop"})
 
 
 def fly(tree: Path, out: Path, name: str) -> None:
@@ -40,16 +40,9 @@ def fly(tree: Path, out: Path, name: str) -> None:
         sys.exit(f"error: {name} did not fly in {tree}: {done.stderr.strip().splitlines()[-1:]}")
 
 
-def untimed(value: Any) -> Any:
-    """A result without what was measured of this machine."""
-    if isinstance(value, dict):
-        return {key: untimed(each) for key, each in value.items() if key not in _TIMED}
-    return value
-
-
 def different(then: Path, now: Path, name: str) -> list[str]:
     """What differs between two flights, in words."""
-    results = [untimed(json.loads((folder / f"{name}.json").read_text())) for folder in (then, now)]
+    results = [steady(json.loads((folder / f"{name}.json").read_text())) for folder in (then, now)]
     found = [f"result: {key}" for key in results[0].keys() | results[1].keys() if _unlike(results, key)]
     logs = [_topics(folder / f"{name}.mcap") for folder in (then, now)]
     for topic in sorted(logs[0].keys() | logs[1].keys()):

@@ -22,8 +22,7 @@ def main(duration_s: float) -> dict[str, float]:
                     learning=False,
                     filtering=False,
                     out=Path(folder) / controller,
-                ),
-                stop_requested=lambda: "",
+                )
             )
             errors_m[controller] = result.tracking["rmse_settled_m"]
     return errors_m

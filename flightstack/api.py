@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from flightstack_logs.recover import recover as recover_log
     from flightstack_logs.standard import with_vehicle_topics
     from flightstack_logs.tables import Log, Table
-    from flightstack_sim.batch import BatchClosedLoop
+    from flightstack_sim.batch import BatchClosedLoop, BatchPlant
     from flightstack_sim.effects import EFFECTS
     from flightstack_sim.jsbsim.plant import JsbsimPlant
-    from flightstack_sim.plant import BatchPlant, NativePlant, Plant, Truth
+    from flightstack_sim.plant import NativePlant, Plant, Truth
 
 _HOME = {
     "EFFECTS": "flightstack_sim.effects",
     "BarrierFilter": "flightstack.safety_filter",
     "BatchClosedLoop": "flightstack_sim.batch",
-    "BatchPlant": "flightstack_sim.plant",
+    "BatchPlant": "flightstack_sim.batch",
     "Certificate": "flightstack.barrier.records",
     "FlyOptions": "flightstack.cli.flight",
     "GapResult": "flightstack.gap.result",

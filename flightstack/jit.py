@@ -4,6 +4,9 @@ Numba keys its on-disk cache by the decorated function's own file only: after an
 file the caller's old machine code would stay in use.  Here a function's cache folder is named by a hash over its
 module's source and all project sources that this module imports, directly or not.  An edit recompiles what depends on
 it and nothing else, and checkouts, branches and installed copies of the same sources share their compiled code.
+
+A function is compiled for what calls it: once for Python, with the wrapper that unpacks Python's objects, and once for
+compiled callers, without.  Most have callers of one kind only, and a wrapper takes as long as a short function.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching
 from numba.core import config as _numba_config
+from numba.core.types import unliteral  # type: ignore[attr-defined]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -192,7 +196,16 @@ def njit_vector(function: F) -> F:
 def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> F:
     # Said outright: a function that leaves fastmath open takes it over from whichever caller compiles it first.
     fastmath = {"reassoc", "contract", "nsz"} if relaxed else False
-    compiled: F = numba.njit(
-        cache=True, error_model="numpy", forceinline=inline, fastmath=fastmath, nogil=nogil
-    )(function)  # fmt: skip
-    return compiled
+    options = {"error_model": "numpy", "forceinline": inline, "fastmath": fastmath, "nogil": nogil}
+    compiled: Any = numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
+    # Not cached: the code is part of every caller's, and numba's cache can't tell it from the one with the wrapper.
+    called: Any = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True, **options)(function)
+
+    def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        # Once for all constants that are passed: LLVM puts them in when it inlines.
+        plain = {name: unliteral(kind) for name, kind in kws.items()}
+        return called.get_call_template(tuple(unliteral(kind) for kind in args), plain)
+
+    compiled.get_call_template = get_call_template
+    compiled.get_overload = called.get_overload
+    return compiled  # type: ignore[no-any-return]

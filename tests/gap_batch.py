@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
-from flightstack_sim.plant import BatchPlant
+from flightstack_sim.batch import BatchPlant
 
 _G = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 TICK_S = 0.004

@@ -5,7 +5,7 @@ Each tick has a measurement, the command sent in the tick before, and the delay 
     thrust      the command that was sent a delay ago, through the rotors' lag: u' = (u_c - u) / lag, exactly over each
                 step between two samples of force, T = T_max (f u^2 + (1 - f) u)
     y           measured specific force + D R'v / m + (0, 0, T / m), body axes, turned to tilt axes: c, s of the heading
-    x           (v, b_n, b_e, F, F near): b = R e_z, F = T / (m g), near = (R / 4 h)^2, h at least R / 2
+    x           (v in tilt axes, b_n, b_e, F, F near): b = R e_z, F = T / (m g), near = (R / 4 h)^2, h at least R / 2
     fit         a new sample of force no older than 50 ms after the last, away from the place of take-off, upright,
                 F > 0.3, less than 40 m/s^2 of force, each y within 0.8 g
 
@@ -166,11 +166,11 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
     axis = turn[:, :, 2]
     height = pos[0, 2] - pos[:, 2]
     near = (0.25 * believed.radius_m / np.maximum(height, 0.5 * believed.radius_m)) ** 2
-    x = np.column_stack([vel, axis[:, :2], weights, weights * near])
     along = np.einsum("nji,nj->ni", turn, vel)
     residual = force + believed.drag_kgps * along / believed.mass_kg
     residual[:, 2] += thrust / believed.mass_kg
     tilt = _tilts(axis)
+    x = np.column_stack([np.einsum("nji,nj->ni", tilt, vel), axis[:, :2], weights, weights * near])
     c = np.einsum("ni,ni->n", tilt[:, :, 0], turn[:, :, 0])
     s = np.einsum("ni,ni->n", tilt[:, :, 1], turn[:, :, 0])
     y = np.column_stack(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flightstack.cli.certified import counted_mps2, vertical
+from flightstack.explore import width_mps2
 from flightstack.types import F64
 from flightstack_logs.reader import read
 from flightstack_logs.report.certified import Exploration, render
@@ -31,8 +32,19 @@ def page_of(result: CertifyResult, limit_m: float) -> str:
         path=path_of(result),
         kernel=kernel,
         checker=tuple(result.verdict),
+        settled=settled_of(result),
     )
     return render(exploration)
+
+
+def settled_of(result: CertifyResult) -> tuple[float, float] | None:
+    """Area and largest bound of the last certificate, where it was made after the last round."""
+    state, axis = result.state, vertical(result.adopted[-1])
+    rounds = () if state is None else state.rounds
+    area_m2ps = None if result.figures is None else result.figures.area_m2ps
+    if area_m2ps is None or axis is None or not rounds or rounds[-1].axis != axis.axis:
+        return None
+    return (area_m2ps, width_mps2(axis)) if result.adopted[-1].version > rounds[-1].version else None
 
 
 def figures(result: CertifyResult) -> tuple[tuple[str, str, str], ...]:

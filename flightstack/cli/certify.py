@@ -44,6 +44,8 @@ from flightstack_sim.grade import load_grade
 TIME_LIMIT_S = 300.0
 """Of the exploration; it mostly ends by its own rule."""
 CERTIFICATE = "certificate.json"
+EXPLORE_S = "explore_s"
+"""Setting of the log: how long may be explored, by the explorer's own rules."""
 
 
 class ExplorationPlanner:
@@ -205,6 +207,9 @@ def certify(
 ) -> CertifyResult:
     """Explore, certify, write the files; InputError before anything moves, else a result."""
     setup = prepare_certify(options)
+    if config is None:
+        told = setup.flight.with_more({EXPLORE_S: f"{setup.flight.scenario.duration_s:.12g}"})
+        setup = replace(setup, flight=told)
     certifier = setup.flight.protection.watched
     assert certifier is not None
     began = time.perf_counter()

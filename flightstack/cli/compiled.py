@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from flightstack.jit import cache_folder, sources_key
+from flightstack.typed_once import typed_once
 from flightstack.types import InputError
 
 SIMULATOR, JSBSIM, FLIGHT = "simulator", "jsbsim", "flight"
@@ -122,7 +123,8 @@ def main(parts: list[str]) -> None:
         with _alone():
             if not compiled(part):
                 _tell_progress()
-                compile_part(part)
+                with typed_once():
+                    compile_part(part)
                 _marker(part).touch()
 
 

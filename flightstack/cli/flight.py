@@ -254,11 +254,14 @@ class SimulatedFlight:
 def fly(
     options: FlyOptions,
     *,
-    stop_requested: Callable[[], str],
+    stop_requested: Callable[[], str] = lambda: "",
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
     report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
-    """Fly a scenario in the simulator; log and report lie where the result says."""
+    """Fly a scenario in the simulator; log and report lie where the result says.
+
+    `stop_requested` is asked each tick: words of why to land now, or nothing.  InputError before anything flies.
+    """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))
     return fly_setup(
@@ -318,21 +321,22 @@ def _flown(
         finally:
             flight.close()
         at_end(recorder, flight.t_us)
+        result = flight.score.result(
+            log,
+            wall_s=time.perf_counter() - started,
+            clock_s=flight.t_us * 1e-6,
+            timing=timing,
+            completed=flight.companion.completed,
+            checked=options.as_written,
+            seed=options.seed,
+            plant=setup.plant,
+        )
+        result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
+        result.unprotected_ok = options.unprotected_ok
+        recorder.result(result.attachment())
     finally:
         recorder.close()
-    wall_s = time.perf_counter() - started
-    result = flight.score.result(
-        log,
-        wall_s=wall_s,
-        clock_s=flight.t_us * 1e-6,
-        timing=timing,
-        completed=flight.companion.completed,
-        checked=options.as_written,
-        seed=options.seed,
-        plant=setup.plant,
-    )
-    result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
-    result.unprotected_ok = options.unprotected_ok
+    result.log_problem = log.failed or ""
     return result
 
 

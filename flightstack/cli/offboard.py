@@ -27,6 +27,7 @@ from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages, px4
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.link import Link
@@ -133,18 +134,10 @@ def _offboard(
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
-        settings = {
-            "connect": options.connect,
-            "arm": str(options.arm),
-            "dry_run": str(options.dry_run),
-            "pace": "realtime",
-            "signing": "off" if signer is None else "on",
-            "dead_man": "on" if options.dead_man else "off",
-            "set_params": options.set_params or "none",
-            "sensors": options.grade(scenario),
-        }
         began_us = utc_us()
-        log = prepared.with_more(settings).open_log(log_path, clock_metadata(began_us, simulated=False))
+        log = prepared.with_more(_settings(options, scenario, signed=signer is not None)).open_log(
+            log_path, clock_metadata(began_us, simulated=False)
+        )
         recorder = shown_live(ThreadedLog(log), options.live)
         zero_us = monotonic_us()
         line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
@@ -191,9 +184,37 @@ def _offboard(
                 with last_words(companion, transport):
                     loop.run()
                 timing.dead_man = NO_DEAD_MAN if dead_man is None else dead_man.summary()
+            result = _result(score, log, options, timing, time.perf_counter() - started)
+            if options.dry_run:
+                result.checklist = inspector.checklist(config)
+            result.contradictions = inspector.found
+            recorder.result(result.attachment())
         finally:
             recorder.close()
-    wall_s = time.perf_counter() - started
+    result.log_problem, result.parameters_set = log.failed or "", change.as_json()
+    files.write_flight_report(log_path, out / "report.html", result)
+    return result
+
+
+def _settings(options: OffboardOptions, scenario: Scenario, *, signed: bool) -> dict[str, str]:
+    """What the log says of this flight besides what every flight says."""
+    return {
+        "connect": options.connect,
+        "arm": str(options.arm),
+        "dry_run": str(options.dry_run),
+        "pace": "realtime",
+        "signing": "on" if signed else "off",
+        "dead_man": "on" if options.dead_man else "off",
+        "set_params": options.set_params or "none",
+        "sensors": options.grade(scenario),
+    }
+
+
+def _result(
+    score: FlightScore, log: FlightLog, options: OffboardOptions, timing: LoopTiming, wall_s: float
+) -> FlightResult:
+    companion, protection = score.companion, score.prepared.protection
+    assert companion is not None
     result = score.result(
         log,
         wall_s=wall_s,
@@ -202,12 +223,7 @@ def _offboard(
         completed=None if options.dry_run else companion.completed,
         checked=options.as_written,
     )
-    result.link_too_slow = prepared.protection.link_too_slow(companion)
-    result.unprotected_ok = options.unprotected_ok
-    result.contradictions, result.parameters_set = inspector.found, change.as_json()
-    if options.dry_run:
-        result.checklist = inspector.checklist(config)
-    files.write_flight_report(log_path, out / "report.html", result)
+    result.link_too_slow, result.unprotected_ok = protection.link_too_slow(companion), options.unprotected_ok
     return result
 
 

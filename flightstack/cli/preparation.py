@@ -15,6 +15,7 @@ from flightstack.cli import files
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
+from flightstack.cli.quiet import quieted
 from flightstack.cli.site import envelope, load_site
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
@@ -113,6 +114,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
     if learned is not None:
         learner = _learner(learned, name, believed, model, options)
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
+    if protection.site is not None:
+        controller = quieted(controller, protection.site.certificate)
     if protection.watched is not None:
         protection.watched.trail = Trail(vehicle_file.text)
     if isinstance(learner, GpLearner) and protection.estimate is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion
+from mavlink_bridge.companion import Companion, Planner
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
@@ -38,6 +38,7 @@ _DIGEST = "digest"
 _SINGLE = 1.2e-7
 """Relative step of single precision: another machine's number may be rounded to the next one."""
 _SINGLE_TOPICS = frozenset({"/setpoint", "/control", "/learner", "/filter"})
+_EXPLORATION = "ExplorationPlanner"
 _STOPPED = "the user asked to stop ("
 
 
@@ -119,9 +120,9 @@ def replay(
     settings = _settings(log)
     ensure_compiled(lambda text: on_progress(0.0, text))
     with tempfile.TemporaryDirectory() as folder:
-        setup = prepare(_options(log, settings, Path(folder)))
+        setup, planner = _prepared(log, settings, Path(folder))
         again = Path(folder) / "again.mcap"
-        _run(log, setup, again, on_progress)
+        _run(log, setup, planner, again, on_progress)
         new = read(again)
     found = _differences(log, new, tolerance)
     digest = next((each for each in found if each.field == _DIGEST), None)
@@ -144,11 +145,26 @@ def _lockstep(log: Log) -> Mapping[str, str]:
         raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
     if settings["pace"] != "lockstep":
         raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
-    if "planner" in settings:
+    if settings.get("planner", _EXPLORATION) != _EXPLORATION:
         raise InputError(
-            f"log {log.path}: is of a flight whose path was planned on the way; only scenarios are replayed"
+            f"log {log.path}: planned on the way by {settings['planner']}; only certify's explorer is known"
         )
     return settings
+
+
+def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
+    """The flight, ready to be given its inputs again, and what planned it on the way."""
+    options = _options(log, settings, folder)
+    if "planner" not in settings:
+        return prepare(options), None
+    from flightstack.cli.certify import EXPLORE_S, ExplorationPlanner, prepare_certify
+    from flightstack.explore import Explorer
+
+    if EXPLORE_S not in settings:
+        raise InputError(f"log {log.path}: was explored by rules that it does not name, or by another version")
+    setup = prepare_certify(replace(options, duration_s=float(settings[EXPLORE_S])))
+    assert setup.flight.protection.watched is not None
+    return setup, ExplorationPlanner(Explorer(), setup.flight.protection.watched)
 
 
 def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
@@ -184,14 +200,15 @@ def records_of(log: Log) -> list[TickRecord]:
     ensure_compiled(lambda text: None)
     found: list[TickRecord] = []
     with tempfile.TemporaryDirectory() as folder:
-        setup = prepare(_options(log, settings, Path(folder)))
-        _run(log, setup, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
+        setup, planner = _prepared(log, settings, Path(folder))
+        _run(log, setup, planner, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
     return found
 
 
 def _run(
     log: Log,
     setup: Setup,
+    planner: Planner | None,
     path: Path,
     on_progress: Callable[[float, str], None],
     on_record: Callable[[TickRecord], None] | None = None,
@@ -210,7 +227,7 @@ def _run(
         on_record=on_record,
         certifier=prepared.protection.watched,
     )
-    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion)
+    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion, planner)
     observer.companion = companion
     vehicle = Link(1, COMPONENT_AUTOPILOT)
     steps = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +14,12 @@ from flightstack.cli.estimate_score import NO_ESTIMATE
 from flightstack.cli.verdict import HELD, LEFT, OFF, spans_words
 from flightstack.scenario import Check
 from flightstack.types import F64, Tuple3
+from flightstack_logs.topics import RESULT, Attachment
+
+MEASURED = ("wall_time_s", "realtime_factor", "gp.step_us", "qp.solve_us", "qp.histogram", "loop.lateness_us",
+            "loop.stalls")  # fmt: skip
+"""Fields of fly's JSON that a clock gives, and what lies below them."""
+_PLACES = ("log", "report")
 
 Place = F64 | Tuple3
 
@@ -275,6 +282,11 @@ class FlightResult:
         told = spans_words([(span["from_s"], span["to_s"]) for span in self.barrier["protected"] or ()])
         return f"left ({told})" if self.protection == LEFT else told
 
+    def attachment(self) -> Attachment:
+        """What a log keeps of the result, so that its page can be made again: all but times and places of files."""
+        text = json.dumps(steady(self.as_json()), indent=1) + "\n"
+        return Attachment(RESULT, "application/json", text.encode())
+
     def as_json(self) -> dict[str, Any]:
         """The `flightstack.flight/1` object."""
         return {
@@ -309,6 +321,20 @@ class FlightResult:
             "contradictions": self.contradictions,
             "log_complete": not self.log_problem,
         }
+
+
+def is_measured(name: str) -> bool:
+    """Whether a field, with dots, is what a clock gave, or lies below one."""
+    return any(name == each or name.startswith(f"{each}.") for each in MEASURED)
+
+
+def steady(result: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The result's object without what another run of the same flight changes: measured times, places of files."""
+    return {
+        key: steady(value, f"{prefix}{key}.") if isinstance(value, Mapping) else value
+        for key, value in result.items()
+        if not is_measured(f"{prefix}{key}") and f"{prefix}{key}" not in _PLACES
+    }
 
 
 def judge(check: Check, result: dict[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from flightstack.cli.controllers import build
 from flightstack.cli.given_certificate import require_checked
 from flightstack.cli.offboard import where_it_is
 from flightstack.cli.protection import governor_for
+from flightstack.cli.quiet import quieted
 from flightstack.cli.result import percentiles
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
@@ -69,7 +70,8 @@ def shield_stack(
     if options.certificate is not None:
         require_checked(files.TextFile(options.certificate, text))
         require_same(text, str(options.certificate), planned.certificate)
-    relay = Relay(build("flatness", model, limits, learning=False)[0], model)
+    inner = build("flatness", model, limits, learning=False)[0]
+    relay = Relay(quieted(inner, planned.certificate), model)
     stack = Stack(
         model, limits, controller=relay, safety_filter=planned.filter(model, limits), governor=Governor(believed)
     )

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
+from flightstack.cli.exits import FAILED
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import CertificateOption, JsonOption, SensorsOption, VehicleOption
-
-FAILED = 1
 
 
 def shield(

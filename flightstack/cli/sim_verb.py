@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from flightstack.cli.exits import INTERRUPTED
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import (
     FaultOption,
@@ -24,8 +25,6 @@ from flightstack.cli.options import (
     SeedOption,
     Sensors,
 )
-
-INTERRUPTED = 130
 
 
 def _end_at_once() -> NoReturn:

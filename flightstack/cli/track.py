@@ -14,6 +14,7 @@ from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, Simul
 from flightstack.model import Model
 from flightstack.types import F64, Learned, TickRecord
 from flightstack_logs import scene as viewer
+from flightstack_logs.topics import Attachment
 from flightstack_sim.plant import Truth
 from mavlink_bridge.pace import undisturbed
 
@@ -58,6 +59,9 @@ class Tape:
         """Not kept."""
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
+        """Not kept."""
+
+    def result(self, attachment: Attachment) -> None:
         """Not kept."""
 
     def close(self) -> None:

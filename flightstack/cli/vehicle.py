@@ -55,7 +55,7 @@ def check(
     """Say what is wrong with a vehicle file, one line each; exit 1 where anything is."""
     from flightstack.airframe import contradictions, unsettled_hover
     from flightstack.cli import files, terminal
-    from flightstack.cli.main import FAILED
+    from flightstack.cli.exits import FAILED
     from flightstack.model import Model
     from flightstack.plausibility import implausible
 

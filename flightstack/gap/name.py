@@ -21,7 +21,7 @@ from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
-from flightstack.gap.naming.candidates import negligible
+from flightstack.gap.naming.candidates import negligible, plausible
 from flightstack.gap.naming.drift import drifts_better
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
@@ -68,6 +68,8 @@ class Naming:
     """Effect -> p-value of its being the same in all stretches of the flights."""
     identifiable: tuple[Identifiable, ...] = ()
     """What these flights could have shown at all (`gap.identify`)."""
+    proposed: tuple[Found, ...] = ()
+    """All that the search found, also what was taken back since as something that depends on more."""
     _behind: tuple[SimulatorBench, Search] | None = None
     """For `without`."""
 
@@ -105,6 +107,7 @@ class Naming:
             self.where,
             judged.constant,
             self.identifiable,
+            self.proposed,
             (bench, more[0]),
         )
 
@@ -118,6 +121,24 @@ class Naming:
     def with_classes_of_a_poor_model(self) -> Naming:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
         return replace(self, found=tuple(beside_a_poor_model(f) for f in self.found))
+
+    @property
+    def can_be_fitted(self) -> bool:
+        """Whether anything could be learned from these flights."""
+        return self._behind is not None
+
+    def with_only(self, found: Sequence[Found]) -> Naming:
+        """The verdict with just these names, their parameters fitted again; what was left over stays as it was said."""
+        assert self._behind is not None  # a verdict that was proposed anything has it
+        _, state = self._behind
+        made = estimate(state, _values(found))
+        names = {f.name for f in found}
+        return replace(
+            self,
+            found=tuple(replace(f, parameters=_parameters(state, made, f.name)) for f in found),
+            rejected=tuple(r for r in self.rejected if r.name not in names),
+            vehicle=made.vehicle,
+        )
 
     def without(self, gone: Collection[str], reason: str) -> Naming:
         """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.
@@ -176,7 +197,8 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     doubtful |= {f.name for f in judged.found if all(untold(s, f.name) for s in bench.flights)}
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
-    return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, (bench, state))
+    behind = (bench, state)
+    return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
 def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
@@ -320,10 +342,10 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
             continue
         i = made.slots.index((effect, spec.name))
         reach = _CI * float(np.sqrt(max(made.covariance[i, i], 0.0)))
-        if reach == 0.0:
-            found[spec.name] = Estimate(before, now, spec.minimum, spec.maximum)
-        else:
-            found[spec.name] = Estimate(before, now, max(now - reach, spec.minimum), min(now + reach, spec.maximum))
+        low, high = plausible(state.start, effect, spec.name)
+        if reach > 0.0:
+            low, high = max(now - reach, low), min(now + reach, high)
+        found[spec.name] = Estimate(before, now, min(low, now), max(high, now))
     return found
 
 

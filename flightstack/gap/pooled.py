@@ -58,20 +58,21 @@ def figures(vehicle: Vehicle, of: Split) -> Figures:
     return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))
 
 
-def noise_floor(vehicle: Vehicle, of: Split, after: Figures, gusts_mps2: float = 0.0) -> Figures:
+def noise_floor(vehicle: Vehicle, of: Split, after: Figures, gusts: tuple[float, float] = (0.0, 0.0)) -> Figures:
     """The held-out figures of a simulator without any error: the sensors' noise, and what sampling hides of commands.
 
-    Gusts that are named (`gusts_mps2`, the force that they make) belong to it: no simulator knows when one blows.
+    Gusts that are named (`gusts`: specific force, angular acceleration) belong to it: nobody knows when one blows.
     How much sampling hides is known as an upper bound only (a log may hold every command), and what gusts make here
     and now is not known either: what is left in `after` is counted as that up to the bound, never more.
     """
     sensors = _pooled(of, lambda samples, mask: compare.noise_floor(vehicle, samples, mask))
     hidden = _pooled(of, lambda samples, mask: Figures(*sampling_floor(vehicle, samples, mask), None))
-    force = hidden.one_step_mps2 if hidden.one_step_mps2 is None else math.hypot(hidden.one_step_mps2, gusts_mps2)
+    known = (hidden.one_step_mps2, hidden.one_step_radps2)
+    force, turning = (h if h is None else math.hypot(h, gust) for h, gust in zip(known, gusts, strict=True))
     return replace(
         sensors,
         one_step_mps2=_with(sensors.one_step_mps2, force, after.one_step_mps2),
-        one_step_radps2=_with(sensors.one_step_radps2, hidden.one_step_radps2, after.one_step_radps2),
+        one_step_radps2=_with(sensors.one_step_radps2, turning, after.one_step_radps2),
     )
 
 

@@ -28,6 +28,7 @@ from scipy.special import stdtrit
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap.compare import residual
+from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
 from flightstack.gap.rollouts import rollouts
@@ -111,13 +112,7 @@ def refine(
     half = _STATES * stdtrit(max(freedom, 2.0), 0.975) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
-        low, high = _limits(effect, parameter)
-        found.setdefault(effect, {})[parameter] = Estimate(
-            value(believed, effect, parameter),
-            float(theta[k]),
-            float(max(theta[k] - half[k], low)),
-            float(min(theta[k] + half[k], high)),
-        )
+        found.setdefault(effect, {})[parameter] = bounded(believed, effect, parameter, float(theta[k]), float(half[k]))
     shifts = theta[len(unknowns) :: _NUISANCES]
     late = tuple(s.command_late_s + float(x) for s, x in zip(flights, shifts, strict=True))
     refined = problem.vehicle_at(theta)
@@ -134,6 +129,15 @@ def _one_step(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDAr
     power = np.where(known, y, 0.0) ** 2
     parts = [list(channels) for channels in GROUPS.values()]
     return np.array([np.sqrt(power[:, c].sum() / max(int(known[:, c].sum()), 1)) for c in parts])
+
+
+def bounded(believed: Vehicle, effect: str, parameter: str, estimate: float, reach: float) -> Estimate:
+    """A parameter with its interval, which holds nothing that can't be: no mass lies beyond the rotors."""
+    low, high = plausible(believed, effect, parameter)
+    before = value(believed, effect, parameter)
+    return Estimate(
+        before, estimate, min(estimate, max(estimate - reach, low)), max(estimate, min(estimate + reach, high))
+    )
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:

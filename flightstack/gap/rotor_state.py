@@ -24,7 +24,7 @@ from flightstack_sim.layout import (
     S_VOLTAGE,
     Vec,
 )
-from flightstack_sim.rigid_body import _lagged
+from flightstack_sim.rigid_body import lagged
 
 _PINNED_KG = 1e9
 """Mass of a vehicle that no load can disturb: its motion is then whatever force per mass says."""
@@ -55,7 +55,7 @@ def run_rotors(p: F64, commands: F64, every: int, row: F64, out: F64) -> None:
                 transport_delay.delayed(p, row, 3),
             )
             now = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
-            end = _lagged(target, now, p[D_LAG_FULL])
+            end = lagged(target, now, p[D_LAG_FULL])
             for i in range(4):
                 row[S_U + i] = end[i]
 

@@ -12,20 +12,19 @@ from pathlib import Path
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap import gather, pooled
+from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with
-from flightstack.gap.gusts import as_found, gusts
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
 from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
 from flightstack.gap.pooled import Split
 from flightstack.gap.read import flight
-from flightstack.gap.records import Checked, Found, Gap, Samples, Unexplained
+from flightstack.gap.records import Checked, Found, Gap, Samples
 from flightstack.gap.refine import refine
 from flightstack.gap.report.words import sentence
 from flightstack.gap.result import GapResult
-from flightstack.gap.simulate import with_value
-from flightstack.gap.verdict import MOSTLY_CLOSED, closed_power, gap_of, is_open, unexplained
+from flightstack.gap.verdict import MOSTLY_CLOSED, closed_power, gap_of, unexplained
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
@@ -74,7 +73,7 @@ def analyse(
         )
     if naming.found and not naming.unexplained.significant and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
         naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
-    naming, gap = _with_turbulence(vehicle, naming, of, gap)
+    naming, gap = with_turbulence(vehicle, naming, of, gap)
     naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained)
@@ -196,30 +195,6 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
         if not proxies(vehicle, more.found, more.constant):
             named = more
     return named
-
-
-def _with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
-    """Turbulence where nothing else is named and it explains what is left of the force; gusts then are noise.
-
-    Beside other names it is not looked for: gusts have a mean for a minute, which bends a wind or a force.
-    """
-    if naming.found or not is_open(gap) or "turbulence" in vehicle.effects:
-        return naming, gap
-    blown = gusts(vehicle, of.flights, [s.valid for s in of.flights])
-    if blown is None or not blown.named:
-        return naming, gap
-    floor = pooled.noise_floor(vehicle, of, gap.after, blown.force_rms_mps2)
-    now, least = gap.after.one_step_mps2, gap.noise_floor.one_step_mps2
-    found = as_found(blown, 0.0 if now is None or least is None else now**2 - least**2)
-    corrected = with_value(vehicle, found.name, {name: e.estimate for name, e in found.parameters.items()})
-    named = replace(
-        naming,
-        found=(found,),
-        vehicle=corrected,
-        rejected=tuple(r for r in naming.rejected if r.name != found.name),
-        unexplained=Unexplained(False),
-    )
-    return named, gap_of(gap.before, gap.after, floor)
 
 
 def _is_worse(gap: Gap) -> bool:

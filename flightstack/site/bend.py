@@ -2,7 +2,7 @@
 
 Where the reference keeps its distance it passes, to the bit.  Where it does not, or comes near too fast, a place that
 does follows it, no faster than the reference itself plus a little, and slides along what is in the way.  Where the
-reference jumps, the straight way to it must be clear as well.
+reference jumps, the straight way to it must be clear as well, and it is led there (`approach`): no vehicle can jump.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ import math
 import numpy as np
 
 from flightstack.jit import njit, njit_called
-from flightstack.site import slide
-from flightstack.site.clearance import clear_of
+from flightstack.site import approach, slide
+from flightstack.site.clearance import JUMP_CODE, clear_of
 from flightstack.types import F64
 
-BENT, KNOWN, PLACE, SPEED, EDGE, SIZE = 0, 1, 2, 5, 8, 9
-"""Of the memory: 1 while bent, 1 once a place is known; the place (3, NED); its velocity (3); what is in the way."""
-_FASTER_MPS, _CATCH_UP_S, _HASTE_MPS2 = 1.5, 0.4, 4.0
+BENT, KNOWN, EDGE, PLACE, SPEED, ACC, SIZE = 0, 1, 2, 3, 6, 9, 12
+"""Of the memory: 1 while bent, 1 once a place is known; what is in the way; the place (3, NED), its velocity (3), its
+acceleration (3)."""
+_FASTER_MPS = 3.0
 _BACK_M, _BACK_MPS = 0.02, 0.1
+_LEAD_M = 0.15
 _JUMP_M = 0.3
 _PUSHES, _SLOWED = 12, 3
 
@@ -80,57 +82,48 @@ def _slowed(site: F64, s: F64, place: F64, v: F64, rows: F64) -> int:
     return code
 
 
+def begin(n: F64, measured: F64, origin_ned_m: F64) -> None:
+    """Begin where the vehicle is, as it moves."""
+    n[KNOWN], n[PLACE : PLACE + 3], n[SPEED : SPEED + 3] = 1.0, measured[:3] - origin_ned_m, measured[3:6]
+
+
 @njit_called
 def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F64, out: F64) -> bool:
     """The reference (17,), relative to the origin, as it is to be followed, in `out` (17,); whether it was changed."""
     for i in range(17):
         out[i] = reference[i]
-    if n[KNOWN] == 0.0:
-        n[KNOWN] = 1.0
-        for i in range(3):
-            n[PLACE + i] = 0.0
-    place, speed, v = n[PLACE : PLACE + 3], n[SPEED : SPEED + 3], np.empty(3)
+    place, speed, way_of, v = n[PLACE : PLACE + 3], n[SPEED : SPEED + 3], n[PLACE : PLACE + approach.SIZE], np.empty(3)
     free, edge = _is_clear(site, s, reference, place, way)
     if free:
         for i in range(3):
             v[i] = reference[3 + i]
         slowed = _slowed(site, s, reference, v, rows)
         free, edge = slowed == -3, slowed
-    away = apart = 0.0
+    away = apart = jump = 0.0
     for i in range(3):
         away += (reference[i] - place[i]) ** 2
         apart += (reference[3 + i] - speed[i]) ** 2
+        jump += (reference[i] - place[i] - dt * speed[i]) ** 2
     away = math.sqrt(away)
+    if n[BENT] == 0.0 and jump > _LEAD_M * _LEAD_M:
+        free, edge = False, JUMP_CODE
     if free and (n[BENT] == 0.0 or (away < _BACK_M and apart < _BACK_MPS**2)):
         n[BENT] = 0.0
         for i in range(3):
-            place[i], speed[i] = reference[i], reference[3 + i]
+            place[i], speed[i], n[ACC + i] = reference[i], reference[3 + i], reference[6 + i]
         return False
     if n[BENT] == 0.0:
         n[EDGE] = edge
     n[BENT] = 1.0
     fastest = math.sqrt(reference[3] ** 2 + reference[4] ** 2 + reference[5] ** 2) + _FASTER_MPS
-    size = 0.0
-    for i in range(3):
-        v[i] = reference[3 + i] + (reference[i] - place[i]) / _CATCH_UP_S
-        size += v[i] * v[i]
-    share = min(1.0, fastest / max(math.sqrt(size), 1e-9))
-    size = 0.0
-    for i in range(3):
-        v[i] = share * v[i] - speed[i]
-        size += v[i] * v[i]
-    share = min(1.0, _HASTE_MPS2 * dt / max(math.sqrt(size), 1e-9))
-    for i in range(3):
-        v[i] = speed[i] + share * v[i]
+    approach.towards(way_of, reference[:3], reference[3:6], fastest, dt, v)
     slowed = _slowed(site, s, place, v, rows)
     if slowed != -3:
         n[EDGE] = slowed
-    for i in range(3):
-        speed[i] = v[i]
-        place[i] += dt * v[i]
+    approach.advance(way_of, v, dt)
     _pushed(site, s, place, rows)
-    for i in range(3):
-        out[i], out[3 + i] = place[i], speed[i]
-    for i in range(6, 15):
+    for i in range(9):
+        out[i] = way_of[i]
+    for i in range(9, 15):
         out[i] = 0.0
     return True

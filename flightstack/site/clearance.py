@@ -22,8 +22,9 @@ chutes (2 each), the round solids (6 each: north, east, height of a sphere or Na
 polygons (each: corners, floor, ceiling, inside-out, then 2 a corner).  The first polygon is the one to stay in."""
 _ROUND, _POLYGON = 6, 4
 FAR = 1e9
-FLOOR_CODE, CEILING_CODE, ROUND_CODE = -1, -2, 1_000_000
-"""What is nearest: an edge by its number over all polygons, floor, ceiling, or a round solid from ROUND_CODE on."""
+FLOOR_CODE, CEILING_CODE, TILT_CODE, JUMP_CODE, ROUND_CODE = -1, -2, -4, -5, 1_000_000
+"""What is nearest: an edge by its number over all polygons, floor, ceiling, or a round solid from ROUND_CODE on; or
+that the command tilts further than any way out may begin with, or that a reference jumps."""
 
 
 def packed(site: Site, chutes: F64, chute_m: float) -> F64:
@@ -51,6 +52,8 @@ def edge_name(site: Site, code: int) -> str:
         return "floor"
     if code == CEILING_CODE:
         return "ceiling"
+    if code in (TILT_CODE, JUMP_CODE):
+        return "tilt" if code == TILT_CODE else "jump of the reference"
     rounds = [each for each in site.keep_outs if each.polygon is None]
     if code >= ROUND_CODE:
         return rounds[code - ROUND_CODE].name

@@ -30,7 +30,7 @@ from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
 from flightstack.site import slide
 from flightstack.site.backup import JERK, ROW, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
-from flightstack.site.clearance import CHUTE, FLOOR, OPEN, clear_of
+from flightstack.site.clearance import CHUTE, FLOOR, OPEN, TILT_CODE, clear_of
 from flightstack.site.tube import OBSERVER_S
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -102,9 +102,11 @@ def _clear(
         start[i] -= origin[i]
     r = quat_to_matrix(after[6:10])
     if r[2, 2] + _TILT_AHEAD_S * (after[11] * r[2, 0] - after[10] * r[2, 1]) < p[UPRIGHT]:
+        n[EDGE] = TILT_CODE
         return False
     count = roll(start, p, tube, scratch, way)
     if count == 0:
+        n[EDGE] = TILT_CODE
         return False
     clearance, edge = clear_of(site, way, count, _NEAR_M)
     n[CLEARANCE], n[EDGE] = clearance, edge

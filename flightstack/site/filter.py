@@ -98,8 +98,8 @@ class SiteFilter:
         level[6], level[15] = 1.0, -9.8
         measurement = Measurement(1000, level, 0, 0, 0)
         command = Command(1000, self.model.weight_n, self.model.hover_norm, still)
-        self.bend(state, FlatOutput(np.zeros(17)))
         self.step(state, measurement, command, command, Learned.nothing())
+        self.bend(state, FlatOutput(np.zeros(17)))
 
     def init(self, origin_ned_m: F64) -> SiteState:
         """Nothing committed; the site is relative to the origin, (3,)."""
@@ -118,11 +118,11 @@ class SiteFilter:
         return self.certificate.governor.limits
 
     def bend(self, state: SiteState, setpoint: FlatOutput) -> FlatOutput:
-        """The reference, led along what it would go through."""
+        """The reference, led along what it would go through; from the second tick on: the first tells where one is."""
         row, out = setpoint.row.copy(), np.empty(17)
         row[:3] -= state.origin_ned_m
         dt = state.numbers[d.HOLD_S] or _BEND_DT_S
-        if not np.isfinite(row[:6]).all():
+        if state.bent[bending.KNOWN] == 0.0 or not np.isfinite(row[:6]).all():
             return setpoint
         far = self._in_force(state.numbers).far
         if not bending.bend(state.bent, self._site, far, row, dt, self._rows, self._way, out):
@@ -151,6 +151,8 @@ class SiteFilter:
         if not (np.isfinite(measurement.row[:16]).all() and np.isfinite(command.rate_frd_radps).all()):
             row[2] = d.WAITING
             return state, command, Filtered(row)
+        if state.bent[bending.KNOWN] == 0.0:
+            bending.begin(state.bent, measurement.row, state.origin_ned_m)
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         known = self._in_force(numbers)
         norm, status = d.decide(

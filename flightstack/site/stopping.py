@@ -123,6 +123,11 @@ class Stopping:
         """Distance that a reference keeps: the tube at rest and what smoothness needs."""
         return self.radius_m + 1.5 * _SMOOTH_M
 
+    @property
+    def snap_mps4(self) -> float:
+        """How fast jerk can change with the torque that the governor lets through."""
+        return float(self.rows[0, b.SNAP]) / _SNAP_SHARE
+
     def tubes(self) -> F64:
         """(2, b.STEPS, 2) radius and half height after each step of a way: before the gain was read, and after."""
         at = np.minimum((np.arange(b.STEPS) + 1) * round(b.STEP_S / TUBE_STEP_S), len(self.across.radius_m) - 1)

@@ -7,6 +7,7 @@ from typing import Protocol
 from flightstack.barrier.records import Certificate
 from flightstack.types import TickRecord
 from flightstack_logs import scene as viewer
+from flightstack_logs.topics import Attachment
 
 
 class Recorder(Protocol):
@@ -45,6 +46,9 @@ class Recorder(Protocol):
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
+
+    def result(self, attachment: Attachment) -> None:
+        """What the flight came to; written when the log is closed."""
 
     def close(self) -> None:
         """Finish the file; again does nothing."""

@@ -14,6 +14,7 @@ from typing import Any
 from flightstack.barrier.records import Certificate
 from flightstack.types import TickRecord
 from flightstack_logs import scene as viewer
+from flightstack_logs.topics import Attachment
 from flightstack_logs.writer import FlightLog
 
 POLL_S = 0.01
@@ -97,6 +98,10 @@ class ThreadedLog:
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
         self._put(t_us, self.log.certificate, t_us, certificate)
+
+    def result(self, attachment: Attachment) -> None:
+        """What the flight came to; written when the log is closed."""
+        self._put(self._last_t_us, self.log.result, attachment)
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Write what is queued and finish the file, waiting at most so long; again does nothing."""

@@ -78,6 +78,7 @@ class Attachment:
 SITE_OUTLINES = "site-outlines.json"
 """Attachment of a flight in a site: its lines in metres from the place of arming."""
 CERTIFICATE, FINAL_CERTIFICATE = "certificate.json", "certificate-final.json"
+RESULT = "result.json"
 """Attachments: the certificate that a flight began with, and the last one that was made in flight."""
 
 LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")

@@ -99,6 +99,7 @@ class FlightLog:
         self._channels: dict[str, Channel] = {}
         self._declared: dict[str, Topic] = {}
         self._certificate: tuple[int, Certificate] | None = None
+        self._result: Attachment | None = None
         self._silent = False
         self._closed = False
         self._pending = 0
@@ -267,7 +268,14 @@ class FlightLog:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""
         self._certificate = (t_us, certificate)
 
-    def _attach_certificate(self) -> None:
+    def result(self, attachment: Attachment) -> None:
+        """What the flight came to; written when the log is closed."""
+        self._result = attachment
+
+    def _attach_last(self) -> None:
+        if self._result is not None and not self._silent:
+            item = self._result
+            self._guarded(lambda: self._attach(item, 0))
         if self._certificate is None or self._silent:
             return
         t_us, certificate = self._certificate
@@ -322,7 +330,7 @@ class FlightLog:
         if self._closed:
             return
         self._closed = True
-        self._attach_certificate()
+        self._attach_last()
         if not self._silent:
             self._guarded(self._end)
         self._silent = True

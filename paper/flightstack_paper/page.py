@@ -24,6 +24,14 @@ _STYLE = """
 .pictures figure { margin: 0; } .pictures img { width: 100%; height: auto; background: #fff; border-radius: 4px; }
 .pictures figcaption { color: var(--muted); font-size: 12px; }
 @media (max-width: 900px) { .pictures { grid-template-columns: 1fr; } }
+@media (max-width: 640px) {
+  .paper thead { display: none; } .paper tr { display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); }
+  .paper td { border: 0; padding: 2px 8px 2px 0; } .paper tr { border-top: 1px solid var(--line); padding: 6px 0; }
+  .paper td:first-child, .paper .note { grid-column: 1 / -1; } .paper .value { text-align: left; white-space: normal; }
+  .paper td[data-name]::before {
+    content: attr(data-name); display: block; font-size: 11px; color: var(--muted); font-weight: 400;
+  }
+}
 """
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -39,7 +47,7 @@ def page(
     style = resources.files("flightstack_logs.report").joinpath("page.css").read_text(encoding="utf-8")
     hold = sum(row.holds for row in rows)
     failed = [row.id for row in rows if row.ours is None]
-    good = "good" if not failed else "bad"
+    good = "bad" if failed else "good" if hold == len(rows) else "partly"
     words = f"{hold} of {len(rows)} claims hold as worded" if not failed else f"not measured: {', '.join(failed)}"
     pictures = "".join(_picture(figure, folder) for figure in figures)
     return "".join([
@@ -111,9 +119,10 @@ def _word(row: Row) -> str:
 def _table(rows: Sequence[Row]) -> str:
     lines = "".join(
         f"<tr><td>{escape(row.claim)}<br><code>{escape(row.id)}</code></td>"
-        f'<td class="value">{escape(shown(row.paper, row.unit))}</td>'
-        f'<td class="value">{escape(shown(row.ours, row.unit))}</td>'
-        f'<td class="{"yes" if row.holds else "no"}">{_word(row)}</td><td class="note">{escape(row.note)}</td></tr>'
+        f'<td class="value" data-name="paper">{escape(shown(row.paper, row.unit))}</td>'
+        f'<td class="value" data-name="ours">{escape(shown(row.ours, row.unit))}</td>'
+        f'<td class="{"yes" if row.holds else "no"}" data-name="holds">{_word(row)}</td>'
+        f'<td class="note">{escape(row.note)}</td></tr>'
         for row in rows
     )
     head = "".join(f"<th>{words}</th>" for words in ("The paper's claim", "Paper", "Ours", "Holds", "Why, and how"))

@@ -26,8 +26,8 @@ def reproduce(
 ) -> None:
     """Compute every figure and number of the paper anew, beside what it says; an interrupted run goes on."""
     from flightstack.cli import console, files, terminal
+    from flightstack.cli.exits import FAILED, INTERRUPTED
     from flightstack.cli.interrupts import Interrupts
-    from flightstack.cli.main import FAILED, INTERRUPTED
     from flightstack_paper.run import ReproduceOptions
     from flightstack_paper.run import reproduce as run
 

@@ -7,40 +7,169 @@ would alone: a tick of 4 ms is the controller, the limits, and four times the ra
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 
-from flightstack.control.feedback import FeedbackGains, control_step, controller_rows
-from flightstack.jit import njit_free
-from flightstack.model import Limits, Model, limit_command, limiter_row
+from flightstack.control.feedback import FeedbackGains, controller_rows
+from flightstack.model import Limits, Model, limiter_row
 from flightstack.types import F64, InputError, Learned
 from flightstack.vehicle import Vehicle
 from flightstack_sim.autopilot.flight_control import airframe_params
-from flightstack_sim.autopilot.rate_control import RateControl, aim, motors_of, rate_step
+from flightstack_sim.autopilot.rate_control import RateControl
+from flightstack_sim.batch_loop import STEPS, TICK_S, fly_blocks
+from flightstack_sim.batch_step import NAMES_IN_THE_LOOP, compiled_steps, run_blocks
 from flightstack_sim.effects import turbulence
-from flightstack_sim.layout import EVALUATED, S_COMMAND, S_NORMALS, S_POS, S_Q, S_RATE, S_U, S_VEL
+from flightstack_sim.lanes import LANES
+from flightstack_sim.layout import (
+    P_GROUND,
+    PARAMS,
+    S_ANGULAR,
+    S_COMMAND,
+    S_FORCE,
+    S_NORMAL,
+    S_POS,
+    S_Q,
+    S_RATE,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+)
 from flightstack_sim.parameters import parameter_row
 from flightstack_sim.plant import Gusts, state_rows
-from flightstack_sim.rigid_body import step_row
 
-TICK_S = 0.004
-_STEPS = 4
 _DT_US = 1000
-_BLOCK = 64
-"""Ticks that are flown by one compiled call: as many as a block of gusts lasts."""
 REFERENCE = 17
+DRAWN = 64
+"""Steps whose gust normals are drawn at once."""
+_MOST_THREADS = 64
+_LEAST_SHARE = 64
+"""Blocks that are worth a thread: to start one for a call takes some 50 us."""
 
 
-class BatchClosedLoop:
+class Fleet:
+    """What batches share: N vehicles' parameters and states by field, gusts, threads.
+
+    `pos_ned_m`, ... are (N, 3 or 4) views of the present state and may be written to between calls.  Vehicle i has the
+    gusts of a plant with seed `seed` + i.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle], *, seed: int, dt_us: int, ground: bool) -> None:
+        if not vehicles:
+            raise InputError("batch: at least one vehicle is needed")
+        if not 100 <= dt_us <= 10_000:
+            raise InputError(f"batch: dt_us = {dt_us} is not allowed; it must be 100 to 10000 us")
+        self.dt_us = dt_us
+        self._count = len(vehicles)
+        params = np.stack([parameter_row(vehicle, dt_us=dt_us, ground=ground) for vehicle in vehicles])
+        delays = [vehicle.effects.get("transport_delay", {}).get("delay_s", 0.0) for vehicle in vehicles]
+        rows = state_rows(params, dt_us=dt_us, max_delay_s=max(delays))
+        gusty = np.flatnonzero(params[:, turbulence.SIGMA] != 0.0).tolist()
+        self._gusts = {i: Gusts(seed + i, rows[i : i + 1]) for i in gusty}
+        self._normals = np.zeros((self._count, DRAWN if gusty else 0, turbulence.NORMALS))
+        self._steps = compiled_steps(any(_acts_in_the_loop(vehicle) for vehicle in vehicles))
+        self._state = _by_field(rows)
+        by_field = _by_field(params)
+        by_field[P_GROUND, self._count :] = 0.0  # what fills the last block has no ground to slow it down
+        blocks = by_field.shape[1] // LANES
+        self._params = by_field.reshape(PARAMS, blocks, LANES).transpose(1, 0, 2).reshape(blocks, PARAMS * LANES)
+        self._pool = ThreadPoolExecutor(_MOST_THREADS)
+        self.pos_ned_m = self._view(S_POS, 3)
+        self.vel_ned_mps = self._view(S_VEL, 3)
+        self.q_ned_frd = self._view(S_Q, 4)
+        self.rate_frd_radps = self._view(S_RATE, 3)
+        self.motor_u = self._view(S_U, 4)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _view(self, first: int, fields: int) -> F64:
+        return self._state[first : first + fields, : self._count].T
+
+    def _draw(self, low: int, high: int, steps: int) -> None:
+        """The next `steps` normals of these vehicles."""
+        for i in range(low, min(high, self._count)):
+            if i in self._gusts:
+                self._gusts[i].fill(self._normals[i, :steps])
+
+    def _share(self, work: Callable[[int, int], None], threads: int | None) -> None:
+        """`work(first, last)` for the vehicles of each thread; None: one for each core where there are enough."""
+        blocks = self._state.shape[1] // LANES
+        count = min(os.cpu_count() or 1, blocks // _LEAST_SHARE) if threads is None else min(threads, blocks)
+        count = min(max(count, 1), _MOST_THREADS)
+        edges = (LANES * (np.arange(count + 1) * blocks // count)).tolist()
+        if count == 1:
+            work(*edges)
+            return
+        for job in [self._pool.submit(work, low, high) for low, high in pairwise(edges)]:
+            job.result()
+
+
+class BatchPlant(Fleet):
+    """N plants in one compiled call; each flies as its own NativePlant with seed `seed` + i would, to 1e-9.
+
+    `threads`: how many step them (default: one for each core where there are enough vehicles); it changes no number.
+    Without `ground` there is none to stand on.
+    """
+
+    def __init__(
+        self,
+        vehicles: Sequence[Vehicle],
+        *,
+        seed: int,
+        dt_us: int = 1000,
+        threads: int | None = None,
+        ground: bool = True,
+    ) -> None:
+        super().__init__(vehicles, seed=seed, dt_us=dt_us, ground=ground)
+        self._threads = threads
+        self.t_us = 0
+        self._command = self._view(S_COMMAND, 4)
+        self.specific_force_frd_mps2 = self._view(S_FORCE, 3)
+        self.angular_acceleration_frd_radps2 = self._view(S_ANGULAR, 3)
+        self.battery_v = self._state[S_VOLTAGE, : self._count]
+
+    @property
+    def on_ground(self) -> np.ndarray:
+        """(N,) whether the ground pushed during the last step."""
+        return self._state[S_NORMAL, : self._count] > 0.0
+
+    def step(self, motor_command: F64) -> None:
+        """Advance all by dt_us; `motor_command` (N, 4) or (4,)."""
+        self.run(motor_command, 1)
+
+    def run(self, motor_command: F64, steps: int) -> None:
+        """`steps` steps with the same commands: the same flight as calling `step` that often, and quicker."""
+        self._command[:] = motor_command
+        self._state[S_COMMAND : S_COMMAND + 4, self._count :] = 0.0
+        self._share(lambda low, high: self._run(low, high, steps), self._threads)
+        self.t_us += steps * self.dt_us
+
+    def _run(self, low: int, high: int, steps: int) -> None:
+        most = DRAWN if self._gusts else steps
+        for first in range(0, steps, most):
+            now = min(most, steps - first)
+            self._draw(low, high, now)
+            run_blocks(self._steps, self._params, self._state, self._normals, now, low, high)
+
+
+def _acts_in_the_loop(vehicle: Vehicle) -> bool:
+    return vehicle.battery is not None or any(name in vehicle.effects for name in NAMES_IN_THE_LOOP)
+
+
+def _by_field(rows: F64) -> F64:
+    """(N, fields) as (fields, N), the last vehicle repeated until the blocks are full."""
+    missing = -len(rows) % LANES
+    return np.ascontiguousarray(np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]).T)
+
+
+class BatchClosedLoop(Fleet):
     """N vehicles, each with its own truth, all flown by the controller of one believed vehicle.
 
-    `pos_ned_m`, `vel_ned_mps` (N, 3), `q_ned_frd` (N, 4) and `rate_frd_radps` (N, 3) are views of the present state and
-    may be written to before `fly`.  Vehicle i has the gusts of a plant with seed `seed` + i.  It begins level at the
-    origin, at rest, its rotors carrying the believed weight; without a ground.
+    Each begins level at the origin, at rest, its rotors carrying the believed weight; without a ground.
     """
 
     def __init__(
@@ -52,30 +181,16 @@ class BatchClosedLoop:
         gains: FeedbackGains | None = None,
         limits: Limits | None = None,
     ) -> None:
-        if not truths:
-            raise InputError("batch: at least one vehicle is needed")
+        super().__init__(truths, seed=seed, dt_us=_DT_US, ground=False)
         model, limits = Model.from_vehicle(believed), limits or Limits()
-        self._params = np.stack([parameter_row(truth, dt_us=_DT_US, ground=False) for truth in truths])
-        delays = [truth.effects.get("transport_delay", {}).get("delay_s", 0.0) for truth in truths]
-        self._state = state_rows(self._params, dt_us=_DT_US, max_delay_s=max(delays))
-        self._state[:, S_U : S_U + 4] = self._state[:, S_COMMAND : S_COMMAND + 4] = model.hover_norm
-        loop = RateControl(believed, airframe_params(believed)).row
-        self._loops = np.repeat(loop[None, :], len(truths), axis=0)
-        self._corrections = np.zeros((len(truths), 3))
-        self._constants = controller_rows(model, gains or FeedbackGains(), limits)
-        self._limits = limiter_row(model, limits)
-        self._learned = Learned.nothing().row
-        gusty = np.flatnonzero(self._params[:, turbulence.SIGMA] != 0.0)
-        self._gusts = {int(i): Gusts(seed + int(i), self._state[i : i + 1]) for i in gusty}
-        self._normals = np.zeros((len(truths), _BLOCK * _STEPS if self._gusts else 0, turbulence.NORMALS))
+        padded = self._state.shape[1]
+        self._state[S_U : S_U + 4] = self._state[S_COMMAND : S_COMMAND + 4] = model.hover_norm
+        loop = np.append(RateControl(believed, airframe_params(believed)).row, np.zeros(3))
+        self._loops = np.repeat(np.repeat(loop, LANES)[None], padded // LANES, axis=0)
+        self._corrections = np.zeros((padded, 3))
+        constants = controller_rows(model, gains or FeedbackGains(), limits)
+        self._control = (constants, limiter_row(model, limits), Learned.nothing().row)
         self._began = False
-        self.pos_ned_m = self._state[:, S_POS : S_POS + 3]
-        self.vel_ned_mps = self._state[:, S_VEL : S_VEL + 3]
-        self.q_ned_frd = self._state[:, S_Q : S_Q + 4]
-        self.rate_frd_radps = self._state[:, S_RATE : S_RATE + 3]
-
-    def __len__(self) -> int:
-        return len(self._state)
 
     def fly(self, reference: F64, *, threads: int | None = None) -> F64:
         """Follow `reference` (ticks, 17), rows of FlatOutput every 4 ms, or (N, ticks, 17) with one for each vehicle.
@@ -88,69 +203,18 @@ class BatchClosedLoop:
             rows = rows[None]
         if rows.ndim != 3 or rows.shape[0] not in (1, len(self)) or rows.shape[2] != REFERENCE:
             raise InputError(f"batch: a reference of shape {np.shape(reference)} is not (ticks, 17) or (N, ticks, 17)")
-        count = rows.shape[1]
-        distances = np.empty((len(self), count))
-        workers = min(threads or os.cpu_count() or 1, len(self))
-        edges = np.linspace(0, len(self), workers + 1).astype(int).tolist()
-        with ThreadPoolExecutor(workers) as pool:
-            for first in range(0, count, _BLOCK):
-                last = min(first + _BLOCK, count)
-                self._draw((last - first) * _STEPS)
-                jobs = [
-                    pool.submit(self._fly, low, high, rows, first, last, distances)
-                    for low, high in itertools.pairwise(edges)
-                ]
-                for job in jobs:
-                    job.result()
-                self._began = True
+        distances = np.empty((len(self), rows.shape[1]))
+        self._share(lambda low, high: self._fly(low, high, rows, distances), threads)
+        self._began |= rows.shape[1] > 0
         return distances
 
-    def _draw(self, steps: int) -> None:
-        for i, gusts in self._gusts.items():
-            drawn = 0
-            while drawn < steps:
-                normals = gusts.take(steps - drawn)
-                self._normals[i, drawn : drawn + len(normals)] = normals[:, 0]
-                drawn += len(normals)
-
-    def _fly(self, low: int, high: int, rows: F64, first: int, last: int, distances: F64) -> None:
-        block = np.empty((high - low, last - first))  # contiguous, as all that follows: one compiled version
-        own = slice(low, high) if len(rows) > 1 else slice(0, 1)
-        _fly_rows(
-            self._constants, self._limits, self._learned, self._params[low:high], self._state[low:high],
-            self._loops[low:high], self._corrections[low:high], self._normals[low:high],
-            np.ascontiguousarray(rows[own, first:last]), block, 0.0 if not self._began else TICK_S,
-        )  # fmt: skip
-        distances[low:high, first:last] = block
-
-
-@njit_free
-def _fly_rows(
-    constants: F64, limits: F64, learned: F64, params: F64, state: F64, loops: F64, corrections: F64, normals: F64,
-    reference: F64, distances: F64, first_dt: float,
-) -> None:  # fmt: skip
-    """A block of ticks of each of these vehicles, one vehicle after the other; `first_dt`: since the tick before."""
-    work, proposal, measured, rate = np.empty((3, EVALUATED)), np.empty(20), np.zeros(20), np.empty(3)
-    for i in range(state.shape[0]):
-        row, loop, p = state[i], loops[i], params[i]
-        motors = motors_of(loop)
-        wanted = reference[i if reference.shape[0] > 1 else 0]
-        for k in range(wanted.shape[0]):
-            off = 0.0
-            for j in range(3):
-                off += (row[S_POS + j] - wanted[k, j]) ** 2
-            distances[i, k] = np.sqrt(off)
-            for j in range(13):
-                measured[j] = row[j]
-            dt = first_dt if k == 0 else 0.004
-            thrust = control_step(constants, corrections[i], dt, wanted[k], measured, learned, proposal)
-            _, norm = limit_command(thrust, proposal[17:20], limits, rate)
-            aim(loop, rate, norm)
-            for step in range(4):
-                rate_step(row[S_RATE : S_RATE + 3], loop)
-                for j in range(4):
-                    row[S_COMMAND + j] = motors[j]
-                if normals.shape[1] > 0:
-                    for j in range(5):
-                        row[S_NORMALS + j] = normals[i, 4 * k + step, j]
-                step_row(p, row, work)
+    def _fly(self, low: int, high: int, rows: F64, distances: F64) -> None:
+        ticks = DRAWN // STEPS
+        for first in range(0, rows.shape[1], ticks):
+            now = rows[:, first : first + ticks]
+            self._draw(low, high, STEPS * now.shape[1])
+            fly_blocks(
+                self._control, (self._params, self._state, self._normals, self._loops, self._corrections), rows,
+                distances, (first, first + now.shape[1]), (low, high), TICK_S if self._began or first else 0.0,
+                self._steps,
+            )  # fmt: skip

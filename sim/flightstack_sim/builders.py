@@ -9,8 +9,8 @@ import math
 from typing import Any, Final
 
 from flightstack_sim.autopilot import modes
-from flightstack_sim.autopilot.commander import ESTIMATE_READY_US
 from flightstack_sim.autopilot.failsafe import battery_warning
+from flightstack_sim.autopilot.requests import ESTIMATE_READY_US
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.battery_state import CURRENT_A
 from flightstack_sim.plans import FENCE, MISSION, RALLY

@@ -14,7 +14,9 @@ from typing import Any, Final
 from flightstack.types import Tuple3
 from flightstack_sim import builders, streams
 from flightstack_sim.autopilot import notices
-from flightstack_sim.autopilot.commander import (
+from flightstack_sim.autopilot.goal import Goal, orbit_goal
+from flightstack_sim.autopilot.notices import Notice
+from flightstack_sim.autopilot.requests import (
     FORCE,
     ArmRequest,
     FlyRequest,
@@ -25,8 +27,6 @@ from flightstack_sim.autopilot.commander import (
     StartRequest,
     TerminateRequest,
 )
-from flightstack_sim.autopilot.goal import Goal, orbit_goal
-from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.streams import LinkStreams
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m

@@ -11,8 +11,8 @@ from enum import Enum, auto
 from typing import Any, Final
 
 from flightstack_sim.autopilot import notices
-from flightstack_sim.autopilot.commander import Sender
 from flightstack_sim.autopilot.notices import Notice
+from flightstack_sim.autopilot.requests import Sender
 from flightstack_sim.plans import ALL, KINDS, MOST, Item, MissionResult, Plans, judge
 from mavlink_bridge import messages as m
 

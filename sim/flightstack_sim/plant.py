@@ -1,20 +1,17 @@
-"""The plant: what every one has (`Plant`), which there are (`make_plant`), the native one, many of them in one call.
+"""The plant: what every one has (`Plant`), which there are (`make_plant`), the native one.
 
-`NativePlant` and `BatchPlant` run the same compiled step over (N, ...) rows, N = 1 and N = thousands.  Everything that
-a plant shows is a view into its rows and is updated in place by each step.
+Everything that a plant shows is a view into its row and is updated in place by each step.  Many in one call:
+`flightstack_sim.batch`.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from flightstack.jit import njit, njit_free
+from flightstack.jit import njit
 from flightstack.types import F64, InputError, Tuple3, Tuple4
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack_sim.effects import (
@@ -36,7 +33,6 @@ from flightstack_sim.layout import (
     S_CHARGE,
     S_COMMAND,
     S_FORCE,
-    S_GUST,
     S_NORMAL,
     S_NORMALS,
     S_POS,
@@ -54,8 +50,6 @@ from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, ste
 
 PLANTS = ("native", "jsbsim")
 MAX_DELAY_S = 0.25
-_LEAST_SHARE = 500
-"""Vehicles that are worth a thread: to start one for a step takes some 50 us."""
 _BLOCK = 256  # steps whose gust normals are drawn at once
 _NO_NORMALS = np.zeros((0, 1, turbulence.NORMALS))
 
@@ -122,14 +116,6 @@ def step_rows(state: F64, params: F64) -> None:
         step_row(params[i], state[i], work)
 
 
-@njit_free
-def step_rows_beside(state: F64, params: F64) -> None:
-    """`step_rows` while other threads step other rows."""
-    work = np.empty((3, EVALUATED))
-    for i in range(state.shape[0]):
-        step_row(params[i], state[i], work)
-
-
 @njit
 def run_rows(state: F64, params: F64, normals: F64, steps: int) -> None:
     """`steps` steps with the same commands; normals (steps, N, 5), or (0, N, 5) for steps without gusts."""
@@ -152,7 +138,8 @@ def evaluate_rows(state: F64, params: F64) -> None:
     y, dy = work[0], work[1]
     for i in range(state.shape[0]):
         row, p = state[i], params[i]
-        y[:] = row[:EVALUATED]
+        for k in range(EVALUATED):  # a copy of slices takes 2 s to compile: it may fail, and would say so
+            y[k] = row[k]
         u = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
         evaluate(p, y, rotor_speeds(p, u), air_velocity(p, row), battery_sag.factor(p, row[S_VOLTAGE]), dy)
         for j in range(3):
@@ -195,6 +182,10 @@ class Gusts:
         first = self._next
         self._next = min(first + most, len(self._block))
         return self._block[first : self._next]
+
+    def fill(self, out: F64) -> None:
+        """The next len(out) steps' normals of one vehicle into `out` (steps, 5)."""
+        self._rng.standard_normal(out=out)
 
     def draw(self) -> None:
         """Put the next step's normals into the state rows."""
@@ -315,58 +306,6 @@ class NativePlant:
         self.accel_bias_frd_mps2[:] = accelerometer_bias.bias(p)
         self.gyro_bias_frd_radps[:] = gyro_bias.bias(p)
         self.misalignment_q[:] = attitude_misalignment.rotation(p)
-
-
-class BatchPlant:
-    """N vehicles in one compiled call; each flies as its own NativePlant would (with gusts: for the same normals).
-
-    `pos_ned_m`, ... are (N, 3 or 4) views into the state rows.
-    """
-
-    def __init__(
-        self, vehicles: Sequence[Vehicle], *, seed: int, dt_us: int = 1000, threads: int | None = None
-    ) -> None:
-        """`threads`: how many step them (default: one for each core where there are enough vehicles)."""
-        self.dt_us = dt_us
-        cores = min(os.cpu_count() or 1, len(vehicles) // _LEAST_SHARE)
-        self._threads = max(1, cores if threads is None else min(threads, len(vehicles)))
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
-        self.t_us = 0
-        self._params = np.stack([parameter_row(vehicle, dt_us=dt_us) for vehicle in vehicles])
-        delays = [vehicle.effects.get("transport_delay", {}).get("delay_s", 0.0) for vehicle in vehicles]
-        self._state = state_rows(self._params, dt_us=dt_us, max_delay_s=max(delays))
-        self._command = self._state[:, S_COMMAND : S_COMMAND + 4]
-        self._gusts = Gusts(seed, self._state)
-        self._gusty = bool(np.any(self._params[:, turbulence.SIGMA] != 0.0))
-        self.pos_ned_m = self._state[:, S_POS : S_POS + 3]
-        self.vel_ned_mps = self._state[:, S_VEL : S_VEL + 3]
-        self.q_ned_frd = self._state[:, S_Q : S_Q + 4]
-        self.rate_frd_radps = self._state[:, S_RATE : S_RATE + 3]
-        self.specific_force_frd_mps2 = self._state[:, S_FORCE : S_FORCE + 3]
-        self.angular_acceleration_frd_radps2 = self._state[:, S_ANGULAR : S_ANGULAR + 3]
-        self.motor_u = self._state[:, S_U : S_U + 4]
-        self.battery_v = self._state[:, S_VOLTAGE]
-        self.gust_state = self._state[:, S_GUST : S_GUST + 5]
-
-    @property
-    def on_ground(self) -> np.ndarray:
-        """(N,) whether the ground pushed during the last step."""
-        return self._state[:, S_NORMAL] > 0.0
-
-    def step(self, motor_command: F64) -> None:
-        """Advance all by dt_us; `motor_command` (N, 4) or (4,)."""
-        self._command[:] = motor_command
-        if self._gusty:
-            self._gusts.draw()
-        if self._pool is None:
-            step_rows(self._state, self._params)
-        else:
-            edges = np.linspace(0, len(self._state), self._threads + 1).astype(int).tolist()
-            parts = [slice(low, high) for low, high in pairwise(edges)]
-            jobs = [self._pool.submit(step_rows_beside, self._state[part], self._params[part]) for part in parts]
-            for job in jobs:
-                job.result()
-        self.t_us += self.dt_us
 
 
 def make_plant(name: str, vehicle: Vehicle, *, seed: int, dt_us: int = 1000) -> Plant:

@@ -12,8 +12,8 @@ import zlib
 from collections import deque
 from typing import Any, Final
 
-from flightstack_sim.autopilot.commander import Sender
 from flightstack_sim.autopilot.params import PARAMS, ParamResult, Params, ParamType, find
+from flightstack_sim.autopilot.requests import Sender
 from mavlink_bridge import messages as m
 
 _HASH_NAME: Final = "_HASH_CHECK"

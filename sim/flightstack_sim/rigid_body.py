@@ -222,7 +222,7 @@ def air_velocity(p: F64, row: F64) -> Vec:
 
 
 @njit
-def _lagged(target: Quad, now: Quad, left: float) -> Quad:
+def lagged(target: Quad, now: Quad, left: float) -> Quad:
     """Motors on their way to `target` when this share of the distance is left."""
     return (
         target[0] + (now[0] - target[0]) * left,
@@ -230,6 +230,12 @@ def _lagged(target: Quad, now: Quad, left: float) -> Quad:
         target[2] + (now[2] - target[2]) * left,
         target[3] + (now[3] - target[3]) * left,
     )
+
+
+@njit
+def standing(target: float, now: float) -> float:
+    """A motor's speed after a step; one that is commanded to 0 stands at last."""
+    return now if target != 0.0 or now > _STANDING else 0.0
 
 
 @njit
@@ -272,9 +278,9 @@ def step_row(p: F64, row: F64, work: F64) -> None:
     start = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
     if p[D_TAU] == 0.0:
         start = target
-    end = _lagged(target, start, p[D_LAG_FULL])
+    end = lagged(target, start, p[D_LAG_FULL])
     turbulence.advance(p, row)
-    middle = _lagged(target, start, p[D_LAG_HALF])
+    middle = lagged(target, start, p[D_LAG_HALF])
     _integrate(p, row, rotor_speeds(p, start), rotor_speeds(p, middle), rotor_speeds(p, end), work)
     dy, mean = work[1], work[2]
     for j in range(3):
@@ -282,17 +288,18 @@ def step_row(p: F64, row: F64, work: F64) -> None:
         row[S_ANGULAR + j] = mean[S_RATE + j]
     for i in range(4):
         row[S_THRUST + i] = dy[E_THRUST + i]
-        row[S_U + i] = end[i] if target[i] != 0.0 or end[i] > _STANDING else 0.0
+        row[S_U + i] = standing(target[i], end[i])
     row[S_NORMAL] = mean[E_NORMAL]
     if row[S_NORMAL] > 0.0:
         ground.stick(p, row, _down(row))
-    _normalise(row)
+    normalise(row)
     slung_load.constrain(p, row)
     discharge(p, row)
 
 
 @njit
-def _normalise(row: F64) -> None:
+def normalise(row: F64) -> None:
+    """Bring the attitude's quaternion back to unit length."""
     w, x, y, z = row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3]
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3] = w / norm, x / norm, y / norm, z / norm

@@ -15,12 +15,13 @@ from typing import Any, Final
 
 from flightstack_sim import commands, protocols
 from flightstack_sim.autopilot import modes, notices
-from flightstack_sim.autopilot.commander import NEVER, Commander, Inputs, Outputs, Request, Sender
+from flightstack_sim.autopilot.commander import Commander
 from flightstack_sim.autopilot.failure_detector import FailureDetector
 from flightstack_sim.autopilot.mission import MissionFlight
 from flightstack_sim.autopilot.navigator import NOT_STARTED, Navigator
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
+from flightstack_sim.autopilot.requests import NEVER, Inputs, Outputs, Request, Sender
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
 from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Sticks, from_manual_control
 from flightstack_sim.builders import gps_global_origin

@@ -10,8 +10,9 @@ from typing import Any, Final
 
 from flightstack.types import Tuple3, Tuple4
 from flightstack_sim.autopilot import modes
-from flightstack_sim.autopilot.commander import NEVER, CommanderState
+from flightstack_sim.autopilot.commander import CommanderState
 from flightstack_sim.autopilot.navigator import NavigatorState
+from flightstack_sim.autopilot.requests import NEVER
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlKind, ControlSetpoint
 from flightstack_sim.battery_state import BatteryState
 from flightstack_sim.estimator import Accuracy

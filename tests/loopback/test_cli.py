@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -148,6 +149,26 @@ def test_a_named_controller_flies_and_is_named_in_result_and_log(tmp_path: Path)
     assert (result["log"], result["report"]) == (str(log), str(out / "report.html"))
     assert "</html>" in (out / "report.html").read_text()
     assert read(log).metadata["settings"]["controller"] == "pd"
+
+
+def test_a_page_made_from_the_log_alone_says_what_the_flights_own_page_says(tmp_path: Path) -> None:
+    """The verdict and its figures are in the log, and nothing that a clock measured: the same flight, the same log."""
+
+    def head(page: Path) -> str:
+        found = re.search(r"<header.*?</header>", page.read_text(), re.DOTALL)
+        assert found is not None
+        return found.group()
+
+    for name in ("one", "two"):
+        assert _run("fly", "hover", "--duration", 2, "--no-learning", "--out", tmp_path / name) == 0
+    logs = [tmp_path / name / "flight.mcap" for name in ("one", "two")]
+    kept = [read(log).attachment("result.json") for log in logs]
+    assert kept[0] == kept[1]
+    assert kept[0] is not None
+    assert json.loads(kept[0])["completed"] is True
+    assert _run("log", "report", logs[0], "--out", tmp_path / "again") == 0
+    assert "hover completed" in head(tmp_path / "one" / "report.html")
+    assert head(tmp_path / "again" / "report.html") == head(tmp_path / "one" / "report.html")
 
 
 def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 
 from flightstack.cli import replay as module
+from flightstack.cli.certify import certify
 from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.main import main
 from flightstack.cli.replay import replay
+from flightstack.explore import ExploreConfig
 from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
 from flightstack_logs.writer import FlightLog
@@ -35,6 +37,20 @@ def test_a_flight_with_learner_and_filter_on_a_bad_link_is_the_same_bit_for_bit(
     assert again.differences == []
     assert again.ticks > 1000
     assert again.lines == [f"{again.ticks} ticks: the same, bit for bit"]
+
+
+def test_an_exploration_is_planned_again_the_same_bit_for_bit(tmp_path: Path) -> None:
+    """Its path, its certificates and its commands come of the recorded inputs alone; other rules are refused."""
+    options = FlyOptions(scenario="paper-barrier", seed=2, duration_s=12.0, out=tmp_path / "own")
+    log = certify(options, stop_requested=lambda: "").flight.log
+    assert log is not None
+    again = replay(Path(log))
+    assert again.lines == [f"{again.ticks} ticks: the same, bit for bit"]
+    assert again.ticks > 3000
+    short = dataclasses.replace(options, duration_s=10.0, out=tmp_path / "other")
+    other = certify(short, stop_requested=lambda: "", config=ExploreConfig(rounds_max=1)).flight.log
+    with pytest.raises(InputError, match="rules that it does not name"):
+        replay(Path(str(other)))
 
 
 def test_another_controller_shows_from_its_first_tick_on(

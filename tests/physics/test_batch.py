@@ -5,37 +5,66 @@ from __future__ import annotations
 import numpy as np
 from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
-from flightstack.vehicle import with_effects
-from flightstack_sim.layout import S_FORCE, S_RING, p_effect
+from flightstack_sim.batch import BatchPlant
+from flightstack_sim.layout import S_FORCE, p_effect
 from flightstack_sim.parameters import derive_rows, parameter_row
-from flightstack_sim.plant import BatchPlant, NativePlant, evaluate_rows
+from flightstack_sim.plant import NativePlant, evaluate_rows
+
+SHOWN = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_u")
 
 
-def test_each_of_a_batch_of_random_vehicles_flies_bit_for_bit_as_alone() -> None:
+def _same(batch: BatchPlant, singles: list[NativePlant]) -> None:
+    for k, plant in enumerate(singles):
+        for name in SHOWN:
+            np.testing.assert_allclose(
+                getattr(batch, name)[k], getattr(plant, name), rtol=1e-9, atol=1e-9, err_msg=name
+            )
+        np.testing.assert_allclose(batch.battery_v[k], plant.battery_v, rtol=1e-9)
+        assert batch.on_ground[k] == plant.on_ground
+        assert batch.t_us == plant.t_us
+
+
+def test_each_of_a_batch_of_random_vehicles_flies_as_alone_gusts_ground_and_all() -> None:
     rng = np.random.default_rng(9)
-    vehicles = [with_effects(random_vehicle(rng), {"turbulence": {}}) for _ in range(12)]
-    batch = BatchPlant(vehicles, seed=0)
-    singles = [NativePlant(vehicle, seed=0) for vehicle in vehicles]
-    for _ in range(300):
-        commands = rng.uniform(0.3, 1.0, (12, 4))
+    vehicles = [random_vehicle(rng) for _ in range(19)]  # more than one block, not a whole number of them
+    batch = BatchPlant(vehicles, seed=5)
+    singles = [NativePlant(vehicle, seed=5 + i) for i, vehicle in enumerate(vehicles)]
+    for steps in (*(1,) * 300, 3, 90):
+        commands = rng.uniform(0.3, 1.0, (19, 4))
+        batch.run(commands, steps)
+        for plant, command in zip(singles, commands, strict=True):
+            plant.run(command, steps)
+    _same(batch, singles)
+
+
+def test_without_effects_high_above_the_ground_too() -> None:
+    rng = np.random.default_rng(2)
+    batch, singles = BatchPlant([QUAD] * 3, seed=0, threads=1), [NativePlant(QUAD, seed=0) for _ in range(3)]
+    batch.pos_ned_m[:, 2] = -20.0
+    for plant in singles:
+        plant.pos_ned_m[2] = -20.0
+    for _ in range(200):
+        commands = rng.uniform(0.4, 0.9, (3, 4))
         batch.step(commands)
         for plant, command in zip(singles, commands, strict=True):
             plant.step(command)
-    for k, plant in enumerate(singles):
-        for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_u"):
-            assert np.array_equal(getattr(batch, name)[k], getattr(plant, name)), name
-        assert batch.battery_v[k] == plant.battery_v
-        assert batch.on_ground[k] == plant.on_ground
-    assert batch.t_us == singles[0].t_us == 300_000
+    _same(batch, singles)
+    assert not batch.on_ground.any()
 
 
-def test_a_batch_of_one_meets_the_same_gusts_as_the_vehicle_alone() -> None:
-    vehicle = quad(**TYPICAL)
-    batch, plant = BatchPlant([vehicle], seed=4), NativePlant(vehicle, seed=4)
-    for _ in range(600):
-        batch.step(np.full(4, 0.8))
-        plant.step(np.full(4, 0.8))
-    assert np.array_equal(batch._state[0, : S_RING - 1], plant._state[0, : S_RING - 1])
+def test_no_lane_disturbs_another_and_a_command_that_is_no_number_stops_its_motor() -> None:
+    vehicles = [quad(**TYPICAL), QUAD]
+    clean, broken = BatchPlant(vehicles, seed=1, ground=False), BatchPlant(vehicles, seed=1, ground=False)
+    broken.vel_ned_mps[0] = np.nan
+    commands = np.array([[0.8] * 4, [0.8, np.nan, 7.0, -1.0]])
+    clean.run(commands, 40)
+    broken.run(commands, 40)
+    assert np.isnan(broken.pos_ned_m[0]).all()
+    for name in SHOWN:
+        assert np.array_equal(getattr(clean, name)[1], getattr(broken, name)[1])
+    alone = NativePlant(QUAD, seed=2, ground=False)
+    alone.run(commands[1], 40)
+    np.testing.assert_allclose(clean.motor_u[1], alone.motor_u, rtol=1e-9)
 
 
 def test_many_steps_in_one_call_are_the_same_flight_as_step_by_step() -> None:

@@ -24,8 +24,8 @@ def load(name: str) -> ModuleType:
     return module
 
 
-def test_there_are_five_of_at_most_60_lines() -> None:
-    assert len(SCRIPTS) == 5
+def test_there_are_six_of_at_most_60_lines() -> None:
+    assert len(SCRIPTS) == 6
     assert all(len(path.read_text().splitlines()) <= 60 for path in SCRIPTS)
 
 
@@ -53,3 +53,10 @@ def test_a_log_becomes_a_frame(px4_sim: Px4Sim) -> None:
 def test_the_plant_alone_is_flown_to_two_metres() -> None:
     heights_m = load("plant_alone").fly(15.0)
     assert heights_m[-1] == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_hidden_load_is_found() -> None:
+    result = load("find_gap").main(0.25)
+    payload = next(each for each in result.found if each.name == "payload").parameters["mass_kg"]
+    assert payload.low <= 0.25 <= payload.high
+    assert payload.estimate == pytest.approx(0.25, abs=0.02)

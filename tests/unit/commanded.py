@@ -5,18 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flightstack_sim.autopilot import modes, notices
-from flightstack_sim.autopilot.commander import (
-    ACCEPTED,
-    NEVER,
-    Answer,
-    ArmRequest,
-    Commander,
-    Inputs,
-    ModeRequest,
-    Request,
-    Sender,
-)
+from flightstack_sim.autopilot.commander import Commander
 from flightstack_sim.autopilot.params import ParamResult, Params
+from flightstack_sim.autopilot.requests import ACCEPTED, NEVER, Answer, ArmRequest, Inputs, ModeRequest, Request, Sender
 
 ME = Sender(0, 245, 190)
 TICK_US = 4_000

@@ -33,7 +33,7 @@ WIDE = replace(
 
 def _allocate(mix: F64, roll: float, pitch: float, yaw: float, thrust: float) -> tuple[F64, F64]:
     motors, lost = np.full(4, 0.5), np.full(3, 9.0)
-    allocate(mix, roll, pitch, yaw, thrust, motors, lost)
+    allocate(mix.ravel(), roll, pitch, yaw, thrust, motors, lost)
     return motors, lost
 
 

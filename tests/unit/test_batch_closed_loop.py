@@ -15,8 +15,9 @@ from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
 from flightstack.vehicle import Vehicle, parse_vehicle, scaled, with_effects
 from flightstack_sim.autopilot.flight_control import airframe_params
 from flightstack_sim.autopilot.rate_control import RateControl
-from flightstack_sim.batch import TICK_S, BatchClosedLoop
-from flightstack_sim.plant import BatchPlant, NativePlant
+from flightstack_sim.batch import BatchClosedLoop, BatchPlant
+from flightstack_sim.batch_loop import TICK_S
+from flightstack_sim.plant import NativePlant
 
 TICKS = 150
 QUAD = Path(__file__).resolve().parents[2] / "flightstack/data/vehicles/quad-x.toml"

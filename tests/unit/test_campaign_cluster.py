@@ -18,6 +18,7 @@ from flightstack.errors import InputError
 pytest.importorskip("distributed")
 
 from flightstack.cli.campaign.cluster import Cluster
+from flightstack.cli.campaign.run import CampaignOptions, campaign
 
 
 class Dask:
@@ -106,3 +107,17 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: 
     with pytest.raises(InputError, match="no scheduler answers there") as caught:
         Cluster(address, tmp_path, "none")
     assert "\n" not in str(caught.value)
+
+
+def test_nothing_is_compiled_here_for_a_scheduler_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flightstack.cli.campaign.cluster._CONNECT_S", 0.5)
+    monkeypatch.setattr("flightstack.cli.campaign.run.ensure_compiled", lambda told: pytest.fail("compiles first"))
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    file = Path(__file__).resolve().parents[2] / "campaigns/small.toml"
+    with pytest.raises(InputError, match="no scheduler answers there"):
+        campaign(CampaignOptions(file, tmp_path / "out", False, None, address), stop_requested=lambda: "")
+    assert not (tmp_path / "out").exists()

@@ -220,6 +220,15 @@ def test_the_page_is_whole_escaped_and_needs_nothing_from_outside() -> None:
         assert words in text
 
 
+def test_growth_ends_at_what_the_headline_says() -> None:
+    """What the flight's data gave after landing is the last mark; without it the last round is."""
+    assert re.findall(r"<title>(?:round|after).*?</title>", render(_exploration(settled=(3.007, 0.2)))) == [
+        "<title>round 1: 1.000</title>", "<title>round 2: 1.500</title>", "<title>after landing: 3.007</title>",
+        "<title>round 1: 0.400</title>", "<title>round 2: 0.300</title>", "<title>after landing: 0.200</title>",
+    ]  # fmt: skip
+    assert "after landing" not in render(_exploration())
+
+
 def test_a_page_without_rounds_cells_or_path_still_comes_out() -> None:
     bare = replace(axis_of(FAST), cells=np.zeros((0, 6)))
     text = render(_exploration(certificates=(certificate_of(bare),), rounds=(), path=np.zeros((0, 6)), kernel=None))

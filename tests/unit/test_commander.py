@@ -8,7 +8,8 @@ import pytest
 from commanded import ARM, DISARM, HOLD, ME, OFFBOARD, Flight, in_offboard, ready
 
 from flightstack_sim.autopilot import modes, notices
-from flightstack_sim.autopilot.commander import (
+from flightstack_sim.autopilot.failsafe import Action
+from flightstack_sim.autopilot.requests import (
     ACCEPTED,
     COMMAND_ARM,
     COMMAND_LAND,
@@ -21,7 +22,6 @@ from flightstack_sim.autopilot.commander import (
     ModeRequest,
     Sender,
 )
-from flightstack_sim.autopilot.failsafe import Action
 
 
 @pytest.fixture

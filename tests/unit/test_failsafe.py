@@ -11,7 +11,7 @@ import pytest
 from commanded import ARM, DISARM, HOLD, ME, OFFBOARD, Flight, in_offboard, ready
 
 from flightstack_sim.autopilot import modes
-from flightstack_sim.autopilot.commander import ACCEPTED, TEMPORARILY_REJECTED, ModeRequest
+from flightstack_sim.autopilot.requests import ACCEPTED, TEMPORARILY_REJECTED, ModeRequest
 
 
 @pytest.fixture

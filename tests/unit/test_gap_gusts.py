@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from flightstack.gap import pooled
+from flightstack.gap.blown import with_turbulence
 from flightstack.gap.gusts import gusts
-from flightstack.gap.records import Samples
+from flightstack.gap.held import corrected
+from flightstack.gap.name import Naming, name
+from flightstack.gap.records import Gap, Samples
+from flightstack.gap.simulate import knobs
+from flightstack.gap.verdict import gap_of, unexplained
 from tests import gap_batch as batch
 from tests.gap_hidden import HIDDEN, believed
 
@@ -34,9 +43,56 @@ def test_intervals_hold_on_flights_that_nobody_tuned_on(length_m: float, sigma_m
     told = [gusts(believed(), [flight], [flight.valid]) for flight in batch.fly(believed(), hidden, seed=31_000)]
     found = [each for each in told if each is not None and each.named]
     assert len(found) >= 7
-    for name, true in (("sigma_mps", sigma_mps), ("length_m", length_m)):
-        ranges = [getattr(each, name) for each in found]
-        assert sum(each.low <= true <= each.high for each in ranges) >= len(found) - 1, name
+    for parameter, true in (("sigma_mps", sigma_mps), ("length_m", length_m)):
+        ranges = [getattr(each, parameter) for each in found]
+        assert sum(each.low <= true <= each.high for each in ranges) >= len(found) - 1, parameter
+
+
+def _told(flight: Samples) -> tuple[Naming, Gap]:
+    """What is named of one flight, its last third held out, as the workflow goes about it."""
+    of = pooled.split([flight], [])
+    naming = name(believed(), of.flights, of.fit, of.holdout)
+    before, after = (pooled.figures(v, of) for v in (believed(), corrected(believed(), naming.found)))
+    gap = gap_of(before, after, pooled.noise_floor(naming.vehicle, of, after))
+    return with_turbulence(believed(), naming, of, gap)
+
+
+WIND = {"north_mps": 5.0, "east_mps": -4.0, "down_mps": 0.0}
+GUSTS = {"sigma_mps": 1.0, "length_m": 15.0}
+BESIDE = {
+    "a wind": {"steady_wind": WIND, "turbulence": GUSTS},
+    "a mass": {"payload": {"mass_kg": 0.2}, "turbulence": GUSTS},
+    "nothing": {"turbulence": {"sigma_mps": 1.0, "length_m": 60.0}},
+}
+
+
+@pytest.fixture(scope="module")
+def beside() -> dict[str, tuple[Naming, Gap]]:
+    flown = batch.fly(believed(), list(BESIDE.values()), seed=41_000)
+    return {kind: _told(flight) for kind, flight in zip(BESIDE, flown, strict=True)}
+
+
+@pytest.mark.parametrize("kind", list(BESIDE))
+def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Naming, Gap]], kind: str) -> None:
+    """A mean that gusts have of themselves is no wind; a wind or a mass beside them is, and holds the truth."""
+    naming, gap = beside[kind]
+    assert {f.name for f in naming.found} == set(BESIDE[kind])
+    for found in naming.found:
+        for parameter, true in BESIDE[kind][found.name].items():
+            told = found.parameters[parameter]
+            assert told.low <= true <= told.high, parameter
+    assert not unexplained(naming.unexplained, gap, named=True).significant
+
+
+def test_a_thrust_that_fades_is_no_gust(flights: dict[str, Samples]) -> None:
+    """It acts along body z alone; a wind that is fitted beside gusts would take its mean and leave a drift."""
+    flight = flights[""]
+    share = 1.0 - 0.01 * (flight.t_s - flight.t_s[0])
+    fades = replace(flight, accel_frd_mps2=flight.accel_frd_mps2 * np.stack([1.0 + 0.0 * share] * 2 + [share], axis=1))
+    found = gusts(believed(), [fades], [fades.valid], knobs("steady_wind"))
+    assert found is not None
+    assert found.evidence > 20.0  # against mere noise it would pass
+    assert not found.named
 
 
 @pytest.mark.parametrize("kind", ["", "constant_force"])

@@ -9,7 +9,7 @@ import pytest
 
 from flightstack.gap.add import companion, vehicle_file
 from flightstack.gap.records import Samples
-from flightstack.gap.refine import refine
+from flightstack.gap.refine import bounded, refine
 from flightstack.gap.track import track
 from flightstack.gap.verify import reflight, whiteness
 from flightstack.types import InputError
@@ -133,3 +133,12 @@ def test_the_file_gives_the_same_vehicle_back() -> None:
     assert parse_vehicle(vehicle_file(corrected, HIDDEN), "file") == corrected
     with pytest.raises(InputError, match="mass_kg"):
         vehicle_file(corrected, {"payload": {"mass_kg": 0.21}})
+
+
+def test_no_interval_holds_what_can_not_be() -> None:
+    """A height of the mass that no flight shows is known to the rotors' reach, not to four times that."""
+    arm = float(np.max(np.linalg.norm(quad().rotors.position_m[:, :2], axis=1)))
+    told = bounded(quad(), "com_offset", "z_m", 0.0, 0.8)
+    assert (told.low, told.high) == pytest.approx((-arm, arm))
+    narrow = bounded(quad(), "com_offset", "x_m", 0.01, 0.002)
+    assert (narrow.low, narrow.estimate, narrow.high) == pytest.approx((0.008, 0.01, 0.012))

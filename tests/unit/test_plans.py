@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from flightstack_sim.autopilot.commander import Sender
+from flightstack_sim.autopilot.requests import Sender
 from flightstack_sim.fence import allowed, shapes_of
 from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Item, Plans

@@ -261,6 +261,16 @@ def test_a_broken_scenario_in_the_log_costs_the_limits_only(log: Log) -> None:
     assert flight.reference_ned_m is not None
 
 
+@pytest.mark.parametrize("kept", [b"", b"\xff{", b"[1]", b'{"completed": 3}', b'{"completed": true'])
+def test_a_broken_result_in_the_log_costs_the_verdict_only(log: Log, kept: bytes) -> None:
+    broken = Log(
+        **{f: getattr(log, f) for f in log.__slots__} | {"attachments": (Attachment("result.json", "", kept),)}
+    )  # type: ignore[arg-type]
+    flight = from_log(broken)
+    assert flight.outcome.completed is None
+    assert flight.reference_ned_m is not None
+
+
 @pytest.mark.parametrize(
     "result",
     [{}, {"tracking": None, "loop": 3, "completed": "yes", "seed": math.nan}, {"checks": [1, {"passed": "no"}]}, None],

@@ -10,10 +10,12 @@ import pytest
 from scipy.special import erf
 from shipped import load_scenario
 
+from flightstack.barrier.exact import Polynomial
 from flightstack.barrier.published import constant
 from flightstack.barrier.sampling import Claim, Samples, crossed
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack_paper import theory
+from flightstack_paper.example import level_set_area, solved_area
 from flightstack_paper.exploration import density
 from flightstack_paper.rows_example import _NAMES
 
@@ -149,3 +151,19 @@ def test_density_counts_samples_on_their_own_area() -> None:
     half = density(claim, Samples(points[points[:, 1] > 0.0], none, none, 0, np.zeros((0, 2)), points))
     assert half["down"] == pytest.approx(even, rel=0.05)
     assert half["up"] == 0.0
+
+
+def test_an_area_of_a_level_set_is_counted_along_rays() -> None:
+    """A shifted ellipse of semi-axes 0.5 and 2: pi; and a curve that is none, x^4 + y^4 <= 1 (Gamma functions)."""
+    shifted = Polynomial({(0, 0): "0.96", (1, 0): "0.8", (2, 0): -4, (0, 2): "-0.25"})
+    assert level_set_area(shifted) == pytest.approx(math.pi * 0.5 * 2.0, rel=1e-6)
+    quartic = Polynomial({(0, 0): 1, (4, 0): -1, (0, 4): -1})
+    assert level_set_area(quartic) == pytest.approx(4.0 * math.gamma(1.25) ** 2 / math.gamma(1.5), rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("lyapunov", 2.5818, 2.592), ("barrier", 4.2529, 4.335)])
+def test_example_1_is_solved_from_its_dynamics(name: str, least: float, most: float) -> None:
+    """Between what the paper prints and the limit of the programme without a rate (an independent search's)."""
+    found = solved_area(name)
+    assert found["anew"] is True
+    assert least < found["area"] <= most

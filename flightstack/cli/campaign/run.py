@@ -180,8 +180,7 @@ def campaign(
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers} is not allowed; it must be at least 1")
     planner = Planner(spec)
-    ensure_compiled(lambda text: on_progress(0.0, text))
-    with _executor(options, spec) as executor:
+    with _executor(options, spec, on_progress) as executor:
         journal = Journal(options.out, _head(spec, planner), resume=options.resume)
         try:
             work = Campaign(spec, options.out, journal, planner, stop_requested, on_progress)
@@ -249,9 +248,10 @@ def _version() -> str:
     return f"{known['flightstack']} {known['git_commit']}".strip()
 
 
-def _executor(options: CampaignOptions, spec: CampaignSpec) -> Executor:
+def _executor(options: CampaignOptions, spec: CampaignSpec, on_progress: OnProgress) -> Executor:
     if options.scheduler is not None:
         from flightstack.cli.campaign.cluster import Cluster
 
         return Cluster(options.scheduler, options.out / "flying", spec.keep)
+    ensure_compiled(lambda text: on_progress(0.0, text))
     return Pool(options.workers or os.cpu_count() or 1, options.out / "flying", spec.keep)

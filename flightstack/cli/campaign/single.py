@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import os
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,9 +23,28 @@ Row = dict[str, Any]
 def fly_text(text: str, folder: Path, *, keep: str, kept: bool, on_progress: Callable[[float], None]) -> Row:
     """Fly the scenario in `text`; log and report stay in `folder` where they are to be kept.
 
-    `keep`: failures, all or none; `kept`: whatever comes of it.  The row: outcome, reason, result (fly's JSON or None),
-    wall_s, cpu_s.  Raises nothing but what ends a process.
+    `keep`: failures, all or none; `kept`: whatever comes of it.  A full disk costs the log: it is flown once more where
+    temporary files lie, and without room there too it counts as crashed.  The row: outcome, reason, result (fly's JSON
+    or None), wall_s, cpu_s.  Raises nothing but what ends a process.
     """
+    row = _row(text, folder, keep, kept, on_progress)
+    if _no_room(row):
+        try:
+            with tempfile.TemporaryDirectory(prefix="flightstack-campaign-") as spare:
+                row = _row(text, Path(spare), "none", False, on_progress)
+        except OSError as error:
+            row["reason"] = f"{type(error).__name__}: {error.strerror or error}"
+        if _no_room(row):
+            row["outcome"] = CRASHED
+    return row
+
+
+def _no_room(row: Row) -> bool:
+    """Whether the disk was full."""
+    return os.strerror(errno.ENOSPC) in row["reason"]
+
+
+def _row(text: str, folder: Path, keep: str, kept: bool, on_progress: Callable[[float], None]) -> Row:
     from flightstack.cli import flight
 
     began, cpu_s = time.perf_counter(), time.process_time()

@@ -7,21 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flightstack.cli.result import is_measured
 from flightstack.dotted import flattened
 from flightstack.errors import InputError
 
-MEASURED = ("wall_time_s", "realtime_factor", "gp.step_us", "qp.solve_us", "qp.histogram", "loop.lateness_us",
-            "loop.stalls")  # fmt: skip
-"""Fields of fly's JSON that a clock gives, and what lies below them."""
 _OWN = ("schema", "scenario", "seed", "log", "report", "reason")
 """Fields that the table has from the campaign itself."""
 _OWN_TEXTS = ("scenario", "outcome", "reason", "log", "report")
 Row = dict[str, Any]
-
-
-def is_measured(name: str) -> bool:
-    """Whether a field is a measured time."""
-    return any(name == each or name.startswith(f"{each}.") for each in MEASURED)
 
 
 def flight_row(entry: Mapping[str, Any]) -> Row:

@@ -33,8 +33,8 @@ def campaign(
     from flightstack.cli.campaign.run import CampaignOptions
     from flightstack.cli.campaign.run import campaign as run
     from flightstack.cli.console import say_error
+    from flightstack.cli.exits import INTERRUPTED
     from flightstack.cli.interrupts import Interrupts
-    from flightstack.cli.main import INTERRUPTED
 
     interrupts, due_s = Interrupts(), 0.0
     with terminal.progress("campaign") as show:

@@ -18,6 +18,7 @@ from flightstack_logs import scene as viewer
 from flightstack_logs.live.board import Board
 from flightstack_logs.live.page_server import HOST, PageServer
 from flightstack_logs.threaded import ThreadedLog
+from flightstack_logs.topics import Attachment
 from flightstack_logs.writer import FlightLog, Recorder
 
 DEFAULT_PORT = 8765
@@ -149,6 +150,11 @@ class LiveRecorder:
         """What the filter keeps to from now on."""
         if self._log is not None:
             self._log.certificate(t_us, certificate)
+
+    def result(self, attachment: Attachment) -> None:
+        """What the flight came to."""
+        if self._log is not None:
+            self._log.result(attachment)
 
     def close(self) -> None:
         """Finish the log; nothing is shown any more."""

@@ -16,12 +16,11 @@ from flightstack_logs.report.flight import (
     Region,
     Samples,
     Timing,
-    outcome_from_result,
     samples,
-    timing_from_result,
 )
 from flightstack_logs.report.log_input import from_log
 from flightstack_logs.report.page import render_report, write_report
+from flightstack_logs.report.result import outcome_from_result, timing_from_result
 
 __all__ = [
     "Barrier",

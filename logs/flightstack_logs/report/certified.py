@@ -39,6 +39,8 @@ class Exploration:
     """Of the vertical axis' viability kernel: limit (m), least and greatest acceleration (m/s^2)."""
     checker: tuple[str, ...]
     """The independent checker's lines."""
+    settled: tuple[float, float] | None = None
+    """Area (m^2/s) and largest bound (m/s^2) of the certificate that all data gave after landing; None without one."""
 
 
 def render(exploration: Exploration) -> str:
@@ -54,8 +56,9 @@ def render(exploration: Exploration) -> str:
             (f"Cover of the final region, {AXES[axis.axis]}: {len(axis.cells)} cells", _cover(axis)),
         )
     ]
-    parts.append(f'<section class="panel"><h2>Growth</h2>{_growth(exploration)}</section>')
-    parts.append(f'<section class="panel"><h2>Bound over the region</h2>{_widths(exploration)}</section>')
+    area, width = exploration.settled or (None, None)
+    parts.append(f'<section class="panel"><h2>Growth</h2>{_growth(exploration, area)}</section>')
+    parts.append(f'<section class="panel"><h2>Bound over the region</h2>{_widths(exploration, width)}</section>')
     ledgers = "".join(_ledger(axis) for axis in axes)
     checker = "".join(f"<li>{escape(line)}</li>" for line in exploration.checker)
     rounds = "".join(_round(k, row) for k, row in enumerate(exploration.rounds, 1))
@@ -75,8 +78,8 @@ def render(exploration: Exploration) -> str:
             f'<h1>{escape(exploration.title)}</h1><p class="subtitle">{escape(exploration.words)}</p></header>',
             f'<dl class="figures">{figures}</dl><main><div class="grid">{"".join(parts)}</div><div class="tables">',
             f'<section class="panel wide"><h2>Margins <span class="unit">m/s²</span></h2>{ledgers}</section>',
-            '<section class="panel wide"><h2>Rounds</h2><div class="scroll">',
-            f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></div>',
+            '<section class="panel wide"><details><summary>Each round</summary>',
+            f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></details>',
             f"<h2>The independent checker</h2><ul>{checker}</ul></section></div></main>",
             "<footer>e: distance from the region's centre, v: its rate; north-east-down, so down is positive.</footer>",
             "</body></html>\n",
@@ -99,6 +102,10 @@ _STYLE = """
 .keys .kernel i { border-color: var(--muted); border-top-style: dotted; }
 .keys .target i { border-color: var(--learned); }
 .keys .between i { border-color: var(--three); }
+@media (max-width: 1150px) { .tables > .wide { grid-column: span 12; } }
+@media (max-width: 640px) {
+  .rounds { font-size: 11px; } .rounds th:nth-child(4), .rounds td:nth-child(4) { display: none; }
+}
 """
 _ROUNDS_HEAD = "".join(
     f"<th>{words}</th>" for words in ("Round", "Axis", "Time", "Certificate", "Area", "Bound", "Flown through")
@@ -181,23 +188,29 @@ def _cover(axis: AxisCertificate) -> str:
     return f'{plot.svg()}<p class="hint">Darker: more margin, up to {float(margin.max()):.2f} 1/s; {least}.</p>'
 
 
-def _growth(exploration: Exploration) -> str:
-    return _steps(exploration, "area_m2ps", "certified area (m²/s)")
+def _growth(exploration: Exploration, settled: float | None) -> str:
+    return _steps(exploration, "area_m2ps", "certified area (m²/s)", settled)
 
 
-def _widths(exploration: Exploration) -> str:
-    return _steps(exploration, "width_mps2", "largest bound (m/s²)")
+def _widths(exploration: Exploration, settled: float | None) -> str:
+    return _steps(exploration, "width_mps2", "largest bound (m/s²)", settled)
 
 
-def _steps(exploration: Exploration, name: str, label: str) -> str:
+def _steps(exploration: Exploration, name: str, label: str, settled: float | None) -> str:
+    """A mark a round, and one more for what the whole flight's data gave after landing."""
     rows = [(row.t_s, float(getattr(row, name))) for row in exploration.rounds if row.axis == _first_axis(exploration)]
     if not rows:
         return '<p class="missing">no round was flown</p>'
+    names, hint = [f"round {k}: {v:.3f}" for k, (_, v) in enumerate(rows, 1)], ""
+    if settled is not None:
+        rows.append((rows[-1][0] + max(rows[-1][0] - rows[0][0], 10.0) / 20.0, settled))
+        names.append(f"after landing: {settled:.3f}")
+        hint = f'<p class="hint">The last mark: from all data of the flight, after landing ({settled:.3f}).</p>'
     points = np.array(rows)
     plot = Plot(padded(points[:, 0]), padded(np.append(points[:, 1], 0.0)), ("time (s)", label), label, height=260.0)
     plot.line(points, "steps")
-    plot.marks(points, "target", [f"round {k}: {v:.3f}" for k, (_, v) in enumerate(rows, 1)])
-    return plot.svg()
+    plot.marks(points, "target", names)
+    return plot.svg() + hint
 
 
 def _first_axis(exploration: Exploration) -> int:

@@ -33,10 +33,9 @@ from flightstack_logs.report.flight import (
     Region,
     Samples,
     Timing,
-    outcome_from_result,
     samples,
-    timing_from_result,
 )
+from flightstack_logs.report.result import kept_result, outcome_from_result, timing_from_result
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, SITE_OUTLINES
 
 _PHASE_OF = {"land": "landing", "done": "landing"}
@@ -48,7 +47,11 @@ _SAME_TEXT_S = 1.0
 
 
 def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightReport:
-    """The report of a log.  `result` is the flight's `flightstack.flight/1` object; without it figures are computed."""
+    """The report of a log and the flight's `flightstack.flight/1` object, given or kept in the log.
+
+    Without either the figures are computed.
+    """
+    result = kept_result(log) if result is None else result
     source = _Source(log, _zero_us(log))
     phases = _phases(source)
     timing = _timing(source, result)

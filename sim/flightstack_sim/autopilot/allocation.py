@@ -23,6 +23,7 @@ YAW_HEADROOM = 0.15
 def allocate(mix: F64, roll: float, pitch: float, yaw: float, thrust: float, motors: F64, lost: F64) -> None:
     """Write motor commands (4,) 0..1, and the torque (3,) that could not be given, for the integrators.
 
+    `mix` (16,): the mixing matrix row by row, a rotor's share in roll, pitch, yaw, thrust.
     `thrust` is collective; anything that isn't finite turns the motors off.
     """
     lost[:] = 0.0
@@ -31,12 +32,12 @@ def allocate(mix: F64, roll: float, pitch: float, yaw: float, thrust: float, mot
         return
     thrust = min(max(thrust, 0.0), 1.0)
     for i in range(motors.shape[0]):
-        motors[i] = mix[i, 0] * roll + mix[i, 1] * pitch + mix[i, 3] * thrust
+        motors[i] = mix[4 * i] * roll + mix[4 * i + 1] * pitch + mix[4 * i + 3] * thrust
     _bring_in(mix, 3, motors, 1.0, True)
     lost[0] = -_bring_in(mix, 0, motors, 1.0, False)
     lost[1] = -_bring_in(mix, 1, motors, 1.0, False)
     for i in range(motors.shape[0]):
-        motors[i] += mix[i, 2] * yaw
+        motors[i] += mix[4 * i + 2] * yaw
     lost[2] = -_bring_in(mix, 2, motors, 1.0 + YAW_HEADROOM, False)
     _bring_in(mix, 3, motors, 1.0, True)
     for i in range(motors.shape[0]):
@@ -53,10 +54,10 @@ def _bring_in(mix: F64, column: int, motors: F64, upper: float, only_down: bool)
     if only_down and first > 0.0:
         return 0.0
     for i in range(motors.shape[0]):
-        motors[i] += first * mix[i, column]
+        motors[i] += first * mix[4 * i + column]
     second = 0.5 * _excess(mix, column, motors, upper)
     for i in range(motors.shape[0]):
-        motors[i] += second * mix[i, column]
+        motors[i] += second * mix[4 * i + column]
     return first + second
 
 
@@ -65,7 +66,7 @@ def _excess(mix: F64, column: int, motors: F64, upper: float) -> float:
     """Move along the column that the worst command asks for; those in opposite directions add up."""
     up, down = 0.0, 0.0
     for i in range(motors.shape[0]):
-        share = mix[i, column]
+        share = mix[4 * i + column]
         if abs(share) < 1e-9:
             continue
         if motors[i] < 0.0:

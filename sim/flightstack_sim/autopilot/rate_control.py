@@ -43,6 +43,8 @@ _CONFIG = _STATE_SIZE
 _MOTORS = _CONFIG + _CONFIG_SIZE
 _ROTORS = 4
 _MIX = _MOTORS + _ROTORS
+ROW = _MIX + 4 * _ROTORS
+"""Numbers of a loop's row."""
 
 
 class RateControl:
@@ -71,7 +73,7 @@ class RateControl:
     def __init__(self, vehicle: Vehicle, params: Params, dt_s: float = 0.001) -> None:
         self._dt_s = dt_s
         mix = mixer(vehicle.rotors)
-        row = self.row = np.zeros(_MIX + mix.size)
+        row = self.row = np.zeros(ROW)
         row[_MIX:] = mix.ravel()
         self._target = memoryview(row)  # type: ignore[arg-type]
         self._config = row[_CONFIG:_MOTORS]
@@ -129,7 +131,7 @@ def motors_of(row: F64) -> F64:
 @njit
 def rate_step(gyro: F64, row: F64) -> None:
     """Filter, PID and allocation of one sample (3,), in place in a loop's row."""
-    s, c, motors, mix = row[:_STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:].reshape(_ROTORS, 4)
+    s, c, motors, mix = row[:_STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:]
     first = s[_STARTED] == 0.0
     s[_STARTED] = 1.0
     armed = s[_ARMED] != 0.0

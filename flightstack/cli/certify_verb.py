@@ -1,0 +1,133 @@
+"""The verb `certify`: explore and certify in flight, certify a stop in a site, or check a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from flightstack.cli.exits import FAILED, INTERRUPTED, OK
+from flightstack.cli.interrupts import Interrupts
+from flightstack.cli.options import (
+    JsonOption,
+    LiveOption,
+    LogWireOption,
+    OutOption,
+    PlantName,
+    PlantOption,
+    SeedOption,
+    SensorsOption,
+    SiteOption,
+    TruthOption,
+    VehicleOption,
+)
+from flightstack.errors import InputError
+
+if TYPE_CHECKING:
+    from flightstack.cli.certify import CertifyResult
+    from flightstack.cli.certify_site import SiteCertified
+    from flightstack.cli.flight import FlyOptions
+
+
+def certify(
+    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
+    as_published: Annotated[
+        bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
+    ] = False,
+    vehicle: VehicleOption = None,
+    plant: PlantOption = PlantName.native,
+    truth: TruthOption = None,
+    sensors: SensorsOption = None,
+    site: SiteOption = None,
+    seed: SeedOption = 0,
+    duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
+    out: OutOption = None,
+    log_wire: LogWireOption = False,
+    live: LiveOption = None,
+    check: Annotated[
+        Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
+    ] = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="With --check: derive the file anew from this log of its flight.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Learn the largest certified region in flight, or check a certificate."""
+    from flightstack.cli.flight import FlyOptions
+
+    if check is not None:
+        _check(check, log, vehicle, json)
+    if log is not None:
+        raise InputError("--log belongs to --check: the log of a new flight lies in --out")
+    if site is not None and scenario == "paper-barrier":
+        scenario = "figure8"
+    options = FlyOptions(
+        scenario=scenario,
+        as_published=as_published,
+        vehicle=vehicle,
+        plant=plant.value,
+        truth=truth,
+        sensors=sensors.value if sensors else None,
+        site=site,
+        seed=seed,
+        duration_s=duration,
+        out=out,
+        log_wire=log_wire,
+        live=live,
+    )
+    if site is not None:
+        _certify_site(options, json)
+    else:
+        _explore(options, json)
+
+
+def _check(file: Path, log: Path | None, vehicle: str | None, json: Path | None) -> NoReturn:
+    """`certify --check`."""
+    from flightstack.cli import console, files
+    from flightstack.cli.checking import check_file
+
+    found = check_file(file, log, None if vehicle is None else files.find("vehicles", vehicle).path)
+    console.show_checked(str(file), found)
+    if json is not None:
+        level = found.level if found.valid else None
+        said = {"certificate": str(file), "valid": found.valid, "level": level, "lines": found.lines}
+        files.write_json(json, {"schema": "flightstack.check/1", **said})
+    raise typer.Exit(OK if found.valid else FAILED)
+
+
+def _explore(options: FlyOptions, json: Path | None) -> None:
+    from flightstack.cli import console, terminal
+    from flightstack.cli.certify import certify as run
+
+    interrupts = Interrupts()
+    with terminal.progress(f"certifying {options.scenario}") as show:
+        result = run(options, stop_requested=interrupts.requested, on_progress=show)
+    console.show_certified(result)
+    _end(result, interrupts, json)
+
+
+def _certify_site(options: FlyOptions, json: Path | None) -> None:
+    """`certify --site`."""
+    from flightstack.cli import terminal
+    from flightstack.cli.certify_site import certify_site
+
+    interrupts = Interrupts()
+    with terminal.progress(f"certifying a stop in {options.site}") as show:
+        result = certify_site(options, stop_requested=interrupts.requested, on_progress=show)
+    _end(result, interrupts, json)
+    made = result.as_json()
+    print(f"certificate {made['certificate']}: {made['radius_m']:.2f} m at rest, stops within {made['stops_within_m']}")
+
+
+def _end(result: CertifyResult | SiteCertified, interrupts: Interrupts, json: Path | None) -> None:
+    """Write the JSON; end with the right code where it did not pass."""
+    from flightstack.cli import console, files
+
+    if json is not None:
+        files.write_json(json, result.as_json())
+    if interrupts.reason:
+        raise typer.Exit(INTERRUPTED)
+    if not result.passed:
+        console.say_error(result.failure())
+        raise typer.Exit(FAILED)

@@ -1,0 +1,139 @@
+"""Turbulence among the names, and what of the others holds against it.
+
+Gusts have a mean and a drift over any minute.  As noise they make a wind look as if it changed with time, and it is
+taken back; as a steady wind their mean would be named with an interval far too narrow.  So what the search has found
+is fitted anew beside the gusts (`gap.gusts`), and an effect that was taken back is named after all where it is more
+than gusts make.  A wind beside gusts is told by its own size against what their mean may be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap import pooled
+from flightstack.gap.classes import splitting_manoeuvre
+from flightstack.gap.gusts import Gusts, as_found, gusts
+from flightstack.gap.name import Naming
+from flightstack.gap.pooled import Split
+from flightstack.gap.records import Estimate, Found, Gap, Unexplained
+from flightstack.gap.simulate import Knob, knobs, value, with_value
+from flightstack.gap.verdict import gap_of, is_open
+from flightstack.vehicle import Vehicle
+
+_LEAST_P = 1e-3
+"""Of there being no such effect, gusts being what they are: an effect that the search found, so no further chances."""
+_MAY_BE_P = 0.05
+"""Below this a wind that is not named is what the gusts' mean can't be told from."""
+_MEANS = ("constant_force",)
+"""What the mean of gusts may be taken for; a wind is looked for in its place."""
+_WIND = "steady_wind"
+_CI = 1.959964
+
+
+def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
+    """Turbulence where it explains what is left of the force, and the names that hold beside it."""
+    if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
+        return naming, gap
+    held = {f.name for f in naming.found}
+    back = [f for f in naming.proposed if f.name not in {*held, *_MEANS, _WIND} and _is_force(f)]
+    kept = [f for f in naming.found if f.name != _WIND]
+    wind = [] if held & set(_MEANS) else [_wind(vehicle, naming)]
+    told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)})
+    if told is None and back:  # what was taken back may stand for gusts itself
+        told = _beside(vehicle, naming, of, [*kept, *wind], {f.name for f in wind})
+    if told is None:
+        return naming, gap
+    named, blown, twins = told
+    after = pooled.figures(named.vehicle, of)
+    most = blown.sigma_mps.high / blown.sigma_mps.estimate  # how hard it blew on held-out data nobody knows better
+    made = (most * blown.force_rms_mps2, most * blown.turning_rms_radps2)
+    floor = pooled.noise_floor(named.vehicle, of, after, made)
+    still, least = after.one_step_mps2, pooled.noise_floor(named.vehicle, of, after).one_step_mps2
+    found = as_found(blown, 0.0 if still is None or least is None else still**2 - least**2)
+    manoeuvre = splitting_manoeuvre((found.name, *twins)) if twins else ""
+    found = replace(found, indistinguishable_from=twins, manoeuvre=manoeuvre)
+    corrected = with_value(named.vehicle, found.name, {p: e.estimate for p, e in found.parameters.items()})
+    rejected = tuple(r for r in named.rejected if r.name != found.name)
+    whole = (*named.found, found)
+    return replace(named, found=whole, vehicle=corrected, rejected=rejected, unexplained=Unexplained(False)), gap_of(
+        gap.before, after, floor
+    )
+
+
+def _beside(
+    vehicle: Vehicle, naming: Naming, of: Split, found: list[Found], tested: set[str]
+) -> tuple[Naming, Gusts, tuple[str, ...]] | None:
+    """The names that hold beside gusts, the gusts, and what their mean can't be told from; None if there are none.
+
+    Of the `tested` the least certain goes first, and the others are fitted again without it.
+    """
+    masks = [s.valid for s in of.flights]
+    unsure: Gusts | None = None
+    while True:
+        named = naming.with_only(found)
+        turned = [knob for f in found for knob in knobs(f.name, _whole(f))]
+        blown = gusts(named.vehicle, of.flights, masks, turned)
+        if blown is None or not blown.named:
+            return None
+        chance = {f.name: _chance(vehicle, named.vehicle, f, turned, blown) for f in found if f.name in tested}
+        worst = max(chance, key=lambda name: chance[name], default="")
+        if not worst or chance[worst] <= _LEAST_P:
+            break
+        if worst == _WIND and chance[worst] < _MAY_BE_P:
+            unsure = blown
+        found = [f for f in found if f.name != worst]
+    slow = [f for f in named.found if f.name in (_WIND, *_MEANS)]
+    for f in slow:
+        named = _by_gusts(vehicle, named, f, turned, blown)
+    if unsure is not None:
+        return named, replace(blown, sigma_mps=unsure.sigma_mps, length_m=unsure.length_m), (_WIND,)
+    return named, blown, ()
+
+
+def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> float:
+    """Probability of the flights if this effect were as the file has it, gusts being what they are (Wald's test)."""
+    mine = [k for k, knob in enumerate(turned) if knob.effect == found.name and blown.covariance[k, k] > 0.0]
+    if not mine:
+        return 0.0 if found.name != _WIND else 1.0  # no force shows it: it is not gusts that it may be
+    own = [turned[k].parameter for k in mine]
+    start = np.nan_to_num([value(vehicle, found.name, p) for p in own])
+    off = np.array([value(at, found.name, p) for p in own]) + blown.beside[mine] - start
+    size = np.sqrt(np.diag(blown.covariance)[mine])
+    scaled = np.linalg.pinv(blown.covariance[np.ix_(mine, mine)] / np.outer(size, size), rcond=1e-9, hermitian=True)
+    return float(chdtrc(len(mine), float((off / size) @ scaled @ (off / size))))
+
+
+def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[Knob], blown: Gusts) -> Naming:
+    """The verdict with this effect's parameters as they are beside gusts."""
+    parameters: dict[str, Estimate] = {}
+    for k, knob in enumerate(turned):
+        if knob.effect == found.name:
+            now = value(naming.vehicle, knob.effect, knob.parameter) + float(blown.beside[k])
+            reach = _CI * float(np.sqrt(blown.covariance[k, k]))
+            before = value(vehicle, knob.effect, knob.parameter)
+            parameters[knob.parameter] = Estimate(before, now, now - reach, now + reach)
+    moved = with_value(naming.vehicle, found.name, {p: e.estimate for p, e in parameters.items()})
+    names = tuple(replace(f, parameters=parameters) if f.name == found.name else f for f in naming.found)
+    return replace(naming, found=names, vehicle=moved)
+
+
+def _wind(vehicle: Vehicle, naming: Naming) -> Found:
+    """The wind that was found, or one that still is what the file has."""
+    for f in (*naming.found, *naming.proposed):
+        if f.name == _WIND:
+            return f
+    own = {knob.parameter: value(vehicle, _WIND, knob.parameter) for knob in knobs(_WIND)}
+    return Found(_WIND, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
+
+
+def _whole(found: Found) -> dict[str, float]:
+    return {p.name: found.parameters[p.name].estimate for p in EFFECT_SPECS[found.name].params if p.integer}
+
+
+def _is_force(found: Found) -> bool:
+    return EFFECT_SPECS[found.name].kind == "force"

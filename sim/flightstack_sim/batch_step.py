@@ -1,0 +1,284 @@
+"""The plant's step for many vehicles: `rigid_body.step_row` over blocks of LANES vehicles, laid out by field.
+
+A block's parameters and states lie together in one scratch array that stays in the processor's first cache for all
+steps of a call.  There are two versions of the code: with every effect, and the rigid body with its rotors' lag for
+batches in which none acts; neither asks in flight which effects there are.  While a vehicle of a block is near the
+ground (a branch that its neighbours share) the whole block steps through `step_row` itself.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import carray
+
+from flightstack.jit import njit, njit_called, njit_free
+from flightstack.types import F64
+from flightstack_sim import rigid_body
+from flightstack_sim.battery import discharge
+from flightstack_sim.effects import battery_sag, slung_load, transport_delay, turbulence
+from flightstack_sim.lanes import LANES, across_lanes, call, compiled_at, lane, vectorised
+from flightstack_sim.layout import (
+    D_GROUND_LEVEL,
+    D_GROUND_REACH,
+    D_LAG_FULL,
+    D_LAG_HALF,
+    D_TAU,
+    E_FORCE,
+    E_NORMAL,
+    E_THRUST,
+    EVALUATED,
+    INTEGRATED,
+    P_DT,
+    P_GROUND,
+    PARAMS,
+    S_ANGULAR,
+    S_COMMAND,
+    S_CURSOR,
+    S_FORCE,
+    S_NORMAL,
+    S_NORMALS,
+    S_POS,
+    S_RATE,
+    S_RING,
+    S_THRUST,
+    S_U,
+    S_VEL,
+    S_VOLTAGE,
+)
+from flightstack_sim.rigid_body import step_row
+
+# where each field begins in a block's scratch
+_P, ROW_AT = 0, PARAMS * LANES
+_Y = ROW_AT + S_RING * LANES
+_DY = _Y + EVALUATED * LANES
+_MEAN = _DY + EVALUATED * LANES
+_TARGET = _MEAN + EVALUATED * LANES
+_SPEEDS = _TARGET + 4 * LANES  # at the step's start, middle and end
+_NOW = _SPEEDS + 12 * LANES  # at this stage
+_AIR = _NOW + 4 * LANES  # wind (3) and the battery's thrust factor
+SCRATCH = _AIR + 4 * LANES
+_CLEARANCE_M = 0.1
+"""More than a vehicle can accelerate towards the ground within a step of 10 ms."""
+
+
+@njit
+def _begin(scratch: F64) -> None:
+    """What holds over the step: the motors' speeds at its start, middle and end, the air, the battery."""
+    for i in range(LANES):
+        p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
+        goal, speeds, air = lane(scratch, _TARGET + i), lane(scratch, _SPEEDS + i), lane(scratch, _AIR + i)
+        target = (goal[0], goal[1], goal[2], goal[3])
+        lagging = p[D_TAU] != 0.0
+        start = (
+            row[S_U] if lagging else target[0],
+            row[S_U + 1] if lagging else target[1],
+            row[S_U + 2] if lagging else target[2],
+            row[S_U + 3] if lagging else target[3],
+        )
+        end = rigid_body.lagged(target, start, p[D_LAG_FULL])
+        speeds[0], speeds[1], speeds[2], speeds[3] = rigid_body.rotor_speeds(p, start)
+        middle = rigid_body.lagged(target, start, p[D_LAG_HALF])
+        speeds[4], speeds[5], speeds[6], speeds[7] = rigid_body.rotor_speeds(p, middle)
+        speeds[8], speeds[9], speeds[10], speeds[11] = rigid_body.rotor_speeds(p, end)
+        row[S_U] = rigid_body.standing(target[0], end[0])
+        row[S_U + 1] = rigid_body.standing(target[1], end[1])
+        row[S_U + 2] = rigid_body.standing(target[2], end[2])
+        row[S_U + 3] = rigid_body.standing(target[3], end[3])
+        turbulence.advance(p, row)
+        air[0], air[1], air[2] = rigid_body.air_velocity(p, row)
+        air[3] = battery_sag.factor(p, row[S_VOLTAGE])
+
+
+@njit
+def _stage(scratch: F64, reach: float, weight: float) -> None:
+    """One evaluation of all lanes, `reach` (s) along the last derivative; it counts with `weight` in the mean."""
+    for i in range(LANES):
+        row, y = lane(scratch, ROW_AT + i), lane(scratch, _Y + i)
+        dy, mean = lane(scratch, _DY + i), lane(scratch, _MEAN + i)
+        u, air = lane(scratch, _NOW + i), lane(scratch, _AIR + i)
+        for j in range(INTEGRATED):
+            y[j] = row[j] + reach * dy[j]
+        speeds, wind = (u[0], u[1], u[2], u[3]), (air[0], air[1], air[2])
+        rigid_body.evaluate(lane(scratch, _P + i), y, speeds, wind, air[3], dy)
+        for j in range(E_THRUST):
+            mean[j] += weight * dy[j]
+
+
+@njit
+def _end(scratch: F64) -> None:
+    """Outputs, and what is brought in order after each step."""
+    for i in range(LANES):
+        p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
+        dy, mean = lane(scratch, _DY + i), lane(scratch, _MEAN + i)
+        for j in range(3):
+            row[S_FORCE + j] = mean[E_FORCE + j]
+            row[S_ANGULAR + j] = mean[S_RATE + j]
+        for j in range(4):
+            row[S_THRUST + j] = dy[E_THRUST + j]
+        row[S_NORMAL] = mean[E_NORMAL]
+        rigid_body.normalise(row)
+        slung_load.constrain(p, row)
+        discharge(p, row)
+
+
+@njit
+def advance_block(scratch: F64) -> None:
+    """One step in free flight of a block whose targets and normals are set: the Runge-Kutta step of `rigid_body`."""
+    _begin(scratch)
+    h = scratch[_P + P_DT * LANES]
+    for j in range(E_THRUST * LANES):
+        scratch[_MEAN + j] = 0.0
+    for stage in range(4):
+        speeds = _SPEEDS + 4 * LANES * ((stage + 1) // 2)
+        for j in range(4 * LANES):
+            scratch[_NOW + j] = scratch[speeds + j]
+        reach = 0.0 if stage == 0 else 0.5 * h if stage < 3 else h
+        _stage(scratch, reach, 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0)
+    for j in range(INTEGRATED * LANES):
+        scratch[ROW_AT + j] += h * scratch[_MEAN + j]
+    _end(scratch)
+
+
+_NOTHING = vectorised(lambda p, row: None)
+_IN_THE_AIR = {"ground": {"near": vectorised(lambda p, pos_d: False)}}
+_NO_EFFECT = {
+    **_IN_THE_AIR,
+    "turbulence": {"advance": _NOTHING, "gust": vectorised(lambda p, row: (0.0, 0.0, 0.0))},
+    "steady_wind": {"velocity": vectorised(lambda p: (0.0, 0.0, 0.0))},
+    "battery_sag": {"factor": vectorised(lambda p, voltage: 1.0)},
+    "translational_lift": {"added_thrust": vectorised(lambda p, thrust, air: 0.0)},
+    "ground_effect": {"factor": vectorised(lambda p, height: 1.0)},
+    "vortex_ring": {"factor": vectorised(lambda p, thrust, descent: 1.0)},
+    "rotor_drag": {"hub_force": vectorised(lambda p, speed, air: (0.0, 0.0, 0.0))},
+    "induced_inflow": {"hub_force": vectorised(lambda p, speed, air: 0.0)},
+    "blade_flapping": {"torque": vectorised(lambda p, speed, air: (0.0, 0.0))},
+    "rotor_gyroscopic": {
+        "momentum": vectorised(lambda p, rotor, speed: 0.0), "torque": vectorised(lambda spin, x, y: (0.0, 0.0)),
+    },
+    "linear_drag": {"force": vectorised(lambda p, air: (0.0, 0.0, 0.0))},
+    "parasitic_drag": {"force": vectorised(lambda p, air: (0.0, 0.0, 0.0))},
+    "angular_damping": {"torque": vectorised(lambda p, rate: (0.0, 0.0, 0.0))},
+    "constant_force": {"force": vectorised(lambda p: (0.0, 0.0, 0.0))},
+    "slung_load": {"pull": vectorised(lambda p, y, force, dy: (0.0, 0.0, 0.0)), "constrain": _NOTHING},
+    "battery": {"discharge": _NOTHING},
+}  # fmt: skip
+_every_effect = across_lanes(advance_block, _IN_THE_AIR)
+_no_effect = across_lanes(advance_block, _NO_EFFECT)
+NAMES_IN_THE_LOOP = (*(name for name in _NO_EFFECT if name not in ("ground", "battery")), "transport_delay")
+"""The effects that the step itself computes; the others only change the parameters that it begins with."""
+
+
+def _step_with_effects(scratch: Any, same: Any, number: int) -> None:
+    _every_effect(carray(scratch, (SCRATCH,)))
+
+
+def _step_without(scratch: Any, same: Any, number: int) -> None:
+    _no_effect(carray(scratch, (SCRATCH,)))
+
+
+def _step_alone(params: Any, state: Any, fields: int) -> None:
+    step_row(carray(params, (PARAMS,)), carray(state, (fields,)), np.empty((3, EVALUATED)))
+
+
+@cache
+def compiled_steps(effects: bool) -> tuple[int, int]:
+    """Addresses of the step of a block and of the step of one vehicle's rows.
+
+    `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle, or any has a battery.
+    """
+    return compiled_at(_step_with_effects if effects else _step_without), compiled_at(_step_alone)
+
+
+@njit
+def scratch_block() -> F64:
+    """A scratch that begins where a cache line does."""
+    raw = np.zeros(SCRATCH + LANES)
+    begin = (-raw.ctypes.data // 8) % LANES
+    return raw[begin : begin + SCRATCH]
+
+
+@njit
+def load(params: F64, state: F64, first: int, scratch: F64) -> None:
+    """Bring a block into the scratch."""
+    own = params[first // LANES]
+    for j in range(PARAMS * LANES):
+        scratch[_P + j] = own[j]
+    for j in range(S_RING):
+        for i in range(LANES):
+            scratch[ROW_AT + j * LANES + i] = state[j, first + i]
+
+
+@njit
+def store(state: F64, first: int, scratch: F64) -> None:
+    """Bring its states back, but for the inputs of a step and the ring, which stay where they are."""
+    for j in range(S_CURSOR):
+        if j < S_COMMAND or j >= S_FORCE:
+            for i in range(LANES):
+                state[j, first + i] = scratch[ROW_AT + j * LANES + i]
+
+
+@njit
+def _near_ground(scratch: F64) -> bool:
+    """Whether any lane may touch the ground within the step."""
+    lowest = -1.0
+    for i in range(LANES):
+        p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
+        reach = row[S_POS + 2] + p[D_GROUND_LEVEL] + p[D_GROUND_REACH] + _CLEARANCE_M
+        lowest = max(lowest, reach + abs(row[S_VEL + 2]) * p[P_DT] if p[P_GROUND] != 0.0 else -1.0)
+    return lowest > 0.0
+
+
+@njit_called
+def _each_alone(steps: tuple[int, int], params: F64, state: F64, first: int) -> None:
+    """`step_row` of each vehicle of a block; commands and normals are in the state."""
+    own, p, row = params[first // LANES], np.empty(PARAMS), np.empty(state.shape[0])
+    for i in range(LANES):
+        for j in range(PARAMS):
+            p[j] = own[j * LANES + i]
+        for j in range(row.shape[0]):
+            row[j] = state[j, first + i]
+        call(steps[1], p, row, row.shape[0])
+        for j in range(row.shape[0]):
+            state[j, first + i] = row[j]
+
+
+@njit_called
+def step_block(steps: tuple[int, int], params: F64, state: F64, first: int, normals: F64, k: int, scratch: F64) -> None:
+    """One step of a loaded block with the commands in its state and the k-th of `normals` (N, steps, 5)."""
+    gusty, last = normals.shape[1] > 0, normals.shape[0] - 1
+    if gusty:
+        for i in range(LANES):
+            for j in range(turbulence.NORMALS):
+                drawn = normals[min(first + i, last), k, j]
+                state[S_NORMALS + j, first + i] = scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = drawn
+    if _near_ground(scratch):
+        store(state, first, scratch)
+        _each_alone(steps, params, state, first)
+        load(params, state, first, scratch)
+        return
+    for i in range(LANES):
+        column, p = state[:, first + i], lane(scratch, _P + i)
+        transport_delay.push(column)
+        for j in range(4):
+            scratch[_TARGET + j * LANES + i] = transport_delay.delayed(p, column, j)
+    call(steps[0], scratch, scratch, 0)
+
+
+@njit_free
+def run_blocks(
+    steps: tuple[int, int], params: F64, state: F64, normals: F64, count: int, first: int, last: int
+) -> None:
+    """`count` steps of the blocks from vehicle `first` to `last`, commands held.
+
+    `steps`: `compiled_steps`; params (N / LANES, PARAMS * LANES), state (S_RING + ring, N); normals (vehicles, steps or
+    0, 5).
+    """
+    scratch = scratch_block()
+    for at in range(first, last, LANES):
+        load(params, state, at, scratch)
+        for k in range(count):
+            step_block(steps, params, state, at, normals, k, scratch)
+        store(state, at, scratch)

@@ -1,0 +1,114 @@
+"""Compiled code: a stale one is never loaded, and what makes compiling quick changes no signature."""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from flightstack.jit import njit
+from flightstack.typed_once import typed_once
+
+_CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
+_CALLER = """import json
+from flightstack.jit import njit
+from benchmarks.called import scale
+
+
+@njit
+def work(x):
+    return scale(x) + 1.0
+
+
+print(json.dumps([work(1.0), scale(1.0), work.stats.cache_hits == {}]))
+"""
+
+
+def test_code_of_a_changed_callee_is_never_loaded_and_that_of_a_restored_one_is(tmp_path: Path) -> None:
+    package = tmp_path / "benchmarks"  # one of the project's packages, empty here
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "caller.py").write_text(_CALLER)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": path}
+
+    def run(factor: float) -> list[Any]:
+        (package / "called.py").write_text(_CALLED.format(factor=factor))
+        command = [sys.executable, "-P", "-c", "import benchmarks.caller"]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        answer: list[Any] = json.loads(done.stdout)
+        return answer
+
+    assert run(2.0) == [3.0, 2.0, True]
+    assert run(5.0) == [6.0, 5.0, True]
+    assert run(2.0) == [3.0, 2.0, False]
+
+
+@njit
+def _power(x: float, times: int) -> float:
+    y = 1.0
+    for _ in range(times):
+        y *= x
+    return y
+
+
+@njit
+def _sum_of_powers(x: float) -> float:
+    return _power(x, 2) + _power(x, 3) + _power(x, times=4)
+
+
+def test_a_function_is_compiled_once_for_all_constants_and_python_may_call_it_too() -> None:
+    assert _sum_of_powers(3.0) == 9.0 + 27.0 + 81.0
+    assert _power.signatures == []  # type: ignore[attr-defined]  # the code for compiled callers is another's
+    assert _power(3.0, 2) == 9.0
+    assert len(_power.signatures) == 1  # type: ignore[attr-defined]
+
+
+OPERATORS = [operator.add, operator.mul, operator.truediv, operator.pow, operator.lt, operator.eq]
+VALUES = [2.5, 3, True, np.array([1.0, -2.0]), np.float32(0.5)]
+
+
+@pytest.mark.parametrize("function", OPERATORS, ids=lambda function: function.__name__)
+def test_remembered_operations_have_numbas_own_signatures(function: Any) -> None:
+    context = numba.core.registry.cpu_target.typing_context
+    kinds = [numba.typeof(value) for value in VALUES]
+    pairs = [(a, b) for a in kinds for b in kinds]
+
+    def signatures() -> list[str]:
+        said = []
+        for pair in pairs:
+            try:
+                said.append(str(context.resolve_function_type(function, pair, {})))
+            except numba.core.errors.NumbaError:
+                said.append("none")
+        return said
+
+    context.refresh()
+    own = signatures()
+    with typed_once():
+        assert signatures() == own
+        assert signatures() == own  # now out of memory
+
+
+def test_a_function_compiled_with_remembered_operations_computes_the_same() -> None:
+    def work(x: float, n: int, v: Any) -> Any:
+        total = 0.0
+        for i in range(n):
+            total += math.sin(x * i) ** 2 / (1.0 + abs(x - i)) - min(x, i * 0.5) * v[i % v.shape[0]]
+        return total, n // 3, v * x + n, x < n, -x
+
+    arguments = (0.7, 11, np.array([1.5, -2.25, 0.125]))
+    plain = numba.njit(error_model="numpy")(work)(*arguments)
+    with typed_once():
+        quick = numba.njit(error_model="numpy")(work)(*arguments)
+    for a, b in zip(plain, quick, strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -1,0 +1,75 @@
+"""Bent references: what passes, what is led, how smooth it is, where a flight that begins in the air begins."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flightstack.site import approach, bend, slide
+from flightstack.site.clearance import JUMP_CODE, packed
+from flightstack.site.file import parse_site
+from flightstack.site.slide import MOST_ROWS
+
+DT_S = 0.004
+BOX = packed(
+    parse_site(
+        'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 3.0\n'
+        "inside = [[-6.0, -5.0], [6.0, -5.0], [6.0, 5.0], [-6.0, 5.0]]\n",
+        "box.toml",
+    ),
+    np.zeros((1, 2)),
+    1.6,
+)
+KEPT = np.zeros(slide.SOFT)
+KEPT[[slide.RADIUS, slide.HALF, slide.SLOW_S, slide.BRAKE, slide.GAMMA, slide.UP, slide.DOWN]] = (
+    0.6, 0.15, 0.4, 1.5, 2.5, 0.3, 1.4,
+)  # fmt: skip
+
+
+def at(north: float, east: float, down: float, *velocity: float) -> np.ndarray:
+    row = np.zeros(17)
+    row[:3] = north, east, down
+    row[3 : 3 + len(velocity)] = velocity
+    return row
+
+
+def led(begins: np.ndarray, to: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """The rows that come out, (n, 17), and the memory."""
+    memory, out, rows, way = np.zeros(bend.SIZE), np.empty(17), np.zeros((MOST_ROWS, 6)), np.zeros((192, 5))
+    bend.begin(memory, begins, np.zeros(3))
+    found = []
+    for _ in range(round(seconds / DT_S)):
+        bend.bend(memory, BOX, KEPT, to, DT_S, rows, way, out)
+        found.append(out.copy())
+    return np.array(found), memory
+
+
+def test_where_the_vehicle_is_passes_to_the_bit() -> None:
+    here = at(2.0, -1.0, -1.5)
+    rows, memory = led(here, here, 0.1)
+    assert memory[bend.BENT] == 0.0
+    assert all(row.tobytes() == here.tobytes() for row in rows)
+
+
+def test_a_jump_is_led_within_the_bounds_of_acceleration_and_jerk() -> None:
+    rows, memory = led(at(-3.0, 0.0, -1.5), at(3.0, 1.0, -1.5), 6.0)
+    speed = np.diff(rows[:, :3], axis=0) / DT_S
+    acc = np.diff(speed, axis=0) / DT_S
+    moving = np.linalg.norm(rows[:, :3] - rows[-1, :3], axis=1) > 0.05  # the last 2 cm are a step
+    assert np.linalg.norm(acc, axis=1)[moving[2:]].max() <= approach.ACC_MOST_MPS2 * 1.02
+    jerk = np.linalg.norm(np.diff(rows[:, 6:9], axis=0), axis=1) / DT_S
+    assert jerk[moving[1:]].max() <= approach.JERK_MOST_MPS3 * 1.02
+    assert np.allclose(rows[-1, :3], [3.0, 1.0, -1.5], atol=0.02)
+    assert memory[bend.BENT] == 0.0  # it is there, and passes again
+
+
+def test_a_jump_is_told_as_one() -> None:
+    _, memory = led(at(-3.0, 0.0, -1.5), at(3.0, 1.0, -1.5), 0.02)
+    assert memory[bend.BENT] == 1.0
+    assert memory[bend.EDGE] == JUMP_CODE
+
+
+def test_a_reference_behind_a_wall_ends_where_the_distance_is_kept() -> None:
+    rows, memory = led(at(0.0, 0.0, -1.5), at(12.0, 0.0, -1.5), 8.0)
+    assert abs(rows[-1, 0] - (6.0 - KEPT[slide.RADIUS])) < 0.03
+    assert rows[:, 0].max() <= 6.0 - KEPT[slide.RADIUS] + 1e-6
+    assert memory[bend.EDGE] == 1.0  # the edge from (6, -5) to (6, 5)
