@@ -22,7 +22,7 @@ from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
-from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide
+from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide, landing_limit_s
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, Event, State, transition
 from mavlink_bridge.last_word import companion_record, hover_at, state_now
@@ -281,6 +281,7 @@ class Companion:
             self._engage(t_us)
         elif state is State.LANDING:
             self.land_command_us = t_us
+            self._now.landing_limit_s = landing_limit_s(self._height_m())
             if event is Event.STOP and self.mission is not None:
                 self.mission = self.mission.stop(self._mission_time_s())
             self._mission_complete = event is Event.MISSION_DONE
@@ -297,6 +298,10 @@ class Companion:
         elif state is State.LANDED:
             self._set_phase("landed", t_us)
             self._command_mode(px4.MODE_HOLD, now_us)
+
+    def _height_m(self) -> float:
+        """Above the place of take-off, as last measured."""
+        return 0.0 if self._measurement is None else float(self.start_ned_m[2] - self._measurement.pos_ned_m[2])
 
     def _engage(self, t_us: int) -> None:
         measurement = self._measurement

@@ -5,6 +5,7 @@ Pure: `decide` looks and says; the changes of state stand in `handshake.TRANSITI
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -23,6 +24,7 @@ _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
 ROUND_TRIP_MAX_S = 0.04
 """Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
+_LANDING_S, _LANDING_MPS = 60.0, 0.3
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
 
@@ -81,6 +83,8 @@ class Situation:
     trouble: str = ""
     """Row of the fault table that applies in flight; empty: none."""
     mission_done: bool = False
+    landing_limit_s: float = math.inf
+    """PX4 is to have landed and disarmed within so long (`landing_limit_s`)."""
     landing_for: str = ""
     """Why the landing began before the mission's end; empty: it did not."""
     dead_man_lost: str = ""
@@ -291,7 +295,20 @@ def _landing(now: Situation, now_us: int) -> Verdict | None:
             Event.TOOK_OVER,
             f"{why}the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot",
         )
+    if _in_state_s(now, now_us) > now.landing_limit_s:
+        where = "on the ground" if view.on_ground else "in the air"
+        return Verdict(
+            Event.TIMEOUT,
+            f"{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own report: "
+            f"left to PX4{_says(view, now_us, 10)}",
+        )
     return None
+
+
+def landing_limit_s(height_m: float) -> float:
+    """How long PX4 may take from a height above the start to disarmed: at 0.3 m/s (the default of MPC_LAND_CRWL; no
+    MPC_LAND_SPEED may be below 0.6), and a minute for ground that is lower and for the land detector."""
+    return _LANDING_S + max(height_m, 0.0) / _LANDING_MPS
 
 
 def _holding(now: Situation, now_us: int) -> Verdict | None:

@@ -22,7 +22,7 @@ States in the order of a good flight:
 * HOLDING: a watchdog barked and PX4's Hold is commanded; safe setpoints until PX4 is seen in it.
 * LANDED: disarmed on the ground, Hold selected so that OFFBOARD isn't left standing.
 * PILOT: someone else changed the mode or disarmed, or PX4's Hold has the vehicle for the pilot: hands off.
-* LOST: the link went away for good, or PX4 didn't take the vehicle back: the stream is stopped.
+* LOST: the link went away for good, or PX4 didn't take the vehicle back or land it in time: the stream is stopped.
 * REFUSED: something is wrong before the flight; the reason is one line.
 """
 
@@ -124,7 +124,12 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
             _E.LINK_LOST: _S.LOST,
         },
         _S.HOLDING: {_E.HANDED_OVER: _S.PILOT, _E.TIMEOUT: _S.LOST, _E.LINK_LOST: _S.LOST},
-        _S.LANDING: {_E.DISARMED: _S.LANDED, _E.TOOK_OVER: _S.PILOT, _E.LINK_LOST: _S.LOST},
+        _S.LANDING: {
+            _E.DISARMED: _S.LANDED,
+            _E.TOOK_OVER: _S.PILOT,
+            _E.TIMEOUT: _S.LOST,
+            _E.LINK_LOST: _S.LOST,
+        },
         _S.LANDED: {},
         _S.PILOT: {},
         _S.LOST: {},

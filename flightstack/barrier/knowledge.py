@@ -85,7 +85,7 @@ from flightstack.barrier.queries import (
 )  # fmt: skip
 from flightstack.barrier.records import Authority, Budget
 from flightstack.learning.learner import LearnerState
-from flightstack.learning.sampler import V_N
+from flightstack.learning.sampler import V_X
 from flightstack.model import Limits, Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -314,7 +314,7 @@ def _bend(request: Request, axis: int, nodes: F64) -> float:
     if request.learned is None or len(nodes) < 2:
         return 0.0
     x = np.zeros((3, 7))
-    x[:, V_N + axis] = [nodes[0], 0.5 * (nodes[0] + nodes[1]), nodes[1]]
+    x[:, V_X + axis] = [nodes[0], 0.5 * (nodes[0] + nodes[1]), nodes[1]]
     x[:, 5] = 1.0
     weights = np.array([-0.5, 1.0, -0.5])
     variances = [

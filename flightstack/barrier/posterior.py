@@ -8,7 +8,7 @@ From residuals to accelerations.  A store's outputs are the specific force (m/s^
 tilt axes (`learning.sampler`): for a thrust vector f (believed newton per believed kilogram, NED, thrust is -f), its
 length F and its direction b = f / F,
 
-    x = (velocity NED, b_n, b_e, F / g, (F / g) near),   near = (R / 4 height)^2, height at least R / 2
+    x = (R(b)' velocity, b_n, b_e, F / g, (F / g) near),   near = (R / 4 height)^2, height at least R / 2
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),      R(b): the shortest turn of down onto b, D = drag / mass
 
 so that a's standard deviation along an axis is that of a row of R(b) times three independent outputs; x and y share
@@ -274,8 +274,8 @@ def inputs(speed: F64, thrust: F64, near: F64) -> F64:
     size = np.sqrt(np.einsum("ij,ij->i", thrust, thrust))
     weights = size / STANDARD_GRAVITY_MPS2
     out = np.empty((len(thrust), D))
-    out[:, :3] = speed
     out[:, 3:5] = thrust[:, :2] / size[:, None]
+    out[:, :3] = np.einsum("mji,mj->mi", turns(out[:, 3], out[:, 4]), speed)
     out[:, 5], out[:, 6] = weights, weights * near
     return out
 

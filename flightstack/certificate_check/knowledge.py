@@ -3,7 +3,7 @@
 Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with |b_n|, |b_e| <= beta
 and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of down onto b, is
 
-    a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (v, b_n, b_e, |f| / g, near |f| / g)
+    a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (R(b)' v, b_n, b_e, |f| / g, near |f| / g)
 
 residual: three independent Gaussian processes, the first two on one store, each with the variance
 inflation^2 posterior variance + excess, and beside it remainder (1 + sum of its absolute weights).  Also, with mass
@@ -206,15 +206,15 @@ class Knowledge:
         g = float(self.data["gravity_mps2"])
         size = np.linalg.norm(f, axis=1)
         b = f / size[:, None]
-        x = np.column_stack([v, b[:, :2], size / g, near * size / g])
+        turn = _turns(b)
+        body = np.einsum("qji,qj->qi", turn, v)
+        x = np.column_stack([body, b[:, :2], size / g, near * size / g])
         (side, side_var, side_rest), (up, up_var, up_rest) = (
             s.at(x, n) for s, n in zip(self.stores, _LEARNED, strict=False)
         )
         mean, variance = np.column_stack([side, up]), np.column_stack([side_var, up_var])
-        turn = _turns(b)
         drag = np.array(self.data["drag_per_s"])
         drag[:2] = drag[:2].mean()
-        body = np.einsum("qji,qj->qi", turn, v)
         a = np.einsum("qj,qj->q", turn[:, axis], mean - drag * body) - f[:, axis] + (g if axis == DOWN else 0.0)
         rest = np.einsum("qj,qj->q", np.abs(turn[:, axis]), np.column_stack([side_rest, up_rest]))
         return a, self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance)) + rest

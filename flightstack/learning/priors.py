@@ -5,7 +5,7 @@ residuals.  Inputs are the sampler's columns; accelerations are m/s^2 in tilt ax
 named physics and a smooth remainder:
 
     lateral     c + drag (linear in each velocity) + smooth(q')
-    vertical    c + lean + climb drag + thrust (its own error) + thrust near the ground + smooth(q')
+    vertical    c + lean + drag along the thrust axis + thrust (its own error) + thrust near the ground + smooth(q')
 
 The lean: a force that stays the same in the world, a wind's or the paper's, has along a thrust axis b the part w . b.
 
@@ -19,11 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flightstack.gp import Constant, Kernel, Linear, SquaredExponential
-from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, V_D, V_E, V_N
+from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, V_X, V_Y, V_Z
 from flightstack.types import STANDARD_GRAVITY_MPS2
 
 _G = STANDARD_GRAVITY_MPS2
-_STATE = (V_N, V_E, V_D, AXIS_N, AXIS_E)
+_STATE = (V_X, V_Y, V_Z, AXIS_N, AXIS_E)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,10 @@ def _drag(per_s: float, *columns: int) -> Kernel:
 
 def default_priors() -> Priors:
     """For any multirotor of this house: forces up to some tenths of g, thrust within half, drag below 1 / s."""
-    lateral = Constant(1.0) + _drag(0.5, V_N, V_E, V_D) + _smooth(0.6)
+    lateral = Constant(1.0) + _drag(0.5, V_X, V_Y, V_Z) + _smooth(0.6)
     thrust = Linear((0.4 * _G) ** 2, THRUST) + Linear((1.0 * _G) ** 2, GROUND)
     lean = Linear(1.0, AXIS_N) + Linear(1.0, AXIS_E)
-    vertical = Constant(0.1**2) + lean + _drag(0.3, V_D) + thrust + _smooth(0.12)
+    vertical = Constant(0.1**2) + lean + _drag(0.3, V_Z) + thrust + _smooth(0.12)
     rates = Constant(0.05**2) + SquaredExponential(0.1**2, (2.0, 2.0, 2.0), columns=(0, 1, 2))
     return Priors(Prior(lateral, 0.03**2), Prior(vertical, 0.045**2), Prior(rates, 0.02**2))
 

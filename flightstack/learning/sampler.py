@@ -7,7 +7,9 @@ is differentiated.  (The paper uses x' of the state; on a vehicle that is a nume
 Tilt axes.  Inputs and targets are in the frame that the shortest rotation turns from the world's axes so that its down
 axis is the thrust axis: body axes with the heading taken out, identical to them at yaw 0.  There every effect
 that is symmetric about the thrust axis (drag, wind, a world force, thrust's own error) is a function of
-q' = (velocity, thrust direction) alone, whatever the heading.
+q' = (velocity, thrust direction) alone, whatever the heading.  Velocity is given along these axes, too: drag along an
+axis is proportional to that axis' own component.  (Of a NED velocity, drag along the thrust axis is in products b_n v_n
+and b_e v_e; they vary as thrust does in a turn, and taken for thrust they put its gain off by a tenth.)
 
 Latency.  A bank of candidate delays runs beside each other; each one's delayed and lagged thrust is regressed on the
 measured specific force along the thrust axis, both without what is slower than 0.1 s (what the state does to the force
@@ -27,12 +29,12 @@ from flightstack.jit import njit
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement
 
-INPUTS = ("vel_n_mps", "vel_e_mps", "vel_d_mps", "thrust_axis_n", "thrust_axis_e", "thrust_weights", "ground_weights")
-"""Columns of a sample's input: velocity NED; the thrust axis' north and east parts; applied thrust over the believed
-weight (affine in it, the residual along z has the thrust's own error as its slope); the same times (R / 4h)^2, the
-leading term of every ground effect, with h the height above the place of take-off."""
+INPUTS = ("vel_x_mps", "vel_y_mps", "vel_z_mps", "thrust_axis_n", "thrust_axis_e", "thrust_weights", "ground_weights")
+"""Columns of a sample's input: velocity along tilt axes; the thrust axis' north and east parts; applied thrust over the
+believed weight (affine in it, the residual along z has the thrust's own error as its slope); the same times (R / 4h)^2,
+the leading term of every ground effect, with h the height above the place of take-off."""
 D = len(INPUTS)
-V_N, V_E, V_D, AXIS_N, AXIS_E, THRUST, GROUND = range(D)
+V_X, V_Y, V_Z, AXIS_N, AXIS_E, THRUST, GROUND = range(D)
 
 _CANDIDATES = 13
 _CANDIDATE_STEP_S = 0.004
@@ -51,8 +53,11 @@ _CURVED = 1.02
 """What delays two steps away must leave at least, of the chosen one's residual variance."""
 _GAP_MAX_S = 0.05
 _THRUST_LEAST_WEIGHTS = 0.3
-_AWAY_M = 0.1
+AWAY_M = 0.1
+"""From the place of take-off: nearer the ground may hold the vehicle."""
 _FORCE_MAX_MPS2 = 40.0
+_LEAST_DOWN = 0.1
+"""A thrust axis that leans beyond 84 degrees is none that a reference is flown with: its rate stays finite."""
 
 # What the sampler remembers, one row: scalars, then the ring of commands, then the bank.
 _M_IMU_S, _M_GROUND, _M_PICK, _M_HEAD, _M_STARTED = range(5)
@@ -86,11 +91,13 @@ class Sampler:
 
     __slots__ = ("_constants",)
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, away_m: float = AWAY_M) -> None:
+        """`away_m`: so far from the place of take-off, as estimated, samples begin."""
         self._constants = np.array(
             [
                 model.mass_kg, model.max_thrust_n, model.thrust_model_factor, max(model.motor_lag_s, 1e-4),
                 max(model.rate_lag_s, 1e-4), *model.drag_kgps, model.rotor_radius_m, model.transport_delay_s,
+                away_m,
             ]
         )  # fmt: skip
 
@@ -269,7 +276,7 @@ def _sample(
     for i in range(3):
         away += (pos[i] - memory[_M_START + i]) ** 2
         size += force[i] * force[i]
-    flying = away > _AWAY_M * _AWAY_M and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
+    flying = away > constants[10] * constants[10] and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
     if dt > 0.0:
         _advance(constants, memory, imu_time, min(dt, _GAP_MAX_S), force[2], flying and fresh)
         memory[_M_IMU_S] = imu_time
@@ -282,12 +289,13 @@ def _sample(
     r = quat_to_matrix(q)
     height = memory[_M_GROUND] - pos[2]
     x = out[S_INPUT : S_INPUT + D]
-    x[V_N], x[V_E], x[V_D] = vel[0], vel[1], vel[2]
     x[AXIS_N], x[AXIS_E] = r[0, 2], r[1, 2]
     x[THRUST] = weights
     x[GROUND] = weights * _proximity(constants[8], height)
     tilt = np.empty((3, 3))
     tilt_axes(r[0, 2], r[1, 2], tilt)
+    for i in range(3):
+        x[V_X + i] = tilt[0, i] * vel[0] + tilt[1, i] * vel[1] + tilt[2, i] * vel[2]
     # body x axis in tilt axes: the heading that was taken out
     c = tilt[0, 0] * r[0, 0] + tilt[1, 0] * r[1, 0] + tilt[2, 0] * r[2, 0]
     s = tilt[0, 1] * r[0, 0] + tilt[1, 1] * r[1, 0] + tilt[2, 1] * r[2, 0]
@@ -312,6 +320,25 @@ def _sample(
 
 
 @njit
+def _velocity_along(vel: F64, acc: F64, out: F64) -> None:
+    """Velocity along tilt axes and its rate into `out` (2, D), which has the thrust axis and its rate."""
+    n, e = out[0, AXIS_N], out[0, AXIS_E]
+    n_rate, e_rate = out[1, AXIS_N], out[1, AXIS_E]
+    down = math.sqrt(max(1.0 - n * n - e * e, 0.0))
+    down_rate = -(n * n_rate + e * e_rate) / max(down, _LEAST_DOWN)
+    share = 1.0 / (1.0 + down)
+    share_rate = -share * share * down_rate
+    across = n * vel[0] + e * vel[1]
+    across_rate = n * acc[0] + e * acc[1] + n_rate * vel[0] + e_rate * vel[1]
+    part = share * across + vel[2]
+    part_rate = share_rate * across + share * across_rate + acc[2]
+    out[0, V_X], out[0, V_Y], out[0, V_Z] = vel[0] - n * part, vel[1] - e * part, across + down * vel[2]
+    out[1, V_X] = acc[0] - n_rate * part - n * part_rate
+    out[1, V_Y] = acc[1] - e_rate * part - e * part_rate
+    out[1, V_Z] = across_rate + down_rate * vel[2] + down * acc[2]
+
+
+@njit
 def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out: F64) -> None:
     """As `Sampler.at_reference` says; `reference` (17,), `learned` (6,), `out` (2, D)."""
     drag = 0.5 * (constants[5] + constants[6]) / constants[0]
@@ -326,12 +353,10 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
         t[0], t[1], t[2], size = 0.0, 0.0, 1.0, 1.0
         rate[:] = 0.0
     along = (t[0] * rate[0] + t[1] * rate[1] + t[2] * rate[2]) / size
-    for i in range(3):
-        out[0, V_N + i] = reference[3 + i]
-        out[1, V_N + i] = reference[6 + i]
     for i in range(2):
         out[0, AXIS_N + i] = t[i] / size
         out[1, AXIS_N + i] = (rate[i] - along * t[i] / size) / size
+    _velocity_along(reference[3:6], reference[6:9], out)
     height = memory[_M_GROUND] - reference[2]
     near = _proximity(constants[8], height)
     out[0, THRUST] = 0.0

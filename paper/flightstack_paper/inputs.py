@@ -32,7 +32,7 @@ from flightstack.types import F64
 
 POINTS = 300
 _POSITION = (0, 1, 2)
-_STATE = tuple(3 + column for column in (s.V_N, s.V_E, s.V_D, s.AXIS_N, s.AXIS_E))
+_STATE = tuple(3 + column for column in (s.V_X, s.V_Y, s.V_Z, s.AXIS_N, s.AXIS_E))
 SETS: dict[str, tuple[int, ...]] = {
     "q'": _STATE,
     "q": (*_POSITION, *_STATE),

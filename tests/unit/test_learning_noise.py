@@ -68,7 +68,7 @@ def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: P
     for k in range(windows):
         x = np.zeros(s.D)
         x[s.THRUST] = 1.0 + 0.02 * rng.normal()
-        x[s.V_N] = rng.normal()
+        x[s.V_X] = rng.normal()
         store.hear(noise_std**2)
         shift = offset * np.sign(np.sin(0.2 * k))
         store.take(x, np.array([noise_std * rng.normal() + shift]))
@@ -91,7 +91,7 @@ def test_one_outlier_widens_the_bound_and_is_forgotten() -> None:
     store.take(x, np.array([2.0]))
     assert 3.0 * np.sqrt(store.excess[0]) > 1.0
     for k in range(1200):
-        x[s.V_N] = np.sin(k)
+        x[s.V_X] = np.sin(k)
         store.take(x, np.array([0.05 * np.cos(7.0 * k)]))
     assert store.excess[0] < max(4.0 * calm, 2e-3)
 

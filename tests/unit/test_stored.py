@@ -26,7 +26,7 @@ def recorded(count: int = 160, seed: int = 0) -> Windows:
     """Windows of a world with linear drag of 0.7 / s and thrust that gives 80 %."""
     rng = np.random.default_rng(seed)
     x = np.zeros((count, s.D))
-    x[:, : s.V_D + 1] = rng.normal(scale=2.0, size=(count, 3))
+    x[:, : s.V_Z + 1] = rng.normal(scale=2.0, size=(count, 3))
     x[:, s.AXIS_N : s.AXIS_E + 1] = rng.normal(scale=0.2, size=(count, 2))
     x[:, s.THRUST] = rng.uniform(0.7, 1.4, size=count)
     y = np.zeros((count, 3))

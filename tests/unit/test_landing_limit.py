@@ -1,0 +1,31 @@
+"""A landing that does not come to its end: the companion stops waiting at a stated time, and commands nothing more.
+
+The oracle is closed form: 60 s and the height at 0.3 m/s.
+"""
+
+from __future__ import annotations
+
+import pytest
+from companions import flying
+from fake_px4 import LAND, exchange
+
+from mavlink_bridge.handshake import State
+
+
+@pytest.mark.parametrize(("landed", "where"), [(2, "in the air"), (1, "on the ground")])
+def test_a_landing_that_never_ends_is_left_to_px4(landed: int, where: str) -> None:
+    flight = flying()
+    companion, _, vehicle, start = flight
+    height_m = -float(companion.mission.reference(60.0).pos_ned_m[2]) if companion.mission else 0.0
+    companion.stop("enough")
+    begun = exchange(companion, vehicle, 0.5, start_us=start)
+    assert (companion.state, vehicle.mode) == (State.LANDING, LAND)
+    vehicle.landed = landed
+    said = len(vehicle.commands)
+    end = exchange(companion, vehicle, 100.0, start_us=begun, until=lambda: companion.state is not State.LANDING)
+    assert companion.state is State.LOST
+    assert (end - start) * 1e-6 == pytest.approx(60.0 + height_m / 0.3, abs=1.0)
+    assert "after Land was commanded the vehicle is armed" in companion.reason
+    assert where in companion.reason
+    assert not companion.completed
+    assert vehicle.commands[said:] == []
