@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
 from benchmarks.attack_worlds import TICK_MS, World
-from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.records import Certificate
@@ -43,7 +43,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 
 HARMLESS = ("", "clip: command beyond its limits")
 """Of the guard: with any other name the companion lands."""
-_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
+_THRUSTS = (Thrust(), Thrust(most_hovers=1.6))
 _REST_TICKS = 250
 _SETTLING_US = 1_000_000
 """Engaged for so long before the attack begins."""
@@ -384,10 +384,10 @@ def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -
 
 def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig:
     """How long a command may be held, and with less thrust where more does not close."""
-    most = (math.inf, math.inf, math.inf)  # what spares the nominal path is no matter here
-    changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "most_doubt_mps2": most}
-    if config.thrust_shares == CertifierConfig().thrust_shares:
-        changes["thrust_shares"] = _THRUST_SHARES
+    spared = -math.inf  # the nominal path is no matter here
+    changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "spared_h": spared}
+    if config.thrusts == CertifierConfig().thrusts:
+        changes["thrusts"] = _THRUSTS
     if hasattr(config, "jitter_s") and world.down_ms + world.jitter_ms > TICK_MS:
         changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
     if not torque and hasattr(config, "governor"):

@@ -21,7 +21,7 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
+from flightstack.barrier.flown import Flown, least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
@@ -42,8 +43,8 @@ from flightstack.barrier.premises import (
 )
 from flightstack.barrier.queries import Envelope, budget, lean
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
-from flightstack.barrier.search import Axis, Ledger, Ratios, largest_steps
-from flightstack.barrier.shapes import Barrier, value
+from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, largest_steps
+from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
@@ -51,7 +52,9 @@ from flightstack.region import Region
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, Tuple3
 
 _VALID = 2
-_PATIENCE, _EAGER = 16.0, 3.0
+_SPARED_MORE = 0.03
+"""h that a path is given besides, for which alone a certificate is replaced."""
+_PATIENCE, _EAGER = 16.0, 1.0
 """Longest wait in periods, with a certificate in force and without."""
 _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
@@ -60,6 +63,16 @@ _LEAST_HOVER_MPS2 = 1.0
 _HOVER_OFF = 1.05
 """The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
+
+
+class Thrust(NamedTuple):
+    """What a budget asks for.  With more thrust a region may be faster, but lag and delay cost more; what is left to
+    one side is not there upwards."""
+
+    least_hovers: float = 0.85
+    most_hovers: float = math.inf
+    lateral_mps2: float = 1.5
+    """Acceleration to either side beyond what balances forces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +101,17 @@ class CertifierConfig:
     doubts: Doubts = USUAL
     attitude_p_ps: float = 6.5
     """The filter's steering law: 1 / T."""
-    lateral_need_mps2: float = 1.5
-    """Acceleration to either side that the budget leaves beyond what balances forces."""
-    thrust_shares: tuple[tuple[float, float], ...] = ((0.85, math.inf),)
-    """Least and greatest thrust of the budget, in hovers, one after the other in each search: with more thrust a region
-    may be faster, but lag and delay cost more."""
+    thrusts: tuple[Thrust, ...] = (Thrust(),)
+    """Of the budget, one after the other in each search."""
     every_s: float = 1.0
     growth: float = 1.02
     surer: float = 0.9
     """Share of the held bounds of acceleration that are worth a certificate of the same size."""
     governor: GovernorTerms | None = None
     """What bounds torque while a certificate is in force."""
-    most_doubt_mps2: Tuple3 = (math.inf, math.inf, math.inf)
-    """Bound of each axis' acceleration that the first certificate may have; one with wider bounds bends what is flown
-    well inside."""
+    spared_h: float = -math.inf
+    """h that a first certificate must give to all that was flown of late, and another as much or no less than the one
+    before it: one that gives less bends what is flown well inside."""
     room_h: float = 0.05
     """h that the vehicle must have in a certificate that is taken."""
 
@@ -125,9 +135,10 @@ class CertifierState:
     witness: Witness = field(default_factory=Witness)
     falsified: str = ""
     ratios: dict[tuple[int, int], Ratios] = field(default_factory=dict)
-    """Where each axis' last search with each of the thrust ranges ended."""
+    """Where each axis' last search with each of the thrusts ended."""
     turn: int = 0
-    """Of the thrust ranges."""
+    """Of the thrusts."""
+    flown: Flown = field(default_factory=Flown)
 
 
 class Elsewhere(Protocol):
@@ -195,6 +206,7 @@ class OnlineCertifier:
         if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
+        state.flown.take(measurement, self.region, state.origin_ned_m)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
             there = self.elsewhere
@@ -211,7 +223,7 @@ class OnlineCertifier:
         issued = self._judge(state, ready, measurement)
         again = self.config.every_s
         most = (_PATIENCE if state.certificate is not None else _EAGER) * again
-        state.turn = (state.turn + 1) % len(self.config.thrust_shares)
+        state.turn = (state.turn + 1) % len(self.config.thrusts)
         if issued is not None or state.turn == 0:
             state.wait_s = again if issued is not None else min(max(2.0 * state.wait_s, again), most)
         return state, issued
@@ -257,10 +269,14 @@ class OnlineCertifier:
 
     def _pays(self, ready: Certificate, area: float, state: CertifierState) -> bool:
         """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
-        held = state.certificate
+        held, flown_h = state.certificate, state.flown.least(ready, state.origin_ned_m)
         if held is None:
-            most = self.config.most_doubt_mps2
-            return all(doubt(each) <= most[each.axis] + _attitude(ready, each.axis) for each in ready.axes)
+            return flown_h >= self.config.spared_h
+        before_h = state.flown.least(held, state.origin_ned_m)
+        if flown_h < min(self.config.spared_h, before_h):
+            return False
+        if self.config.spared_h > -math.inf and flown_h > before_h + _SPARED_MORE:
+            return True
         if area > self.config.growth * state.area:
             return True
         before = {each.axis: doubt(each) for each in held.axes}
@@ -273,11 +289,13 @@ class OnlineCertifier:
         """A certificate, piece by piece: None after each; without axes where an axis has no region."""
         turn, ratios = state.turn, state.ratios
         knowledge = yield from _last(
-            self.knowledge_steps(learner, state.version + 1, state.widen_mps2.copy(), self.config.thrust_shares[turn])
+            self.knowledge_steps(learner, state.version + 1, state.widen_mps2.copy(), self.config.thrusts[turn])
         )
         axes: list[AxisCertificate] = []
         for number in self.config.axes:
-            found = yield from largest_steps(*self.axis_of(number, knowledge, learned), ratios.get((number, turn)))
+            axis, needs = self.axis_of(number, knowledge, learned)
+            near, worth = ratios.get((number, turn)), self._worth(axis, state)
+            found = yield from largest_steps(axis, needs, near, worth)
             if found is None:
                 ratios.pop((number, turn), None)
                 axes.clear()
@@ -286,8 +304,14 @@ class OnlineCertifier:
             ratios[number, turn] = found[1]
         yield self.certificate(knowledge, tuple(axes))
 
+    def _worth(self, axis: Axis, state: CertifierState) -> Worth:
+        """What is looked for: room for what is flown where that is to be spared, else the largest region."""
+        if self.config.spared_h == -math.inf or state.origin_ned_m is None:
+            return lambda barrier: barrier.area_m2ps
+        return state.flown.worth(axis, self.region.centre_ned_m[axis.axis], float(state.origin_ned_m[axis.axis]))
+
     def knowledge_steps(
-        self, learner: LearnerState | Learnt, version: int, widen_mps2: F64, thrust_share: tuple[float, float],
+        self, learner: LearnerState | Learnt, version: int, widen_mps2: F64, thrust: Thrust,
         last: bool = False,
     ) -> Iterator[Knowledge | None]:  # fmt: skip
         """What the learner knows of this region now: None after each piece of the work, then the knowledge.
@@ -295,7 +319,7 @@ class OnlineCertifier:
         `last`: no certificate will be issued after this one.
         """
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box, hover_mps2 = self._budget(accelerations, thrust_share)
+        box, hover_mps2 = self._budget(accelerations, thrust)
         yield None
         yield from Knowledge.steps(
             accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
@@ -306,7 +330,7 @@ class OnlineCertifier:
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
         """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
-        box, _ = self._budget(Accelerations.live(learner, self.model), self.config.thrust_shares[turn])
+        box, _ = self._budget(Accelerations.live(learner, self.model), self.config.thrusts[turn])
         return Knowledge.from_learner(
             learner, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
             delta=self.config.delta, version=version, torque_mps2=self.torque_mps2,
@@ -367,10 +391,9 @@ class OnlineCertifier:
             self.config.axes,
         )
 
-    def _budget(self, learned: Accelerations, thrust_share: tuple[float, float]) -> tuple[Budget, float]:
-        """The budget that balances what is known and leaves the need, with thrust from so many to so many hovers; and
-        the specific thrust of hover."""
-        g, config = STANDARD_GRAVITY_MPS2, self.config
+    def _budget(self, learned: Accelerations, asked: Thrust) -> tuple[Budget, float]:
+        """The budget that balances what is known and leaves what is asked for; and the specific thrust of hover."""
+        g = STANDARD_GRAVITY_MPS2
         thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
         still, far = np.zeros((2, 3)), np.zeros(2)
         down, _, _ = learned.at(DOWN, still, thrust, far)
@@ -382,8 +405,8 @@ class OnlineCertifier:
             for mean, sigma, _ in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
         )
         box = budget(
-            self.model, self.limits, lateral_mps2=(force + config.lateral_need_mps2) / gain,
-            low_mps2=thrust_share[0] * hover, high_mps2=thrust_share[1] * hover, hover_mps2=hover,
+            self.model, self.limits, lateral_mps2=(force + asked.lateral_mps2) / gain,
+            low_mps2=asked.least_hovers * hover, high_mps2=asked.most_hovers * hover, hover_mps2=hover,
         )  # fmt: skip
         return box, hover
 
@@ -436,19 +459,7 @@ def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
 
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
     """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
-    least = math.inf
-    for each in certificate.axes:
-        i, ahead = each.axis, each.response.c1_s + each.response.delay_s
-        start = 0.0 if origin_ned_m is None else float(origin_ned_m[i])
-        e = float(measurement.pos_ned_m[i]) - start - certificate.centre_ned_m[i]
-        v = float(measurement.vel_ned_mps[i])
-        least = min(least, value(each.barrier, e, v), value(each.barrier, e + ahead * v, v) - each.setting.inner)
-    return least
-
-
-def _attitude(certificate: Certificate, axis: int) -> float:
-    """What of the bounds of acceleration is the attitude's error, m/s^2."""
-    return 0.0 if certificate.premises is None else certificate.premises.estimate.acc_mps2[axis]
+    return least_h(certificate, measurement.row[None, :6], origin_ned_m)
 
 
 def _three(values: F64) -> Tuple3:

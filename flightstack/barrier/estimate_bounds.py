@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.error_statistics import ErrorStatistics
+from flightstack.learning.sampler import AWAY_M
 from flightstack.region import Region
 from flightstack.state_observer import steady
 from flightstack.types import F64, Tuple3
@@ -39,6 +40,11 @@ class EstimateBounds:
     """Of the acceleration that thrust along the axis as estimated gives, at the greatest thrust."""
     k_sigma: float
     """Standard deviations of the sensors' statistics that the bounds are."""
+
+    @property
+    def away_m(self) -> float:
+        """At rest at the place of take-off estimates of position are no further apart; learning begins beyond."""
+        return max(AWAY_M, 2.0 * math.hypot(*self.pos_m))
 
     def at_thrust(self, share: float) -> EstimateBounds:
         """The same for so much more thrust: the error of the acceleration goes with it."""

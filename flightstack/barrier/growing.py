@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from flightstack.barrier.certifier import CertifierConfig, CertifierState, Elsewhere, OnlineCertifier, safe_sets
+from flightstack.barrier.certifier import CertifierConfig, CertifierState, Elsewhere, OnlineCertifier, Thrust, safe_sets
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.barrier.records import Certificate
@@ -20,8 +20,14 @@ from flightstack.model import Limits, Model
 from flightstack.region import Region
 from flightstack.types import Filtered, Learned, Measurement
 
-VERTICAL = CertifierConfig(axes=(2,), lateral_need_mps2=1.4, thrust_shares=((0.6, math.inf), (0.6, 1.4)))
+VERTICAL = CertifierConfig(axes=(2,), thrusts=(Thrust(0.6, math.inf, 1.4), Thrust(0.6, 1.4, 1.4)))
 """The vertical axis alone, while it is explored: thrust across as far as the identification leans."""
+_GAMMA_SHARE = 0.75
+"""Of the speed over the distance of what was asked for: where a large region is slow, h may change slowly only, and
+what the estimate is off by costs the less."""
+_DOUBTS_ACROSS = 3.5
+"""Speed across as a multiple of what the estimate is known to: in a hover the vehicle follows what its estimate is off
+by, so that both are off by about as much."""
 SETTLED_NEED_MPS2, SETTLED_ACROSS_MPS = 0.3, 0.35
 """The same of what comes of it: little thrust across, little speed."""
 
@@ -66,8 +72,10 @@ class GrowingCertifier:
         elsewhere: Elsewhere | None = None,
     ) -> None:  # fmt: skip
         inner = certifier or CertifierConfig()
+        slowest = min(region.semi_axes_mps[axis] / region.semi_axes_m[axis] for axis in inner.axes)
+        inner = replace(inner, gamma_ps=min(inner.gamma_ps, _GAMMA_SHARE * slowest))
         self.config = config or GrowthConfig()
-        across = [max(self.config.across_mps, 2.0 * doubt_mps) for doubt_mps in inner.estimate.vel_mps]
+        across = [max(self.config.across_mps, _DOUBTS_ACROSS * doubt_mps) for doubt_mps in inner.estimate.vel_mps]
         safe = {axis: SafeSet(region.semi_axes_m[axis], across[axis]) for axis in range(3)}
         for axis, each in safe_sets(region, inner.axes).items():
             safe[axis] = replace(each, limit_mps=max(each.limit_mps or 0.0, self.config.first_mps))
@@ -80,12 +88,15 @@ class GrowingCertifier:
         """The same for what is flown afterwards: less lean and less speed along the axes that are not certified."""
         doubt_mps, config = certifier.config.estimate.vel_mps, certifier.config
         safe = {
-            i: each if i in config.axes else replace(each, limit_mps=max(SETTLED_ACROSS_MPS, 2.0 * doubt_mps[i]))
+            i: each
+            if i in config.axes
+            else replace(each, limit_mps=max(SETTLED_ACROSS_MPS, _DOUBTS_ACROSS * doubt_mps[i]))
             for i, each in certifier.safe.items()
         }
+        thrusts = tuple(each._replace(lateral_mps2=SETTLED_NEED_MPS2) for each in config.thrusts)
         return OnlineCertifier(
             certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
-            config=replace(config, lateral_need_mps2=SETTLED_NEED_MPS2), safe=safe,
+            config=replace(config, thrusts=thrusts), safe=safe,
         )  # fmt: skip
 
     def init(self) -> GrowthState:

@@ -41,6 +41,9 @@ class Ratios(NamedTuple):
     """Of the safe set's aspect: greatest speed for the width, or what braking stops in the half of it."""
 
 
+Worth = Callable[[Barrier], float]
+
+
 class Axis(NamedTuple):
     """One axis being designed."""
 
@@ -66,34 +69,35 @@ def ellipse(axis: Axis, ratios: Ratios) -> Quadratic:
 
 
 def largest_steps(
-    axis: Axis, ledger: Ledger, near: Ratios | None = None
+    axis: Axis, ledger: Ledger, near: Ratios | None = None, worth: Worth = lambda barrier: barrier.area_m2ps
 ) -> Generator[None, None, tuple[AxisCertificate, Ratios] | None]:
     """The largest certificate of the axis and its ratios, or None; a pause after each piece of the work.
 
-    `near`: the last search's result, about which alone this one looks.
+    `near`: the last result, about which alone this one looks; `worth` in place of the area: of a larger ellipse
+    of the same ratios it must not be less.
     """
     starts = [Ratios(c, v) for v in _SPEEDS for c in _SLANTS] if near is None else [near]
     best: tuple[AxisCertificate, Ratios] | None = None
-    for ratios in sorted(starts, key=lambda each: -ellipse(axis, each).area_m2ps):  # the large ones spare the others
-        best = yield from _better(axis, ledger, ratios, best)
+    for ratios in sorted(starts, key=lambda each: -worth(ellipse(axis, each))):  # the large ones spare the others
+        best = yield from _better(axis, ledger, ratios, best, worth)
     for slant, speed in _STEPS if best is not None else ():
         assert best is not None
         c, v = best[1]
         for ratios in (Ratios(c - slant, v), Ratios(c + slant, v), Ratios(c, v - speed), Ratios(c, v + speed)):
             if 0.0 < ratios.slant <= _SLANT_MOST and ratios.speed >= _SPEED_LEAST:
-                best = yield from _better(axis, ledger, ratios, best)
+                best = yield from _better(axis, ledger, ratios, best, worth)
     return best
 
 
 def _better(
-    axis: Axis, ledger: Ledger, ratios: Ratios, best: tuple[AxisCertificate, Ratios] | None
+    axis: Axis, ledger: Ledger, ratios: Ratios, best: tuple[AxisCertificate, Ratios] | None, worth: Worth
 ) -> Generator[None, None, tuple[AxisCertificate, Ratios] | None]:
-    """The ellipse of these ratios if it comes out larger than the best."""
+    """The ellipse of these ratios if it comes out worth more than the best."""
     shape = ellipse(axis, ratios)
-    if best is not None and shape.area_m2ps <= best[0].barrier.area_m2ps:
+    if best is not None and worth(shape) <= worth(best[0].barrier):
         return best
     found = yield from _grown(axis, ledger, shape, best[0].setting if best is not None else None)
-    if found is None or (best is not None and found.barrier.area_m2ps <= best[0].barrier.area_m2ps):
+    if found is None or (best is not None and worth(found.barrier) <= worth(best[0].barrier)):
         return best
     return found, ratios
 

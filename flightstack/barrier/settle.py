@@ -45,7 +45,7 @@ def settled(
         safe = {**certifier.safe, axis: SafeSet(limit_m, speed_mps)}
         asked = certifier.asked(safe)
         knowledge: Knowledge | None = None
-        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrust_shares[0], last=True):
+        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrusts[0], last=True):
             knowledge = piece
         assert knowledge is not None
         one, needs = asked.axis_of(axis, knowledge, learned)

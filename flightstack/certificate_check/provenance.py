@@ -30,7 +30,7 @@ from .intervals import F64
 from .knowledge import Knowledge, Process
 from .log import Recording, read_log
 from .reading import Refused, Unreadable, table_of
-from .samples import WANTED, WINDOW, Believed, Samples, Ticks, lagged, matrices, samples
+from .samples import AWAY_M, WANTED, WINDOW, Believed, Samples, Ticks, lagged, matrices, samples
 
 _KEYS = ("log_sha256", "vehicle_sha256", "from_us", "until_us")
 _FINAL = "certificate-final.json"
@@ -61,6 +61,11 @@ def check_keys(value: Any, stores: list[Process]) -> bool:
     return True
 
 
+def _away_m(estimate: Any) -> float:
+    """So far from the place of take-off learning may begin: no vehicle at rest there seems to be further away."""
+    return max(AWAY_M, 2.0 * math.hypot(*estimate["pos_m"]))
+
+
 def check_flight(
     data: dict[str, Any], known: Knowledge, log: BinaryIO | Recording, vehicle: bytes | None, seal: Any
 ) -> list[str]:
@@ -78,7 +83,7 @@ def check_flight(
     if _sealed(recording) != seal:
         raise Refused("log: the certificate that it ends with is another one")
     lines = [f"log: {len(ticks.t_us)} ticks of the flight that is named, from {named['from_us'] * 1e-6:.2f} s on"]
-    found = samples(ticks, believed)
+    found = samples(ticks, believed, _away_m(data["premises"]["estimate"]))
     lines.append(_check_points(known, found))
     lines += _check_windows(known, found)
     lines.append(_check_delay(data, known, found, believed))

@@ -6,7 +6,7 @@ Each tick has a measurement, the command sent in the tick before, and the delay 
                 step between two samples of force, T = T_max (f u^2 + (1 - f) u)
     y           measured specific force + D R'v / m + (0, 0, T / m), body axes, turned to tilt axes: c, s of the heading
     x           (v in tilt axes, b_n, b_e, F, F near): b = R e_z, F = T / (m g), near = (R / 4 h)^2, h at least R / 2
-    fit         a new sample of force no older than 50 ms after the last, 0.1 m from the place of take-off, upright,
+    fit         a new sample of force no older than 50 ms after the last, away from the place of take-off, upright,
                 F > 0.3, less than 40 m/s^2 of force, each y within 0.8 g
 
 Where motors report what they were given, commands count as so much more or less as they say over 2 s, if that is
@@ -34,7 +34,7 @@ TICK = (
 WANTED = {"/tick": (*TICK, "delay_s"), "/command": ("thrust_norm", "rate_frd_radps")}
 WINDOW = 15
 """Samples whose mean is a point."""
-_GAP_S, _AWAY_M, _FORCE_MPS2, _LEAST_WEIGHTS, _MOST_MPS2 = 0.05, 0.1, 40.0, 0.3, 0.8 * G
+_GAP_S, AWAY_M, _FORCE_MPS2, _LEAST_WEIGHTS, _MOST_MPS2 = 0.05, 0.1, 40.0, 0.3, 0.8 * G
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Samples:
     """Commands as applied and when they were sent."""
 
 
-def samples(ticks: Ticks, believed: Believed) -> Samples:
-    """All of them, by the module's rule."""
+def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
+    """All of them, by the module's rule, from `away_m` from the place of take-off on."""
     keep = np.isfinite(ticks.delay_s)
     pos, vel, q, force = (ticks.tick[name][keep] for name in (*TICK[:3], TICK[4]))
     now, delay = ticks.t_us[keep] * 1e-6, ticks.delay_s[keep]
@@ -177,7 +177,7 @@ def samples(ticks: Ticks, believed: Believed) -> Samples:
         [c * residual[:, 0] - s * residual[:, 1], s * residual[:, 0] + c * residual[:, 1], residual[:, 2]]
     )
     fresh = (dt > 0.0) & (dt <= _GAP_S) & (before >= 0.0)
-    away = ((pos - pos[0]) ** 2).sum(axis=1) > _AWAY_M**2
+    away = ((pos - pos[0]) ** 2).sum(axis=1) > away_m**2
     fit = fresh & away & ((force**2).sum(axis=1) < _FORCE_MPS2**2) & (axis[:, 2] > 0.0) & (weights > _LEAST_WEIGHTS)
     fit &= (np.abs(y) <= _MOST_MPS2).all(axis=1)
     return Samples(ticks.t_us[keep], x, y, fit, force[:, 2], step, middle, sent_s, sent)

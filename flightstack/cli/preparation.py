@@ -118,6 +118,8 @@ def prepare_flight(options: FlightOptions) -> Prepared:
         controller = quieted(controller, protection.site.certificate)
     if protection.watched is not None:
         protection.watched.trail = Trail(vehicle_file.text)
+    if isinstance(learner, GpLearner) and protection.estimate is not None:
+        learner = learner.from_afar(protection.estimate.away_m)
     if protection.given is not None:  # settle inside it first, so that the filter engages before the track begins
         scenario = replace(scenario, climb_to_m=-protection.given.centre_ned_m[2])
     settings = {

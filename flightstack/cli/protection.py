@@ -12,12 +12,11 @@ otherwise         where the scenario has a region: certified in flight, once eno
 
 from __future__ import annotations
 
-import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier
+from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
@@ -198,11 +197,12 @@ def _in_site(
 
 
 SOUND = "sound"
-_FIRST_DOUBT_MPS2 = (0.38, 0.38, 0.6)
-"""Of a certificate that may begin to bend a path: some seconds of learning more than the first that closes."""
-_THRUST_SHARES = ((0.85, math.inf), (0.85, 1.6))
-"""All thrust that there is, or no more than 1.6 hovers, in turn: for a light vehicle lag and delay of all of it cost
-more than it gives, and nothing would ever close."""
+_SPARED_H = 0.08
+"""Where a path keeps so much h, few of its commands are changed."""
+_THRUSTS = (Thrust(), Thrust(most_hovers=1.6, lateral_mps2=2.0), Thrust(lateral_mps2=2.0), Thrust(most_hovers=1.6))
+"""All thrust that there is or no more than 1.6 hovers: for a light vehicle lag and delay of all of it cost more than it
+gives, and nothing would ever close.  More to either side bends a path less; where bounds are wide upwards only less of
+it closes."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"
@@ -241,8 +241,8 @@ def _online(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )
     config = CertifierConfig(
-        sensors=sensors, estimate=estimate, governor=governor, most_doubt_mps2=_FIRST_DOUBT_MPS2,
-        thrust_shares=_THRUST_SHARES,
+        sensors=sensors, estimate=estimate, governor=governor, spared_h=_SPARED_H,
+        thrusts=_THRUSTS,
     )  # fmt: skip
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 

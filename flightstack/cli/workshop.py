@@ -101,6 +101,7 @@ class Workshop:
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
     ) -> None:
         asked = CertifierState(version=state.version, widen_mps2=state.widen_mps2, ratios=state.ratios, turn=state.turn)
+        asked.flown, asked.origin_ned_m = state.flown, state.origin_ned_m
         try:
             what = (certifier.here(), learner.evidence(), learned, asked)
             message = pickle.dumps(what, pickle.HIGHEST_PROTOCOL)

@@ -22,7 +22,7 @@ range.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -44,6 +44,9 @@ class LearnerConfig:
     priors: Priors = field(default_factory=default_priors)
     capacity: int = 300
     """Points of each store."""
+    away_m: float = s.AWAY_M
+    """From the place of take-off, as estimated, where samples begin: at rest on the ground nothing is to be learned of
+    forces, and an estimate that wanders further than this seems to fly."""
     window_ticks: int = 15
     """Samples whose mean is one point: 60 ms at 250 Hz."""
     relevance: Relevance = "oldest"
@@ -165,9 +168,13 @@ class GpLearner:
     ) -> None:
         self.model = model
         self.config = config or LearnerConfig(priors=default_priors() if inputs == "full" else state_only())
-        self._sampler = Sampler(model)
+        self._sampler = Sampler(model, self.config.away_m)
         c = self.config
         self._limits = np.array([c.residual_max_mps2, *c.gain_range, c.unsure_mps2, c.jerk_max_mps3, *c.attitude_rad])
+
+    def from_afar(self, away_m: float) -> GpLearner:
+        """The same that begins so far from the place of take-off."""
+        return GpLearner(self.model, replace(self.config, away_m=away_m))
 
     def init(self) -> LearnerState:
         """Nothing learned yet."""

@@ -53,7 +53,8 @@ _CURVED = 1.02
 """What delays two steps away must leave at least, of the chosen one's residual variance."""
 _GAP_MAX_S = 0.05
 _THRUST_LEAST_WEIGHTS = 0.3
-_AWAY_M = 0.1
+AWAY_M = 0.1
+"""From the place of take-off: nearer the ground may hold the vehicle."""
 _FORCE_MAX_MPS2 = 40.0
 _LEAST_DOWN = 0.1
 """A thrust axis that leans beyond 84 degrees is none that a reference is flown with: its rate stays finite."""
@@ -90,11 +91,13 @@ class Sampler:
 
     __slots__ = ("_constants",)
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, away_m: float = AWAY_M) -> None:
+        """`away_m`: so far from the place of take-off, as estimated, samples begin."""
         self._constants = np.array(
             [
                 model.mass_kg, model.max_thrust_n, model.thrust_model_factor, max(model.motor_lag_s, 1e-4),
                 max(model.rate_lag_s, 1e-4), *model.drag_kgps, model.rotor_radius_m, model.transport_delay_s,
+                away_m,
             ]
         )  # fmt: skip
 
@@ -273,7 +276,7 @@ def _sample(
     for i in range(3):
         away += (pos[i] - memory[_M_START + i]) ** 2
         size += force[i] * force[i]
-    flying = away > _AWAY_M * _AWAY_M and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
+    flying = away > constants[10] * constants[10] and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
     if dt > 0.0:
         _advance(constants, memory, imu_time, min(dt, _GAP_MAX_S), force[2], flying and fresh)
         memory[_M_IMU_S] = imu_time

@@ -31,7 +31,7 @@ class Windows(NamedTuple):
 def windows(model: Model, ticks: Iterable[tuple[Measurement, Command]], config: LearnerConfig | None = None) -> Windows:
     """The windows of one flight; each tick is a measurement and the command sent before it."""
     config = config or LearnerConfig()
-    sampler = Sampler(model)
+    sampler = Sampler(model, config.away_m)
     memory, sample = sampler.init(), np.zeros(s.SAMPLE)
     kept: list[F64] = []
     gathered: list[F64] = []

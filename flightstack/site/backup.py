@@ -28,12 +28,12 @@ that is asked for (2); across, acceleration is that of the lean, with thrust tha
 carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, PARAMETERS,
-) = range(21)  # fmt: skip
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, PARAMETERS,
+) = range(22)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
-lean on the way, m/s^2."""
+lean on the way, m/s^2; of thrust what is kept for the force, m/s^2."""
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
@@ -97,7 +97,7 @@ def _step(x: F64, p: F64, dt: float) -> None:
     most = p[UP] if x[5] > 0.0 else p[DOWN]
     wanted = -x[5] * min(most / max(abs(x[5]), 1e-9), p[FADE_DOWN])
     lift = math.sqrt(max(p[THRUST] * p[THRUST] - x[6] * x[6] - x[7] * x[7], 0.01 * p[THRUST] * p[THRUST]))
-    wanted = max(wanted, STANDARD_GRAVITY_MPS2 - lift)  # what leans does not lift
+    wanted = max(wanted, STANDARD_GRAVITY_MPS2 - lift + p[RESERVE])  # what leans does not lift, nor what meets force
     down = min(max((wanted - x[8]) / p[LAG_DOWN], -p[JERK_DOWN]), p[JERK_DOWN])
     steep = 1.0 + (x[6] * x[6] + x[7] * x[7]) / STANDARD_GRAVITY_MPS2**2  # tan of a lean that turns
     lifted = max(STANDARD_GRAVITY_MPS2 - x[8], 0.0) / STANDARD_GRAVITY_MPS2

@@ -193,6 +193,7 @@ def stopping(
             a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
             down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
+            told * _OVER * force,
         ])  # fmt: skip
         soft.append([
             tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,

@@ -269,7 +269,7 @@ def test_a_vehicle_with_another_lag_is_refused_by_the_logs_own_forces(flown: Flo
     import tomllib
 
     believed = checker.Believed.of(tomllib.loads(flown.recording.attachments["vehicle.toml"].decode()))
-    found = checker.samples(ticks, believed)
+    found = checker.samples(ticks, believed, 0.1)
 
     class Known:
         data = json.loads(flown.text)["knowledge"]

@@ -8,10 +8,13 @@ from barriers import h
 
 from flightstack.barrier.condition import Setting, interval
 from flightstack.barrier.design import SafeSet
-from flightstack.barrier.margins import ledger
+from flightstack.barrier.flown import Flown
+from flightstack.barrier.margins import Accuracy, ledger
 from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
 from flightstack.barrier.shapes import Barrier
+from flightstack.region import Region
+from flightstack.types import Measurement
 
 SLOW = Response(0.06, 0.0, 0.035)
 """Rotors and a link as bad as a flight may have them."""
@@ -73,3 +76,62 @@ def test_without_enough_braking_there_is_none() -> None:
     axis, needs = asked(1.2, low=-1.0, high=1.0)
     assert whole(largest_steps(axis, needs)) is None
     assert again(axis, needs, first[0]) is None
+
+
+NORTH = SafeSet(2.0, 1.8)
+REGION = Region("axes", (0.0, 0.0, -1.5), (2.0, 1.5, 1.0), (1.8, 1.8, 0.9))
+
+
+def at(t_s: float, north_m: float, north_mps: float) -> Measurement:
+    return Measurement.of(
+        int(1e6 * t_s), np.array([north_m, 0.0, -1.5]), np.array([north_mps, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]),
+        np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0,
+    )  # fmt: skip
+
+
+def path() -> Flown:
+    """The paper's to north: 1.5 m, 0.6 rad/s, 12 s of it."""
+    flown = Flown()
+    for t_s in np.arange(0.0, 12.0, 0.1):
+        flown.take(at(float(t_s), 1.5 * np.sin(0.6 * t_s), 0.9 * np.cos(0.6 * t_s)), REGION, np.zeros(3))
+    return flown
+
+
+def to_north() -> tuple[Axis, Ledger]:
+    """With the bounds of some 12 s of learning: 0.6 of 2 m/s^2."""
+    v, one = np.linspace(-1.8, 1.8, 8), np.ones(8)
+    authority = Authority(v, 0.0 * v, 0.0 * v, -2.0 * one, 2.0 * one, 0.6 * one, 0.6 * one)
+    response = Response(0.154, 0.007, 0.005)
+
+    def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
+        return ledger(
+            0, barrier, authority, response, gamma_ps=0.5, dt_s=0.004, inside_ps=20.0,
+            accuracy=Accuracy(0.022, 0.045, 0.13), coupling_mps=0.02,
+        )  # fmt: skip
+
+    return Axis(0, NORTH, authority, response), needs
+
+
+def test_a_search_for_the_room_of_a_path_finds_more_of_it_than_the_largest_region_has() -> None:
+    axis, needs = to_north()
+    worth = path().worth(axis, 0.0, 0.0)
+    largest, roomy = whole(largest_steps(axis, needs)), whole(largest_steps(axis, needs, worth=worth))
+    assert largest is not None
+    assert roomy is not None
+    proven(axis, needs, roomy[0])
+    assert worth(roomy[0].barrier) > worth(largest[0].barrier)
+    t_s = np.arange(0.0, 12.0, 0.01)
+    e, v = 1.5 * np.sin(0.6 * t_s), 0.9 * np.cos(0.6 * t_s)
+    ahead = axis.response.c1_s + axis.response.delay_s
+    found = np.minimum(h(roomy[0].barrier, e, v), h(roomy[0].barrier, e + ahead * v, v))
+    assert worth(roomy[0].barrier) == pytest.approx(np.min(found), abs=0.02)
+
+
+def test_what_was_flown_before_the_edge_was_near_is_forgotten() -> None:
+    axis, needs = to_north()
+    found = whole(largest_steps(axis, needs))
+    assert found is not None
+    flown, area = path(), found[0].barrier.area_m2ps
+    assert flown.worth(axis, 0.0, 0.0)(found[0].barrier) < 1.0
+    flown.take(at(20.0, 1.8, 0.0), REGION, np.zeros(3))
+    assert flown.worth(axis, 0.0, 0.0)(found[0].barrier) == area

@@ -9,10 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from shipped import load_vehicle
 
+from flightstack.barrier.estimate_bounds import estimate_bounds
+from flightstack.cli.sensors import error_statistics
 from flightstack.learning import sampler as s
 from flightstack.learning.sampler import Sampler, tilt_axes
 from flightstack.model import Model
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, changed
+from flightstack_sim.grade import load_grade
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 G = 9.80665
@@ -182,6 +185,21 @@ def test_on_the_ground_upside_down_and_without_thrust_nothing_is_learned() -> No
     over = Run(Rotation.from_euler("x", 2.0))
     assert over.settle(np.array([0.0, 0.0, -G]), MODEL.weight_n)[s.S_OK] == 0.0
     assert run.settle(np.array([0.0, 0.0, -1.0]), 0.1 * MODEL.weight_n)[s.S_OK] == 0.0
+
+
+def test_at_rest_on_the_ground_nothing_is_learned_however_far_the_estimate_wanders() -> None:
+    """GPS: 0.9 m on each axis; by the declared bounds two estimates of one place are 3.1 m apart at most."""
+    gps, mocap = (estimate_bounds(error_statistics(load_grade(name))) for name in ("gps", "mocap"))
+    assert gps.away_m == pytest.approx(2.0 * np.linalg.norm(gps.pos_m))
+    assert mocap.away_m == 0.1
+    force = np.array([0.0, 0.0, -G])
+    for away_m, fit in ((mocap.away_m, 1.0), (gps.away_m, 0.0)):
+        run = Run()
+        run.sampler = Sampler(MODEL, away_m)
+        for _ in range(100):
+            run.tick(force, 0.5 * MODEL.weight_n, down=-0.9)  # half of its weight: the ground carries the rest
+        assert run.sample[s.S_OK] == fit
+    assert run.tick(force, MODEL.weight_n, down=-1.01 * gps.away_m)[s.S_OK] == 1.0
 
 
 def test_the_input_at_the_reference_moves_at_the_rate_it_says() -> None:

@@ -1,0 +1,72 @@
+"""What was flown of late, and what h a certificate would have given it.
+
+A certificate that holds the vehicle now may still bend the path that it flies: where bounds are wide its region is a
+part of what was asked for, and the path comes near its edge.  What was flown within a period says so beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from flightstack.barrier.records import Certificate
+from flightstack.barrier.search import Axis, Worth
+from flightstack.barrier.shapes import Barrier, value
+from flightstack.region import Region
+from flightstack.types import F64, Measurement
+
+_EVERY_US = 100_000
+_KEPT = 120
+"""Twelve seconds."""
+_WELL_INSIDE_H = 0.3
+
+
+class Flown:
+    """Places and speeds, ten a second; changed in place."""
+
+    __slots__ = ("_kept", "_taken_us")
+
+    def __init__(self) -> None:
+        self._kept: deque[F64] = deque(maxlen=_KEPT)
+        self._taken_us = -_EVERY_US
+
+    def take(self, measurement: Measurement, region: Region, origin_ned_m: F64) -> None:
+        """One tick.  All begins anew where the vehicle is near the edge of what was asked for, as on its way there."""
+        if measurement.t_us - self._taken_us < _EVERY_US:
+            return
+        self._taken_us = measurement.t_us
+        e = (measurement.pos_ned_m - origin_ned_m - region.centre_ned_m) / np.array(region.semi_axes_m)
+        v = measurement.vel_ned_mps / np.array(region.semi_axes_mps)
+        if float(np.max(e * e + v * v)) > 1.0 - _WELL_INSIDE_H:
+            self._kept.clear()
+        else:
+            self._kept.append(measurement.row[:6].copy())
+
+    def worth(self, axis: Axis, centre_m: float, origin_m: float) -> Worth:
+        """h of an axis' barrier where it is least of all that is kept; where nothing is, its area."""
+        i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
+        states = [(float(row[i]) - origin_m - centre_m, float(row[3 + i])) for row in list(self._kept)[::2]]
+        points = [point for e, v in states for point in ((e, v), (e + ahead * v, v))]
+
+        def worth(barrier: Barrier) -> float:
+            return min(value(barrier, e, v) for e, v in points) if points else barrier.area_m2ps
+
+        return worth
+
+    def least(self, certificate: Certificate, origin_ned_m: F64 | None) -> float:
+        """Least h of all that is kept; infinite of nothing."""
+        return least_h(certificate, np.array(self._kept), origin_ned_m) if self._kept else math.inf
+
+
+def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> float:
+    """Least h of places and speeds (n, 6), NED, as they are and looked ahead by lag and delay."""
+    least = math.inf
+    for axis in certificate.axes:
+        i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
+        start = certificate.centre_ned_m[i] + (0.0 if origin_ned_m is None else float(origin_ned_m[i]))
+        for e, v in (states[:, [i, 3 + i]] - [start, 0.0]).tolist():
+            here, there = value(axis.barrier, e, v), value(axis.barrier, e + ahead * v, v) - axis.setting.inner
+            least = min(least, here, there)
+    return least
