@@ -130,6 +130,6 @@ def test_a_time_step_or_a_plant_that_is_not_known_is_refused(name: str) -> None:
 
 
 def test_the_command_line_offers_the_plants_that_there_are() -> None:
-    from flightstack.cli.main import PlantName
+    from flightstack.cli.options import PlantName
 
     assert [plant.value for plant in PlantName] == list(PLANTS)
