@@ -159,6 +159,7 @@ campaign-learning-quick: $(BIN)/.installed
 
 attack: $(BIN)/.installed-dev
 	$(BIN)/python -m pytest -q -m attack tests/attack
+	FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py
 
 MINUTES ?= 600
 campaign-barrier: $(BIN)/.installed
