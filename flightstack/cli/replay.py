@@ -160,9 +160,13 @@ def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setu
     from flightstack.cli.certify import EXPLORE_S, ExplorationPlanner, prepare_certify
     from flightstack.explore import Explorer
 
-    if EXPLORE_S not in settings:
-        raise InputError(f"log {log.path}: was explored by rules that it does not name, or by another version")
-    setup = prepare_certify(replace(options, duration_s=float(settings[EXPLORE_S])))
+    try:
+        explore_s = float(settings[EXPLORE_S])
+    except (KeyError, ValueError):
+        raise InputError(
+            f"log {log.path}: was explored by rules that it does not name, or by another version"
+        ) from None
+    setup = prepare_certify(replace(options, duration_s=explore_s))
     assert setup.flight.protection.watched is not None
     return setup, ExplorationPlanner(Explorer(), setup.flight.protection.watched)
 

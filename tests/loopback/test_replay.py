@@ -53,6 +53,16 @@ def test_an_exploration_is_planned_again_the_same_bit_for_bit(tmp_path: Path) ->
         replay(Path(str(other)))
 
 
+def test_settings_that_are_no_number_are_one_line(hovered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = read(hovered)
+    settings = {**whole.metadata["settings"], "planner": "ExplorationPlanner", "explore_s": "x"}
+    monkeypatch.setattr(
+        module, "read", lambda path: dataclasses.replace(whole, metadata={**whole.metadata, "settings": settings})
+    )
+    with pytest.raises(InputError, match="rules that it does not name"):
+        replay(hovered)
+
+
 def test_another_controller_shows_from_its_first_tick_on(
     hovered: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

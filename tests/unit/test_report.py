@@ -261,7 +261,7 @@ def test_a_broken_scenario_in_the_log_costs_the_limits_only(log: Log) -> None:
     assert flight.reference_ned_m is not None
 
 
-@pytest.mark.parametrize("kept", [b"", b"\xff{", b"[1]", b'{"completed": 3}', b'{"completed": true'])
+@pytest.mark.parametrize("kept", [b"", b"\xff{", b"[1]", b'{"completed": 3}', b'{"completed": true', b"[" * 200_000])
 def test_a_broken_result_in_the_log_costs_the_verdict_only(log: Log, kept: bytes) -> None:
     broken = Log(
         **{f: getattr(log, f) for f in log.__slots__} | {"attachments": (Attachment("result.json", "", kept),)}

@@ -17,7 +17,7 @@ def kept_result(log: Log) -> Mapping[str, object] | None:
     data = log.attachment(RESULT)
     try:
         kept = None if data is None else json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return kept if isinstance(kept, dict) else None
 
