@@ -126,6 +126,9 @@ class BatchPlant(Fleet):
     ) -> None:
         super().__init__(vehicles, seed=seed, dt_us=dt_us, ground=ground)
         self._threads = threads
+        self._next = np.zeros_like(self._normals)
+        self._used = DRAWN
+        """How many of the normals that were drawn at once are used."""
         self.t_us = 0
         self._command = self._view(S_COMMAND, 4)
         self.specific_force_frd_mps2 = self._view(S_FORCE, 3)
@@ -147,13 +150,19 @@ class BatchPlant(Fleet):
         self._state[S_COMMAND : S_COMMAND + 4, self._count :] = 0.0
         self._share(lambda low, high: self._run(low, high, steps), self._threads)
         self.t_us += steps * self.dt_us
+        if self._gusts:
+            self._used = (self._used + steps - 1) % DRAWN + 1
 
     def _run(self, low: int, high: int, steps: int) -> None:
-        most = DRAWN if self._gusts else steps
-        for first in range(0, steps, most):
-            now = min(most, steps - first)
-            self._draw(low, high, now)
-            run_blocks(self._steps, self._params, self._state, self._normals, now, low, high)
+        at, done = self._used, 0
+        while done < steps:
+            if self._gusts and at == DRAWN:
+                self._draw(low, high, DRAWN)
+                at = 0
+            now = min(DRAWN - at, steps - done) if self._gusts else steps
+            self._next[low:high, :now] = self._normals[low:high, at : at + now]
+            run_blocks(self._steps, self._params, self._state, self._next, now, low, high)
+            at, done = at + now, done + now
 
 
 def _acts_in_the_loop(vehicle: Vehicle) -> bool:

@@ -78,6 +78,18 @@ def test_many_steps_in_one_call_are_the_same_flight_as_step_by_step() -> None:
     assert together.truth() == single.truth()
 
 
+def test_a_batch_in_gusts_is_the_same_however_its_steps_are_cut() -> None:
+    """Normals are drawn for many steps at once; calls that end within, at and beyond a draw use the same ones."""
+    vehicles = [quad(**(TYPICAL | {"turbulence": {"sigma_mps": 2.0, "length_m": 20.0}}))] * 20
+    cut, single = BatchPlant(vehicles, seed=5), BatchPlant(vehicles, seed=5, threads=2)
+    for steps in (1, 63, 1, 64, 65, 130, 0, 3):
+        cut.run(np.full(4, 0.72), steps)
+    for _ in range(327):
+        single.step(np.full(4, 0.72))
+    assert np.array_equal(cut.pos_ned_m, single.pos_ned_m)
+    assert np.abs(cut.vel_ned_mps[0] - cut.vel_ned_mps[1]).max() > 1e-3  # each has gusts of its own
+
+
 def test_same_seed_same_flight_other_seed_other_gusts() -> None:
     flights = []
     for seed in (1, 1, 2):
