@@ -111,8 +111,22 @@ class Scene:
     region: Region | None = None
     reference_ned_m: F64 | None = None
     """(N, 3) the whole reference path, where it is known beforehand."""
+    site_ned_m: tuple[F64, ...] = ()
+    """(n, 3) lines of the site that the flight must stay in, and of what it must keep away from."""
     truth: bool = False
     """Whether the true vehicle is shown too (in simulation)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoppingWay:
+    """The way out that the site filter has committed itself to."""
+
+    pos_ned_m: F64
+    """(n, 3)."""
+
+
+Shown = Scene | Region | StoppingWay
+"""What the 3-D view is told: all that doesn't move, a new certificate's region of positions, a new stopping way."""
 
 
 def _pose_matrix() -> F64:
@@ -288,7 +302,19 @@ def _region(stamp: Timestamp, region: Region, name: str = "region", color: Color
     return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, cubes=boxes, spheres=balls)
 
 
-def certified_views(t_us: int, region: Region) -> list[View]:
+def views_of(t_us: int, shown: Shown) -> list[View]:
+    """The messages for any of them."""
+    if isinstance(shown, Scene):
+        return _scene_views(t_us, shown)
+    if isinstance(shown, Region):
+        return _certified_views(t_us, shown)
+    stamp = timestamp(t_us)
+    line = _line(stamp, "way", _points(shown.pos_ned_m), _ORANGE)
+    outline = ("/outline/way", _cloud(stamp, WORLD, ned_to_enu(shown.pos_ned_m)))
+    return [("/scene/way", SceneUpdate(entities=[line]).encode()), outline]
+
+
+def _certified_views(t_us: int, region: Region) -> list[View]:
     """The positions that a certificate allows, inside the region that the scenario asks for."""
     stamp = timestamp(t_us)
     entity = _region(stamp, region, "certified", _CERTIFIED)
@@ -304,7 +330,15 @@ def _outline(region: Region) -> F64:
     ends = [np.full(_EDGE_POINTS, end) for end in (-1.0, 1.0)]
     lines = [np.column_stack([along, a, b]) for a in ends for b in ends] if region.shape == "box" else [circle]
     unit = np.concatenate([np.roll(line, shift, axis=1) for shift in range(3) for line in lines])
-    return np.array(region.center_ned_m) + unit * np.array(region.half_size_m)
+    outline: F64 = np.array(region.center_ned_m) + unit * np.array(region.half_size_m)
+    return outline
+
+
+def _spread(line: F64) -> F64:
+    """(N, 3): points on every leg of a line (n, 3)."""
+    share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None, None]
+    spread: F64 = np.reshape((1.0 - share) * line[:-1] + share * line[1:], (-1, 3))
+    return spread
 
 
 def _cloud(stamp: Timestamp, frame: str, points: F64) -> bytes:
@@ -363,7 +397,7 @@ def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: Color) -> ArrowPrimitive:
     )
 
 
-def scene_views(t_us: int, scene: Scene) -> list[View]:
+def _scene_views(t_us: int, scene: Scene) -> list[View]:
     """The messages of a scene: all of it in one, since a viewer that jumps in time asks for the last one only."""
     stamp = timestamp(t_us)
     entities = [_ground(stamp, scene.ground_down_m), _vehicle(stamp, scene, truth=False)]
@@ -373,6 +407,11 @@ def scene_views(t_us: int, scene: Scene) -> list[View]:
     if scene.region is not None:
         entities.append(_region(stamp, scene.region))
         views.append(("/outline/region", _cloud(stamp, WORLD, ned_to_enu(_outline(scene.region)))))
+    if scene.site_ned_m:
+        lines = enumerate(scene.site_ned_m)
+        entities += [_line(stamp, f"site {k}", _points(line), _ORANGE) for k, line in lines]
+        cloud = np.concatenate([_spread(line) for line in scene.site_ned_m])
+        views.append(("/outline/site", _cloud(stamp, WORLD, ned_to_enu(cloud))))
     if scene.reference_ned_m is not None:
         entities.append(_line(stamp, "reference", _points(scene.reference_ned_m), _RED))
         poses = [

@@ -313,6 +313,9 @@ _VIEW_TOPICS = (
         "/outline/region", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the region that is asked for"
     ),
     Topic("/outline/certified", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the certified region"),
+    Topic("/outline/site", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edges of the site"),
+    Topic("/outline/way", Kind.VIEW, "foxglove.PointCloud", 2.0, "companion", "the site filter's way to a stop"),
+    Topic("/scene/way", Kind.VIEW, "foxglove.SceneUpdate", 2.0, "companion", "the site filter's way to a stop"),
     Topic("/scene/filter", Kind.VIEW, "foxglove.SceneUpdate", 10.0, "companion", "wanted and safe acceleration"),
     Topic("/vehicle/location", Kind.VIEW, "foxglove.LocationFix", 5.0, "GLOBAL_POSITION_INT", "place on the map"),
 )

@@ -403,7 +403,7 @@ def cloud(found: dict[str, list[tuple[int, Any]]], name: str) -> np.ndarray:
 
 def test_a_box_is_outlined_by_its_edges_and_the_flown_path_by_its_points(tmp_path: Path) -> None:
     log = FlightLog.open(tmp_path / "a.mcap", metadata={})
-    log.certified(0, Region("box", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5)))
+    log.scene(0, Region("box", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5)))
     for k in range(3):
         log.tick(tick_record(1_000_000 * k, (1.0 * k, 0.0, -2.0)))
     log.close()
