@@ -92,7 +92,9 @@ def matrix(kernel: Program, x: F64, y: F64) -> F64:
 
 def diagonal(kernel: Program, x: F64) -> F64:
     """(N,) prior variances of the rows of x (N, D)."""
-    return np.array([prior(kernel.ints, kernel.floats, row) for row in x])
+    out = np.empty(len(x))
+    _diagonal(kernel.ints, kernel.floats, x, out)
+    return out
 
 
 def gradient(kernel: Program, x: F64, weights: F64) -> F64:
@@ -287,6 +289,13 @@ def _exponential(power: F64, scratch: F64, n: int) -> None:
         bits[i] = (bits[i] - _ROUND_BITS + 1023) << 52
     for i in range(n):
         power[i] *= scratch[i]
+
+
+@njit_called
+def _diagonal(ints: I64, floats: F64, x: F64, out: F64) -> None:
+    """out[i] = k(x_i, x_i), with x (N, D)."""
+    for i in range(len(x)):
+        out[i] = prior(ints, floats, x[i])
 
 
 @njit_called
