@@ -17,7 +17,7 @@ from flightstack.predictor import Streams, predict
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
 from flightstack.state_observer import StateObserver
-from flightstack.types import F64
+from flightstack.types import F64, TickRecord
 
 _TICKS = 40
 """Two of the learner's windows and some."""
@@ -28,8 +28,11 @@ _FAR_M = 30.0
 _STATISTICS = ErrorStatistics("mocap", (0.005,) * 3, 0.2, (0.0,) * 3, (0.02,) * 3, 0.2, (0.03,) * 3, 1.0, (0.01,) * 3)
 
 
-def warm_up(stack: Stack, scenario: Scenario) -> None:
-    """One prediction, tick and fallback with made-up samples, and a look at each leg of the mission."""
+def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
+    """One prediction, tick and fallback with made-up samples, and a look at each leg of the mission.
+
+    The record of a tick, for whoever writes it.
+    """
     _watch()
     streams = Streams()
     streams.attitude(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -50,12 +53,13 @@ def warm_up(stack: Stack, scenario: Scenario) -> None:
         state = state._replace(filter=stack.filter.adopt(state.filter, _certificate(setpoint.pos_ned_m)))
     for left in range(ticks, 0, -1):
         place = setpoint.pos_ned_m + (_FAR_M if left == 2 else 0.0)
-        state, _, _ = stack.tick(state, predict(streams, now_us), setpoint, now_us)
+        state, _, record = stack.tick(state, predict(streams, now_us), setpoint, now_us)
         now_us += 4000
         streams.attitude(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         streams.position(now_us, tuple(place), tuple(setpoint.vel_ned_mps))
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
     stack.tick(state, predict(streams, 10 * now_us), setpoint, 10 * now_us)
+    return record
 
 
 def _watch() -> None:

@@ -22,7 +22,6 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.dotted import changed_vehicle
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
-from flightstack.warmup import warm_up as warm_up_stack
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
@@ -138,7 +137,7 @@ _WARM: set[tuple[str, ...]] = set()
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
     messages.prepare()
-    warm_up_stack(setup.flight.stack, setup.flight.scenario)
+    setup.flight.warm_up()
     warm_up_simulator(setup.truth, setup.grade, setup.plant)
 
 

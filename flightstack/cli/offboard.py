@@ -23,7 +23,6 @@ from flightstack.cli.set_params import Wire, parameters_set
 from flightstack.cli.site import read_site
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
-from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog
@@ -113,7 +112,7 @@ def offboard(
         ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
             messages.prepare()
-            warm_up(prepared.stack, prepared.scenario)
+            prepared.warm_up()
             return _offboard(options, prepared, signer, stop_requested, on_progress)
 
 

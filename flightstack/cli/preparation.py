@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from flightstack.barrier.provenance import Trail
 from flightstack.cli import files
@@ -17,7 +19,7 @@ from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.cli.quiet import quieted
-from flightstack.cli.recorder import LogObserver, scene_of
+from flightstack.cli.recorder import LogObserver, path_of, scene_of
 from flightstack.cli.site import TimedSiteFilter, envelope, load_site
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
@@ -30,6 +32,7 @@ from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
+from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.topics import CERTIFICATE, SITE_OUTLINES, Attachment
 from flightstack_logs.writer import FlightLog, Recorder
@@ -88,11 +91,17 @@ class Prepared:
         """The same with what a verb adds."""
         return replace(self, settings={**self.settings, **settings}, carried={**self.carried, **(carried or {})})
 
+    def warm_up(self) -> None:
+        """Compile what a tick calls and what writes it to a log: no tick waits for it."""
+        record = warm_up(self.stack, self.scenario)
+        with TemporaryDirectory() as folder, closing(FlightLog.open(Path(folder) / "log.mcap", metadata={})) as log:
+            log.tick(record)
+
     def observer(self, log: Recorder, clock: LogClock, *, truth: bool) -> LogObserver:
         """What puts a flight into `log`; `truth`: which has the true vehicle too."""
         site = self.protection.site
         lines = () if site is None else site.lines_ned_m
-        scene = partial(scene_of, self.scenario, self.believed, lines, truth=truth)
+        scene = partial(scene_of, self.scenario, self.believed, path_of(self.scenario), lines, truth=truth)
         timed = self.protection.filter
         way = timed.way_ned_m if isinstance(timed, TimedSiteFilter) else None
         return LogObserver(log, clock, scene, way_ned_m=way, certifier=self.protection.watched)

@@ -309,11 +309,17 @@ def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
 _OPEN_M = 2.0
 
 
-def scene_of(scenario: Scenario, vehicle: Vehicle, site: tuple[F64, ...], start_ned_m: F64, *, truth: bool) -> Scene:
-    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, reference, and
-    the lines of a site, (n, 3) from there."""
+def path_of(scenario: Scenario) -> F64:
+    """(n, 3) the reference from the start, NED: takes milliseconds, too long for a tick."""
     times = np.arange(0.0, scenario.duration_s, 0.05)
-    path = np.array([scenario.trajectory.at(float(t)).pos_ned_m for t in times]) + start_ned_m
+    return np.array([scenario.trajectory.at(float(t)).pos_ned_m for t in times]).reshape(-1, 3)
+
+
+def scene_of(
+    scenario: Scenario, vehicle: Vehicle, path_ned_m: F64, site: tuple[F64, ...], start_ned_m: F64, *, truth: bool
+) -> Scene:
+    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, `path_of` the
+    reference, and the lines of a site, (n, 3) from there."""
     region = None
     if scenario.region is not None:
         north, east, down = (np.asarray(scenario.region.centre_ned_m) + start_ned_m).tolist()
@@ -324,7 +330,7 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, site: tuple[F64, ...], start_
         rotor_radius_m=vehicle.rotors.radius_m,
         ground_down_m=float(start_ned_m[2]),
         region=region,
-        reference_ned_m=path,
+        reference_ned_m=path_ned_m + start_ned_m,
         site_ned_m=tuple(line + start_ned_m for line in site),
         truth=truth,
     )

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import cache
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -180,9 +182,15 @@ class _Source:
             lines = ["def encode(r):", f"    data = {parts}", f"    if len(data) != {self.size}:"]
             lines += ["        raise ValueError('an array is of another length than its field')"]
             lines += [f"    return data{tail}"]
-        exec("\n".join(lines), self.names)
+        exec(_code("\n".join(lines)), self.names)
         encoder: Encoder = self.names["encode"]
         return encoder
+
+
+@cache
+def _code(source: str) -> CodeType:
+    """Compiled once a process: a millisecond each, too long for a flight's first ticks."""
+    return compile(source, "<encoder>", "exec")
 
 
 def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encoder:

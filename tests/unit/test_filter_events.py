@@ -18,7 +18,7 @@ from shipped import load_scenario, load_vehicle
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.cli.barrier_score import GivenCertificate, WatchedCertifier
-from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region, certified_words, scene_of
+from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region, certified_words, path_of, scene_of
 from flightstack.cli.workshop import Workshop
 from flightstack.frames import ned_to_enu
 from flightstack.model import Model
@@ -204,11 +204,18 @@ def test_a_falsified_certificate_is_told_with_its_reason() -> None:
     assert lines[1][0].startswith("filter: certificate 4: ")
 
 
+def test_the_path_of_a_view_is_the_scenarios_reference_twenty_times_a_second() -> None:
+    scenario = load_scenario("figure8").with_duration(2.0)
+    path = path_of(scenario)
+    assert path.shape == (40, 3)
+    assert path[30].tolist() == scenario.trajectory.at(1.5).pos_ned_m.tolist()
+
+
 def test_a_process_that_is_lost_is_told_once_with_its_reason(tmp_path: Path) -> None:
     log, shop = FlightLog.open(tmp_path / "a.mcap", metadata={}), Workshop()
     watched = WatchedCertifier(GivenCertificate(certificate(), MODEL), elsewhere=shop)
     clock = LogClock(log, zero_us=0, utc_us=0)
-    scene = partial(scene_of, load_scenario("hover"), load_vehicle("quad-x"), (), truth=False)
+    scene = partial(scene_of, load_scenario("hover"), load_vehicle("quad-x"), np.zeros((1, 3)), (), truth=False)
     observer = LogObserver(log, clock, scene, certifier=watched)
     observer.companion = SimpleNamespace(mission=None, view=SimpleNamespace(streams=Streams()))  # type: ignore[assignment]
     for tick, why in enumerate(("", "its process has ended", "its process has ended")):

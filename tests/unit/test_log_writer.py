@@ -21,6 +21,7 @@ from mcap.records import Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from flightstack.types import InputError
+from flightstack_logs import encoder
 from flightstack_logs.scene import Region, Scene
 from flightstack_logs.topics import TOPICS, Attachment, Kind
 from flightstack_logs.writer import CHUNK_BYTES, FLUSH_PERIOD_US, FlightLog
@@ -47,6 +48,17 @@ def decoded(path: Path, skip: str = "none") -> dict[str, list[tuple[int, Any]]]:
                 body = classes[schema.id].FromString(message.data)
             out[channel.topic].append((message.log_time, body))
     return out
+
+
+def test_a_second_log_of_the_same_records_compiles_nothing(tmp_path: Path) -> None:
+    compiled = []
+    for name in ("first.mcap", "second.mcap"):
+        with contextlib.closing(FlightLog.open(tmp_path / name, metadata=RUN)) as log:
+            log.tick(tick_record(0))
+        assert not log.rejected
+        compiled.append(encoder._code.cache_info().misses)
+    assert compiled[0] > 0
+    assert compiled[1] == compiled[0]
 
 
 def write_samples(path: Path, count: int = 20) -> dict[str, list[tuple[int, Any]]]:
