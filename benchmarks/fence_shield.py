@@ -34,7 +34,7 @@ from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.decide import LEFT, PASSED
 from flightstack.types import F64, InputError
 from flightstack.vehicle import vehicle_to_toml
-from flightstack_sim.geodesy import PX4_SIH
+from flightstack.geodesy import PX4_SIH
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.simulated_vehicle import simulated_vehicle

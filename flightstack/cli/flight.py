@@ -28,7 +28,7 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
-from flightstack_sim.geodesy import PX4_SIH
+from flightstack.geodesy import PX4_SIH
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server

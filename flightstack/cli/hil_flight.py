@@ -33,7 +33,7 @@ from flightstack.types import InputError, TickRecord, Tuple3
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
-from flightstack_sim.geodesy import LocalFrame
+from flightstack.geodesy import LocalFrame
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4

@@ -26,7 +26,7 @@ from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
-from flightstack_sim.geodesy import LocalFrame
+from flightstack.geodesy import LocalFrame
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.framing import Frame

@@ -23,7 +23,7 @@ from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
 from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import parse_faults
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.shell import GCS, ONBOARD, Shell

@@ -17,7 +17,7 @@ from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlKind, Cont
 from flightstack_sim.battery_state import BatteryState
 from flightstack_sim.estimator import Accuracy
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.geodesy import LocalFrame
+from flightstack.geodesy import LocalFrame
 from flightstack_sim.plans import Plans
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
