@@ -30,11 +30,11 @@ from flightstack.cli import files
 from flightstack.cli.shield import ShieldOptions, shield_stack
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.site import TimedSiteFilter, load_site
+from flightstack.geodesy import PX4_SIH
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.decide import LEFT, PASSED
 from flightstack.types import F64, InputError
 from flightstack.vehicle import vehicle_to_toml
-from flightstack.geodesy import PX4_SIH
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.simulated_vehicle import simulated_vehicle

@@ -19,6 +19,7 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict
 from flightstack.site.decide import PASSED
 from flightstack.stack import Stack, StackState
@@ -26,7 +27,6 @@ from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
-from flightstack.geodesy import LocalFrame
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.framing import Frame
