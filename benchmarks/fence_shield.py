@@ -203,8 +203,8 @@ class ShieldFlight:
         self._size_n = float(np.linalg.norm(world.wind_g)) * self.truth_weight_n
         self._wind, self._wind_until_s = np.random.default_rng([44, world.seed]), 0.0
         self.down, self.up = Delayed(world.down_ms), Delayed(world.up_ms)
-        self.ticks = self.exits = self.offboard = 0
-        self.first, self.judged = "", False
+        self.ticks = self.exits = self.beside = self.offboard = 0
+        self.first, self._is_other = "", False
         self._disc: F64 = np.zeros((1, 5))
 
     def run(self, seconds: float, say: Callable[[float], list[object]]) -> None:
@@ -249,17 +249,26 @@ class ShieldFlight:
         self.run(seconds, say)
 
     def _judge(self) -> None:
+        """Where it is outside because somebody else flew it there, the shield is not asked; nor is it counted an exit
+        where OFFBOARD was entered with no way out clear (`beside`)."""
         record = self.router.record
-        if record is None or self.server.commander.state.mode.title != "Offboard":
+        if record is None:
             return
-        self.ticks += 1
-        self.offboard += record.filtered.status >= PASSED
         if self.timed.numbers[LEFT] > 0.0:
             self.flat[CHUTE] = -1.0
         place = self.vehicle.plant.pos_ned_m - self.start
         self._disc[0, :3] = place[0], place[1], -place[2]
         clearance, edge = clear_of(self.flat, self._disc, 1, 1.0)
-        if clearance < 0.0:
+        if self.server.commander.state.mode.title != "Offboard":
+            self._is_other = True
+            return
+        certain = record.filtered.status >= PASSED
+        self._is_other &= not (certain and clearance >= 0.0)
+        self.ticks += 1
+        self.offboard += certain
+        if clearance < 0.0 and self._is_other:
+            self.beside += 1
+        elif clearance < 0.0:
             self.first = self.first or edge_name(self.site, edge)
             self.exits += 1
 
@@ -303,7 +312,8 @@ def flown(seed: int, seconds: float, folder: Path) -> dict[str, Any]:
     flight.attacked(seconds, programs)
     score, pilot = flight.router.score, flight.pilot
     return {
-        "seed": seed, "ticks": flight.ticks, "engaged": flight.offboard, "exits": flight.exits, "first": flight.first,
+        "seed": seed, "ticks": flight.ticks, "engaged": flight.offboard, "exits": flight.exits,
+        "first": flight.first, "beside": flight.beside,
         "changed": score.changed, "stopped": score.stopped, "handed_over": score.handed_over,
         "died": all(program.dies_s < seconds for program in programs), "plant": world.plant, "pilot": pilot.flies,
         "second": pilot.second, "rover": pilot.rover, "signed": pilot.flags, "pieces": pilot.pieces,
@@ -336,7 +346,9 @@ def main() -> None:
     print(
         f"{len(rows)} drawn, {len(rows) - len(flights)} refused, {len(flights)} flown, {len(left)} left ({left[:20]})"
     )
+    beside = sum(row["beside"] > 0 for row in flights)
     print(f"engaged in {100.0 * engaged:.1f} % of the ticks in OFFBOARD; {died} programs died, {handed} handed over")
+    print(f"{beside} entered OFFBOARD outside, or left it after they entered it with no way out clear")
 
 
 if __name__ == "__main__":

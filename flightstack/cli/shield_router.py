@@ -22,6 +22,7 @@ from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, with
 from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict
 from flightstack.site.decide import PASSED
+from flightstack.site.filter import gain_of
 from flightstack.stack import Stack, StackState
 from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
@@ -84,7 +85,7 @@ class ShieldRouter:
         self._rest, self._rested = np.zeros(3), 0
         self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
         self._stamps: set[int] = set()
-        self._is_certain = self._is_laid = False
+        self._flies = self._is_certain = self._is_laid = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
     # ---------------------------------------------------------------- pass
@@ -199,13 +200,17 @@ class ShieldRouter:
             return
         silent = self._wish is None or now_us - self._wish_us > SILENT_US
         if not (self.view.armed and self.view.in_offboard) or (silent and grounded):
-            self._state = None
+            self._state, self._flies = self._state if self.view.armed else None, False
             if not silent:
                 self._stand_by(measurement, t_us)
             return
-        if self._state is None:
-            self._state = self._stack.init(measurement, self.origin_ned_m)
-            self._is_certain, self._obeyed_us, self._hold = False, now_us, None
+        if not self._flies:
+            state = self._state
+            self._state = (
+                self._stack.resume(state, measurement) if state else self._stack.init(measurement, self.origin_ned_m)
+            )
+            self._flies, self._is_certain, self._obeyed_us, self._hold = True, False, now_us, None
+        assert self._state is not None
         self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
 
     def _stand_by(self, measurement: Measurement, t_us: int) -> None:
@@ -213,7 +218,9 @@ class ShieldRouter:
         if self.view.on_ground or not self.view.armed:
             self._voice.stand(t_us)
         else:
-            self._voice.calm(t_us, self._stack.model.hover_norm, yaw_of(measurement.q_ned_frd))
+            model = self._stack.model
+            carried_n = self._state.carried_n if self._state else model.weight_n
+            self._voice.calm(t_us, model.norm_of(carried_n), yaw_of(measurement.q_ned_frd))
 
     def _tick(
         self, state: StackState, measurement: Measurement, wish: ControlSetpoint | None, t_us: int, now_us: int
@@ -231,6 +238,7 @@ class ShieldRouter:
         else:
             self._hold, self._obeyed_us = None, now_us
             self._relay.wish, reference = wish, reference_of(wish, measurement)
+        self._relay.gain = gain_of(state.filter)
         self._state, command, self.record = self._stack.tick(state, measurement, reference, t_us)
         self._voice.fly(command)
         self._is_certain |= self.record.filtered.status >= PASSED

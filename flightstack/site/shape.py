@@ -116,7 +116,7 @@ def _check_polygon(where: str, corners: F64, is_global: bool) -> None:
         raise InputError(f"{where}: corner {bad} is not a number")
     if is_global:
         _check_degrees(where, corners)
-        corners = _metres(LocalFrame(*corners[0].tolist(), 0.0), corners)
+        corners = _metres(LocalFrame(float(corners[0, 0]), float(corners[0, 1]), 0.0), corners)
     elif float(np.abs(corners).max()) > 2.0 * FAR_M:
         bad = int(np.abs(corners).max(axis=1).argmax())
         raise InputError(
