@@ -17,7 +17,6 @@ from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
-from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import Wire, parameters_set
@@ -143,16 +142,9 @@ def _offboard(
         line = LogClock(recorder, zero_us=zero_us, utc_us=began_us)
         line.step(zero_us)  # the log begins at 0, however late the vehicle's first message comes
         score = FlightScore(prepared, of="estimate")
-        observer = LogObserver(
-            recorder,
-            scenario,
-            prepared.believed,
-            line,
-            truth=False,
-            on_record=score.on_record,
-            on_message=score.on_message,
-            certifier=prepared.protection.watched,
-        )
+        observer = prepared.observer(recorder, line, truth=False)
+        observer.record_to = score.on_record
+        observer.message_to = score.on_message
         inspector = Inspector(
             prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
         )

@@ -20,7 +20,6 @@ import numpy as np
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
 from flightstack.cli.recorded_inputs import recorded_inputs
-from flightstack.cli.recorder import LogObserver
 from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
@@ -222,15 +221,8 @@ def _run(
     prepared = setup.flight
     inputs, stops, taken = recorded_inputs(log), _stops(log), 0
     out = FlightLog.open(path, metadata={}, compact=True)
-    observer = LogObserver(
-        out,
-        prepared.scenario,
-        prepared.believed,
-        clock := LogClock(out, zero_us=0, utc_us=0),
-        truth=True,
-        on_record=on_record,
-        certifier=prepared.protection.watched,
-    )
+    observer = prepared.observer(out, clock := LogClock(out, zero_us=0, utc_us=0), truth=True)
+    observer.record_to = on_record
     companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion, planner)
     observer.companion = companion
     vehicle = Link(1, COMPONENT_AUTOPILOT)

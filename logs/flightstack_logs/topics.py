@@ -306,6 +306,16 @@ _VIEW_TOPICS = (
     Topic("/scene", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "vehicle, ground, safe region, reference"),
     Topic("/scene/path", Kind.VIEW, "foxglove.SceneUpdate", 1.0, "companion", "the flown path as a line"),
     Topic("/scene/region", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "the certified region of positions"),
+    Topic("/outline/vehicle", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "rotors and arms as points"),
+    Topic("/outline/path", Kind.VIEW, "foxglove.PointCloud", 1.0, "companion", "the flown path as points"),
+    Topic("/outline/reference", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "the reference path as points"),
+    Topic(
+        "/outline/region", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the region that is asked for"
+    ),
+    Topic("/outline/certified", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the certified region"),
+    Topic("/outline/site", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edges of the site"),
+    Topic("/outline/way", Kind.VIEW, "foxglove.PointCloud", 2.0, "companion", "the site filter's way to a stop"),
+    Topic("/scene/way", Kind.VIEW, "foxglove.SceneUpdate", 2.0, "companion", "the site filter's way to a stop"),
     Topic("/scene/filter", Kind.VIEW, "foxglove.SceneUpdate", 10.0, "companion", "wanted and safe acceleration"),
     Topic("/vehicle/location", Kind.VIEW, "foxglove.LocationFix", 5.0, "GLOBAL_POSITION_INT", "place on the map"),
 )
