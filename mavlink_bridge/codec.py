@@ -15,7 +15,7 @@ from functools import cached_property
 from struct import error as StructError
 from typing import Any
 
-from mavlink_bridge.layout import Layout, WireField, layout, struct_of
+from mavlink_bridge.layout import MessageLayout, WireField, layout, struct_of
 
 _FLOAT32_MAX = 3.4028234663852886e38
 DEFAULT_TIMEOUT_PERIODS = 3.0
@@ -65,7 +65,7 @@ class Row:
     def __init__(
         self,
         event: type[Any],
-        layout: Layout,
+        layout: MessageLayout,
         wires: Mapping[str, Wire],
         constants: Mapping[str, int],
         nan: frozenset[str],
@@ -138,7 +138,9 @@ class Row:
         return self.struct.pack(*values)
 
 
-def _up_to_last_used(layout: Layout, wires: Mapping[str, Wire], constants: Mapping[str, int]) -> tuple[WireField, ...]:
+def _up_to_last_used(
+    layout: MessageLayout, wires: Mapping[str, Wire], constants: Mapping[str, int]
+) -> tuple[WireField, ...]:
     used = {name for source in wires.values() for name in source.names} | set(constants)
     last = max(i for i, field in enumerate(layout.fields) if field.name in used)
     return layout.fields[: last + 1]

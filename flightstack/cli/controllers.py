@@ -23,7 +23,7 @@ Built = tuple[Controller, Learner]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ControllerEntry:
     """One controller."""
 
     gains: str
@@ -56,14 +56,14 @@ def _px4(model: Model, limits: Limits, attitude: AttitudeGains, gains: Px4Gains)
     return Px4Controller(model, limits, attitude, gains), NoLearner()
 
 
-CONTROLLERS: Mapping[str, Row] = {
-    "flatness": Row("flatness", _flatness),
-    "pd": Row("pd", _pid),
-    "pid": Row("pid", _pid),
-    "indi": Row("indi", _indi),
-    "dob": Row("dob", _dob),
-    "px4": Row("px4", _px4),
-    "state-gp": Row("flatness", _state_gp),
+CONTROLLERS: Mapping[str, ControllerEntry] = {
+    "flatness": ControllerEntry("flatness", _flatness),
+    "pd": ControllerEntry("pd", _pid),
+    "pid": ControllerEntry("pid", _pid),
+    "indi": ControllerEntry("indi", _indi),
+    "dob": ControllerEntry("dob", _dob),
+    "px4": ControllerEntry("px4", _px4),
+    "state-gp": ControllerEntry("flatness", _state_gp),
 }
 """Name -> how it is built; what it is says `shipped.CONTROLLER_WORDS`."""
 

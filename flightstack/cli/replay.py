@@ -27,7 +27,7 @@ from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, Planner
+from mavlink_bridge.companion import Companion, MissionPlanner
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
@@ -151,7 +151,7 @@ def _lockstep(log: Log) -> Mapping[str, str]:
     return settings
 
 
-def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
+def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, MissionPlanner | None]:
     """The flight, ready to be given its inputs again, and what planned it on the way."""
     options = _options(log, settings, folder)
     if "planner" not in settings:
@@ -211,7 +211,7 @@ def records_of(log: Log) -> list[TickRecord]:
 def _run(
     log: Log,
     setup: Setup,
-    planner: Planner | None,
+    planner: MissionPlanner | None,
     path: Path,
     on_progress: Callable[[float, str], None],
     on_record: Callable[[TickRecord], None] | None = None,

@@ -10,7 +10,7 @@ import pytest
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.cli.controllers import CONTROLLERS, build, load_gains, stack_maker
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.indi import IndiController
@@ -173,7 +173,7 @@ def test_the_observers_estimate_starts_at_the_first_sample_and_turns_with_the_at
     np.testing.assert_allclose(state[:3], [0.0, 1.5, 0.0], atol=1e-12)
 
 
-def _held(name: str, duration_s: float = 10.0) -> Flight:
+def _held(name: str, duration_s: float = 10.0) -> ClosedLoopFlight:
     """Hover with 1.25 times the mass and a twentieth of the weight to the north."""
     scenario = load_scenario("hover").with_duration(duration_s)
     heavy = with_effects(

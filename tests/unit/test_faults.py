@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mavlink_bridge.faults import FAULTS, Reaction, as_markdown
-from mavlink_bridge.handshake import TRANSITIONS, Event, State
+from mavlink_bridge.handshake import TRANSITIONS, HandshakeEvent, State
 
 ROOT = Path(__file__).resolve().parents[2]
 SAFETY, COMPANION = ROOT / "docs" / "safety.md", ROOT / "docs" / "companion.md"
@@ -38,8 +38,8 @@ def test_the_test_of_a_row_really_is_about_it(name: str) -> None:
 
 def test_each_hand_back_leads_to_px4_and_out_of_the_flight() -> None:
     flying = TRANSITIONS[State.OFFBOARD]
-    assert flying[Event.FAULT_LAND] is State.LANDING
-    assert flying[Event.FAULT_HOLD] is State.HOLDING
+    assert flying[HandshakeEvent.FAULT_LAND] is State.LANDING
+    assert flying[HandshakeEvent.FAULT_HOLD] is State.HOLDING
     assert {row.reaction for row in FAULTS.values()} == set(Reaction)
 
 
