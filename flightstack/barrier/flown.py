@@ -13,7 +13,7 @@ import numpy as np
 
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.search import Axis, Worth
-from flightstack.barrier.shapes import Barrier, value
+from flightstack.barrier.shapes import Barrier, values_at
 from flightstack.region import Region
 from flightstack.types import F64, Measurement
 
@@ -47,11 +47,12 @@ class Flown:
     def worth(self, axis: Axis, centre_m: float, origin_m: float) -> Worth:
         """h of an axis' barrier where it is least of all that is kept; where nothing is, its area."""
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
-        states = [(float(row[i]) - origin_m - centre_m, float(row[3 + i])) for row in list(self._kept)[::2]]
-        points = [point for e, v in states for point in ((e, v), (e + ahead * v, v))]
+        states = np.array(list(self._kept)[::2]).reshape(-1, 6)
+        e, v = states[:, i] - origin_m - centre_m, states[:, 3 + i]
+        points = np.concatenate([np.stack([e, v], axis=1), np.stack([e + ahead * v, v], axis=1)])
 
         def worth(barrier: Barrier) -> float:
-            return min(value(barrier, e, v) for e, v in points) if points else barrier.area_m2ps
+            return float(values_at(barrier.rows, points).min()) if len(points) else barrier.area_m2ps
 
         return worth
 
@@ -66,7 +67,8 @@ def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> 
     for axis in certificate.axes:
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         start = certificate.centre_ned_m[i] + (0.0 if origin_ned_m is None else float(origin_ned_m[i]))
-        for e, v in (states[:, [i, 3 + i]] - [start, 0.0]).tolist():
-            here, there = value(axis.barrier, e, v), value(axis.barrier, e + ahead * v, v) - axis.setting.inner
-            least = min(least, here, there)
-    return least
+        e, v, rows = states[:, i] - start, states[:, 3 + i], axis.barrier.rows
+        here = values_at(rows, np.stack([e, v], axis=1)).min()
+        there = values_at(rows, np.stack([e + ahead * v, v], axis=1)).min() - axis.setting.inner
+        least = min(least, here, there)
+    return float(least)

@@ -70,6 +70,8 @@ class Doubts(NamedTuple):
 
 
 USUAL = Doubts()
+_Edge = tuple[F64, F64, F64]
+"""Speeds and slopes of one piece of h, as `_steepest` has them."""
 KNOWN = Accuracy(0.0, 0.0, 0.0)
 """The state is the truth itself."""
 
@@ -94,17 +96,18 @@ def slopes(
 ) -> Slopes:
     """For commands and accelerations from low to high and errors up to `error`."""
     ends = (low_mps2, high_mps2)
-    pieces = [_piece_slopes(barrier, row, ends, error_mps2, dt_s, eta) for row in range(len(barrier.rows))]
+    return _slopes(barrier.rows, _edges(barrier, eta), ends, error_mps2, dt_s)
+
+
+def _slopes(rows: F64, edges: list[_Edge], ends: tuple[float, float], error: float, dt: float) -> Slopes:
+    pieces = [_piece_slopes(row, edge, ends, error, dt) for row, edge in zip(rows, edges, strict=True)]
     return Slopes(*(max(values) for values in zip(*pieces, strict=True)))
 
 
-def _piece_slopes(
-    barrier: Barrier, piece: int, ends: tuple[float, float], error: float, dt: float, eta: float
-) -> Slopes:  # fmt: skip
-    row = barrier.rows[piece]
+def _piece_slopes(row: F64, edge: _Edge, ends: tuple[float, float], error: float, dt: float) -> Slopes:
     kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
     command = max(abs(end) for end in ends)
-    v, h_e, h_v = _steepest(barrier, row, eta)
+    v, h_e, h_v = edge
     speed = float(np.abs(v).max())
     flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
@@ -138,20 +141,22 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
     return float(lost[0]), float(lost[1]), float(lost[2])
 
 
-def _eta_together(
-    barrier: Barrier, ends: tuple[float, float], eta: float, sources: tuple[_Source, ...]
-) -> float:  # fmt: skip
+def _eta_together(edges: list[_Edge], ends: tuple[float, float], sources: tuple[_Source, ...]) -> float:
     """By how much h may be less at the true state, for all sources at once: where their sum is greatest."""
     eps_e, eps_v, late = (sum(getattr(source, part) for source in sources) for part in ("eps_e", "eps_v", "late_s"))
     worst = 0.0
-    for row in barrier.rows:
-        v, h_e, h_v = _steepest(barrier, row, eta)
+    for v, h_e, h_v in edges:
         flow = np.max([np.abs(h_e * v + h_v * a) for a in ends], axis=0)
         worst = max(worst, float(np.max(np.abs(h_e) * eps_e + np.abs(h_v) * eps_v + late * flow)))
     return worst
 
 
-def _steepest(barrier: Barrier, row: F64, eta: float) -> tuple[F64, F64, F64]:
+def _edges(barrier: Barrier, eta: float) -> list[_Edge]:
+    """`_steepest` of each piece of h."""
+    return [_steepest(barrier, row, eta) for row in barrier.rows]
+
+
+def _steepest(barrier: Barrier, row: F64, eta: float) -> _Edge:
     """Speeds and slopes of one piece of h at points on the edge of {h >= -eta}, where slopes are greatest."""
     if isinstance(barrier, Quadratic):
         e, v = _edge(barrier, eta)
@@ -167,11 +172,14 @@ def _steepest(barrier: Barrier, row: F64, eta: float) -> tuple[F64, F64, F64]:
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
     """Points on the edge of {h >= -eta}, an ellipse grown by 1e-4 for what lies between them."""
-    angle = np.linspace(0.0, 2.0 * math.pi, 361)
     p = np.array([[barrier.p11, barrier.p12], [barrier.p12, barrier.p22]])
-    circle = np.stack([np.cos(angle), np.sin(angle)]) * math.sqrt(1.0 + eta) * (1.0 + 1e-4)
+    circle = _CIRCLE * math.sqrt(1.0 + eta) * (1.0 + 1e-4)
     e, v = np.linalg.solve(np.linalg.cholesky(p).T, circle)
     return e + barrier.centre_m, v + barrier.centre_mps
+
+
+_ANGLE = np.linspace(0.0, 2.0 * math.pi, 361)
+_CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)])
 
 
 class _Source(NamedTuple):
@@ -212,10 +220,11 @@ def ledger(
     span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
     hardest = max(abs(least), abs(most))
     sources = _sources(axis, response, span, hardest, error - accuracy.acc_mps2, accuracy, doubts, coupling_mps)
-    eta, at = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0)
+    eta, at, rows = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0), barrier.rows
     for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
-        at = slopes(barrier, least, most, error, dt_s, eta)
-        eta = _eta_together(barrier, (least, most), eta, sources)
+        edges = _edges(barrier, eta)
+        at = _slopes(rows, edges, (least, most), error, dt_s)
+        eta = _eta_together(edges, (least, most), sources)
     offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
     claim = sum(source.claim for source in sources)
     per_m, per_mps, steep = brakes(barrier, least, most)

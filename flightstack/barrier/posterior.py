@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import lapack
 
 from flightstack.barrier.confidence import Colour, colour
 from flightstack.barrier.initial import DOWN
@@ -155,7 +155,7 @@ class Posterior:
         """Means (M, P) and latent variance (M,) at x (M, D)."""
         cross = self.process.kernel.matrix(self.process.x, x)
         mean: F64 = cross.T @ self._weights
-        solved = solve_triangular(self._factor, cross, lower=True, overwrite_b=True, check_finite=False)
+        solved, _ = lapack.dtrtrs(self._factor, cross, lower=1)
         prior = self.process.kernel.diagonal(x)
         return mean, np.maximum(prior - np.einsum("ij,ij->j", solved, solved), 0.0)
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import njit, njit_called
 from flightstack.types import F64, InputError
 
 ROW = 9
@@ -122,7 +122,18 @@ def _edge(row: F64, v: F64) -> F64:
 
 def value(barrier: Barrier, e_m: float, v_mps: float) -> float:
     """h, 1 at most, 0 on the boundary."""
-    return min(piece_at(row, e_m, v_mps)[0] for row in barrier.rows)
+    return float(values_at(barrier.rows, np.array([[e_m, v_mps]]))[0])
+
+
+@njit_called
+def values_at(rows: F64, points: F64) -> F64:
+    """(n,) h at points (n, 2) of e and v."""
+    found = np.full(points.shape[0], np.inf)
+    for i in range(points.shape[0]):
+        for j in range(rows.shape[0]):
+            h, _, _ = piece_at(rows[j], points[i, 0], points[i, 1])
+            found[i] = min(h, found[i])
+    return found
 
 
 def gradient(barrier: Barrier, e_m: float, v_mps: float) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The barrier filter of a flight, seen from outside: how long its steps take, what it kept to, and whether it held.
 
 h of the judged region is the scenario's (`Region.value`) where the flight keeps to a region of its scenario, and the
-certificate's (`certified_value`) where it was given a certificate: the least h over its axes at plain position and
+certificate's (`certified_values`) where it was given a certificate: the least h over its axes at plain position and
 velocity, of the certificate that was in force at the tick.  Neither is the filter's own word.
 """
 
@@ -22,7 +22,7 @@ from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.premises import Premises
 from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.shapes import piece_at
+from flightstack.barrier.shapes import values_at
 from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
 from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
@@ -199,19 +199,18 @@ class WatchedCertifier:
         return replace(certificate, knowledge=stamped, premises=premises, provenance=provenance)
 
 
-def certified_value(certificate: Certificate, pos_ned_m: F64, vel_ned_mps: F64) -> float:
-    """h at a position relative to the start (3,) and a velocity (3,): the least over the certificate's axes.
+def certified_values(certificate: Certificate, states: F64) -> F64:
+    """(n,) h at positions relative to the start and velocities (n, 6): the least over the certificate's axes.
 
     As published its axes are the terms of one ellipsoid, h = 1 - sum (1 - h_i).
     """
     values = [
-        min(
-            piece_at(row, pos_ned_m[axis.axis] - certificate.centre_ned_m[axis.axis], vel_ned_mps[axis.axis])[0]
-            for row in axis.barrier.rows
-        )
+        values_at(axis.barrier.rows, states[:, axis.axis :: 3] - [certificate.centre_ned_m[axis.axis], 0.0])
         for axis in certificate.axes
     ]
-    return min(values) if certificate.mode != AS_PUBLISHED else 1.0 - sum(1.0 - value for value in values)
+    if certificate.mode == AS_PUBLISHED:
+        return np.asarray(1.0 - sum(1.0 - value for value in values))
+    return np.asarray(np.min(values, axis=0))
 
 
 @dataclass(slots=True)
@@ -267,12 +266,10 @@ class RegionScore:
         table = np.array(states).reshape(-1, 6)
         if self.region is not None:
             return self.region.values(table[:, :3], table[:, 3:])
-        return np.array([self._value(state, count) for state, count in zip(table, self._in_force, strict=True)])
-
-    def _value(self, state: F64, adopted: int) -> float:
-        if self.certifier is None or adopted == 0:
-            return math.nan
-        return certified_value(self.certifier.adopted[adopted - 1], state[:3], state[3:])
+        found, in_force = np.full(len(table), math.nan), np.array(self._in_force)
+        for number, certificate in enumerate(self.certifier.adopted if self.certifier is not None else (), start=1):
+            found[in_force == number] = certified_values(certificate, table[in_force == number])
+        return found
 
 
 def engaged_from(t_us: Sequence[int], h: F64) -> int | None:

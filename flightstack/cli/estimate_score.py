@@ -18,7 +18,8 @@ NO_ESTIMATE: dict[str, Any] = {
 }
 """disagreement_rms_mps: [north, east, down] of d(position)/dt - velocity while the scenario was tracked, `poor` where
 one of them exceeds 0.15; error_rms_m: [north, east, down] of estimated less true position, null without a truth;
-control_rmse_m: of the position as estimated from the reference, `_settled` its second half."""
+control_rmse_m: of the position as estimated from the reference that was followed (in a site, the bent one), `_settled`
+its second half."""
 
 
 class EstimateScore:

@@ -16,11 +16,11 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.filed import with_filed
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
-from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
 from flightstack.dotted import changed_vehicle
+from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -28,7 +28,6 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
-from flightstack_sim.geodesy import PX4_SIH
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server
@@ -166,15 +165,8 @@ class SimulatedFlight:
         server = Server(self.vehicle, links=(LinkKind.ONBOARD,), faults=setup.faults)
         self.shell = Shell(server, (self._theirs,), options.seed)
         self.score = FlightScore(prepared, of="truth")
-        observer = LogObserver(
-            log,
-            self.scenario,
-            prepared.believed,
-            self._clock,
-            truth=True,
-            on_record=self.score.on_record,
-            certifier=prepared.protection.watched,
-        )
+        observer = prepared.observer(log, self._clock, truth=True)
+        observer.record_to = self.score.on_record
         stack, config = prepared.stack, setup.companion
         self.companion = Companion(Link(240, 191), stack, self.scenario, observer, config, planner)
         observer.companion = self.score.companion = self.companion

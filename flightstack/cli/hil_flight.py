@@ -25,15 +25,14 @@ from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
 from flightstack.cli.live_view import shown_live
-from flightstack.cli.recorder import LogObserver
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore
 from flightstack.cli.score import FlightScore
 from flightstack.cli.simulate import HOST, OFFBOARD_PORT
+from flightstack.geodesy import LocalFrame
 from flightstack.types import InputError, TickRecord, Tuple3
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
@@ -107,16 +106,9 @@ class HilFlight:
         self.score = FlightScore(prepared, of="truth")
         self.estimate = EstimateScore(self.hil.frame)
         self._clock = LogClock(log, zero_us=0, utc_us=utc_us())
-        observer = LogObserver(
-            log,
-            prepared.scenario,
-            prepared.believed,
-            self._clock,
-            truth=True,
-            on_record=self._on_record,
-            on_message=self.estimate.on_message,
-            certifier=prepared.protection.watched,
-        )
+        observer = prepared.observer(log, self._clock, truth=True)
+        observer.record_to = self._on_record
+        observer.message_to = self.estimate.on_message
         self.companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion)
         observer.companion = self.score.companion = self.companion
         self._link, self._log = link, log

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from flightstack.barrier.provenance import Trail
@@ -16,7 +17,8 @@ from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.cli.quiet import quieted
-from flightstack.cli.site import envelope, load_site
+from flightstack.cli.recorder import LogObserver, scene_of
+from flightstack.cli.site import TimedSiteFilter, envelope, load_site
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
 from flightstack.learning.learner import GpLearner, LearnerConfig
@@ -28,8 +30,9 @@ from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
+from flightstack_logs.log_clock import LogClock
 from flightstack_logs.topics import CERTIFICATE, SITE_OUTLINES, Attachment
-from flightstack_logs.writer import FlightLog
+from flightstack_logs.writer import FlightLog, Recorder
 
 DEFAULT_CONTROLLER = "flatness"
 STATE_ONLY_CONTROLLER = "state-gp"
@@ -84,6 +87,15 @@ class Prepared:
     def with_more(self, settings: Mapping[str, str], carried: Mapping[str, str] | None = None) -> Prepared:
         """The same with what a verb adds."""
         return replace(self, settings={**self.settings, **settings}, carried={**self.carried, **(carried or {})})
+
+    def observer(self, log: Recorder, clock: LogClock, *, truth: bool) -> LogObserver:
+        """What puts a flight into `log`; `truth`: which has the true vehicle too."""
+        site = self.protection.site
+        lines = () if site is None else site.lines_ned_m
+        scene = partial(scene_of, self.scenario, self.believed, lines, truth=truth)
+        timed = self.protection.filter
+        way = timed.way_ned_m if isinstance(timed, TimedSiteFilter) else None
+        return LogObserver(log, clock, scene, way_ned_m=way, certifier=self.protection.watched)
 
     @property
     def attachments(self) -> tuple[Attachment, ...]:

@@ -15,7 +15,7 @@ from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
-from flightstack_logs.scene import Region, Scene
+from flightstack_logs.scene import Region, Scene, StoppingWay
 from flightstack_logs.topics import FILTER_STATUS, MESSAGE
 from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages as m
@@ -40,6 +40,7 @@ _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
 _STAGE_PERIOD_US = 100_000
 _ESTIMATE_PERIOD_US = 40_000
+_WAY_PERIOD_US = 500_000
 _JUDGED_FROM_US = 5_000_000
 _SURPRISING_TICKS = 8
 """Ticks over which the error is averaged that says on which axis a change lies."""
@@ -177,26 +178,26 @@ class EstimateEvents:
 class LogObserver:
     """The companion's observer: everything goes to the log, and each tick to `on_record`.
 
-    Log times are those of `clock`, whatever time the companion counts.  `companion` is set once it exists; `truth` says
-    whether the true vehicle is in the log too.
+    Log times are those of `clock`, whatever time the companion counts.  `companion` is set once it exists; `scene` says
+    what the 3-D view shows of a flight that begins at a place, `way_ned_m` how the site filter would stop now.
     """
 
     def __init__(
         self,
         log: Recorder,
-        scenario: Scenario,
-        vehicle: Vehicle,
         clock: LogClock,
+        scene: Callable[[F64], Scene],
         *,
-        truth: bool,
-        on_record: Callable[[TickRecord], None] | None = None,
-        on_message: Callable[[int, object], None] | None = None,
+        way_ned_m: Callable[[], F64] | None = None,
         certifier: WatchedCertifier | None = None,
     ) -> None:
         self.companion: Companion | None = None
         self._log, self._clock = log, clock
-        self._scenario, self._vehicle, self._truth = scenario, vehicle, truth
-        self._on_record, self._on_message = on_record, on_message
+        self._scene, self._way_ned_m, self._way_due_us = scene, way_ned_m, 0
+        self.record_to: Callable[[TickRecord], None] | None = None
+        """Told each tick."""
+        self.message_to: Callable[[int, object], None] | None = None
+        """Told each message of the vehicle."""
         self._learner_events = LearnerEvents(self._tell)
         self._filter_events = FilterEvents(self._tell)
         self._estimate_events = EstimateEvents(self._tell)
@@ -218,8 +219,11 @@ class LogObserver:
         """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
         if not self._placed and self.companion is not None and self.companion.mission is not None:
             self._placed = True
-            scene = scene_of(self._scenario, self._vehicle, self.companion.start_ned_m, truth=self._truth)
-            self._log.scene(self._clock.t_us, scene)
+            self._log.scene(self._clock.t_us, self._scene(self.companion.start_ned_m))
+        if self._way_ned_m is not None and record.t_us >= self._way_due_us:
+            self._way_due_us = record.t_us + _WAY_PERIOD_US
+            if len(way := self._way_ned_m()):
+                self._log.scene(self._clock.t_us, StoppingWay(way))
         self._on_certificates(record.t_us)
         self._log.tick(record, self._clock.t_us)
         if self._certifier is not None:
@@ -227,8 +231,8 @@ class LogObserver:
         self._on_estimate(record.t_us)
         self._learner_events.on_learned(record.t_us, record.learned)
         self._filter_events.on_filtered(record.t_us, record.filtered)
-        if self._on_record is not None:
-            self._on_record(record)
+        if self.record_to is not None:
+            self.record_to(record)
 
     def _on_estimate(self, t_us: int) -> None:
         """The estimate's agreement with itself, 25 times a second."""
@@ -253,7 +257,7 @@ class LogObserver:
         self._certificates = len(certifier.adopted)
         certificate = certifier.adopted[-1]
         self._filter_events.on_certificate(t_us, certificate)
-        self._log.certified(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
+        self._log.scene(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
         self._log.certificate(self._clock.t_us, certificate)
 
     def _on_deciding(self, t_us: int, message: object) -> None:
@@ -267,8 +271,8 @@ class LogObserver:
 
     def on_message(self, t_us: int, message: object) -> None:
         """A message of the vehicle, as a table."""
-        if self._on_message is not None:
-            self._on_message(t_us, message)
+        if self.message_to is not None:
+            self.message_to(t_us, message)
         t_us = self._clock.t_us
         kind = type(message)
         topic = _TOPIC_OF.get(kind)
@@ -305,8 +309,9 @@ def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
 _OPEN_M = 2.0
 
 
-def scene_of(scenario: Scenario, vehicle: Vehicle, start_ned_m: F64, *, truth: bool) -> Scene:
-    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, reference."""
+def scene_of(scenario: Scenario, vehicle: Vehicle, site: tuple[F64, ...], start_ned_m: F64, *, truth: bool) -> Scene:
+    """What the 3-D view shows, for a flight that began at `start_ned_m` (3,): vehicle, ground, region, reference, and
+    the lines of a site, (n, 3) from there."""
     times = np.arange(0.0, scenario.duration_s, 0.05)
     path = np.array([scenario.trajectory.at(float(t)).pos_ned_m for t in times]) + start_ned_m
     region = None
@@ -320,5 +325,6 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, start_ned_m: F64, *, truth: b
         ground_down_m=float(start_ned_m[2]),
         region=region,
         reference_ned_m=path,
+        site_ned_m=tuple(line + start_ned_m for line in site),
         truth=truth,
     )

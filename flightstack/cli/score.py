@@ -114,7 +114,7 @@ class FlightScore:
             error = n - tn, e - te, d - td
         self.estimate.add(
             companion.view.streams.observer.disagreement_ned_mps,
-            math.dist(estimated.tolist(), record.reference.pos_ned_m.tolist()), error,
+            math.dist(estimated.tolist(), followed.pos_ned_m.tolist()), error,
         )  # fmt: skip
         if self._learning:
             self._learned_rows.append(record.learned.row)

@@ -1,12 +1,13 @@
 """A MAVLink router whose setpoints are made safe; sans-IO: datagrams in, datagrams out, time given.
 
 From the vehicle everything passes, but for the answers to the router's own clock questions; from the program
-everything but setpoints (SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT) to this vehicle.  What these
-ask for goes through the stack, and every 4 ms body rates and thrust go to the vehicle, for as long as setpoints come.
+everything but setpoints (SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT) to whomever, and bytes that
+are no frame.  What setpoints ask for goes through the stack, and every 4 ms body rates and thrust go to the vehicle,
+for as long as setpoints come.
 
-The program's silence for SILENT_S: the vehicle stops and holds; after HOLDS_S of that it is handed over to PX4's Hold.
-The router never selects OFFBOARD, arms or takes a mode away from a pilot: outside OFFBOARD it says what the program
-would.
+The program's silence for SILENT_US, or OFFBOARD entered where no way out is clear: the vehicle stops and holds; after
+HOLDS_US of that it is handed over to PX4's Hold.  The router never selects OFFBOARD, arms or takes a mode away from a
+pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.
 """
 
 from __future__ import annotations
@@ -17,18 +18,20 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, reference_of
+from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict
+from flightstack.site.decide import PASSED
+from flightstack.site.filter import gain_of
 from flightstack.stack import Stack, StackState
 from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
-from flightstack_sim.autopilot.offboard import from_attitude_target, from_position_target
+from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
-from mavlink_bridge.framing import Frame, frame_at
-from mavlink_bridge.layout import CRC_EXTRAS
+from mavlink_bridge.framing import Frame
 from mavlink_bridge.link import Link
-from mavlink_bridge.messages import BY_ID, MESSAGES
 from mavlink_bridge.requests import CommandQueue, set_mode
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
@@ -37,9 +40,6 @@ SILENT_US = 500_000
 HOLDS_US = 5_000_000
 _STREAMS = ((m.AttitudeQuaternion, 4_000), (m.LocalPositionNed, 8_000), (m.HighresImu, 4_000), (m.CurrentMode, 20_000),
             (m.ExtendedSysState, 100_000))  # fmt: skip
-_SETPOINTS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
-_EXTRAS = CRC_EXTRAS | {row.id: row.crc_extra for row in MESSAGES}
-_SETPOINT_IDS = frozenset(m.id_of(kind) for kind in _SETPOINTS)
 _TIMESYNC_ID = m.id_of(m.Timesync)
 _AGAIN_US = 2_000_000
 _HEARTBEAT_US, _TIMESYNC_US = 1_000_000, 100_000
@@ -58,7 +58,7 @@ class ShieldScore:
     changed: int = 0
     governed: int = 0
     stopped: int = 0
-    """In which nobody asked for anything any more."""
+    """In which nobody asked for anything any more, or no way out was clear."""
     handed_over: bool = False
     refused: list[str] = field(default_factory=list)
 
@@ -72,18 +72,21 @@ class ShieldRouter:
         self.record: TickRecord | None = None
         """Of the last tick in OFFBOARD."""
         self.origin_ned_m: F64 | None = None
-        """Where the vehicle was armed."""
+        """Where the vehicle was armed first: the site stays where it is when the program lands and takes off again."""
         self._stack, self._relay, self._refiner = stack, relay, refiner
         self._commands, self._voice = CommandQueue(self.link), Voice(self.link)
         self._state: StackState | None = None
         self._wish: ControlSetpoint | None = None
-        self._wish_us = -1
+        self._wish_us = self._obeyed_us = -1
         self._hold: tuple[F64, float] | None = None
-        """Place and heading that are held once nobody asks any more."""
+        """Place and heading that are held while nobody is obeyed."""
+        self._globe: LocalFrame | None = None
+        self._home_m = 0.0
         self._rest, self._rested = np.zeros(3), 0
         self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
         self._stamps: set[int] = set()
-        self._in_offboard = False
+        self._flies = self._is_certain = self._is_laid = False
+        """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
     # ---------------------------------------------------------------- pass
 
@@ -92,46 +95,55 @@ class ShieldRouter:
         self.link.receive_datagram(data, now_us)
         for received in self.link.take_events():
             message = received.message
-            if isinstance(message, m.Heartbeat) and message.autopilot == px4.AUTOPILOT_PX4 and not self.system:
-                self.system = self._voice.system = received.system
+            if not self.system and isinstance(message, m.Heartbeat):
+                if (message.autopilot, message.type) == (px4.AUTOPILOT_PX4, px4.TYPE_QUADROTOR):
+                    self.system = self._voice.system = received.system
             if received.system == self.system and received.component == px4.COMPONENT_AUTOPILOT:
                 if isinstance(message, m.CommandAck) and message.target_system == self.link.system:
                     self._commands.acknowledge(message)
                 elif not isinstance(message, m.Timesync) or message.ts1_ns in self._stamps:
                     self.view.update(message, now_us)
-        return _without(data, self._is_own_answer)
+                    self._place(message)
+        return without(data, self._is_own_answer, whole=False)
+
+    def _place(self, message: object) -> None:
+        """Where local frame and home lie on the globe."""
+        if isinstance(message, m.GpsGlobalOrigin):
+            self._globe = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
+        elif isinstance(message, m.HomePosition):
+            self._home_m = message.alt_msl_m
 
     def from_program(self, data: bytes, now_us: int) -> list[bytes]:
         """Take a datagram of the program; what the vehicle gets of it."""
-        return _without(data, lambda frame, payload: self._take_setpoint(frame, payload, now_us))
+        return without(data, lambda frame, payload: self._take_setpoint(frame, payload, now_us), whole=True)
 
     def _is_own_answer(self, frame: Frame, payload: bytes) -> bool:
         if frame.id != _TIMESYNC_ID:
             return False
-        message: Any = _decoded(frame, payload)
+        message: Any = decoded(frame, payload)
         return message is not None and message.tc1_ns != 0 and message.ts1_ns in self._stamps
 
     def _take_setpoint(self, frame: Frame, payload: bytes, now_us: int) -> bool:
-        """Whether a frame was a setpoint for this vehicle: then it goes no further."""
-        if frame.id not in _SETPOINT_IDS:
+        """Whether a frame was a setpoint: then it goes no further, to whomever it is; for this vehicle it counts."""
+        if frame.id not in SETPOINT_IDS:
             return False
-        message: Any = _decoded(frame, payload)
-        if message is None or message.target_system not in (0, self.system):
-            return message is None  # nonsense for anybody is kept back too
-        wish = self._wished(message)
+        message: Any = decoded(frame, payload)
+        if not isinstance(message, SETPOINTS) or message.target_system not in (0, self.system):
+            return True
+        wish = self._wished(message, now_us) if message.target_component in (0, px4.COMPONENT_AUTOPILOT) else None
         if wish is not None:
-            self._wish, self._wish_us, self._hold = wish, now_us, None
+            self._wish, self._wish_us = wish, now_us
             self.score.setpoints += 1
         return True
 
-    def _wished(self, message: Any) -> ControlSetpoint | None:
+    def _wished(self, message: Any, now_us: int) -> ControlSetpoint | None:
         """What a setpoint asks for, as PX4 reads it; None where it asks for nothing."""
         if isinstance(message, m.SetAttitudeTarget):
             return from_attitude_target(message, self._wish)
-        if isinstance(message, m.SetPositionTargetLocalNed):
-            measurement = predict(self.view.streams, self.view.clock.vehicle_us(self._wish_us))
-            return from_position_target(message, 0.0 if measurement is None else yaw_of(measurement.q_ned_frd))
-        return None  # positions on the globe are not read
+        if isinstance(message, m.SetPositionTargetGlobalInt):
+            return None if self._globe is None else from_global_target(message, self._globe, self._home_m)
+        measurement = predict(self.view.streams, self.view.clock.vehicle_us(now_us))
+        return from_position_target(message, 0.0 if measurement is None else yaw_of(measurement.q_ned_frd))
 
     # ---------------------------------------------------------------- step
 
@@ -154,8 +166,13 @@ class ShieldRouter:
             self._stamps.add(now_us * 1000)
             self.link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
         self.view.params.ask(self.link, self.system, now_us)
-        if now_us - self._asked_us >= _AGAIN_US and self._is_slow(now_us):
-            self._asked_us = now_us
+        if now_us - self._asked_us < _AGAIN_US:
+            return
+        self._asked_us = now_us
+        if self._globe is None:
+            for one in (m.GpsGlobalOrigin, m.HomePosition):
+                self._commands.request((px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(one)),)), now_us)
+        if self._is_slow(now_us):
             for kind, interval_us in _STREAMS:
                 what = (float(m.id_of(kind)), float(interval_us))
                 self._commands.request((px4.Cmd.SET_MESSAGE_INTERVAL, what), now_us)
@@ -174,75 +191,63 @@ class ShieldRouter:
             return
         self._voice.thrust_model_factor = self._relay.thrust_model_factor = factor
         grounded = self.view.on_ground
-        if grounded and not self.view.armed:
+        if grounded and not self.view.armed and not self._is_laid:
             self._rested = min(self._rested + 1, 500)
             self._rest += (measurement.pos_ned_m - self._rest) / self._rested
-            self.origin_ned_m, self._state = self._rest.copy(), None
-        elif self.view.armed:
-            self._rested = 0
-        if self._wish is None or self.origin_ned_m is None:
+            self.origin_ned_m = self._rest.copy()
+        self._is_laid |= self.view.armed
+        if self.origin_ned_m is None:
             return
-        entered, self._in_offboard = self.view.in_offboard and not self._in_offboard, self.view.in_offboard
-        if not self.view.armed or (grounded and not self._in_offboard):
-            if now_us - self._wish_us < SILENT_US:
-                self._voice.stand(t_us)
+        silent = self._wish is None or now_us - self._wish_us > SILENT_US
+        if not (self.view.armed and self.view.in_offboard) or (silent and grounded):
+            self._state, self._flies = self._state if self.view.armed else None, False
+            if not silent:
+                self._stand_by(measurement, t_us)
             return
-        silent = now_us - self._wish_us > SILENT_US
-        if silent and not self._in_offboard:  # nobody asks, and somebody else flies
-            self._wish = None
-            return
-        if self._state is None or entered:
-            self._state = self._stack.init(measurement, self.origin_ned_m)
-        self._tick(measurement, silent, t_us, now_us)
-
-    def _tick(self, measurement: Measurement, silent: bool, t_us: int, now_us: int) -> None:
-        assert self._wish is not None
+        if not self._flies:
+            state = self._state
+            self._state = (
+                self._stack.resume(state, measurement) if state else self._stack.init(measurement, self.origin_ned_m)
+            )
+            self._flies, self._is_certain, self._obeyed_us, self._hold = True, False, now_us, None
         assert self._state is not None
-        if silent:
+        self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
+
+    def _stand_by(self, measurement: Measurement, t_us: int) -> None:
+        """A setpoint that does no harm until the router hears that OFFBOARD was selected: PX4 asks for some before."""
+        if self.view.on_ground or not self.view.armed:
+            self._voice.stand(t_us)
+        else:
+            model = self._stack.model
+            carried_n = self._state.carried_n if self._state else model.weight_n
+            self._voice.calm(t_us, model.norm_of(carried_n), yaw_of(measurement.q_ned_frd))
+
+    def _tick(
+        self, state: StackState, measurement: Measurement, wish: ControlSetpoint | None, t_us: int, now_us: int
+    ) -> None:
+        if wish is None or not self._is_certain:
             if self._hold is None:
                 speed = measurement.vel_ned_mps
                 place = measurement.pos_ned_m + 0.25 * float(np.linalg.norm(speed)) * speed
                 self._hold = place, yaw_of(measurement.q_ned_frd)
             self._relay.wish, reference = None, hold_of(*self._hold)
             self.score.stopped += 1
-            if now_us - self._wish_us > SILENT_US + HOLDS_US:
+            if now_us - self._obeyed_us > HOLDS_US:
                 self.score.handed_over = True
                 self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
         else:
-            self._relay.wish, reference = self._wish, reference_of(self._wish, measurement)
-        self._state, command, record = self._stack.tick(self._state, measurement, reference, t_us)
+            self._hold, self._obeyed_us = None, now_us
+            self._relay.wish, reference = wish, reference_of(wish, measurement)
+        self._relay.gain = gain_of(state.filter)
+        self._state, command, self.record = self._stack.tick(state, measurement, reference, t_us)
         self._voice.fly(command)
-        if self._in_offboard:
-            self.record = record
-            self.score.ticks += 1
-            self.score.changed += record.filtered.intervened == 1.0
-            self.score.governed += record.governed
+        self._is_certain |= self.record.filtered.status >= PASSED
+        self.score.ticks += 1
+        self.score.changed += self.record.filtered.intervened == 1.0
+        self.score.governed += self.record.governed
 
     def _measured(self, t_us: int) -> Measurement | None:
         measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
         if measurement is None or self._refiner is None:
             return measurement
         return self._refiner.refine(measurement)
-
-
-def _decoded(frame: Frame, payload: bytes) -> Any:
-    row = BY_ID.get(frame.id)
-    return None if row is None else row.decode(payload.ljust(row.size, b"\0"), 0)
-
-
-def _without(data: bytes, is_taken: Any) -> list[bytes]:
-    """The datagram without the frames that are taken; the very same bytes where none is."""
-    kept, at, since, taken = [], 0, 0, False
-    while at < len(data):
-        frame = frame_at(data, at, _EXTRAS)
-        if not isinstance(frame, Frame):
-            at += 1
-            continue
-        if is_taken(frame, data[frame.payload_at : frame.payload_at + frame.payload_size]):
-            kept.append(data[since:at])
-            since, taken = frame.end, True
-        at = frame.end
-    if not taken:
-        return [data]
-    rest = b"".join([*kept, data[since:]])
-    return [rest] if rest else []

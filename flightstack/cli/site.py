@@ -34,6 +34,8 @@ from flightstack.vehicle import Vehicle
 _CHUTE_ROOM_M = 1.0
 _ENVELOPE_M = 15.0
 _JOINING_S = 0.1
+_DRAWN_EDGES = 24
+"""The most corners of which the upright edges are drawn."""
 
 
 class TimedSiteFilter(TimedFilter):
@@ -47,6 +49,7 @@ class TimedSiteFilter(TimedFilter):
         """The greatest force that the accelerometer showed, once the chute was left."""
         self.reference: FlatOutput | None = None
         """As it was followed at the last tick."""
+        self._state: SiteState | None = None
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
         """The filter's own, kept."""
@@ -59,11 +62,18 @@ class TimedSiteFilter(TimedFilter):
         """The filter's own, kept."""
         after = super().step(state, measurement, command, sent, learned)
         assert isinstance(after[0], SiteState)
-        self.numbers, self.bent = after[0].numbers, after[0].bent
+        self._state, self.numbers, self.bent = after[0], after[0].numbers, after[0].bent
         if decide.is_read(self.numbers):
             shown = self.numbers[decide.FORCE : decide.FORCE + 3]
             self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
+
+    def way_ned_m(self) -> F64:
+        """(n, 3) the way to a stop that the filter has committed itself to; none before the first."""
+        count = int(self.numbers[decide.COMMITTED])
+        if self._state is None or count == 0:
+            return np.zeros((0, 3))
+        return np.asarray(self._state.committed[:count:2, :3] + self._state.origin_ned_m)
 
 
 @dataclass(slots=True)
@@ -166,6 +176,17 @@ class SitePlan:
         return json.dumps({"lines": [np.round(line, 3).tolist() for line in lines]})
 
     @property
+    def lines_ned_m(self) -> tuple[F64, ...]:
+        """Lines (n, 3) from the place of arming that draw it: below, above and at the corners of each part."""
+        site, parts = self.site, [(self.site.inside, self.site.floor_m, self.site.ceiling_m)]
+        for each in site.keep_outs:
+            ball = each.height_m - each.radius_m, each.height_m + each.radius_m
+            low, high = (each.floor_m, each.ceiling_m) if math.isnan(each.height_m) else ball
+            low, high = max(low, site.floor_m), min(high, site.ceiling_m)
+            parts.append((_ring(each) if each.polygon is None else each.polygon, low, high))
+        return tuple(line for outline, low, high in parts for line in _prism(outline, low, high))
+
+    @property
     def words(self) -> str:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
@@ -174,6 +195,13 @@ class SitePlan:
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
             f"{made.stopping_way_m(3.0):.1f} m from 3 m/s"
         )
+
+
+def _prism(outline: F64, low_m: float, high_m: float) -> list[F64]:
+    """Rings below and above and, where they are few, the edges between."""
+    ring = np.vstack([outline, outline[:1]])
+    rings = [np.column_stack([ring, np.full(len(ring), -height)]) for height in (low_m, high_m)]
+    return rings if len(outline) > _DRAWN_EDGES else [*rings, *np.stack([end[:-1] for end in rings], axis=1)]
 
 
 def _ring(each: KeepOut) -> F64:

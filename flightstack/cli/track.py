@@ -52,10 +52,7 @@ class Tape:
     def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
         """Not kept."""
 
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
-        """Not kept."""
-
-    def certified(self, t_us: int, region: viewer.Region) -> None:
+    def scene(self, t_us: int, view: viewer.Shown) -> None:
         """Not kept."""
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:

@@ -38,11 +38,8 @@ class Recorder(Protocol):
     def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
         """Where the vehicle is on the map."""
 
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
+    def scene(self, t_us: int, view: viewer.Shown) -> None:
         """What the 3-D view shows; again whenever it changes."""
-
-    def certified(self, t_us: int, region: viewer.Region) -> None:
-        """The positions that a new certificate allows, for the 3-D view."""
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""

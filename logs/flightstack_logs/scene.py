@@ -23,7 +23,10 @@ from foxglove.messages import (
     LocationFix,
     Log,
     LogLevel,
+    PackedElementField,
+    PackedElementFieldNumericType,
     Point3,
+    PointCloud,
     Pose,
     PoseInFrame,
     PosesInFrame,
@@ -75,6 +78,12 @@ ENGAGED = 2.0
 """From this status on the barrier filter says what it does with the wanted acceleration."""
 _ARROW_M_PER_MPS2 = 0.1
 
+_XYZ = [
+    PackedElementField(name=name, offset=4 * k, type=PackedElementFieldNumericType.Float32)
+    for k, name in enumerate("xyz")
+]
+_EDGE_POINTS, _CIRCLE_POINTS, _DISC_POINTS = 41, 128, 16
+
 View = tuple[str, bytes]
 """A topic and the encoded message for it."""
 
@@ -102,8 +111,22 @@ class Scene:
     region: Region | None = None
     reference_ned_m: F64 | None = None
     """(N, 3) the whole reference path, where it is known beforehand."""
+    site_ned_m: tuple[F64, ...] = ()
+    """(n, 3) lines of the site that the flight must stay in, and of what it must keep away from."""
     truth: bool = False
     """Whether the true vehicle is shown too (in simulation)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoppingWay:
+    """The way out that the site filter has committed itself to."""
+
+    pos_ned_m: F64
+    """(n, 3)."""
+
+
+Shown = Scene | Region | StoppingWay
+"""What the 3-D view is told: all that doesn't move, a new certificate's region of positions, a new stopping way."""
 
 
 def _pose_matrix() -> F64:
@@ -168,7 +191,7 @@ class Trail:
         self._truth = truth
         self._state = np.empty(7)
         self._points: list[Pose] = []
-        self._corners: list[Point3] = []
+        self._corners: list[Tuple3] = []
         self._point_period_us = _PATH_POINT_US
         self._due_us = 0
         self._point_due_us = 0
@@ -199,18 +222,20 @@ class Trail:
             self._pose_due_us = t_us + _STAMPED_PERIOD_US
             views.append((f"{self._prefix}/pose", PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()))
         if t_us >= self._point_due_us and math.isfinite(x + y + z):
-            self._add_point(t_us, pose, Point3(x=x, y=y, z=z))
+            self._add_point(t_us, pose, (x, y, z))
         if t_us >= self._path_due_us and self._points:
             self._from_us = t_us if self._from_us < 0 else self._from_us
             self._path_due_us = t_us + max(_PATH_PERIOD_US, (t_us - self._from_us) // _PATH_GROWTH)
             path = PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
             views.append((f"{self._prefix}/path", path.encode()))
             if not self._truth:
-                line = _line(stamp, "path", self._corners, _BLUE)
+                corners = [Point3(x=x, y=y, z=z) for x, y, z in self._corners]
+                line = _line(stamp, "path", corners, _BLUE)
                 views.append(("/scene/path", SceneUpdate(entities=[line]).encode()))
+                views.append(("/outline/path", _cloud(stamp, WORLD, np.array(self._corners))))
         return views
 
-    def _add_point(self, t_us: int, pose: Pose, corner: Point3) -> None:
+    def _add_point(self, t_us: int, pose: Pose, corner: Tuple3) -> None:
         self._point_due_us = t_us + self._point_period_us
         self._points.append(pose)
         self._corners.append(corner)
@@ -277,10 +302,66 @@ def _region(stamp: Timestamp, region: Region, name: str = "region", color: Color
     return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, cubes=boxes, spheres=balls)
 
 
-def certified_views(t_us: int, region: Region) -> list[View]:
+def views_of(t_us: int, shown: Shown) -> list[View]:
+    """The messages for any of them."""
+    if isinstance(shown, Scene):
+        return _scene_views(t_us, shown)
+    if isinstance(shown, Region):
+        return _certified_views(t_us, shown)
+    stamp = timestamp(t_us)
+    line = _line(stamp, "way", _points(shown.pos_ned_m), _ORANGE)
+    outline = ("/outline/way", _cloud(stamp, WORLD, ned_to_enu(shown.pos_ned_m)))
+    return [("/scene/way", SceneUpdate(entities=[line]).encode()), outline]
+
+
+def _certified_views(t_us: int, region: Region) -> list[View]:
     """The positions that a certificate allows, inside the region that the scenario asks for."""
-    entity = _region(timestamp(t_us), region, "certified", _CERTIFIED)
-    return [("/scene/region", SceneUpdate(entities=[entity]).encode())]
+    stamp = timestamp(t_us)
+    entity = _region(stamp, region, "certified", _CERTIFIED)
+    outline = ("/outline/certified", _cloud(stamp, WORLD, ned_to_enu(_outline(region))))
+    return [("/scene/region", SceneUpdate(entities=[entity]).encode()), outline]
+
+
+def _outline(region: Region) -> F64:
+    """(N, 3), NED, m: a region's boundary as points: a box's edges, an ellipsoid's three great circles."""
+    turns = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_POINTS, endpoint=False)
+    circle = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(_CIRCLE_POINTS)])
+    along = np.linspace(-1.0, 1.0, _EDGE_POINTS)
+    ends = [np.full(_EDGE_POINTS, end) for end in (-1.0, 1.0)]
+    lines = [np.column_stack([along, a, b]) for a in ends for b in ends] if region.shape == "box" else [circle]
+    unit = np.concatenate([np.roll(line, shift, axis=1) for shift in range(3) for line in lines])
+    outline: F64 = np.array(region.center_ned_m) + unit * np.array(region.half_size_m)
+    return outline
+
+
+def _spread(line: F64) -> F64:
+    """(N, 3): points on every leg of a line (n, 3)."""
+    share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None, None]
+    spread: F64 = np.reshape((1.0 - share) * line[:-1] + share * line[1:], (-1, 3))
+    return spread
+
+
+def _cloud(stamp: Timestamp, frame: str, points: F64) -> bytes:
+    """`points` (N, 3), in the axes of `frame` (ENU or FLU), for viewers that draw no SceneUpdate."""
+    data = points.astype("<f4")
+    cloud = PointCloud(
+        timestamp=stamp,
+        frame_id=frame,
+        pose=Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=_IDENTITY),
+        point_stride=data.itemsize * data.shape[1],
+        fields=_XYZ,
+        data=data.tobytes(),
+    )
+    return cloud.encode()
+
+
+def _outline_of_vehicle(scene: Scene) -> F64:
+    """(N, 3), FLU, m: the rotors' discs and the arms to them."""
+    turns = np.linspace(0.0, 2.0 * math.pi, _DISC_POINTS, endpoint=False)
+    disc = scene.rotor_radius_m * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(_DISC_POINTS)])
+    arm = np.linspace(0.0, 1.0, _DISC_POINTS)[:, None]
+    rotors = frd_to_flu(scene.rotor_position_frd_m)
+    return np.concatenate([part for rotor in rotors for part in (rotor + disc, arm * rotor)])
 
 
 def arrow_views(t_us: int, record: TickRecord) -> list[View]:
@@ -316,21 +397,28 @@ def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: Color) -> ArrowPrimitive:
     )
 
 
-def scene_views(t_us: int, scene: Scene) -> list[View]:
+def _scene_views(t_us: int, scene: Scene) -> list[View]:
     """The messages of a scene: all of it in one, since a viewer that jumps in time asks for the last one only."""
     stamp = timestamp(t_us)
     entities = [_ground(stamp, scene.ground_down_m), _vehicle(stamp, scene, truth=False)]
-    views = []
+    views = [("/outline/vehicle", _cloud(stamp, BODY_TRUE if scene.truth else BODY, _outline_of_vehicle(scene)))]
     if scene.truth:
         entities.append(_vehicle(stamp, scene, truth=True))
     if scene.region is not None:
         entities.append(_region(stamp, scene.region))
+        views.append(("/outline/region", _cloud(stamp, WORLD, ned_to_enu(_outline(scene.region)))))
+    if scene.site_ned_m:
+        lines = enumerate(scene.site_ned_m)
+        entities += [_line(stamp, f"site {k}", _points(line), _ORANGE) for k, line in lines]
+        cloud = np.concatenate([_spread(line) for line in scene.site_ned_m])
+        views.append(("/outline/site", _cloud(stamp, WORLD, ned_to_enu(cloud))))
     if scene.reference_ned_m is not None:
         entities.append(_line(stamp, "reference", _points(scene.reference_ned_m), _RED))
         poses = [
             Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
             for x, y, z in ned_to_enu(scene.reference_ned_m).tolist()
         ]
+        views.append(("/outline/reference", _cloud(stamp, WORLD, ned_to_enu(scene.reference_ned_m))))
         views.append(("/reference/path", PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=poses).encode()))
     views.append(("/scene", SceneUpdate(entities=entities).encode()))
     return views

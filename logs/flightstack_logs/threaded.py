@@ -87,13 +87,9 @@ class ThreadedLog:
         """Where the vehicle is on the map."""
         self._put(t_us, self.log.location, t_us, latitude_deg, longitude_deg, altitude_m)
 
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
+    def scene(self, t_us: int, view: viewer.Shown) -> None:
         """What the 3-D view shows."""
         self._put(t_us, self.log.scene, t_us, view)
-
-    def certified(self, t_us: int, region: viewer.Region) -> None:
-        """The positions that a new certificate allows, for the 3-D view."""
-        self._put(t_us, self.log.certified, t_us, region)
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""

@@ -64,6 +64,15 @@ class Topic:
 MESSAGE = "/vehicle/message"
 """What the vehicle sent that decides something and stands in no table: replay needs it."""
 _PACKED_FROM_HZ = 20.0
+_DEAD_MAN_TIMES = {
+    "alive": "when it said all this",
+    "silent": "last setpoint before it took over",
+    "began": "when it took over",
+    "hold": "its first command to hold",
+    "held": "when Hold was seen",
+    "mode": "when a mode was heard last",
+}
+"""Of the dead-man's record, those that are times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,6 +300,33 @@ _STACK_TOPICS = (
             Field("missed", "int32", 0, "1", "deadlines missed so far"),
         ),
     ),
+    Topic(
+        "/step",
+        Kind.TABLE,
+        "flightstack.Step",
+        250.0,
+        "companion",
+        "this machine's clock at each step: with it a flight in real time is replayed",
+        (
+            Field("received_us", "int64", 0, "us", "when what had arrived was taken"),
+            Field("decided_us", "int64", 0, "us", "when the companion decided"),
+        ),
+    ),
+    Topic(
+        "/dead_man",
+        Kind.TABLE,
+        "flightstack.DeadMan",
+        0.0,
+        "dead-man",
+        "what the dead-man did last, where that changed; times of this machine's clock",
+        (
+            *(Field(f"{name}_ns", "int64", 0, "ns", what) for name, what in _DEAD_MAN_TIMES.items()),
+            Field("acts", "int64", 0, "1", "how often it took over"),
+            Field("mode", "int64", 0, "1", "the vehicle's custom mode as it saw it"),
+            Field("touched", "int64", 0, "1", "whether anybody else has changed the mode since"),
+            Field("ended", "bool", 0, "1", "whether its process has ended"),
+        ),
+    ),
 )
 
 _VIEW_TOPICS = (
@@ -306,6 +342,16 @@ _VIEW_TOPICS = (
     Topic("/scene", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "vehicle, ground, safe region, reference"),
     Topic("/scene/path", Kind.VIEW, "foxglove.SceneUpdate", 1.0, "companion", "the flown path as a line"),
     Topic("/scene/region", Kind.VIEW, "foxglove.SceneUpdate", 0.0, "companion", "the certified region of positions"),
+    Topic("/outline/vehicle", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "rotors and arms as points"),
+    Topic("/outline/path", Kind.VIEW, "foxglove.PointCloud", 1.0, "companion", "the flown path as points"),
+    Topic("/outline/reference", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "the reference path as points"),
+    Topic(
+        "/outline/region", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the region that is asked for"
+    ),
+    Topic("/outline/certified", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edge of the certified region"),
+    Topic("/outline/site", Kind.VIEW, "foxglove.PointCloud", 0.0, "companion", "edges of the site"),
+    Topic("/outline/way", Kind.VIEW, "foxglove.PointCloud", 2.0, "companion", "the site filter's way to a stop"),
+    Topic("/scene/way", Kind.VIEW, "foxglove.SceneUpdate", 2.0, "companion", "the site filter's way to a stop"),
     Topic("/scene/filter", Kind.VIEW, "foxglove.SceneUpdate", 10.0, "companion", "wanted and safe acceleration"),
     Topic("/vehicle/location", Kind.VIEW, "foxglove.LocationFix", 5.0, "GLOBAL_POSITION_INT", "place on the map"),
 )

@@ -256,13 +256,9 @@ class FlightLog:
         if self._true_trail.is_due(t_us):
             self._views(t_us, self._true_trail.poses, truth)
 
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
+    def scene(self, t_us: int, view: viewer.Shown) -> None:
         """What the 3-D view shows; again whenever it changes."""
-        self._views(t_us, viewer.scene_views, view)
-
-    def certified(self, t_us: int, region: viewer.Region) -> None:
-        """The positions that a new certificate allows, for the 3-D view."""
-        self._views(t_us, viewer.certified_views, region)
+        self._views(t_us, viewer.views_of, view)
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on; the last one becomes an attachment when the log is closed."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+from log_samples import proto_class
 
 from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
 from flightstack.types import InputError
+from flightstack_logs.reader import read
 
 HEAD = 'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 3.3\n'
 BOX = f"{HEAD}inside = [[-6.0, -5.0], [6.0, -5.0], [6.0, 5.0], [-6.0, 5.0]]\n"
@@ -61,6 +68,34 @@ def test_a_mission_through_a_wall_is_flown_along_it_and_told_so(walled: FlightRe
     assert all(each["from_s"] <= each["to_s"] for each in barrier["bent"])
     assert barrier["changed_share"] > 0.0
     assert json.dumps(walled.as_json())
+
+
+def test_the_view_shows_the_site_and_a_way_to_a_stop_within_it(walled: FlightResult) -> None:
+    """ENU: x is east, y is north.  Every way begins where the vehicle is and keeps clear of the wall at 2.2 m north."""
+    assert walled.log is not None
+    (site,) = _points(Path(walled.log), "/outline/site")
+    for corner in ((-5.0, -6.0, 0.3), (-5.0, -6.0, 3.3), (5.0, 2.2, 0.3), (5.0, 2.2, 3.3)):
+        assert np.linalg.norm(site - corner, axis=1).min() < 0.02  # the place of arming, as estimated
+    ways = _points(Path(walled.log), "/outline/way")
+    assert len(ways) > 10
+    assert max(way[:, 1].max() for way in ways) < 2.2
+    assert max(np.ptp(way, axis=0).max() for way in ways) > 0.5
+    flown = read(Path(walled.log)).tables["/tick"]
+    starts = np.array([way[0] for way in ways])[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+    assert max(np.linalg.norm(flown["pos_ned_m"] - start, axis=1).min() for start in starts) < 0.3
+
+
+def test_the_control_error_is_from_the_reference_that_was_followed(walled: FlightResult) -> None:
+    """As the tracking error is: the wall took more than half a metre of what was asked for."""
+    estimator = walled.as_json()["estimator"]
+    assert estimator["control_rmse_m"] == pytest.approx(walled.tracking["rmse_m"], abs=0.02)
+
+
+def _points(path: Path, topic: str) -> list[np.ndarray]:
+    with path.open("rb") as file:
+        found = list(make_reader(file).iter_messages(topics=[topic]))
+    clouds = [proto_class(schema.data, schema.name).FromString(message.data) for schema, _, message in found if schema]
+    return [np.frombuffer(cloud.data, "<f4").reshape(-1, 3) for cloud in clouds]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from flightstack.cli.barrier_score import (
     TimedFilter,
     WatchedCertifier,
     barrier_summary,
-    certified_value,
+    certified_values,
     engaged_from,
     qp_summary,
 )
@@ -114,10 +114,10 @@ def test_a_given_certificate_is_handed_over_once_with_the_vehicle_it_flies() -> 
 
 
 def test_a_certificates_h_is_the_least_of_its_axes_and_as_published_their_common_ellipsoid() -> None:
-    pos, vel = np.add(CENTRE, (0.5, 0.0, 0.3)), np.array([0.0, 0.25, 0.0])
-    assert certified_value(certificate(), pos, vel) == pytest.approx(0.75)  # both 0.5^2 and (0.25 / 0.5)^2 are 1/4
+    states = np.array([[*np.add(CENTRE, (0.5, 0.0, 0.3)), 0.0, 0.25, 0.0]])
+    assert certified_values(certificate(), states) == pytest.approx(0.75)  # both 0.5^2 and (0.25 / 0.5)^2 are 1/4
     published = certificate(mode="as-published")
-    assert certified_value(published, pos, vel) == pytest.approx(1.0 - 0.25 - 0.25 - 0.09)
+    assert certified_values(published, states) == pytest.approx(1.0 - 0.25 - 0.25 - 0.09)
 
 
 def test_a_region_counts_from_half_a_second_at_0_05_on() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +18,7 @@ from shipped import load_scenario, load_vehicle
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.shapes import Quadratic
 from flightstack.cli.barrier_score import GivenCertificate, WatchedCertifier
-from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region, certified_words
+from flightstack.cli.recorder import FilterEvents, LogObserver, certified_region, certified_words, scene_of
 from flightstack.cli.workshop import Workshop
 from flightstack.frames import ned_to_enu
 from flightstack.model import Model
@@ -164,7 +165,7 @@ def test_the_last_certificate_is_in_the_log_and_its_region_in_the_view(tmp_path:
     log = ThreadedLog(log) if threaded else log
     for version in (1, 2):
         one = certificate(semi_m=1.0 * version, version=version)
-        log.certified(1000 * version, certified_region(one, np.zeros(3)))
+        log.scene(1000 * version, certified_region(one, np.zeros(3)))
         log.certificate(1000 * version, one)
     log.close()
     assert log.failed is None
@@ -207,7 +208,8 @@ def test_a_process_that_is_lost_is_told_once_with_its_reason(tmp_path: Path) -> 
     log, shop = FlightLog.open(tmp_path / "a.mcap", metadata={}), Workshop()
     watched = WatchedCertifier(GivenCertificate(certificate(), MODEL), elsewhere=shop)
     clock = LogClock(log, zero_us=0, utc_us=0)
-    observer = LogObserver(log, load_scenario("hover"), load_vehicle("quad-x"), clock, truth=False, certifier=watched)
+    scene = partial(scene_of, load_scenario("hover"), load_vehicle("quad-x"), (), truth=False)
+    observer = LogObserver(log, clock, scene, certifier=watched)
     observer.companion = SimpleNamespace(mission=None, view=SimpleNamespace(streams=Streams()))  # type: ignore[assignment]
     for tick, why in enumerate(("", "its process has ended", "its process has ended")):
         shop.lost = why

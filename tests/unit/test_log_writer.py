@@ -379,6 +379,40 @@ def test_the_scene_has_rotors_ground_reference_and_region_where_they_are(tmp_pat
     assert (ball.size.x, ball.size.y, ball.size.z) == (2.0, 1.0, 3.0)
     path = [(p.position.x, p.position.y, p.position.z) for p in found["/reference/path"][0][1].poses]
     assert path == [(0.0, 0.0, 1.0), (1.0, 3.0, 1.5)]
+    np.testing.assert_array_equal(cloud(found, "reference"), path)
+    ellipsoid = (cloud(found, "region") - [2.0, 1.0, 3.0]) / [1.0, 0.5, 1.5]
+    np.testing.assert_allclose(np.linalg.norm(ellipsoid, axis=1), 1.0, rtol=1e-5)
+    assert found["/outline/vehicle"][0][1].frame_id == "body_true"
+    shape = cloud(found, "vehicle")
+    nearest = np.min([np.hypot(*(shape - disc).T[:2]) for disc in discs], axis=0)
+    assert pytest.approx(nearest[nearest > 0.119].min(), abs=1e-4) == 0.12
+    for end, disc in zip(shape.reshape(len(rotors), 2, -1, 3)[:, 1, -1], discs, strict=True):
+        assert end == pytest.approx(disc)
+
+
+def cloud(found: dict[str, list[tuple[int, Any]]], name: str) -> np.ndarray:
+    """(N, 3): the points of the first message of an outline."""
+    message = found[f"/outline/{name}"][0][1]
+    assert [(field.name, field.offset, field.type) for field in message.fields] == [
+        ("x", 0, 7),
+        ("y", 4, 7),
+        ("z", 8, 7),
+    ]
+    return np.frombuffer(message.data, "<f4").reshape(-1, message.point_stride // 4)
+
+
+def test_a_box_is_outlined_by_its_edges_and_the_flown_path_by_its_points(tmp_path: Path) -> None:
+    log = FlightLog.open(tmp_path / "a.mcap", metadata={})
+    log.scene(0, Region("box", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5)))
+    for k in range(3):
+        log.tick(tick_record(1_000_000 * k, (1.0 * k, 0.0, -2.0)))
+    log.close()
+    found = decoded(tmp_path / "a.mcap")
+    box = np.abs(cloud(found, "certified") - [2.0, 1.0, 3.0]) / [1.0, 0.5, 1.5]
+    assert ((np.isclose(box, 1.0).sum(axis=1) >= 2) & (box <= 1.0 + 1e-6).all(axis=1)).all()
+    assert len(np.unique(cloud(found, "certified").round(4), axis=0)) == 12 * 39 + 8
+    flown = np.frombuffer(found["/outline/path"][-1][1].data, "<f4").reshape(-1, 3)
+    np.testing.assert_array_equal(flown[:, 1:], [[k, 2.0] for k in range(len(flown))])
 
 
 def test_events_and_the_vehicles_words_are_foxglove_log_lines(tmp_path: Path) -> None:

@@ -12,13 +12,17 @@ import pytest
 from flightstack.cli import files
 from flightstack.cli.shield import ShieldOptions, shield_stack
 from flightstack.cli.shield_router import ShieldRouter
+from flightstack.geodesy import PX4_SIH
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.simulated_vehicle import simulated_vehicle
 from flightstack_sim.streams import LinkKind
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.framing import CRC, MAGIC_V1, ONE_BYTE, build_frame, mcrf4xx
+from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.link import Link
+from mavlink_bridge.messages import BY_ID
 from mavlink_bridge.requests import set_mode
 
 NAN = float("nan")
@@ -103,6 +107,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def router(site: Path) -> ShieldRouter:
+    """That has heard no vehicle."""
+    return ShieldRouter(*shield_stack(ShieldOptions(connect="udpin::1", serve="udpin::2", site=site), None))
+
+
 @pytest.fixture
 def rig(site: Path) -> Rig:
     made = Rig(site)
@@ -118,22 +128,17 @@ def inside(places: list[np.ndarray]) -> bool:
     return bool(flat and np.all(table[:, 2] <= -0.3) and np.all(table[:, 2] >= -5.0))
 
 
-@pytest.mark.parametrize(
-    "wish",
-    [
-        velocity(4.0, 2.5, 0.0),
-        position(30.0, -20.0, -9.0),
-        rates(0.0, -0.3, 0.5),
-        attitude(-0.6, 0.55),
-    ],
-    ids=["velocity", "position", "rates", "attitude"],
-)
-def test_nothing_that_is_asked_for_leads_out(rig: Rig, wish: object) -> None:
-    rig.say = lambda: wish
-    rig.run(6.0)
-    assert inside(rig.places)
-    assert rig.router.score.changed > 0
-    assert np.linalg.norm(rig.places[-1] - rig.places[0]) > 0.5
+def test_nothing_that_is_asked_for_leads_out(rig: Rig) -> None:
+    """Velocity, position, rates, attitude, one after the other."""
+    for wish in (velocity(4.0, 2.5, 0.0), position(30.0, -20.0, -9.0), rates(0.0, -0.3, 0.5), attitude(-0.6, 0.55)):
+        changed, began = rig.router.score.changed, rig.places[-1] if rig.places else np.array([0.0, 0.0, -2.0])
+        rig.say = lambda wish=wish: wish  # type: ignore[misc]
+        rig.run(5.0)
+        assert inside(rig.places)
+        assert rig.router.score.changed > changed
+        assert np.linalg.norm(rig.places[-1] - began) > 0.5
+        rig.say = lambda: position(0.0, 0.0, -2.0)
+        rig.run(4.0)
 
 
 def test_a_program_that_dies_is_stopped_held_and_handed_over(rig: Rig) -> None:
@@ -158,6 +163,58 @@ def test_the_pilot_has_it(rig: Rig) -> None:
     assert np.linalg.norm(rig.places[-1] - rig.places[0]) < 0.3
 
 
+def test_a_place_on_the_globe_is_flown_to(rig: Rig) -> None:
+    """3 m north and 5 m east of PX4's origin: the first is reached, the second is behind the wall."""
+    lat, lon = PX4_SIH.to_globe(float(rig.start[0]) + 3.0, float(rig.start[1]) + 5.0)
+    mask, unset = 0b1001_1111_1000, (NAN,) * 3
+    rig.say = lambda: m.SetPositionTargetGlobalInt(0, 1, 1, 6, mask, lat, lon, 2.0, unset, yaw_rad=0.0)
+    rig.run(7.0)
+    assert inside(rig.places)
+    np.testing.assert_allclose(rig.places[-1][[0, 2]], [3.0, -2.0], atol=0.3)
+    assert rig.places[-1][1] > 2.5
+
+
+def in_hold_and_back(rig: Rig, place: tuple[float, float, float]) -> None:
+    """Flown past the router to a place, in PX4's Hold, then OFFBOARD again by a program that wants to go north."""
+    direct, passed = Link(250, 1), rig.router.step
+    rig.router.step = lambda now_us: []  # type: ignore[method-assign]
+    rig.say = lambda: direct.send(position(*(rig.start + place).tolist()))
+    for _ in range(150):
+        rig.run(0.04)
+        for data in direct.datagrams_to_send():
+            rig.server.receive(0, data)
+    rig.say, rig.router.step = lambda: attitude(-0.4, 0.5), passed  # type: ignore[method-assign]
+    rig.command(*(lambda r: (r[0], *r[1]))(set_mode(px4.MODE_HOLD)))
+    rig.run(1.0)
+    rig.places.clear()
+    rig.command(*(lambda r: (r[0], *r[1]))(set_mode(px4.MODE_OFFBOARD)))
+
+
+def test_offboard_that_is_entered_beside_a_wall_stops_and_holds(rig: Rig) -> None:
+    """No way out is clear there, and what the program wants is not flown for that."""
+    in_hold_and_back(rig, (4.75, 0.0, -2.0))
+    rig.run(3.0)
+    assert rig.server.commander.state.mode.title == "Offboard"
+    assert inside(rig.places)
+
+
+def test_the_site_stays_where_it_is_after_a_landing(rig: Rig) -> None:
+    """Landed 3 m north of the start, armed again: the wall is not 3 m farther."""
+    rig.say = lambda: position(3.0, 0.0, -2.0)
+    rig.run(4.0)
+    rig.command(*(lambda r: (r[0], *r[1]))(set_mode(px4.MODE_LAND)))
+    rig.run(9.0)
+    assert not rig.server.commander.state.armed
+    start = rig.start.copy()
+    rig.take_off()
+    rig.start = start
+    rig.places.clear()
+    rig.say = lambda: velocity(4.0, 0.0, 0.0)
+    rig.run(4.0)
+    assert rig.places[-1][0] > 3.5
+    assert inside(rig.places)
+
+
 def test_all_but_setpoints_passes_byte_for_byte(rig: Rig) -> None:
     frames = []
     for message in (m.Heartbeat(6, 8, 0, 0, 4), m.ParamRequestRead(1, 1, "THR_MDL_FAC", -1)):
@@ -168,3 +225,71 @@ def test_all_but_setpoints_passes_byte_for_byte(rig: Rig) -> None:
     rig.program.send(rates(0.0, 0.0, 0.5))
     mixed = frames[0] + rig.program.datagrams_to_send()[0] + frames[1]
     assert rig.router.from_program(mixed, rig.server.t_us) == [frames[0] + frames[1]]
+
+
+def frame_of(message: object, *, flags: int = 0) -> bytes:
+    row = BY_ID[m.id_of(type(message))]
+    return build_frame(bytes(row.encode(message)), row.id, row.crc_extra, 7, 245, 190, flags)
+
+
+def version_1(frame: bytes) -> bytes:
+    """The same frame as MAVLink 1 has it."""
+    size, number = frame[1], frame[7]
+    payload = frame[10 : 10 + size].ljust(39, b"\0")
+    body = bytes([len(payload), frame[4], frame[5], frame[6], number]) + payload
+    return bytes([MAGIC_V1]) + body + CRC.pack(mcrf4xx(body + ONE_BYTE[CRC_EXTRAS[number]]))
+
+
+TURN = rates(1.0, 0.0, 0.5)
+WHOLE = frame_of(TURN)
+
+
+HIDING = build_frame(b"\1" * 7 + WHOLE, 385, CRC_EXTRAS[385], 0, 245, 190)  # a TUNNEL with a setpoint in its payload
+
+
+def read_by_px4(stream: bytes) -> list[int]:
+    """Ids of the frames that MAVLink's C parser finds in a byte stream: a broken frame costs all that it spans."""
+    found, at = [], 0
+    while at + 12 <= len(stream):
+        first, size = stream[at], stream[at + 1]
+        if first == 0xFD and stream[at + 2] <= 1:
+            number, crc_at = int.from_bytes(stream[at + 7 : at + 10], "little"), at + 10 + size
+            end = crc_at + 2 + 13 * stream[at + 2]
+        elif first == MAGIC_V1:
+            number, crc_at = stream[at + 5], at + 6 + size
+            end = crc_at + 2
+        else:
+            at += 1
+            continue
+        said = stream[at + 1 : crc_at] + ONE_BYTE[CRC_EXTRAS.get(number, 0)]
+        if end <= len(stream) and mcrf4xx(said) == CRC.unpack_from(stream, crc_at)[0]:
+            found.append(number)
+        at = end
+    return found
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        (WHOLE,),
+        (frame_of(TURN, flags=1) + bytes(13),),
+        (version_1(WHOLE),),
+        (WHOLE[:9], WHOLE[9:]),
+        (frame_of(m.SetAttitudeTarget(0, 0, 0, 128, (1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.5)),),
+        (frame_of(m.SetAttitudeTarget(0, 9, 1, 128, (1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.5)),),
+        (build_frame(b"\1" * 43, 139, CRC_EXTRAS[139], 0, 245, 190),),
+        (bytes([0xFD, 5, 0, 0, 0, 0, 0, 0, 0, 0]) + HIDING,),
+    ],
+    ids=["plain", "signed", "version 1", "in pieces", "broadcast", "elsewhere", "actuators", "behind half a frame"],
+)
+def test_no_setpoint_gets_past_the_router(router: ShieldRouter, data: tuple[bytes, ...]) -> None:
+    """PX4 reads datagrams as one stream of bytes; and no vehicle was heard yet."""
+    assert set(read_by_px4(b"".join(data))) & {82, 139}
+    assert read_by_px4(b"".join(b"".join(router.from_program(part, 0)) for part in data)) in ([], [385])
+
+
+def test_what_is_no_setpoint_passes_whole(router: ShieldRouter) -> None:
+    """Frames of any dialect among them; a payload that looks like a setpoint is none."""
+    foreign = build_frame(b"\2" * 9, 54_321, 17, 0, 245, 190)
+    for data in (HIDING, foreign, b"no MAVLink at all", frame_of(m.Heartbeat(6, 8, 0, 0, 4)) + foreign + HIDING):
+        assert router.from_program(data, 0) == [data]

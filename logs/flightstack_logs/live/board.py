@@ -72,16 +72,20 @@ class Board:
         if name == "phase":
             self._now["phase"] = text
 
-    def scene(self, view: viewer.Scene) -> None:
-        """What does not move."""
-        path = np.zeros((0, 3)) if view.reference_ned_m is None else view.reference_ned_m
-        self._scene |= {"reference": path[:: max(1, len(path) // _REFERENCE_POINTS)].tolist()}
-        if view.region is not None:
-            self._scene["region"] = _region(view.region)
-
-    def certified(self, region: viewer.Region) -> None:
-        """What a new certificate allows."""
-        self._scene["certified"] = _region(region)
+    def scene(self, view: viewer.Shown) -> None:
+        """What does not move, what a new certificate allows, or how the vehicle would stop."""
+        if isinstance(view, viewer.Region):
+            self._scene["certified"] = _region(view)
+        elif isinstance(view, viewer.StoppingWay):
+            self._scene["way"] = view.pos_ned_m.tolist()
+        else:
+            path = np.zeros((0, 3)) if view.reference_ned_m is None else view.reference_ned_m
+            self._scene |= {
+                "reference": path[:: max(1, len(path) // _REFERENCE_POINTS)].tolist(),
+                "site": [line.tolist() for line in view.site_ned_m],
+            }
+            if view.region is not None:
+                self._scene["region"] = _region(view.region)
 
     def as_json(self) -> bytes:
         """All of it; what is not finite is null."""

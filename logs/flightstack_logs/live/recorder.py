@@ -132,19 +132,12 @@ class LiveRecorder:
             self._log.location(t_us, latitude_deg, longitude_deg, altitude_m)
         self._shown.location(t_us, latitude_deg, longitude_deg, altitude_m)
 
-    def scene(self, t_us: int, view: viewer.Scene) -> None:
+    def scene(self, t_us: int, view: viewer.Shown) -> None:
         """What the 3-D view shows."""
         if self._log is not None:
             self._log.scene(t_us, view)
         self._shown.scene(t_us, view)
         self._board.scene(view)
-
-    def certified(self, t_us: int, region: viewer.Region) -> None:
-        """The positions that a new certificate allows, for the 3-D view."""
-        if self._log is not None:
-            self._log.certified(t_us, region)
-        self._shown.certified(t_us, region)
-        self._board.certified(region)
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on."""
