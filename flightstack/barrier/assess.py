@@ -25,7 +25,6 @@ from flightstack.barrier.packed import (
 from flightstack.barrier.response import (
     C_HOLD,
     C_LEAD_THRUST,
-    C_NORM_HIGH,
     C_NORM_LOW,
     C_RATE_DELAY,
     C_STEER,
@@ -229,8 +228,8 @@ def _limit_rows(
 ) -> None:  # fmt: skip
     """All rows of the QP in u; the first three bounds hold the barriers' intervals already.
 
-    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The budget's thrust gives way to what
-    the barrier needs, which while the lean turns may be a little more; the vehicle's own does not.  The lean n that is steered to, and
+    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The budget's gives way to what the
+    barrier needs, a little more while the lean turns; the vehicle's own does not.  The lean n that is steered to, and
     the one that comes of how fast it turns, keep within the certificate's; where both lateral axes are certified these
     bounds give way to the accelerations nearest to an upright n that the barriers allow: lean never takes what position
     needs.

@@ -29,8 +29,9 @@ P_TURNING = P_BOUNDS + 5
 P_SIZES = P_TURNING + 2
 P_HEAD = P_SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
-response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, greatest lean, roll and pitch rates),
-`turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and tables (`table_of`)."""
+response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, greatest lean, roll and pitch
+rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and
+tables (`table_of`)."""
 
 
 def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
