@@ -36,8 +36,8 @@ help:
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
 	@echo "make attack       every attack on a certificate that is known, as tests"
-	@echo "make campaign-barrier   5,000 flights against an adversary that searches: docs/barrier-campaign.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
-	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier-filters.md (campaign-barrier-filters-quick: a few)"
+	@echo "make campaign-barrier   5,000 flights against an adversary that searches: the table in docs/barrier.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
+	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier.md (campaign-barrier-filters-quick: a few)"
 	@echo "make gap-rough          200 blind cases with a rough vehicle file, plain and with ranges: docs/gap.md"
 	@echo "make campaign-fence     flights in random sites against adversaries: docs/site.md; goes on where it was cut off, MINUTES=60 bounds it"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
@@ -151,37 +151,48 @@ faults: $(BIN)/.installed
 tune: $(BIN)/.installed
 	$(BIN)/python benchmarks/tune.py
 
-campaign-learning: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.learning
+MINUTES ?= 600
+COMMIT = $(shell git rev-parse --short=7 HEAD)
+RUN = nice -n 10 $(BIN)/flightstack campaign
+QUICK = $(if $(findstring quick,$@),--quick)
+define LEARNING
+	mkdir -p runs && $(BIN)/python -m benchmarks.learning file $(QUICK) > runs/$@.toml
+	$(RUN) runs/$@.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES)
+	$(BIN)/python -m benchmarks.learning page runs/$@-$(COMMIT) $(QUICK)
+endef
+campaign-learning: $(BIN)/.installed-campaign
+	$(LEARNING)
 
-campaign-learning-quick: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.learning --quick
+campaign-learning-quick: $(BIN)/.installed-campaign
+	$(LEARNING)
 
 attack: $(BIN)/.installed-dev
 	$(BIN)/python -m pytest -q -m attack tests/attack
 	FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py
 
-MINUTES ?= 600
-campaign-barrier: $(BIN)/.installed
-	nice -n 10 $(BIN)/python -m benchmarks.barrier_attack --resume --minutes $(MINUTES)
+campaign-barrier: $(BIN)/.installed-campaign
+	$(RUN) campaigns/barrier.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES) --set seeds.from=$$((0x$(COMMIT)000)); \
+	status=$$?; $(BIN)/python -m benchmarks.campaign docs/barrier.md barrier runs/$@-$(COMMIT) && exit $$status
 
-campaign-barrier-quick: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.barrier_attack --quick
+campaign-barrier-quick: $(BIN)/.installed-campaign
+	$(RUN) campaigns/barrier.toml --out runs/$@-$$(date +%Y%m%d-%H%M%S) --set 'design="grid"' --set seeds.count=1 --set count=5 --set vary.attacks=4
 
 campaign-fence: $(BIN)/.installed-dev
 	$(BIN)/python -m benchmarks.fence $(if $(MINUTES),--minutes $(MINUTES))
 
-campaign-barrier-filters: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.barrier_campaign
+campaign-barrier-filters: $(BIN)/.installed-campaign
+	$(RUN) campaigns/barrier-filters.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES)
 
-campaign-barrier-filters-quick: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.barrier_campaign --quick
+campaign-barrier-filters-quick: $(BIN)/.installed-campaign
+	$(RUN) campaigns/barrier-filters.toml --out runs/$@-$$(date +%Y%m%d-%H%M%S) --set count=16
 
-gap-blind: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.gap_blind
+gap-blind: $(BIN)/.installed-campaign
+	$(RUN) campaigns/gap-blind.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES)
+	$(BIN)/python -m benchmarks.gap_tables runs/$@-*
 
-gap-rough: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.gap_rough
+gap-rough: $(BIN)/.installed-campaign
+	$(RUN) campaigns/gap-rough.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES)
+	$(BIN)/python -m benchmarks.gap_rough runs/$@-*
 
 gap-recorded: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_recorded
@@ -189,8 +200,8 @@ gap-recorded: $(BIN)/.installed
 gap-rotorpy: $(BIN)/.installed-bench
 	$(BIN)/python -m benchmarks.gap_rotorpy
 
-gap-blind-quick: $(BIN)/.installed
-	$(BIN)/python -m benchmarks.gap_blind --quick
+gap-blind-quick: $(BIN)/.installed-campaign
+	$(RUN) campaigns/gap-blind.toml --out runs/quick-$@ --resume --set 'design="grid"' --set seeds.count=1 --set count=37 --set 'vary.plant="native"' --set 'vary.form="csv"'
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

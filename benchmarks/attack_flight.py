@@ -24,7 +24,10 @@ from benchmarks.attack_worlds import TICK_MS, World
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.growing import GrowingCertifier
-from flightstack.barrier.records import Certificate
+from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.premises import Premises
+from flightstack.barrier.records import AxisCertificate, Certificate
+from flightstack.barrier.search import Axis, Ledger
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli import files
 from flightstack.cli.barrier_score import FALLBACKS, SOLVED, GivenCertificate, WatchedCertifier
@@ -35,8 +38,9 @@ from flightstack.jit import njit
 from flightstack.mission import plan
 from flightstack.model import Limiter, Model
 from flightstack.predictor import Streams, predict
+from flightstack.seams import NoFilter
 from flightstack.stack import StackState
-from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord
+from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord, changed
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -122,8 +126,11 @@ def setup_of(world: World, seed: int, given: Path | None = None, **more: Any) ->
 class AttackFlight:
     """One flight; `tick` is 4 ms of both ends."""
 
-    def __init__(self, world: World, seed: int, *, given: Path | None = None, torque: bool = True) -> None:
-        """`torque` False: the torque margin is planted away, governor and line of the ledger."""
+    def __init__(self, world: World, seed: int, *, given: Path | None = None, planted: str = "") -> None:
+        """`planted`: what is left out, to show that an attack finds it.
+
+        torque: the margin for torque, governor and line of the ledger; delay: all that the certificate knows of delays.
+        """
         self.world = world
         setup = setup_of(world, seed, given)
         self.scenario = setup.flight.scenario
@@ -135,7 +142,9 @@ class AttackFlight:
         watched = setup.flight.protection.watched
         assert watched is not None, setup.flight.protection.words
         self.watched: WatchedCertifier = watched
-        self.held = Held(told(watched._certifier, lambda config: _for(config, world, torque)), before.model)
+        self.held = Held(
+            told(watched._certifier, lambda config: _for(config, world, planted), planted == "delay"), before.model
+        )
         watched._certifier = self.held
         adversary = Adversary(
             before.controller, self.seen, seed, before.model.thrust_range_n(limits), np.array(limits.rate_max_radps)
@@ -238,6 +247,12 @@ class AttackFlight:
         sensors = self.vehicle.sensors
         for k, rng in enumerate((sensors._imu_rng, sensors.estimator._rng)):
             rng.bit_generator.state = np.random.PCG64(np.random.SeedSequence([10, seed, k])).state
+
+    def unguard(self) -> None:
+        """Without the guard's limit of the tilt from now on, and without the filter before it."""
+        stack = self.stack
+        stack.guard = Guard(stack.model, dataclasses.replace(stack.limits, tilt_abort_rad=math.pi))
+        stack.filter = NoFilter()
 
     def fly_until_engaged(self, limit_s: float) -> float | None:
         """The nominal flight until the filter has been engaged for a second; the time of the first such tick, s."""
@@ -369,20 +384,31 @@ class Held:
         return state, ended
 
 
-def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -> Any:
-    """The certifier with other constants."""
+class Hasty(OnlineCertifier):
+    """A certifier with a planted fault: for it, commands act at once, and nobody watches whether they do."""
+
+    def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
+        """As the certifier's own, without the delay."""
+        return super().axis_of(axis, knowledge, changed(learned, latency_s=1e-9))
+
+    def _premises(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Premises:
+        return dataclasses.replace(super()._premises(knowledge, axes), delay_s=(0.0, 1.0), jitter_s=1.0)
+
+
+def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig], hasty: bool = False) -> Any:
+    """The certifier with other constants; `hasty`: one that knows no delays."""
     if isinstance(certifier, GrowingCertifier):
-        certifier._first = told(certifier._first, change)
+        certifier._first = told(certifier._first, change, hasty)
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    return OnlineCertifier(
+    return (Hasty if hasty else OnlineCertifier)(
         certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
         config=change(certifier.config), safe=certifier.safe,
     )  # fmt: skip
 
 
-def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig:
+def _for(config: CertifierConfig, world: World, planted: str) -> CertifierConfig:
     """How long a command may be held, and with less thrust where more does not close."""
     spared = -math.inf  # the nominal path is no matter here
     changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "spared_h": spared}
@@ -390,8 +416,11 @@ def _for(config: CertifierConfig, world: World, torque: bool) -> CertifierConfig
         changes["thrusts"] = _THRUSTS
     if hasattr(config, "jitter_s") and world.down_ms + world.jitter_ms > TICK_MS:
         changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
-    if not torque and hasattr(config, "governor"):
+    if planted == "torque":
         changes["governor"] = None
+    if planted == "delay":
+        changes["jitter_s"], changes["dt_s"] = 0.0, config.dt_s
+        changes["doubts"] = config.doubts._replace(delay_s=0.0)
     return dataclasses.replace(config, **changes)
 
 

@@ -22,9 +22,6 @@ TASKS = ("explore", "adversary")
 TICK_MS = 4
 FLIGHT_S = 20.0
 """From the first certificate on; of an exploration, from its first round."""
-COUNTS = {"sound": 500, "unfiltered": 150, "as-published": 150}
-"""Flights of each task."""
-QUICK = {"sound": 4, "unfiltered": 2, "as-published": 2}
 _STEERED_M = np.array([0.5, 0.5, 0.2])
 _FAR_M, _FAST_MPS = 1.0, 0.5
 """Sideways, where nothing is certified, the adversary turns back from here on: else the flight would end at its

@@ -1,4 +1,4 @@
-"""One flight of the barrier campaign over UDP, by the loop of `flightstack certify`, over a worse link.
+"""A flight of `campaigns/barrier-filters.toml` over UDP, by the loop of `flightstack certify`, over a worse link.
 
 The datagrams of each tick still go through the sockets; between the two ends they are held back and lost as drawn.
 Nothing is written to disk.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from flightstack.explore import Explorer
 from flightstack.mission import Mission
 from flightstack.seams import NoFilter
 from flightstack.stack import Stack
-from flightstack.types import TickRecord
+from flightstack.types import InputError, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.shell import ONBOARD
 from mavlink_bridge.link import MAX_DATAGRAM
@@ -175,13 +174,12 @@ def _stack(prepared: Prepared, pilot: str, task: Task, world: Draw) -> Stack:
     )  # fmt: skip
 
 
-def fly_scored(pilot: str, task: str, seed: int) -> dict[str, Any]:
-    """One row of the results."""
-    world, began = draw(seed), time.perf_counter()
-    row: dict[str, Any] = {"pilot": pilot, "task": task, "seed": seed, "refused": world.refused}
-    row |= {"draw": dataclasses.asdict(world), "authority_g": world.authority_weights}
+def compared(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """A task of a campaign: `pilot` (PILOTS) flies `task` (TASKS) in the world of the seed."""
+    pilot, task, world = str(values["pilot"]), str(values["task"]), draw(seed)
     if world.refused:
-        return row
+        raise InputError("less than 0.05 g is left to climb with")
+    row: dict[str, Any] = {"draw": dataclasses.asdict(world), "authority_g": world.authority_weights}
     setup, planner = setup_of(pilot, task, world)
     warm_up_all(setup)
     watched = setup.flight.protection.watched
@@ -197,15 +195,18 @@ def fly_scored(pilot: str, task: str, seed: int) -> dict[str, Any]:
         flight.close()
     region = flight.score.region.summary()
     areas = [sum(axis.barrier.area_m2ps for axis in each.axes if axis.axis == 2) for each in watched.adopted]
-    row |= {
-        "completed": flight.companion.completed, "reason": flight.companion.reason,
-        "exits": region["violations"], "min_h": region["min_h_truth"], "left_s": region["left_s"],
-        "engaged_s": region["engaged_s"], "infeasible": tape.infeasible, "certificates": len(areas),
+    left, engaged = bool(region["violations"]), region["engaged_s"] is not None
+    sound = pilot == "sound"
+    return row | {
+        "ended_early": not flight.companion.completed, "why": flight.companion.reason,
+        "exits": region["violations"], "left": left and engaged, "left_s": region["left_s"],
+        "barrier": {"min_h_truth": region["min_h_truth"]},
+        "engaged": engaged, "engaged_s": region["engaged_s"], "infeasible": tape.infeasible, "certificates": len(areas),
         "interventions": tape.interventions,
         "area_first_m2ps": areas[0] if areas else None, "area_last_m2ps": areas[-1] if areas else None,
-        "refuted": int(refuted(watched.adopted, setup)), "wall_s": time.perf_counter() - began,
+        "refuted": int(refuted(watched.adopted, setup)),
+        "failure": "left the region" if sound and left else "infeasible" if sound and tape.infeasible else "",
     }  # fmt: skip
-    return row
 
 
 def refuted(adopted: list[Any], setup: Setup) -> int:

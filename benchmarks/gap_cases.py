@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,14 @@ from benchmarks.gap_flights import (
     fly,
     fly_plant,
 )
+from benchmarks.gap_judge import judge
 from benchmarks.gap_mcap import write_mcap
+from benchmarks.gap_rules import rules
+from flightstack.cli.files import load_vehicle
+from flightstack.cli.gap import GapOptions, find_gap
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml, with_effects
+from flightstack_sim.jsbsim.aircraft import REFUSED
 from flightstack_sim.plant import Plant
 
 HEADER = (
@@ -243,6 +249,23 @@ def as_json(answer: Answer) -> dict[str, Any]:
         "rich": answer.rich,
         "notes": answer.notes,
     }
+
+
+def blind(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """A case named without a look at its answer, and judged: a task of `campaigns/gap-blind.toml`.
+
+    `kind` as for `make`, `form` csv or mcap, `plant`: jsbsim flies what it can, the native one what it refuses.
+    """
+    kind, plant = str(values["kind"]), str(values["plant"])
+    if kind.startswith("outside:") or kind in {f"one:{effect}" for effect in REFUSED}:
+        plant = "native"
+    log, vehicle, sealed = write(make(kind, seed, plant=plant), folder, "case", str(values["form"]))
+    began = time.perf_counter()
+    find_gap(GapOptions(logs=(log,), vehicle=str(vehicle), out=folder / "out"))
+    wall_s = round(time.perf_counter() - began, 2)
+    said = json.loads((folder / "out" / "gap.json").read_text(encoding="utf-8"))
+    row = judge(json.loads(sealed.read_text(encoding="utf-8")), said, load_vehicle(str(vehicle))[0])
+    return row | {"flown_on": plant, "case_s": wall_s, "rules": rules()}
 
 
 def kinds() -> list[str]:

@@ -79,11 +79,6 @@ def _parameters(effect: dict[str, Any], hidden: dict[str, float], believed: Vehi
     return {"error": float(np.linalg.norm(np.array(off)[told])) / size if size > 0.0 else math.inf, "within": within}
 
 
-def lost(reason: str) -> Row:
-    """A case that the workflow refused or that failed."""
-    return {"lost": reason}
-
-
 # --- over all cases
 
 

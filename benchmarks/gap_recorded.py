@@ -178,15 +178,9 @@ def main() -> int:
             lines.append(line(row, data))
             print(lines[-1], flush=True)
     if not options.row:
-        from flightstack.cli.versions import versions
-
-        page = campaign.ROOT / "docs" / "gap.md"
-        text = page.read_text("utf-8")
         names = ("flight", "must say", "says", "side force falls by", "lift falls by", "closed", "took")
         head = f"| {' | '.join(names)} |\n| {' | '.join(['---'] * 3 + ['--:'] * 4)} |"
-        before, after = text.split(_BEGIN)[0], text.split(_END)[1]
-        stamp = f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}; `make gap-recorded`."
-        page.write_text(before + "\n".join([_BEGIN, stamp, "", head, *lines, _END]) + after, "utf-8")
+        campaign.put("\n".join([campaign.stamp("`make gap-recorded`."), "", head, *lines]), _BEGIN, _END)
     return 0
 
 

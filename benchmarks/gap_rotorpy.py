@@ -18,7 +18,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import copy
 import sys
 import tempfile
-import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -289,14 +288,9 @@ def main() -> int:
             print(text, flush=True)
     print(f"{good} of {len(rows)} as they must be")
     if not options.row:
-        from flightstack.cli.versions import versions
-
-        page = campaign.ROOT / "docs" / "gap.md"
-        before, after = page.read_text("utf-8").split(_BEGIN)[0], page.read_text("utf-8").split(_END)[1]
-        stamp = f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}; `make gap-rotorpy`: "
         head = "| vehicle | hidden | says | closed | as it must |\n| --- | --- | --- | --: | --- |"
-        about = f"{stamp}{good} of {len(rows)} as they must be."
-        page.write_text(before + "\n".join([_BEGIN, about, "", head, *lines, _END]) + after, "utf-8")
+        about = campaign.stamp(f"`make gap-rotorpy`: {good} of {len(rows)} as they must be.")
+        campaign.put("\n".join([about, "", head, *lines]), _BEGIN, _END)
     return 0 if good == len(rows) else 1
 
 

@@ -1,8 +1,6 @@
 """Blind cases with a rough vehicle file: numbers off by up to what nobody measures, alone and together, effects beside.
 
-    python -m benchmarks.gap_rough                 all cases (make gap-rough): the table in docs/gap.md
-    python -m benchmarks.gap_rough --count 40      fewer; runs accumulate in runs/gap-rough.jsonl
-    python -m benchmarks.gap_rough --fresh         forget earlier runs
+    python -m benchmarks.gap_rough FOLDER...       the table in docs/gap.md, of campaigns by campaigns/gap-rough.toml
 
 The flights are those of `benchmarks.gap_cases`; only the file that the workflow is given is spoilt: mass and greatest
 thrust by up to 30 %, inertia by a factor of up to 1.5, motor lag by up to 3, the thrust curve anywhere from 0 to 1.
@@ -13,16 +11,8 @@ over the mass of the corrected file are compared with those of what flew.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import json
 import sys
-import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -31,12 +21,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import campaign
+from benchmarks.gap_cases import make, write
 from benchmarks.gap_rules import rules
+from flightstack.cli.gap import GapOptions, find_gap
 from flightstack.vehicle import Vehicle, parse_vehicle, vehicle_to_toml
 
 _BEGIN, _END = "<!-- rough: begin -->", "<!-- rough: end -->"
 KINDS = ("mass", "thrust", "inertia", "lag", "curve", "all")
-BESIDE = ("", "linear_drag", "com_offset", "rotor_drag", "transport_delay", "", "angular_damping", "blade_flapping")
 CLASSES = {
     "mass": {"payload", "thrust_scale", "inertia"},
     "thrust": {"payload", "thrust_scale", "inertia"},
@@ -46,7 +37,6 @@ CLASSES = {
 }
 FALSE = {"steady_wind", "constant_force", "accelerometer_bias", "gyro_bias", "attitude_misalignment"}
 _SPREAD = {"mass": 1.3, "thrust": 1.3, "inertia": 1.5, "lag": 3.0}
-_FIRST_SEED = 200_000
 Row = dict[str, Any]
 
 
@@ -95,39 +85,17 @@ def _possible(inertia: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return inertia
 
 
-def jobs_of(count: int, first_seed: int) -> list[tuple[str, str, str, int, str]]:
-    """Kind, effect beside, plain or ranged, seed, rules."""
-    by = rules()
-    return [
-        (KINDS[k % 6], BESIDE[(k // 6) % 8], ("plain", "ranged")[(k + k // 6) % 2], first_seed + k, by)
-        for k in range(count)
-    ]
-
-
-def run(job: tuple[str, str, str, int, str]) -> Row:
-    """One case; one that fails is a row that says so."""
-    kind, beside, form, seed, _ = job
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            return _run(kind, beside, form == "ranged", seed, Path(folder))
-    except Exception as error:  # a campaign of hundreds goes on
-        return {"lost": f"{type(error).__name__}: {error}"}
-
-
-def _run(kind: str, beside: str, ranged: bool, seed: int, folder: Path) -> Row:
-    from benchmarks.gap_cases import make, write
-    from flightstack.cli.gap import GapOptions, find_gap
-
+def rough(values: dict[str, Any], seed: int, folder: Path) -> Row:
+    """One case, a task of a campaign: `kind` of KINDS, `beside` an effect or none, `form` plain or ranged."""
+    kind, beside = str(values["kind"]), str(values["beside"])
     case = make(f"one:{beside}" if beside else "clean", seed)
     log, vehicle, _ = write(case, folder, "case")
-    rough = spoilt(case.believed, kind, ranged, np.random.default_rng([seed, 7]))
-    vehicle.write_text(vehicle_to_toml(rough), encoding="utf-8")
-    began = time.perf_counter()
+    wrong = spoilt(case.believed, kind, values["form"] == "ranged", np.random.default_rng([seed, 7]))
+    vehicle.write_text(vehicle_to_toml(wrong), encoding="utf-8")
     find_gap(GapOptions(logs=(log,), vehicle=str(vehicle), out=folder / "out"))
-    wall_s = time.perf_counter() - began
     said = json.loads((folder / "out" / "gap.json").read_text(encoding="utf-8"))
     found = parse_vehicle((folder / "out" / "vehicle.toml").read_text(encoding="utf-8"), "corrected")
-    return judge(kind, case.truth, rough, found, said) | {"wall_s": round(wall_s, 2), "beside": beside}
+    return judge(kind, case.truth, wrong, found, said) | {"rules": rules()}
 
 
 def judge(kind: str, truth: Vehicle, rough: Vehicle, found: Vehicle, said: dict[str, Any]) -> Row:
@@ -243,33 +211,10 @@ def table(rows: list[Row]) -> list[str]:
     return [*lines, *(f"| {key} | {' | '.join(str(f[key]) for f in figures.values())} |" for key in figures["all"])]
 
 
-def main() -> int:
-    """Fly, analyse, judge, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--first-seed", type=int, default=_FIRST_SEED)
-    parser.add_argument("--fresh", action="store_true", help="forget earlier runs")
-    parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing new after so long")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    options = parser.parse_args()
-    journal = campaign.ROOT / "runs" / "gap-rough.jsonl"
-    if options.fresh:
-        journal.unlink(missing_ok=True)
-    jobs = jobs_of(options.count, options.first_seed)
-    campaign.run_all(jobs, run, journal, options.processes, options.minutes)
-    held = {job: row for job, row in campaign.held_in(journal).items() if job[-1] == rules()}
-    rows = [row | {"job_kind": job[0], "ranged": job[2] == "ranged"} for job, row in held.items()]
-    lines = table(rows)
-    print("\n".join(lines))
-    page = campaign.ROOT / "docs" / "gap.md"
-    text = page.read_text("utf-8")
-    about = campaign.provenance("flightstack.gap-rough/1", journal)
-    stamp = f"{about['date']}, commit {about['git_commit']}; `make gap-rough`, {len(rows)} cases."
-    if _BEGIN in text:
-        before, after = text.split(_BEGIN)[0], text.split(_END)[1]
-        page.write_text(before + "\n".join([_BEGIN, stamp, "", *lines, _END]) + after, "utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    entries = campaign.flown(sys.argv[1:])
+    cases = [campaign.result(e) | {"job_kind": e["values"]["kind"], "ranged": e["values"]["form"] == "ranged"}
+             for e in entries if campaign.result(e).get("rules", rules()) == rules()]  # fmt: skip
+    made = "\n".join([campaign.about(entries, "make gap-rough", f"{len(cases)} cases"), "", *table(cases)])
+    campaign.put(made, _BEGIN, _END)
+    print(made)

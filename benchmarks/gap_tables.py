@@ -1,13 +1,17 @@
-"""The tables of the blind campaign, as Markdown between two marks of docs/gap.md."""
+"""The tables of the blind campaign, as Markdown between two marks of docs/gap.md; 1 where a bar is missed.
+
+python -m benchmarks.gap_tables FOLDER...      of campaigns by campaigns/gap-blind.toml; cases of the present rules
+"""
 
 from __future__ import annotations
 
-from pathlib import Path
+import sys
 from typing import Any, NamedTuple
 
+from benchmarks import campaign
 from benchmarks.gap_judge import Row, confusion, summary
+from benchmarks.gap_rules import rules
 
-SCHEMA = "flightstack.gap-blind/1"
 BEGIN, END = "<!-- blind campaign: begin -->", "<!-- blind campaign: end -->"
 
 
@@ -56,15 +60,15 @@ def _asked(bar: Bar) -> str:
     return f"at least {percent(bar.least)}" if bar.least is not None else f"at most {percent(bar.most)}"
 
 
-def tables(rows: list[Row], about: dict[str, Any], command: str) -> str:
+def tables(rows: list[Row], entries: list[dict[str, Any]], command: str) -> str:
     """The whole section."""
     figures = summary(rows)
-    walls = sorted(row["wall_s"] for row in rows if "wall_s" in row)
+    counted = (
+        f"{figures['cases']} cases ({figures['clean']} clean, {figures['outside']} with something outside the table, "
+        f"{figures['lost']} lost)"
+    )
     lines = [
-        f"{about['date']}, {about['machine']}, {about['cores']} cores, Python {about['python']}, commit "
-        f"{about['git_commit']}; `{command}`, {about['wall_s'] / 60:.0f} minutes for {figures['cases']} cases "
-        f"({figures['clean']} clean, {figures['outside']} with something outside the table, {figures['lost']} lost); "
-        f"a case takes {walls[len(walls) // 2] if walls else 0:.1f} s (median).",
+        campaign.about(entries, command, counted),
         "",
         "| figure | measured | asked for |",
         "| --- | --: | --: |",
@@ -96,12 +100,16 @@ def tables(rows: list[Row], about: dict[str, Any], command: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write(rows: list[Row], about: dict[str, Any], page: Path, command: str) -> None:
-    """Put the tables between their marks; a page without marks becomes the tables alone."""
-    text = tables(rows, about, command)
-    page.parent.mkdir(parents=True, exist_ok=True)
-    old = page.read_text(encoding="utf-8") if page.exists() else ""
-    if BEGIN in old and END in old:
-        head, tail = old.split(BEGIN)[0], old.split(END)[1]
-        text = f"{head}{BEGIN}\n{text}{END}{tail}"
-    page.write_text(text, encoding="utf-8")
+def present(entries: list[dict[str, Any]]) -> list[Row]:
+    """The cases that the present rules judged, and those that were lost."""
+    return [row for entry in entries if (row := campaign.result(entry)).get("rules", rules()) == rules()]
+
+
+if __name__ == "__main__":
+    entries = campaign.flown(sys.argv[1:])
+    cases = present(entries)
+    campaign.put(tables(cases, entries, "make gap-blind"), BEGIN, END)
+    figures = summary(cases)
+    for each in BARS:
+        print(f"{each.words}: {shown(each, figures)}")
+    sys.exit(0 if all(kept(each, figures) is not False for each in BARS) and not figures["lost"] else 1)

@@ -102,16 +102,9 @@ def main() -> int:
             lines.append(row(name, Path(folder)))
             print(lines[-1], flush=True)
     if not options.row:
-        from flightstack.cli.versions import versions
-
-        page = campaign.ROOT / "docs" / "gap.md"
-        text = page.read_text("utf-8")
         head = "| log | takes | CPU | memory | asked for |\n| --- | --: | --: | --: | --: |"
-        about = (
-            f"{time.strftime('%Y-%m-%d')}, commit {versions()['git_commit']}, {campaign.processor()}; `make bench-gap`."
-        )
-        before, after = text.split(_BEGIN)[0], text.split(_END)[1]
-        page.write_text(before + "\n".join([_BEGIN, about, "", head, *lines, _END]) + after, "utf-8")
+        about = campaign.stamp(f"{campaign.processor()}; `make bench-gap`.")
+        campaign.put("\n".join([about, "", head, *lines]), _BEGIN, _END)
     return 0
 
 

@@ -1,77 +1,68 @@
-"""The learning campaign: every bar, every baseline, every figure of docs/learning.md.
+"""The learning campaign: every bar, every baseline, every figure of docs/learning.md (make campaign-learning).
 
-    python -m benchmarks.learning                 all flights (make campaign-learning), writes docs/learning.md
-    python -m benchmarks.learning --quick         one seed of the main cases, into runs/campaign-learning-quick
-    python -m benchmarks.learning --resume        go on where a campaign was cut off
-    python -m benchmarks.learning --report-only   tables and figures anew from results.json
+    python -m benchmarks.learning file           the campaign's file: each flight and study is a value of its factor
+    python -m benchmarks.learning page FOLDER    docs/learning.md, of the folder that `flightstack campaign` wrote
+    python -m benchmarks.learning page           the tables and figures anew from docs/learning/results.json
 
-Flights are independent: a pool of processes flies them, each flight a process of its own sockets.  Every finished
-flight is kept at once in runs/campaign-learning.jsonl.
+`--quick`: one seed of the main cases; the page goes into FOLDER.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import os
+import platform
 import sys
-from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 from benchmarks import campaign
 from benchmarks.learning_cases import FIRST_SEED, PILOTS, Flight, flights
+from flightstack.toml_text import toml_text
 
 SCHEMA = "flightstack.campaign-learning/1"
 _TRACED = "paper-tracking"
 _STUDY_SEEDS = 3
 _WORLDS = ("air", "ground")
-Job = tuple[str, str, str, int]
-"""Kind (flight or study), case or world, pilot (empty for a study), seed."""
 
 
-def run(job: Job) -> Any:
-    """One job, in a process of the pool; a flight that could not be flown is a row that did not complete."""
-    kind, name, pilot, seed = job
-    try:
-        if kind == "study":
-            from flightstack_paper.inputs import Study, study
+def one(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """A task of a campaign: `job` is KIND/NAME/PILOT/SEED, kind flight or study, name its case or world."""
+    kind, name, pilot, number = str(values["job"]).split("/")
+    if kind == "study":
+        from flightstack_paper.inputs import Study, study
 
-            return study(Study(world=name, seed=seed))
-        from benchmarks.learning_flights import fly_scored
+        return {"inputs": study(Study(world=name, seed=int(number)))}
+    from benchmarks.learning_flights import fly_scored
 
-        return fly_scored(Flight(name, pilot, seed))
-    except Exception as error:  # a campaign of hundreds goes on
-        if kind == "study":
-            return []
-        lost = {"completed": False, "reason": repr(error), "rmse_m": None, "max_m": None, "rmse_settled_m": None}
-        return {
-            "case": name,
-            "pilot": pilot,
-            "seed": seed,
-            **lost,
-            "track_s": None,
-            "trace_m": [],
-            "trace_from_s": 0.0,
-            "wall_s": 0.0,
-        }
+    row = fly_scored(Flight(name, pilot, int(number)))
+    return row | {"failure": "" if row["completed"] else row["reason"] or "not completed"}
 
 
-def jobs_of(quick: bool) -> list[Job]:
+def jobs_of(quick: bool) -> list[str]:
     """The campaign, seed by seed; the studies come first: they take longest."""
     seeds = range(FIRST_SEED, FIRST_SEED + (1 if quick else _STUDY_SEEDS))
-    studies: list[Job] = [("study", world, "", seed) for world in _WORLDS for seed in seeds]
-    return studies + [("flight", flight.case, flight.pilot, flight.seed) for flight in flights(quick=quick)]
+    studies = [f"study/{world}//{seed}" for world in _WORLDS for seed in seeds]
+    return studies + [f"flight/{each.case}/{each.pilot}/{each.seed}" for each in flights(quick=quick)]
 
 
-def gather(held: dict[campaign.Job, Any], jobs: Sequence[Any]) -> dict[str, Any]:
+def file(quick: bool) -> str:
+    """The campaign's file."""
+    return toml_text(
+        {
+            "schema": "flightstack.campaign/1", "task": "benchmarks.learning:one", "design": "grid",
+            "timeout_s": 3600.0, "most_failures": 0, "vary": {"job": jobs_of(quick)},
+        }
+    )  # fmt: skip
+
+
+def gathered(entries: list[campaign.Entry]) -> dict[str, Any]:
     """The results: flights by case, pilot and seed; their traces only where a figure shows them."""
     from benchmarks.learning_stats import of, trace
     from benchmarks.learning_timing import timing
 
-    rows = [held[job] for job in jobs if job[0] == "flight" and job in held]
+    rows = [_row(entry) for entry in entries if entry["values"]["job"].startswith("flight")]
     traces = {}
     for pilot in PILOTS:
         shown = [row for row in of(rows, _TRACED, pilot) if row["completed"]]
@@ -83,11 +74,25 @@ def gather(held: dict[campaign.Job, Any], jobs: Sequence[Any]) -> dict[str, Any]
         if row["seed"] != FIRST_SEED and "change" in row:
             row["change"].pop("shown", None)
     return {
-        "timing": timing(),
-        "inputs": [row for job in jobs if job[0] == "study" and job in held for row in held[job]],
+        "schema": SCHEMA, "date": str(date.today()), "machine": platform.machine(), "cores": campaign.processor(),
+        "python": platform.python_version(),
+        "git_commit": ", then ".join(dict.fromkeys(entry["version"] for entry in entries)),
+        "wall_s": sum(entry["timing"]["wall_s"] for entry in entries), "timing": timing(),
+        "inputs": [row for entry in entries for row in (entry["result"] or {}).get("inputs", [])],
         "traces": traces,
         "flights": sorted(rows, key=lambda row: (row["case"], row["pilot"], row["seed"])),
-    }
+    }  # fmt: skip
+
+
+def _row(entry: campaign.Entry) -> dict[str, Any]:
+    """A flight; one that could not be flown is a row that did not complete."""
+    if entry["result"] is not None:
+        return dict(entry["result"])
+    _, case, pilot, seed = entry["values"]["job"].split("/")
+    return {
+        "case": case, "pilot": pilot, "seed": int(seed), "completed": False, "reason": entry["reason"], "rmse_m": None,
+        "max_m": None, "rmse_settled_m": None, "track_s": None, "trace_m": [], "trace_from_s": 0.0, "wall_s": 0.0,
+    }  # fmt: skip
 
 
 def write_results(results: dict[str, Any], path: Path) -> None:
@@ -107,32 +112,27 @@ def _rounded(value: Any) -> Any:
     return [_rounded(item) for item in value] if isinstance(value, list) else value
 
 
-def write_page(results: dict[str, Any], page: Path, command: str) -> None:
-    """Figures and the page."""
+def write_page(folder: Path | None, quick: bool) -> Path:
+    """Results, figures and the page."""
     from benchmarks.learning_plots import draw
     from benchmarks.learning_report import report
 
+    page = (folder if quick and folder else campaign.ROOT / "docs") / "learning.md"
+    stored = page.with_suffix("") / "results.json"
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    if folder is not None:
+        write_results(gathered(campaign.flown([folder])), stored)
+    results = json.loads(stored.read_text(encoding="utf-8"))
     figures = draw(results, page.with_suffix(""))
+    command = f"make campaign-learning{'-quick' if quick else ''}"
     page.write_text(report(results, figures, command), encoding="utf-8")
+    return page
 
-
-def passed(results: dict[str, Any]) -> bool:
-    """Whether every flight completed."""
-    return all(row["completed"] for row in results["flights"])
-
-
-CAMPAIGN = campaign.Campaign(
-    "learning",
-    "learning.md",
-    (__doc__ or "").splitlines()[0],
-    jobs_of,
-    run,
-    SCHEMA,
-    gather,
-    write_results,
-    write_page,
-    passed,
-)
 
 if __name__ == "__main__":
-    sys.exit(campaign.main(CAMPAIGN))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", choices=("file", "page"))
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    sys.stdout.write(file(given.quick) if given.what == "file" else f"wrote {write_page(given.folder, given.quick)}\n")

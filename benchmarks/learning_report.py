@@ -40,7 +40,7 @@ def _head(results: dict[str, Any], command: str) -> str:
     flights = results["flights"]
     failed = [r for r in flights if not r["completed"]]
     seeds = sorted({r["seed"] for r in flights})
-    machine = f"{results['machine']}, {results['cores']} cores, Python {results['python']}"
+    machine = f"{results['machine']}, {results['cores']}, Python {results['python']}"
     hours = sum(r["track_s"] for r in flights if r["track_s"]) / 3600.0
     fed = sum(r.get("fed", 0) for r in flights if r["pilot"] == "learning")
     fate = "all completed" if not failed else f"{len(failed)} did not complete: " + ", ".join(_name(r) for r in failed)

@@ -103,7 +103,6 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
     centre = rows([data["centre_ned_m"]], 3, "centre_ned_m")[0]
     box = _budget(data["budget"], lines)
     known = knowledge.read(data["knowledge"], box, delta, k, data["version"])
-    tables = knowledge.tables(known)
     if not isinstance(data["axes"], list) or not data["axes"]:
         raise Refused("axes must be a list, at least one")
     axes = [table_of(axis, _AXIS, f"axes[{i}]") for i, axis in enumerate(data["axes"])]
@@ -118,7 +117,8 @@ def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicl
     floors.check_radius(float(known.data["rotor_radius_m"]))
     if known.stores:
         floors.check_doubts(known.data.get("doubts"))
-    lines.append(check_premises(data["premises"], axes, data["budget"], known))
+    tables = knowledge.tables(known)
+    lines.append(check_premises(data["premises"], axes, data["budget"], known, tables[knowledge.DOWN]))
     lines.append(check_governor(data["governor"], data["budget"], known))
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)

@@ -20,6 +20,7 @@ from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
 from flightstack.dotted import changed_vehicle
+from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up as warm_up_stack
@@ -27,7 +28,6 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
-from flightstack_sim.geodesy import PX4_SIH
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server

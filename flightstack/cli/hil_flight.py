@@ -28,11 +28,11 @@ from flightstack.cli.live_view import shown_live
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore
 from flightstack.cli.score import FlightScore
 from flightstack.cli.simulate import HOST, OFFBOARD_PORT
+from flightstack.geodesy import LocalFrame
 from flightstack.types import InputError, TickRecord, Tuple3
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4

@@ -1,16 +1,19 @@
 """`flightstack log replay`: a flight's recorded inputs run through today's stack, compared with what it did then.
 
-Of a flight in lockstep the log holds all that the companion was given: every message that it goes by with the time of
-its step (`recorded_inputs`), the files and the settings.  The companion of today gets them again, step by step, and
-writes its own tables, which are compared with the recorded ones, bit for bit.  What explains a tick is in the log 25
-times a second only; the digest of each tick tells from which one on anything differs.  What flew in real time was given
-times that no log holds to the microsecond, and is refused.
+The log holds all that the companion was given: every message that it goes by with the time of its step
+(`recorded_inputs`), the files and the settings, and of `offboard` this machine's clock at each step and what the
+dead-man said.  The companion of today gets them again, step by step, and writes its own tables, which are compared with
+the recorded ones, bit for bit.  What explains a tick is in the log 25 times a second only; the digest of each tick
+tells from which one on anything differs.  A flight that made certificates beside itself is refused: how long each took
+no log holds.
 """
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +22,10 @@ import numpy as np
 
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
+from flightstack.cli.offboard import OffboardOptions, companion_of
+from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.cli.recorded_inputs import recorded_inputs
+from flightstack.cli.recorder import LogObserver
 from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
@@ -28,6 +34,7 @@ from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, Planner
+from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
@@ -39,6 +46,7 @@ _SINGLE = 1.2e-7
 _SINGLE_TOPICS = frozenset({"/setpoint", "/control", "/learner", "/filter"})
 _EXPLORATION = "ExplorationPlanner"
 _STOPPED = "the user asked to stop ("
+_MADE_IN_FLIGHT = "certified in flight"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +123,12 @@ def replay(
 
     Numbers count as the same up to `tolerance` (absolute, or relative to the recorded one).
     """
-    log = read(path)
+    log = read(path, as_logged=True)
     settings = _settings(log)
     ensure_compiled(lambda text: on_progress(0.0, text))
     with tempfile.TemporaryDirectory() as folder:
-        setup, planner = _prepared(log, settings, Path(folder))
         again = Path(folder) / "again.mcap"
-        _run(log, setup, planner, again, on_progress)
+        _run(log, _flight_of(log, settings, Path(folder)), again, on_progress)
         new = read(again)
     found = _differences(log, new, tolerance)
     digest = next((each for each in found if each.field == _DIGEST), None)
@@ -132,18 +139,18 @@ def replay(
 
 def _settings(log: Log) -> Mapping[str, str]:
     """How it was flown; InputError where that can't be flown again."""
-    settings = _lockstep(log)
+    settings = _replayable(log)
     if "/tick" not in log.tables:
         raise InputError(f"log {log.path}: never armed: the stack was never run, so there is nothing to replay")
     return settings
 
 
-def _lockstep(log: Log) -> Mapping[str, str]:
+def _replayable(log: Log) -> Mapping[str, str]:
     settings = log.metadata.get("settings", {})
     if log.kind != "mcap" or "pace" not in settings:
-        raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
-    if settings["pace"] != "lockstep":
-        raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
+        raise InputError(f"log {log.path}: holds no flight of `flightstack fly` or `offboard`; nothing to replay")
+    if "connect" in settings and "/step" not in log.tables:
+        raise InputError(f"log {log.path}: does not say when each step was; it is of another version")
     if settings.get("planner", _EXPLORATION) != _EXPLORATION:
         raise InputError(
             f"log {log.path}: planned on the way by {settings['planner']}; only certify's explorer is known"
@@ -151,9 +158,70 @@ def _lockstep(log: Log) -> Mapping[str, str]:
     return settings
 
 
+@dataclass(frozen=True, slots=True)
+class _Flight:
+    """A recorded flight, ready to be given its inputs again."""
+
+    prepared: Prepared
+    companion: Callable[[LogObserver], Companion]
+    steps: Sequence[tuple[int, int, int]]
+    """Log time, time at which was received, time at which was decided; microseconds."""
+
+
+def _flight_of(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight:
+    real = settings["pace"] != "lockstep"
+    if real and _MADE_IN_FLIGHT in settings.get("filter", ""):
+        raise InputError(
+            f"log {log.path}: certificates were made beside the flight, and how long each took is not known"
+        )
+    if "connect" in settings:
+        return _of_offboard(log, settings, folder)
+    setup, planner = _prepared(log, settings, folder)
+
+    def companion(observer: LogObserver) -> Companion:
+        flight = setup.flight
+        return Companion(Link(240, 191), flight.stack, flight.scenario, observer, setup.companion, planner)
+
+    times = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)
+    return _Flight(setup.flight, companion, [(now_us, now_us, now_us) for now_us in times])
+
+
+def _of_offboard(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight:
+    try:
+        options = OffboardOptions(
+            **_common(log, settings, folder),
+            connect=settings["connect"],
+            arm=settings["arm"] == "True",
+            dry_run=settings["dry_run"] == "True",
+            believe_file=settings["believe_file"] == "True",
+            heartbeat_timeout_s=float(settings["heartbeat_timeout_s"]),
+            dead_man=settings["dead_man"] == "on",
+            where=_place(settings["place"]),
+        )
+    except (KeyError, ValueError) as error:
+        raise _unknown(log, error) from None
+    prepared = prepare_flight(options)
+    step = log.tables["/step"]
+    columns = (step.t_us, step["received_us"], step["decided_us"])
+    steps = list(zip(*(column.tolist() for column in columns), strict=True))
+    return _Flight(prepared, lambda to: companion_of(Link(240, 191), options, prepared, to)[0], steps)
+
+
+def _place(words: str) -> tuple[float, float] | None:
+    latitude, longitude = (float(word) for word in words.split()) if words else (math.nan, math.nan)
+    return None if math.isnan(latitude) else (latitude, longitude)
+
+
+def _unknown(log: Log, error: Exception) -> InputError:
+    return InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version")
+
+
 def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
     """The flight, ready to be given its inputs again, and what planned it on the way."""
-    options = _options(log, settings, folder)
+    try:
+        options = FlyOptions(**_common(log, settings, folder))
+    except (KeyError, ValueError) as error:
+        raise _unknown(log, error) from None
     if "planner" not in settings:
         return prepare(options), None
     from flightstack.cli.certify import EXPLORE_S, ExplorationPlanner, prepare_certify
@@ -170,79 +238,89 @@ def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setu
     return setup, ExplorationPlanner(Explorer(), setup.flight.protection.watched)
 
 
-def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
-    """The options of the flight, its files laid out in a folder."""
+def _common(log: Log, settings: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    """The options that all flights have, their files laid out in a folder; KeyError or ValueError where one lacks."""
     laid: dict[str, Path] = {}
     for item in log.attachments:
         name = Path(item.name).name
         laid[name] = folder / name
         laid[name].write_bytes(item.data)
-    try:
-        scenario, vehicle = laid["scenario.toml"], laid["vehicle.toml"]
-        words, waypoints = settings["filter"], settings["scenario"] == "waypoints"
-        return FlyOptions(
-            scenario="waypoints" if waypoints else str(scenario),
-            waypoints=str(scenario) if waypoints else None,
-            vehicle=str(vehicle),
-            duration_s=float(settings["duration_s"]),
-            controller=settings["controller"],
-            learning=settings["learning"] == "on" or settings["controller"] != "flatness",
-            learned=next((path for name, path in laid.items() if name.startswith("learned")), None),
-            filtering=words != "off: --no-filter",
-            as_published=words.startswith("as-published"),
-            certificate=laid.get(CERTIFICATE) if "certificate" in settings else None,
-            sensors=settings.get("sensors"),
-        )
-    except (KeyError, ValueError) as error:
-        raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
+    scenario, words = laid["scenario.toml"], settings["filter"]
+    waypoints = settings["scenario"] == "waypoints"
+    return {
+        "scenario": "waypoints" if waypoints else str(scenario),
+        "waypoints": str(scenario) if waypoints else None,
+        "vehicle": str(laid["vehicle.toml"]),
+        "duration_s": float(settings["duration_s"]),
+        "controller": settings["controller"],
+        "learning": settings["learning"] == "on" or settings["controller"] != "flatness",
+        "learned": next((path for name, path in laid.items() if name.startswith("learned")), None),
+        "filtering": words != "off: --no-filter",
+        "as_published": words.startswith("as-published"),
+        "certificate": laid.get(CERTIFICATE) if "certificate" in settings else None,
+        "site": next((path for name, path in laid.items() if name.startswith("site.")), None),
+        "sensors": settings.get("sensors"),
+    }
 
 
 def records_of(log: Log) -> list[TickRecord]:
     """Every tick of today's stack on a log's inputs; InputError where it holds no flight in lockstep."""
-    settings = _lockstep(log)
+    settings = _replayable(log)
     ensure_compiled(lambda text: None)
     found: list[TickRecord] = []
     with tempfile.TemporaryDirectory() as folder:
-        setup, planner = _prepared(log, settings, Path(folder))
-        _run(log, setup, planner, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
+        flight = _flight_of(log, settings, Path(folder))
+        _run(log, flight, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
     return found
 
 
 def _run(
     log: Log,
-    setup: Setup,
-    planner: Planner | None,
+    flight: _Flight,
     path: Path,
     on_progress: Callable[[float, str], None],
     on_record: Callable[[TickRecord], None] | None = None,
 ) -> None:
     """Give today's companion what the recorded one was given; its tables go into a log of their own."""
     messages.prepare()
-    prepared = setup.flight
-    inputs, stops, taken = recorded_inputs(log), _stops(log), 0
+    inputs, stops, reports = deque(recorded_inputs(log)), _stops(log), deque(_dead_man(log))
     out = FlightLog.open(path, metadata={}, compact=True)
-    observer = prepared.observer(out, clock := LogClock(out, zero_us=0, utc_us=0), truth=True)
+    observer = flight.prepared.observer(out, clock := LogClock(out, zero_us=0, utc_us=0), truth=True)
     observer.record_to = on_record
-    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion, planner)
+    companion = flight.companion(observer)
     observer.companion = companion
-    vehicle = Link(1, COMPONENT_AUTOPILOT)
-    steps = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)
+    vehicle, report = Link(1, COMPONENT_AUTOPILOT), None
     try:
-        for count, now_us in enumerate(steps):
-            clock.step(now_us)
-            if now_us in stops:
-                companion.stop(stops[now_us])
-            while taken < len(inputs) and inputs[taken].t_us <= now_us:
-                vehicle.send(inputs[taken].message)
-                taken += 1
+        for count, (t_us, received_us, decided_us) in enumerate(flight.steps):
+            clock.step(t_us)
+            if t_us in stops:
+                companion.stop(stops[t_us])
+            while inputs and inputs[0].t_us <= t_us:
+                vehicle.send(inputs.popleft().message)
             for data in vehicle.datagrams_to_send():
-                companion.receive_datagram(data, now_us)
-            companion.step(now_us)
+                companion.receive_datagram(data, received_us)
+            while reports and reports[0][0] <= t_us:
+                report = reports.popleft()
+            if report is not None:
+                companion.hear_dead_man(*report[1:])
+            companion.step(decided_us)
             companion.link.datagrams_to_send()
             if count % 250 == 0:
-                on_progress(count / len(steps), companion.phase)
+                on_progress(count / len(flight.steps), companion.phase)
     finally:
         out.close()
+
+
+def _dead_man(log: Log) -> Iterator[tuple[int, DeadManRecord, str]]:
+    """Log time, what the dead-man had done, and why it was no more."""
+    table = log.tables.get("/dead_man")
+    if table is None:
+        return
+    names = [name for name in DeadManRecord._fields if name in table.columns]
+    rows = zip(*(table[name].tolist() for name in names), strict=True)
+    for t_us, row, ended in zip(table.t_us.tolist(), rows, table["ended"].tolist(), strict=True):
+        report = NOBODY._replace(**dict(zip(names, row, strict=True)))
+        yield t_us, report, "the dead-man's process has ended" if ended else ""
 
 
 def _stops(log: Log) -> dict[int, str]:

@@ -18,12 +18,12 @@ from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import text_file
 from flightstack.cli.versions import versions
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
 from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import parse_faults
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.shell import GCS, ONBOARD, Shell

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim import commands, protocols
 from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.commander import Commander
@@ -27,7 +28,6 @@ from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Stick
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Plans
 from flightstack_sim.protocols import EventMemory, ParameterList

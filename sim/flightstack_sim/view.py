@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import Tuple3, Tuple4
 from flightstack_sim.autopilot import modes
 from flightstack_sim.autopilot.commander import CommanderState
@@ -17,7 +18,6 @@ from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlKind, Cont
 from flightstack_sim.battery_state import BatteryState
 from flightstack_sim.estimator import Accuracy
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.plans import Plans
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 

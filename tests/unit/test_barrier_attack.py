@@ -9,19 +9,17 @@ import numpy as np
 import pytest
 from certified import certificate
 
-from benchmarks import attack_adversary, barrier_attack, campaign
+from benchmarks import attack_adversary, attack_block, gap_rough
 from benchmarks.attack_adversary import GRADIENT, PUSH, Adversary, Seen
 from benchmarks.attack_flight import Wire
+from benchmarks.barrier_cases import PILOTS, TASKS
+from benchmarks.gap_cases import kinds
+from flightstack.cli.campaign.spec import load_spec
+from flightstack.cli.campaign.task import function
 from flightstack.seams import Controller
 from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal
 
-
-def test_the_upper_limit_is_clopper_pearsons() -> None:
-    limit = barrier_attack.upper_limit(0, 5000)
-    assert limit == pytest.approx(1.0 - 0.05 ** (1.0 / 5000), rel=1e-9)  # closed form where nothing was hit
-    assert barrier_attack.upper_limit(1, 10) == pytest.approx(0.394163, abs=1e-6)  # published tables
-    assert barrier_attack.upper_limit(0, 0) is None
-    assert barrier_attack.upper_limit(3, 3) == 1.0
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def _row(**more: Any) -> dict[str, Any]:
@@ -29,64 +27,30 @@ def _row(**more: Any) -> dict[str, Any]:
     return row | {"premises_true": 10} | more
 
 
-def _block(*rows: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {"engaged_s": 15.0, "refused": "", "flights": list(rows), "cpu_s": 1.0} | more
-
-
 def test_an_exit_counts_even_where_the_flight_ended_soon_after() -> None:
-    s = barrier_attack.summary([_block(_row(), _row(share=0.02, outside=3, least_h=-0.4, falsified=1))])
-    assert (s["left"], s["counted"], s["ended_early"], s["falsified"]) == (1, 1, 1, 1)
-    assert s["least_h"] == -0.4
+    s = attack_block.told([_row(), _row(share=0.02, outside=3, least_h=-0.4, falsified=1), {"lost": "a fault"}])
+    assert (s["attacks"], s["left"], s["left_counted"], s["counted"], s["ended_early"]) == (3, 1, 0, 1, 1)
+    assert (s["falsified"], s["barrier"]["min_h_truth"]) == (1, -0.4)
+    assert s["failure"] == "1 left, 1 lost"
+    assert attack_block.told([_row(infeasible=2)])["failure"] == "2 steps infeasible"
+    assert attack_block.told([_row()])["failure"] == ""
 
 
-def test_refused_truths_and_truths_without_a_certificate_are_counted_apart() -> None:
-    s = barrier_attack.summary(
-        [_block(_row()), _block(refused="too heavy", engaged_s=None), _block(engaged_s=None), _block(lost="fault")]
-    )
-    assert (s["blocks"], s["refused"], s["truths"], s["engaged"], s["lost"]) == (4, 1, 2, 1, 1)
-
-
-def test_a_campaign_in_which_the_planted_fault_shows_no_exit_has_not_passed() -> None:
-    planted = next(name for name, kind in barrier_attack.KINDS.items() if not kind.torque)
-    sound = next(name for name, kind in barrier_attack.KINDS.items() if kind.torque)
-    flights = [_row() for _ in range(60)]
-    good = [_block(*flights, kind=sound), _block(*flights[:-1], _row(outside=1), kind=planted)]
-    assert barrier_attack.passed({"blocks": good})
-    assert not barrier_attack.passed({"blocks": [good[0], _block(*flights, kind=planted)]})
-    assert not barrier_attack.passed({"blocks": [_block(_row(outside=1), kind=sound), good[1]]})
-    assert not barrier_attack.passed({"blocks": [_block(_row(infeasible=1), kind=sound), good[1]]})
-
-
-def test_the_page_has_a_row_for_each_kind() -> None:
-    blocks = [_block(_row(), kind=name) for name in barrier_attack.KINDS]
-    head = {"date": "", "machine": "", "cores": 2, "python": "", "git_commit": "abc", "wall_s": 60.0}
-    text = barrier_attack.page(head | {"blocks": blocks}, "make campaign-barrier")
-    for name in barrier_attack.KINDS:
-        assert f"| {name} | 1 | 0 | 1 of 1, 100 % | 1 | 1 | 0 |" in text
-
-
-def test_wherever_the_campaign_is_cut_each_kind_has_had_its_share() -> None:
-    jobs = barrier_attack.jobs_of(False)
-    kinds = {name: kind for name, kind in barrier_attack.KINDS.items() if barrier_attack.there(kind.scenario)}
-    assert len(set(jobs)) == len(jobs) == sum(kind.blocks for kind in kinds.values())
-    half = [job[0] for job in jobs[: len(jobs) // 2]]
-    for name, kind in kinds.items():
-        assert abs(half.count(name) - 0.5 * kind.blocks) <= 1.5
-
-
-def test_after_its_time_a_campaign_begins_nothing_new_and_goes_on_later(tmp_path: Path) -> None:
-    journal = tmp_path / "journal.jsonl"
-    jobs: list[campaign.Job] = [("a", k) for k in range(40)]
-    campaign.run_all(jobs, abs_of, journal, 1, minutes=0.0)
-    first = campaign.held_in(journal)
-    assert 1 <= len(first) < 40
-    campaign.run_all(jobs, abs_of, journal, 1)
-    assert campaign.held_in(journal) == {job: job[1] for job in jobs}
-
-
-def abs_of(job: tuple[str, int]) -> int:
-    """A job for another process."""
-    return abs(job[1])
+@pytest.mark.parametrize(
+    "name", ["barrier", "barrier-filters", "gap-blind", "gap-rough", "planted-delay", "planted-tilt"]
+)
+def test_the_campaign_files_name_tasks_and_values_that_there_are(name: str) -> None:
+    spec = load_spec(ROOT / f"campaigns/{name}.toml")
+    assert callable(function(spec.task))
+    known = {
+        "barrier": {"kind": attack_block.KINDS}, "gap-blind": {"kind": kinds()}, "gap-rough": {"kind": gap_rough.KINDS},
+        "barrier-filters": {"pilot": PILOTS, "task": TASKS},
+    }.get(name, {})  # fmt: skip
+    values = {factor.name: factor.values for factor in (*spec.factors, *spec.fixed)}
+    for factor, every in known.items():
+        assert set(values[factor]) == set(every)
+    if name.startswith("planted"):
+        assert set(values) - {"planted", "seconds", "late_ms"} <= set(attack_adversary.Strategy._fields)
 
 
 def test_a_copy_of_the_process_changes_nothing_here_and_its_fault_is_told() -> None:
@@ -96,13 +60,13 @@ def test_a_copy_of_the_process_changes_nothing_here_and_its_fault_is_told() -> N
         here["changed"] = True
         return {"changed": here["changed"]}
 
-    assert barrier_attack._apart(work) == {"changed": True}
+    assert attack_block.apart(work) == {"changed": True}
     assert not here["changed"]
 
     def fails() -> dict[str, Any]:
         raise ValueError("no")
 
-    assert barrier_attack._apart(fails) == {"lost": "ValueError('no')"}
+    assert attack_block.apart(fails) == {"lost": "ValueError('no')"}
 
 
 def test_messages_on_the_wire_are_late_and_keep_their_order() -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from shipped import load_vehicle
 
-from benchmarks import gap_draw
-from benchmarks.gap_blind import jobs_of, pooled
+from benchmarks import campaign, gap_draw
 from benchmarks.gap_cases import HEADER, kinds, make, write
 from benchmarks.gap_flights import (
     L_FORCE,
@@ -30,9 +30,10 @@ from benchmarks.gap_flights import (
 )
 from benchmarks.gap_judge import confusion, judge, summary
 from benchmarks.gap_pilot import Plan
-from benchmarks.gap_rules import meaning
-from benchmarks.gap_tables import BEGIN, END, tables
-from benchmarks.gap_tables import write as write_tables
+from benchmarks.gap_rules import meaning, rules
+from benchmarks.gap_tables import BEGIN, END, present, tables
+from flightstack.cli.campaign.design import Design
+from flightstack.cli.campaign.spec import load_spec
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, with_effects
@@ -132,25 +133,30 @@ def test_the_same_seed_makes_the_same_case_and_another_another() -> None:
     assert first.csv != other.csv
 
 
-def test_the_campaign_has_300_clean_cases_and_all_kinds() -> None:
-    jobs = jobs_of(False, 0)
-    assert len(jobs) == len(set(jobs)) >= 500
-    assert sum(kind == "clean" for _, kind, *_ in jobs) >= 300
-    assert {kind for _, kind, *_ in jobs} == set(kinds())
-    inside = [plant for plant, kind, *_ in jobs if not kind.startswith("outside:")]
-    assert inside.count("jsbsim") in (0, pytest.approx(0.5 * len(inside), rel=0.05))
-    assert 0.1 < sum(form == "mcap" for _, _, form, *_ in jobs) / len(jobs) < 0.5
+def test_the_campaign_has_300_clean_cases_and_some_of_all_kinds() -> None:
+    spec = load_spec(campaign.ROOT / "campaigns/gap-blind.toml")
+    design = Design(spec)
+    drawn = [design.values(flight) for flight in range(spec.count)]
+    count = Counter(values["kind"] for values in drawn)
+    assert set(count) == set(kinds())
+    assert 300 <= count["clean"] <= 340
+    assert 80 <= sum(n for kind, n in count.items() if kind.startswith("outside:")) <= 112
+    assert 0.2 < sum(values["form"] == "mcap" for values in drawn) / len(drawn) < 0.3
 
 
 def test_only_cases_of_the_same_rules_are_counted_together(tmp_path: Path) -> None:
-    """The journal outlives changes of the workflow; what older rules judged stays in it and is left out."""
-    journal = tmp_path / "journal.jsonl"
-    lines = [
-        {"job": ["native", "clean", "csv", seed, made], "result": {"seed": seed}} for seed, made in ((1, "a"), (2, "b"))
-    ]
-    journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert [row["seed"] for row in pooled(journal, {"b"})] == [2]
-    assert [row["seed"] for row in pooled(journal, {"a", "b"})] == [1, 2]
+    """Campaigns outlive changes of the workflow; what older rules judged is left out, a line cut off does not count."""
+    for name, made in (("first", "a"), ("second", rules())):
+        folder = tmp_path / name
+        folder.mkdir()
+        lines = [{"version": f"1 {name}"}, *({"flight": k, "reason": "", "result": {"rules": made}} for k in range(2))]
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        (folder / "journal.jsonl").write_text(text + '{"flight": 9, "resu')
+    entries = campaign.flown([tmp_path / "first", tmp_path / "second"])
+    assert [entry["version"] for entry in entries] == ["1 first"] * 2 + ["1 second"] * 2
+    assert present([*entries, {"reason": "its process ended", "result": None}]) == [
+        {"rules": rules()}, {"rules": rules()}, {"lost": "its process ended"},
+    ]  # fmt: skip
 
 
 def test_rules_change_with_the_code_and_not_with_its_comments() -> None:
@@ -235,14 +241,13 @@ def test_the_summary_counts_what_its_words_say() -> None:
 def test_the_tables_go_between_their_marks_and_leave_the_page_alone(tmp_path: Path) -> None:
     page = tmp_path / "gap.md"
     page.write_text(f"before\n{BEGIN}\nSTALE\n{END}\nafter\n")
-    about = dict.fromkeys(("date", "machine", "cores", "python", "git_commit"), "x") | {"wall_s": 60.0}
-    rows = [judge(CLEAN, said(), QUAD)]
-    write_tables(rows, about, page, "make gap-blind")
+    made = tables([judge(CLEAN, said(), QUAD)], [{"version": "1 abc", "timing": {"wall_s": 2.0}}], "make gap-blind")
+    campaign.put(made, BEGIN, END, page)
     text = page.read_text()
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "STALE" not in text
-    assert tables(rows, about, "make gap-blind") in text
+    assert made.rstrip() in text
 
 
 def test_a_believed_vehicle_survives_its_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.cli.hil_flight import EstimateScore
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import load_grade
 from flightstack_sim.px4_hil import PhysicsBehindPx4
 from mavlink_bridge import messages as m

@@ -10,7 +10,7 @@ from flightstack.dotted import vehicle_keys
 from flightstack.errors import InputError
 from flightstack_sim.grade import grade_keys
 
-VEHICLE, GRADE, OPTION, ADVERSARY = "vehicle", "grade", "option", "adversary"
+VEHICLE, GRADE, OPTION, TASK = "vehicle", "grade", "option", "task"
 _PLACE = re.compile(r"(\.\d+)+$")
 _NOT_VARIED = {"seed"}
 """Options of `fly` that have a place of their own."""

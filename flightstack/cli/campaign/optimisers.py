@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.special import ndtr
 
-from flightstack.cli.campaign.searching import CMA_ES, CROSS_ENTROPY, Search
+from flightstack.cli.campaign.searching import CMA_ES, CROSS_ENTROPY, UNIFORM, Search
 from flightstack.errors import InputError
 from flightstack.types import F64
 
@@ -48,8 +48,30 @@ def make(search: Search, dimensions: int, seed: int) -> Optimiser:
         return CrossEntropy(dimensions, search.population or max(10, 2 * dimensions), seed)
     if search.method == CMA_ES:
         return CmaEs(dimensions, search.population or 4 + int(3 * math.log(dimensions + 1)), seed)
+    if search.method == UNIFORM:
+        return Uniform(dimensions, search.population or 20, seed)
     limit = -search.below if search.maximise else search.below
     return Splitting(dimensions, search.population or 100, seed, limit)
+
+
+class Uniform:
+    """Points at random, whatever was told: what a search is measured against."""
+
+    finished = False
+
+    def __init__(self, dimensions: int, population: int, seed: int) -> None:
+        self._shape, self._rng = (population, dimensions), np.random.default_rng([23, seed])
+
+    def ask(self) -> F64:
+        """A generation."""
+        return self._rng.random(self._shape)
+
+    def tell(self, margins: F64) -> None:
+        """Nothing is learned."""
+
+    def summary(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
 
 
 class CrossEntropy:

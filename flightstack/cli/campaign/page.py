@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.cli.campaign.grouped import shown
 from flightstack.cli.campaign.result import CampaignResult, replay_name
 from flightstack.cli.campaign.statistics import Influence, metric
 from flightstack.types import F64
@@ -46,6 +47,7 @@ def render(result: CampaignResult) -> str:
         _panel("What drives the failures", _drivers(result), wide=True),
         *(_panel(f"Failures by {each.factor}", _by_factor(each)) for each in result.influences[:_CHARTS]),
         *(_panel(words, svg) for words, svg in _distributions(result)),
+        _panel("In figures", _grouped(result), wide=True) if result.table else "",
         _panel("Search", _search(result), wide=True) if result.search else "",
         _panel("The worst flights", _worst(result), wide=True),
         _panel("Failures", _failures(result), wide=True),
@@ -61,7 +63,8 @@ def render(result: CampaignResult) -> str:
         f'<h1>{escape(title)}</h1><p class="subtitle">{escape(_subtitle(result))}</p></header>',
         f'<dl class="figures">{_figures(result)}</dl><main><div class="grid">{"".join(parts)}</div></main>',
         "<footer>Intervals: Clopper-Pearson, 95 %. Influence: Mann-Whitney or chi-squared, corrected after Holm for ",
-        "the number of factors. <code>flightstack fly FILE</code> flies a scenario file of this folder again.</footer>",
+        f"the number of factors. <code>flightstack {result.spec.verb} FILE</code> flies a file of this folder again.",
+        "</footer>",
         "</body></html>\n",
     ])  # fmt: skip
 
@@ -111,6 +114,12 @@ def _table(heads: tuple[str, ...], rows: list[list[str]], numbers: tuple[int, ..
     return (
         f'<div class="wide-table"><table class="rows"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     )
+
+
+def _grouped(result: CampaignResult) -> str:
+    rows, by = result.table, len(result.spec.table.by if result.spec.table else ())
+    cells = [[escape(shown(value)) for value in row.values()] for row in rows]
+    return _table(tuple(rows[0]), cells, tuple(range(by, len(rows[0]))))
 
 
 def _drivers(result: CampaignResult) -> str:

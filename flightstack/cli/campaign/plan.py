@@ -6,17 +6,20 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from flightstack.cli import files
 from flightstack.cli.campaign import keys
 from flightstack.cli.campaign.spec import CampaignSpec, Factor
+from flightstack.cli.campaign.task import function, task_text
 from flightstack.cli.filed import FILES
 from flightstack.cli.shipped import path_of
 from flightstack.scenario import Scenario, parse_scenario
 from flightstack.toml_text import toml_text
 
+_TASK_S = 120.0
+"""A task may take as long as a flight with such a track."""
 Values = Mapping[str, Any]
 
 
@@ -43,6 +46,8 @@ class Planner:
 
     def __init__(self, spec: CampaignSpec) -> None:
         self.spec = spec
+        if spec.task:
+            function(spec.task)
         self._read: dict[str, tuple[Scenario, dict[str, Any]]] = {}
         for name in spec.scenarios:
             scenario, file = files.load_scenario(name)
@@ -53,7 +58,7 @@ class Planner:
     def digest(self) -> str:
         """Of all that decides what the flights are: the campaign's file, the scenarios, the files that options name."""
         data = tomllib.loads(self.spec.text)
-        for key in ("keep", "timeout_s", "count"):
+        for key in ("keep", "table", "most_failures", "timeout_s", "count"):
             data.pop(key, None)
         named = {name: self._of_file(name) for factor in self._factors.values() for name in _files_of(factor)}
         told = [data, [read for _, read in self._read.values()], named]
@@ -68,6 +73,9 @@ class Planner:
 
     def plan(self, flight: int, values: Values, seed: int, events: list[dict[str, Any]] | None = None) -> Plan:
         """The plan of a flight; `events`: timed effects on top of the scenario's."""
+        if self.spec.task:
+            text = task_text(self.spec.task, values, seed)
+            return Plan(flight, seed, self.spec.task, values, text, self.spec.limit_s(_TASK_S))
         name = str(values.get("scenario", self.spec.scenarios[0]))
         scenario, data = self._read[name]
         truth: dict[str, Any] = {}
@@ -95,11 +103,6 @@ class Planner:
 def parsed(plan: Plan) -> Scenario:
     """The plan's scenario; InputError where its text is none."""
     return parse_scenario(plan.text, f"flight {plan.flight}")
-
-
-def with_log(plan: Plan) -> Plan:
-    """The same, its log kept."""
-    return replace(plan, kept=True)
 
 
 def _files_of(factor: Factor) -> list[str]:

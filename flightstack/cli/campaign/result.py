@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from flightstack.cli.campaign.outcomes import OUTCOMES
+from flightstack.cli.campaign.grouped import grouped
+from flightstack.cli.campaign.outcomes import CRASHED, FAILED, OUTCOMES, TIMED_OUT
 from flightstack.cli.campaign.spec import CampaignSpec
-from flightstack.cli.campaign.statistics import Entry, Influence, clopper_pearson, influences, metric, worst
+from flightstack.cli.campaign.statistics import Entry, Influence, clopper_pearson, influences, worst
 from flightstack.cli.verdict import LEFT, NONE, OFF
 
 WORST_BY = (("tracking.rmse_m", True), ("barrier.min_h_truth", False))
@@ -72,6 +73,18 @@ class CampaignResult:
             for flight, value in worst(self.entries, name, greatest, SHOWN_WORST)
         ]  # fmt: skip
 
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """What the file's [table] asks for."""
+        return [] if self.spec.table is None else grouped(self.spec.table, self.entries)
+
+    @property
+    def too_many_failures(self) -> str:
+        """One line where more flights went wrong than the file allows."""
+        wrong = sum(self.outcomes[name] for name in (FAILED, CRASHED, TIMED_OUT))
+        most = self.spec.most_failures
+        return "" if most is None or wrong <= most else f"{wrong} flights went wrong, most_failures = {most}"
+
     def as_json(self) -> dict[str, Any]:
         """summary.json; the same whoever flew."""
         found = {
@@ -87,6 +100,8 @@ class CampaignResult:
             ],
             "reflown": {"flights": self.reflown[0], "equal": self.reflown[1]},
         }
+        if self.spec.table is not None:
+            found["table"] = self.table
         return found if self.search is None else found | {"search": self.search}
 
 
@@ -99,11 +114,6 @@ def extremes(spec: CampaignSpec, entries: Sequence[Entry]) -> list[int]:
 def assess(spec: CampaignSpec, entries: Sequence[Entry]) -> CampaignResult:
     """Everything that is counted."""
     return CampaignResult(spec, list(entries), influences(entries, [factor.name for factor in spec.factors]))
-
-
-def of_search(entry: Entry, target: str) -> float | None:
-    """The target's value of a flight."""
-    return metric(entry, target)
 
 
 def _rate(of: str, count: int, flights: int) -> dict[str, Any]:

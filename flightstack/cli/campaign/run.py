@@ -15,6 +15,7 @@ import numpy as np
 
 from flightstack.cli import files
 from flightstack.cli.campaign.design import Design
+from flightstack.cli.campaign.grouped import markdown
 from flightstack.cli.campaign.journal import Entry, Journal
 from flightstack.cli.campaign.outcomes import COMPLETED
 from flightstack.cli.campaign.plan import Plan, Planner
@@ -40,6 +41,8 @@ class CampaignOptions:
     resume: bool = False
     workers: int | None = None
     scheduler: str | None = None
+    changes: tuple[str, ...] = ()
+    """KEY=VALUE on top of the file."""
 
 
 class Executor(Protocol):
@@ -175,7 +178,7 @@ def campaign(
     on_progress: OnProgress = lambda share, phase: None,
 ) -> CampaignResult:
     """Fly a campaign; its tables, summary and page lie in `options.out`."""
-    spec = load_spec(options.file)
+    spec = load_spec(options.file, options.changes)
     require_parquet()
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers} is not allowed; it must be at least 1")
@@ -236,6 +239,8 @@ def write_results(result: CampaignResult, out: Path) -> None:
 
     write_tables(result.entries, out)
     files.write_json(out / "summary.json", result.as_json())
+    if result.table:
+        files.write_text(out / "table.md", markdown(result.table))
     files.write_text(out / "report.html", render(result))
 
 

@@ -9,8 +9,8 @@ from flightstack.checked import number, words
 from flightstack.cli.campaign import keys
 from flightstack.errors import InputError
 
-CROSS_ENTROPY, CMA_ES, SPLITTING = "cross-entropy", "cma-es", "splitting"
-METHODS = (CROSS_ENTROPY, CMA_ES, SPLITTING)
+CROSS_ENTROPY, CMA_ES, SPLITTING, UNIFORM = "cross-entropy", "cma-es", "splitting", "random"
+METHODS = (CROSS_ENTROPY, CMA_ES, SPLITTING, UNIFORM)
 _KEYS = ("method", "target", "adversary", "below", "maximise", "population", "stop")
 
 

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
+import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from bisect import bisect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 from flightstack.checked import number
 from flightstack.cli.campaign import keys
+from flightstack.cli.campaign.grouped import Table, parse_table
 from flightstack.cli.campaign.searching import Search, parse_search
 from flightstack.cli.filed import FILES, option_value
 from flightstack.errors import InputError
+from flightstack.toml_text import toml_text
 
 SCHEMA = "flightstack.campaign/1"
 GRID, RANDOM, SOBOL = "grid", "random", "sobol"
 KEPT = ("failures", "all", "none")
 MOST_FLIGHTS = 10_000_000
-_TOP = ("schema", "scenario", "seeds", "design", "count", "vary", "search", "keep", "timeout_s", "design_seed")
+_TOP = (
+    "schema", "scenario", "task", "seeds", "design", "count", "vary", "search", "keep", "table", "timeout_s",
+    "design_seed", "most_failures",
+)  # fmt: skip
+_TASK = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _DEFAULT_TIMEOUT = (60.0, 5.0)
 """Wall time that a flight may take: seconds, and beside them so many for each second of its track."""
 
@@ -37,6 +44,8 @@ class Factor:
     key: str
     values: tuple[Any, ...] = ()
     """Empty: a range."""
+    weights: tuple[float, ...] = ()
+    """Of the values; empty: all alike."""
     low: float = 0.0
     high: float = 0.0
     log: bool = False
@@ -49,6 +58,8 @@ class Factor:
 
     def at(self, share: float) -> Any:
         """The value at a share of the range, 0..1, or of the list."""
+        if self.weights:
+            return self.values[bisect(list(accumulate(self.weights)), share * sum(self.weights))]
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         if self.log:
@@ -62,6 +73,7 @@ class CampaignSpec:
 
     path: Path
     scenarios: tuple[str, ...]
+    """Empty where a task is flown."""
     first_seed: int
     seeds: int
     design: str
@@ -74,13 +86,17 @@ class CampaignSpec:
     keep: str = "failures"
     timeout_s: float | None = None
     search: Search | None = None
+    task: str = ""
+    """MODULE:FUNCTION that is called instead of `fly`."""
+    table: Table | None = None
+    most_failures: int | None = None
+    """With more than so many flights that failed, crashed or never ended, the verb's exit code is 1."""
     text: str = field(default="", repr=False)
 
     @property
-    def digest(self) -> str:
-        """Tells campaigns apart: what is flown, not how it is written."""
-        data = tomllib.loads(self.text)
-        return hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    def verb(self) -> str:
+        """What flies a flight's file again."""
+        return "campaign" if self.task else "fly"
 
     def seed_of(self, flight: int) -> int:
         """Seed of a flight."""
@@ -91,35 +107,61 @@ class CampaignSpec:
         return self.timeout_s or _DEFAULT_TIMEOUT[0] + _DEFAULT_TIMEOUT[1] * duration_s
 
 
-def load_spec(path: Path) -> CampaignSpec:
-    """The campaign of a file; InputError, one line, where something is wrong."""
+def load_spec(path: Path, changes: Sequence[str] = ()) -> CampaignSpec:
+    """The campaign of a file, with `changes` (KEY=VALUE, TOML); InputError, one line, where something is wrong."""
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file (UTF-8 expected)") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
-    return parse_spec(text, path)
+    return parse_spec(_changed(text, changes, str(path)) if changes else text, path)
+
+
+def _changed(text: str, changes: Sequence[str], source: str) -> str:
+    data = _read(text, source)
+    for change in changes:
+        try:
+            merged(data, tomllib.loads(change))
+        except tomllib.TOMLDecodeError:
+            raise InputError(f"--set {change}: not KEY=VALUE as TOML has it; a text needs quotes") from None
+    return toml_text(data)
+
+
+def merged(data: dict[str, Any], more: Mapping[str, Any]) -> None:
+    """Put the keys of `more` into `data`, tables key by key."""
+    for key, value in more.items():
+        inner = data.get(key)
+        if isinstance(value, Mapping) and isinstance(inner, dict) and key in ("vary", "seeds", "search", "keep"):
+            merged(inner, value)
+        else:
+            data[key] = value
+
+
+def _read(text: str, source: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from None
 
 
 def parse_spec(text: str, path: Path) -> CampaignSpec:
     """The campaign that `text` describes; `path` names it and is where its files are looked for first."""
-    source = str(path)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
+    source, data = str(path), _read(text, str(path))
     for key in data:
         if key not in _TOP:
             raise keys.unknown(key, list(_TOP), source)
     if data.get("schema") != SCHEMA:
         raise InputError(f'{source}: schema = {data.get("schema")!r} is not known; this version reads "{SCHEMA}"')
-    scenarios = _scenarios(data.get("scenario"), source, path.parent)
+    task = _task(data, source)
+    scenarios = () if task else _scenarios(data.get("scenario"), source, path.parent)
     first, seeds = _seeds(data.get("seeds", {}), source)
     vary = data.get("vary", {})
     if not isinstance(vary, Mapping):
         raise InputError(f"{source}: vary must be a table of dotted keys")
-    found = [_factor(name, entry, f"{source}: vary", path.parent) for name, entry in _dotted(vary).items()]
+    found = [
+        _factor(name, entry, f"{source}: vary", None if task else path.parent) for name, entry in _dotted(vary).items()
+    ]
     if len(scenarios) > 1:
         found.insert(0, Factor("scenario", "scenario", "scenario", scenarios))
     factors = tuple(each for each in found if len(each.values) != 1)
@@ -127,6 +169,8 @@ def parse_spec(text: str, path: Path) -> CampaignSpec:
     if design not in (GRID, RANDOM, SOBOL):
         raise InputError(f"{source}: design = {design!r} is not known; known are {GRID}, {RANDOM}, {SOBOL}")
     search = parse_search(data["search"], f"{source}: search") if "search" in data else None
+    if search is not None and search.adversary and task:
+        raise InputError(f"{source}: search.adversary goes with scenarios; a task says itself what is moved")
     return CampaignSpec(
         path=path,
         scenarios=scenarios,
@@ -137,11 +181,27 @@ def parse_spec(text: str, path: Path) -> CampaignSpec:
         factors=factors,
         fixed=tuple(each for each in found if len(each.values) == 1),
         design_seed=whole(data.get("design_seed", 0), f"{source}: design_seed", 0, 2**32),
-        keep=_kept(data.get("keep", {}), source),
+        keep="none" if task else _kept(data.get("keep", {}), source),
         timeout_s=None if "timeout_s" not in data else number(data["timeout_s"], f"{source}: timeout_s", 0.1, 1e6),
         search=search,
+        task=task,
+        table=parse_table(data["table"], f"{source}: table") if "table" in data else None,
+        most_failures=(
+            None
+            if "most_failures" not in data
+            else whole(data["most_failures"], f"{source}: most_failures", 0, MOST_FLIGHTS)
+        ),
         text=text,
     )
+
+
+def _task(data: Mapping[str, Any], source: str) -> str:
+    task = data.get("task", "")
+    if task and ("scenario" in data or "keep" in data):
+        raise InputError(f"{source}: a campaign flies scenarios or a task: scenario and keep go with the former")
+    if not isinstance(task, str) or (task and not _TASK.fullmatch(task)):
+        raise InputError(f"{source}: task = {task!r} is not allowed; it must be MODULE:FUNCTION")
+    return task
 
 
 def whole(value: object, where: str, least: int, most: int) -> int:
@@ -190,25 +250,41 @@ def _dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """`[vary.body] mass_kg = ...` is `"body.mass_kg"`; a range is no table of keys."""
     flat: dict[str, Any] = {}
     for key, entry in table.items():
-        nested = isinstance(entry, Mapping) and not {"low", "high"} & set(entry)
+        nested = isinstance(entry, Mapping) and not {"low", "high", "values"} & set(entry)
         flat |= _dotted(entry, f"{prefix}{key}.") if nested else {f"{prefix}{key}": entry}
     return flat
 
 
-def _factor(name: str, entry: Any, where: str, folder: Path) -> Factor:
-    sort, key = keys.sort_of(name, where)
+def _factor(name: str, entry: Any, where: str, folder: Path | None) -> Factor:
+    """`folder`: where files lie; None: of a task, whose keys are its own."""
+    sort, key = (keys.TASK, name) if folder is None else keys.sort_of(name, where)
+    if isinstance(entry, Mapping) and "values" in entry:
+        given = _only(entry, ("values", "weights"), f"{where}: {name}")
+        return replace(_factor(name, given["values"], where, folder), weights=_weights(name, given, where))
     if isinstance(entry, Mapping):
         return _range(name, sort, key, _only(entry, ("low", "high", "steps", "scale"), f"{where}: {name}"), where)
     values = entry if isinstance(entry, list) else [entry]
     if not values:
         raise InputError(f"{where}: {name} = [] is not allowed; list at least one value")
-    if sort == keys.OPTION:
-        values = [_beside(each, folder) if key in FILES and isinstance(each, str) else each for each in values]
+    if sort == keys.TASK:
+        if any(not isinstance(each, bool | int | float | str | list) for each in values):
+            raise InputError(f"{where}: {name} = {entry!r} is not allowed; numbers, texts, true or false")
+    elif sort == keys.OPTION:
+        values = [
+            _beside(each, folder) if folder and key in FILES and isinstance(each, str) else each for each in values
+        ]
         for each in values:
             option_value(key, each, f"{where}: fly")
     elif any(isinstance(each, bool) or not isinstance(each, int | float | list) for each in values):
         raise InputError(f"{where}: {name} = {entry!r} is not allowed; its values must be numbers")
     return Factor(name, sort, key, tuple(values))
+
+
+def _weights(name: str, entry: Mapping[str, Any], where: str) -> tuple[float, ...]:
+    values, weights = entry["values"], entry.get("weights", ())
+    if not isinstance(values, list) or not isinstance(weights, list | tuple) or len(weights) not in (0, len(values)):
+        raise InputError(f"{where}: {name}.weights must be a list, one for each of the values")
+    return tuple(number(each, f"{where}: {name}.weights", 1e-9, 1e9) for each in weights)
 
 
 def _range(name: str, sort: str, key: str, entry: Mapping[str, Any], where: str) -> Factor:
@@ -223,7 +299,7 @@ def _range(name: str, sort: str, key: str, entry: Mapping[str, Any], where: str)
     scale = entry.get("scale", "linear")
     if scale not in ("linear", "log") or (scale == "log" and low <= 0.0):
         raise InputError(f'{where}: {name}.scale = {scale!r} is not allowed; "linear", or "log" above 0')
-    spread = Factor(name, sort, key, (), low, high, scale == "log")
+    spread = Factor(name, sort, key, low=low, high=high, log=scale == "log")
     if "steps" not in entry:
         return spread
     steps = whole(entry["steps"], f"{where}: {name}.steps", 2, 10_000)

@@ -26,6 +26,10 @@ def campaign(
     scheduler: Annotated[
         str | None, typer.Option(help="Fly on a Dask cluster: its scheduler's address.", metavar="ADDR")
     ] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="KEY=VALUE (TOML) on top of the file; may be repeated.")
+    ] = None,
+    minutes: Annotated[float | None, typer.Option(help="Stop after so long; --resume goes on.", min=0.0)] = None,
     json: JsonOption = None,
 ) -> None:
     """Fly many flights from one file and count what comes of them, or search for the worst one."""
@@ -36,7 +40,12 @@ def campaign(
     from flightstack.cli.exits import INTERRUPTED
     from flightstack.cli.interrupts import Interrupts
 
-    interrupts, due_s = Interrupts(), 0.0
+    interrupts, due_s, began_s = Interrupts(), 0.0, time.monotonic()
+
+    def stop() -> str:
+        late = minutes is not None and time.monotonic() - began_s > 60.0 * minutes
+        return interrupts.requested() or (f"--minutes {minutes:g} are over" if late else "")
+
     with terminal.progress("campaign") as show:
 
         def told(share: float, phase: str) -> None:
@@ -45,18 +54,23 @@ def campaign(
                 due_s = time.monotonic() + _EVERY_S
                 show(share, phase)
 
-        options = CampaignOptions(file, out, resume, workers, scheduler)
-        result = run(options, stop_requested=interrupts.requested, on_progress=told)
+        options = CampaignOptions(file, out, resume, workers, scheduler, tuple(changes or ()))
+        result = run(options, stop_requested=stop, on_progress=told)
     show_campaign(result, out)
     if json is not None:
         files.write_json(json, result.as_json())
     if result.stopped:
         say_error(f"{result.stopped}: the same command with --resume goes on from here")
+    if interrupts.requested():
         raise typer.Exit(INTERRUPTED)
+    if result.too_many_failures:
+        say_error(result.too_many_failures)
+        raise typer.Exit(1)
 
 
 def show_campaign(result: CampaignResult, out: Path) -> None:
     """Outcomes with their intervals, what drives the failures, the worst flights, where everything lies."""
+    from flightstack.cli.campaign.grouped import shown
     from flightstack.cli.terminal import say
 
     say(f"{result.spec.path.name}: {len(result.entries)} flights")
@@ -71,12 +85,15 @@ def show_campaign(result: CampaignResult, out: Path) -> None:
     flights, equal = result.reflown
     if flights and equal < flights:
         say(f" {flights - equal} of {flights} flights that were flown again for their logs came out differently")
+    for row in result.table:
+        say(" " + ", ".join(f"{head} {shown(value)}" for head, value in row.items()))
     told: set[str] = set()
     for row in result.worst:
         if row["of"] not in told:
             told.add(row["of"])
             say(
-                f" worst {row['of']}: {row['value']:.4g}, flight {row['flight']}: flightstack fly {out / row['replay']}"
+                f" worst {row['of']}: {row['value']:.4g}, flight {row['flight']}: "
+                f"flightstack {result.spec.verb} {out / row['replay']}"
             )
     for name, value in (result.search or {}).items():
         say(f" {name}: {value}")
