@@ -193,7 +193,7 @@ class GpLearner:
             allowed = state.variance if recovering else state.calm_variance
             if self._learn(state, state.expected, allowed, measurement.t_us):
                 state.calibrate()
-        else:
+        elif sample[s.S_REPEATED] == 0.0:  # a tick between two samples takes nothing from the window
             state.refused += 1
             state.watch.reset()
         stage, weight = self._stage(state, measurement.t_us, fit)

@@ -37,6 +37,8 @@ def windows(model: Model, ticks: Iterable[tuple[Measurement, Command]], config: 
     gathered: list[F64] = []
     for measurement, sent in ticks:
         sampler.step(memory, measurement, sent, sample)
+        if sample[s.S_REPEATED] != 0.0:
+            continue
         if not fits(sample, config.residual_max_mps2):
             gathered.clear()
             continue

@@ -236,6 +236,23 @@ def test_without_new_samples_it_freezes_and_keeps_what_it_learned() -> None:
     assert learned.thrust_gain == pytest.approx(before.thrust_gain)
 
 
+def test_a_tick_between_two_samples_costs_no_window() -> None:
+    """An IMU stream a little slower than the ticks, as PX4's 246 Hz: every 40th tick finds the sample before again."""
+    hover = Hover()
+    before, points = hover.run(1), len(hover.state.lateral.gp)
+    for k in range(600):
+        if k % 40 == 39:
+            hover.t_us += 4000
+            seen = measurement(hover.t_us, np.array([0.0, 0.0, -G + 1.0]), np.array([0.0, 0.0, -2.0]), 4000)
+            sent = Command(hover.t_us - 4000, MODEL.weight_n, MODEL.hover_norm, np.zeros(3))
+            hover.state, learned = hover.learner.step(hover.state, seen, sent, hover.point)
+        else:
+            learned = hover.tick()
+    assert learned.fed == before.fed + 585
+    assert learned.refused == before.refused
+    assert len(hover.state.lateral.gp) == points + 585 // 15
+
+
 def test_far_from_all_data_the_bound_is_the_priors() -> None:
     """At 40 m/s, ten length-scales away, the smooth part knows nothing; what is fed forward stays within its clip."""
     hover = Hover()
