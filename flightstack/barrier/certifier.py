@@ -18,7 +18,7 @@ product lies in it.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol, TypeVar
@@ -146,6 +146,11 @@ class Elsewhere(Protocol):
 
     lost: str
     """Why none will come any more; empty while they may."""
+
+    @property
+    def served(self) -> Sequence[tuple[int, int, int]]:
+        """When each answer came: number of the order, ticks until it was begun, ticks from then."""
+        ...
 
     def work(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState

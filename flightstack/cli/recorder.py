@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from flightstack.barrier.certifier import Elsewhere
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
@@ -203,7 +204,7 @@ class LogObserver:
         self._estimate_events = EstimateEvents(self._tell)
         self._estimate_due_us = 0
         self._certifier = certifier
-        self._certificates, self._lost = 0, False
+        self._certificates, self._served, self._lost = 0, 0, False
         self._placed = False
         self._location_due_us = 0
         self._resets = -1
@@ -249,9 +250,8 @@ class LogObserver:
         certifier, companion = self._certifier, self.companion
         if certifier is None or companion is None:
             return
-        if not self._lost and certifier.elsewhere is not None and certifier.elsewhere.lost:
-            self._lost = True
-            self._filter_events.on_lost(t_us, certifier.elsewhere.lost)
+        if certifier.elsewhere is not None:
+            self._on_elsewhere(t_us, certifier.elsewhere)
         if len(certifier.adopted) == self._certificates:
             return
         self._certificates = len(certifier.adopted)
@@ -259,6 +259,14 @@ class LogObserver:
         self._filter_events.on_certificate(t_us, certificate)
         self._log.scene(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
         self._log.certificate(self._clock.t_us, certificate)
+
+    def _on_elsewhere(self, t_us: int, there: Elsewhere) -> None:
+        for each in there.served[self._served :]:
+            self._log.write("/certifier", self._clock.t_us, each)
+        self._served = len(there.served)
+        if not self._lost and there.lost:
+            self._lost = True
+            self._filter_events.on_lost(t_us, there.lost)
 
     def _on_deciding(self, t_us: int, message: object) -> None:
         if isinstance(message, m.Odometry):  # of which only the count of resets decides, where it changes
