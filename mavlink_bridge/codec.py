@@ -18,7 +18,6 @@ from typing import Any
 from mavlink_bridge.layout import MessageLayout, WireField, layout, struct_of
 
 _FLOAT32_MAX = 3.4028234663852886e38
-DEFAULT_TIMEOUT_PERIODS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +88,6 @@ class Row:
         self.id = layout.id
         self.crc_extra = layout.crc_extra
         self.name = layout.name
-
-    @property
-    def timeout_us(self) -> int:
-        """Age at which a stream at its nominal rate counts as missing: three periods; 0 for what isn't a stream."""
-        return round(DEFAULT_TIMEOUT_PERIODS * 1e6 / self.rate_hz) if self.rate_hz else 0
 
     @cached_property
     def decode(self) -> Callable[[bytes, int], Any]:

@@ -238,13 +238,3 @@ FAULTS: dict[str, FaultReaction] = {
         Reaction.REFUSE, None, _P + "test_unsafe_parameters_are_refused_with_the_reason",
     ),
 }  # fmt: skip
-
-
-def as_markdown() -> str:
-    """The table as `docs/safety.md` holds it."""
-    lines = ["| fault | noticed | reaction | after | test |", "| --- | --- | --- | --- | --- |"]
-    for name, fault in FAULTS.items():
-        after = "-" if fault.after_s is None else f"{fault.after_s:.3g} s"
-        noticed = fault.noticed.replace("|", "\\|")
-        lines.append(f"| **{name}**: {fault.what} | {noticed} | {fault.reaction.value} | {after} | `{fault.test}` |")
-    return "\n".join(lines) + "\n"

@@ -17,7 +17,6 @@ from flightstack.control.px4_position import Px4Controller, Px4Gains
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.seams import Controller, Learner, NoLearner
-from flightstack.stack import Stack
 
 Built = tuple[Controller, Learner]
 
@@ -83,14 +82,3 @@ def build(
     tuned = (load_gains() if gains is None else gains)[row.gains]
     controller, learner = row.build(model, limits, *tuned.groups)
     return controller, learner if learning else NoLearner()
-
-
-def stack_maker(name: str, *, learning: bool = True) -> Callable[[Model, Limits], Stack]:
-    """What makes the stack of a flight with this controller; the gains are read once, here."""
-    gains = load_gains()
-
-    def make(model: Model, limits: Limits) -> Stack:
-        controller, learner = build(name, model, limits, learning=learning, gains=gains)
-        return Stack(model, limits, controller=controller, learner=learner)
-
-    return make

@@ -66,7 +66,6 @@ _LEVELS = {
 _IDENTITY = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _GREY = Color(r=0.5, g=0.5, b=0.5, a=0.6)
 _BLUE = Color(r=0.2, g=0.5, b=1.0, a=1.0)
-_GREEN = Color(r=0.2, g=0.8, b=0.3, a=1.0)
 _ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.9)
 _RED = Color(r=0.9, g=0.2, b=0.2, a=0.9)
 _REGION = Color(r=0.2, g=0.9, b=0.4, a=0.15)
