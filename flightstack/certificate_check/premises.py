@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
-from .knowledge import DOWN, NEAR, Knowledge, tables
+from .knowledge import NEAR, StatedKnowledge
 from .reading import Refused, number, rows, table_of
 
 _KEYS = (
@@ -46,8 +46,8 @@ _WIDEST = 1.25
 _AXES = ("north", "east", "down")
 
 
-def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: Knowledge) -> str:
-    """Verify the premises against the axes, the budget and the knowledge; what was verified, in words."""
+def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: StatedKnowledge, down: F64) -> str:
+    """Verify the premises against the axes, the budget, the knowledge and its table of down; what was, in words."""
     table = table_of(value, _KEYS, "premises")
     for key in ("sensors", "vehicle_hash"):
         if not isinstance(table[key], str):
@@ -61,6 +61,9 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: K
     if not np.all(acc <= known.widen + _SLACK):
         raise Refused("knowledge.widen_mps2 does not hold premises.estimate.acc_mps2")
     _check_ranges(table, axes, budget, known, vel)
+    stated, found = _range(table["thrust_gain"], "premises.thrust_gain"), _gain(down, known.box.high)
+    if not max(abs(stated[i] - found[i]) for i in range(2)) <= NEAR:
+        raise Refused(f"premises.thrust_gain must be {found[0]:.9g} to {found[1]:.9g}, what down's bounds allow")
     delay_doubt = number(doubts.get("delay_s"), "knowledge.doubts.delay_s")
     low, high = _range(table["delay_s"], "premises.delay_s")
     for axis in axes:
@@ -95,7 +98,9 @@ def estimate_of(premises: Any) -> F64:
     return bounds
 
 
-def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: F64) -> None:
+def _check_ranges(
+    table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: StatedKnowledge, vel: F64
+) -> None:
     certified = {axis["axis"] for axis in axes}
     if not isinstance(table["speeds_mps"], list) or len(table["speeds_mps"]) != len(_AXES):
         raise Refused("premises.speeds_mps must be three ranges")
@@ -108,21 +113,17 @@ def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any
     low, high = _range(table["thrust_mps2"], "premises.thrust_mps2")
     _least(known.box.low, low, "premises.thrust_mps2", "the budget")
     _most(high, number(budget["thrust_max_mps2"], "budget.thrust_max_mps2"), "premises.thrust_mps2", "the budget")
-    stated = _range(table["thrust_gain"], "premises.thrust_gain")
-    found = _gain(known)
-    if not max(abs(stated[i] - found[i]) for i in range(2)) <= NEAR:
-        raise Refused(f"premises.thrust_gain must be {found[0]:.9g} to {found[1]:.9g}, what down's bounds allow")
     for key in ("applied_share", "battery_v"):
         low, high = _range(table[key], f"premises.{key}")
         if (low, high) != _ANY_V and not 0.0 < high <= _WIDEST * low:
             raise Refused(f"premises.{key} is wider than one flight's {100.0 * (_WIDEST - 1.0):.0f} %")
 
 
-def _gain(known: Knowledge) -> tuple[float, float]:
+def _gain(down: F64, high_mps2: float) -> tuple[float, float]:
     """Delivered over believed thrust: down's gain at every node, off by what its error allows at full thrust."""
-    nodes = tables(known)[DOWN]
-    off = float(nodes[5:].max()) / known.box.high
-    return float(nodes[2].min()) - off, float(nodes[2].max()) + off
+    gain, errors = down[2], down[-2:]
+    off = float(errors.max()) / high_mps2
+    return float(gain.min()) - off, float(gain.max()) + off
 
 
 def _range(value: Any, where: str) -> tuple[float, float]:

@@ -142,17 +142,43 @@ def noise_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
     """What the figures of a simulator without any error would be: the sensors' noise alone.
 
     One step: the sensors' noise through the low-pass (`expected_noise`), and what an error of the smoothed velocity
-    does through the vehicle's drag.  Rollouts: from the same measured start, but with the specific force and the rates
-    that were measured in place of the simulated ones (less the vehicle's sensor biases); what is left is the noise of
-    the start, of the end and of the way, whatever its colour.
+    does through the vehicle's drag.  Rollouts: what the sensors' white noise at start and end does to a simulated path,
+    or, with an accelerometer and where that is more, what is left of the path with the specific force and the rates
+    that were measured in place of the simulated ones (less the vehicle's sensor biases), whatever its colour.
     """
     noise = np.hypot(expected_noise(vehicle, samples, mask), velocity_noise(vehicle, samples))
     force, angular = float(np.sqrt(np.sum(noise[0:3] ** 2))), float(np.sqrt(np.sum(noise[3:6] ** 2)))
     return Figures(
         None if math.isnan(force) else force,
         None if math.isnan(angular) else angular,
-        _rms(strapdown_error(vehicle, samples, mask)),
+        _path_noise(vehicle, samples, mask),
     )
+
+
+def _path_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> float | None:
+    errors = [path_change(vehicle, samples, _noisier(samples), mask)]
+    if "accel_frd_mps2" not in track(samples).missing:
+        errors.append(_rms(strapdown_error(vehicle, samples, mask)))
+    return max((e for e in errors if e is not None), default=None)
+
+
+def path_change(vehicle: Vehicle, samples: Samples, other: Samples, mask: NDArray[np.bool_]) -> float | None:
+    """Rms of how far `rollout_error` of the same flight measured otherwise is from its own; None without rollouts."""
+    errors = [rollout_error(vehicle, each, mask) for each in (samples, other)]
+    return _rms(errors[1] - errors[0])
+
+
+def _noisier(samples: Samples) -> Samples:
+    """The samples with as much white noise again on all that their sensors measure of the state."""
+    rng = np.random.default_rng(0)
+    names = {"pos_ned_m", "vel_ned_mps", "rate_frd_radps"} - set(samples.derived)
+    noisy = {
+        name: getattr(samples, name) + _white(samples, name) * rng.standard_normal((len(samples.t_s), 3))
+        for name in sorted(names)
+    }
+    half = float(np.max(_white(samples, "q_ned_frd"))) * rng.standard_normal((len(samples.t_s), 3))
+    q = multiply(samples.q_ned_frd, np.hstack([np.ones((len(half), 1)), half]))
+    return replace(samples, q_ned_frd=q / np.linalg.norm(q, axis=1, keepdims=True), **noisy)
 
 
 def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +66,13 @@ def noise_floor(vehicle: Vehicle, of: Split, after: Figures, gusts: tuple[float,
     and now is not known either: what is left in `after` is counted as that up to the bound, never more.
     """
     sensors = _pooled(of, lambda samples, mask: compare.noise_floor(vehicle, samples, mask))
-    hidden = _pooled(of, lambda samples, mask: Figures(*sampling_floor(vehicle, samples, mask), None))
+    hidden = _pooled(of, lambda samples, mask: sampling_floor(vehicle, samples, mask))
     known = (hidden.one_step_mps2, hidden.one_step_radps2)
     force, turning = (h if h is None else math.hypot(h, gust) for h, gust in zip(known, gusts, strict=True))
-    return replace(
-        sensors,
-        one_step_mps2=_with(sensors.one_step_mps2, force, after.one_step_mps2),
-        one_step_radps2=_with(sensors.one_step_radps2, turning, after.one_step_radps2),
+    return Figures(
+        _with(sensors.one_step_mps2, force, after.one_step_mps2),
+        _with(sensors.one_step_radps2, turning, after.one_step_radps2),
+        _with(sensors.rollout_1s_m, hidden.rollout_1s_m, after.rollout_1s_m),
     )
 
 

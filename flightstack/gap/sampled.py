@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.gap.records import SIGNALS, Samples
+from flightstack.gap.compare import path_change
+from flightstack.gap.records import SIGNALS, Figures, Samples
 from flightstack.gap.simulate import predict, timing
 from flightstack.gap.track import track
 from flightstack.types import F64
@@ -48,18 +49,19 @@ def timing_s(period_s: float) -> float:
     return _TIMING_S + _TIMING_SAMPLES * period_s
 
 
-def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Rms of specific force (m/s^2) and angular acceleration (rad/s^2), each of three axes, over the masked samples."""
+def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
+    """What the commands that a log doesn't hold leave of each figure."""
     spread = unknown_commands(samples)
     flight = track(samples)
     if "motor" in flight.missing:
-        return 0.0, 0.0
+        return Figures(0.0, 0.0, 0.0)
     noise = np.random.default_rng(0).standard_normal(samples.motor.shape) * spread
     other = replace(samples, motor=np.clip(samples.motor + noise, 0.0, 1.0))
     change = flight.lowpass(predict(vehicle, other) - predict(vehicle, samples))[:, : len(SIGNALS)]
     late = timing_s(samples.dt_s) * timing(vehicle, samples)[:, : len(SIGNALS)]
     used = mask & flight.usable
     if not used.any():
-        return 0.0, 0.0
+        return Figures(0.0, 0.0, 0.0)
     power = np.nan_to_num(np.mean(change[used] ** 2 + late[used] ** 2, axis=0))
-    return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))
+    path = path_change(vehicle, samples, other, mask)
+    return Figures(float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum())), path)

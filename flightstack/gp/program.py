@@ -85,9 +85,11 @@ def _powers(places: tuple[int, ...], power: float, size: int) -> F64:
 
 def matrix(kernel: Program, x: F64, y: F64) -> F64:
     """(N, M) covariances between the rows of x (N, D) and of y (M, D)."""
-    out = np.empty((len(x), len(y)))
-    _matrix(kernel.ints, kernel.floats, x, np.ascontiguousarray(y.T), out)
-    return out
+    turned = len(y) < len(x)  # a row costs as much as some hundred of its elements: few and long ones
+    rows, columns = (y, x) if turned else (x, y)
+    out = np.empty((len(rows), len(columns)))
+    _matrix(kernel.ints, kernel.floats, rows, np.ascontiguousarray(columns.T), turned, out)
+    return np.ascontiguousarray(out.T) if turned else out
 
 
 def diagonal(kernel: Program, x: F64) -> F64:
@@ -127,7 +129,17 @@ def prior(ints: I64, floats: F64, x: F64) -> float:
 
 @njit_called
 def row(
-    ints: I64, floats: F64, points: F64, n: int, x: F64, rate: F64, work: F64, out: F64, out_rate: F64, rates: bool
+    ints: I64,
+    floats: F64,
+    points: F64,
+    n: int,
+    x: F64,
+    rate: F64,
+    work: F64,
+    out: F64,
+    out_rate: F64,
+    rates: bool,
+    turned: bool = False,
 ) -> None:
     """Covariances of the query x (D,) with n points, and with `rates` their time derivatives along `rate` (D,).
 
@@ -139,7 +151,7 @@ def row(
         out_rate[:n] = 0.0
     at, place = 1, 0
     for _ in range(ints[0]):
-        at, place = _term(ints, floats, at, place, points, n, x, rate, work, rates)
+        at, place = _term(ints, floats, at, place, points, n, x, rate, work, rates, turned)
         for i in range(n):
             out[i] += value[i]
         if rates:
@@ -149,7 +161,17 @@ def row(
 
 @njit_vector
 def _term(
-    ints: I64, floats: F64, at: int, place: int, points: F64, n: int, x: F64, rate: F64, work: F64, rates: bool
+    ints: I64,
+    floats: F64,
+    at: int,
+    place: int,
+    points: F64,
+    n: int,
+    x: F64,
+    rate: F64,
+    work: F64,
+    rates: bool,
+    turned: bool = False,
 ) -> tuple[int, int]:
     """One term's values into work[2] and its rates into work[3]; where the next term begins in `ints`, `floats`."""
     power, power_rate, value, value_rate = work[0], work[1], work[2], work[3]
@@ -159,17 +181,22 @@ def _term(
         value_rate[:n] = 0.0
         power_rate[:n] = 0.0
     place += 1
-    factors = ints[at]
+    factors, stationary = ints[at], False
     at += 1
     for _ in range(factors):
         columns = ints[at + 1]
-        if ints[at] == LINEAR:
+        if ints[at] == LINEAR and turned:
+            _linear_turned(points[ints[at + 2]], n, x[ints[at + 2]], value)
+        elif ints[at] == LINEAR:
             _linear(points[ints[at + 2]], n, x[ints[at + 2]], rate[ints[at + 2]], value, value_rate, rates)
         else:
             _distance(ints, at, floats, place, points, n, x, rate, work[4], work[5], rates)
             _stationary(ints[at], n, work, rates)
             place += columns
+            stationary = True
         at += 2 + columns
+    if not stationary:  # exp(0) everywhere
+        return at, place
     _exponential(power, work[4], n)
     if rates:
         for i in range(n):
@@ -187,6 +214,13 @@ def _linear(point: F64, n: int, x: float, rate: float, value: F64, value_rate: F
             value_rate[i] = (value_rate[i] * x + value[i] * rate) * point[i]
     for i in range(n):
         value[i] *= x * point[i]
+
+
+@njit
+def _linear_turned(point: F64, n: int, x: float, value: F64) -> None:
+    """The same in the order in which the points' own rows have it."""
+    for i in range(n):
+        value[i] = (value[i] * point[i]) * x
 
 
 @njit_vector
@@ -299,12 +333,15 @@ def _diagonal(ints: I64, floats: F64, x: F64, out: F64) -> None:
 
 
 @njit_called
-def _matrix(ints: I64, floats: F64, x: F64, points: F64, out: F64) -> None:
-    """out[i, j] = k(x_i, y_j), with x (N, D) and the y as columns of `points` (D, M)."""
+def _matrix(ints: I64, floats: F64, x: F64, points: F64, turned: bool, out: F64) -> None:
+    """out[i, j] = k(x_i, y_j), with x (N, D) and the y as columns of `points` (D, M).
+
+    `turned`: to the last bit as k(y_j, x_i).
+    """
     n = points.shape[1]
     work = np.empty((WORK_ROWS, n))
     for i in range(len(x)):
-        row(ints, floats, points, n, x[i], x[i], work, out[i], work[1], False)
+        row(ints, floats, points, n, x[i], x[i], work, out[i], work[1], False, turned)
 
 
 @njit_called

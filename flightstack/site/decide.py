@@ -58,13 +58,19 @@ _LIMITS = CHAIN + 9 + 3 + 2
 """Places of a packed vehicle: chain, response (3, 3), rate limits (3), drag (1/s) and how uncertain the gain is."""
 
 
+@njit_called
+def is_airborne(height: float, force_mps2: float) -> bool:
+    """Whether thrust (m/s^2) at a height above the place of arming says that the vehicle flies."""
+    return abs(height) >= _AIRBORNE_M and force_mps2 >= _LEAST_THRUST * STANDARD_GRAVITY_MPS2
+
+
 @njit
 def _observe(
     n: F64, chain: F64, measured: F64, rotors: float, dt: float, height: float, bounds: F64, drag: float
 ) -> None:
     """The thrust gain and the force, off the accelerometer, while the vehicle flies."""
     force = thrust_of(chain, rotors)
-    if abs(height) < _AIRBORNE_M or force < _LEAST_THRUST * STANDARD_GRAVITY_MPS2:
+    if not is_airborne(height, force):
         for i in range(3):
             n[FORCE + i] = 0.0
         return

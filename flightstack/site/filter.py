@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.response import CHAIN, new_memory
+from flightstack.barrier.response import CHAIN, new_memory, remember
 from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
 from flightstack.site import bend as bending
@@ -26,11 +26,13 @@ from flightstack.site import slide
 from flightstack.site.backup import ROW, STEPS
 from flightstack.site.clearance import CHUTE, OPEN, packed
 from flightstack.site.shape import Site
-from flightstack.site.stopping import GAIN_STEP, Stopping
+from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
 _BEND_DT_S = 0.004
+_PAUSE_US = 50_000
+"""Without a tick for longer: somebody else flew."""
 
 
 class SiteState(NamedTuple):
@@ -47,6 +49,11 @@ class SiteState(NamedTuple):
     """`bend.SIZE` numbers."""
 
 
+def gain_of(state: object) -> float:
+    """The thrust gain that was read off the accelerometer; 1 before, and where another filter flies."""
+    return float(state.numbers[d.GAIN]) if isinstance(state, SiteState) and d.is_read(state.numbers) else 1.0
+
+
 class _Known(NamedTuple):
     """One certificate's numbers, as compiled code takes them."""
 
@@ -60,7 +67,7 @@ class _Known(NamedTuple):
     """More force than this falsifies it."""
 
     @classmethod
-    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+    def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
         """Of a certificate."""
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
         ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
@@ -76,8 +83,8 @@ class SiteFilter:
     enabled = True
 
     def __init__(
-        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
-        prior: Stopping | None = None,
+        self, model: Model, limits: Limits, certificate: StoppingCertificate, site: Site, chutes: F64, chute_m: float,
+        prior: StoppingCertificate | None = None,
     ) -> None:  # fmt: skip
         """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
         what is kept to once the certificate was falsified."""
@@ -130,6 +137,15 @@ class SiteFilter:
         out[:3] += state.origin_ned_m
         return FlatOutput(out)
 
+    def _begin(self, state: SiteState, measurement: Measurement, sent: Command) -> None:
+        """At first, or after somebody else flew: nothing is committed, rotors turn as the accelerometer says; what was
+        read of the vehicle stays."""
+        numbers, seen = state.numbers, measurement.row
+        numbers[d.COMMITTED], state.bent[:], state.memory[:] = 0.0, 0.0, new_memory()
+        if d.is_airborne(state.origin_ned_m[2] - seen[2], -seen[15]):
+            norm = self.model.norm_of(-seen[15] * self.model.mass_kg / numbers[d.GAIN])
+            remember(state.memory, sent.t_us - 1.0, norm, seen[10:13])
+
     def _in_force(self, numbers: F64) -> _Known:
         """The certificate's numbers, or the prior's once it was falsified."""
         return self._known[1 if numbers[d.BEYOND_S] >= d.BROKEN_S else 0]
@@ -151,6 +167,8 @@ class SiteFilter:
         if not (np.isfinite(measurement.row[:16]).all() and np.isfinite(command.rate_frd_radps).all()):
             row[2] = d.WAITING
             return state, command, Filtered(row)
+        if command.t_us - numbers[d.LAST_US] > _PAUSE_US:
+            self._begin(state, measurement, sent)
         if state.bent[bending.KNOWN] == 0.0:
             bending.begin(state.bent, measurement.row, state.origin_ned_m)
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import itertools
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -80,13 +83,21 @@ GP_FIELDS = {
 }  # fmt: skip
 
 
-def test_fly_writes_the_contracts_json_and_says_where_everything_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    arguments = ("--duration", 3, "--seed", 5, "--no-learning", "--out", out, "--json", tmp_path / "r.json")
-    assert _run("fly", "hover", *arguments) == 0
-    result = json.loads((tmp_path / "r.json").read_text())
+PLAIN = ("fly", "hover", "--duration", 5, "--seed", 5, "--no-learning")
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a flight that does not learn, its JSON in `r.json`; and what was printed."""
+    folder, printed = tmp_path_factory.mktemp("plain"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert _run(*PLAIN, "--out", folder / "out", "--json", folder / "r.json") == 0
+    return folder, printed.getvalue()
+
+
+def test_fly_writes_the_contracts_json_and_says_where_everything_is(plain: tuple[Path, str]) -> None:
+    out, printed = plain[0] / "out", plain[1]
+    result = json.loads((plain[0] / "r.json").read_text())
     assert result["schema"] == "flightstack.flight/1"
     assert set(result) >= {
         "scenario", "seed", "log", "completed", "flight_time_s", "wall_time_s", "realtime_factor", "plant",
@@ -103,7 +114,6 @@ def test_fly_writes_the_contracts_json_and_says_where_everything_is(
     }  # fmt: skip
     assert Path(result["log"]).is_file()
     assert "</html>" in (out / "report.html").read_text()
-    printed = capsys.readouterr().out
     assert "completed" in printed
     assert "flight.mcap" in printed.replace("\n", "")
     log = read(out / "flight.mcap")
@@ -151,7 +161,9 @@ def test_a_named_controller_flies_and_is_named_in_result_and_log(tmp_path: Path)
     assert read(log).metadata["settings"]["controller"] == "pd"
 
 
-def test_a_page_made_from_the_log_alone_says_what_the_flights_own_page_says(tmp_path: Path) -> None:
+def test_a_page_made_from_the_log_alone_says_what_the_flights_own_page_says(
+    plain: tuple[Path, str], tmp_path: Path
+) -> None:
     """The verdict and its figures are in the log, and nothing that a clock measured: the same flight, the same log."""
 
     def head(page: Path) -> str:
@@ -159,30 +171,29 @@ def test_a_page_made_from_the_log_alone_says_what_the_flights_own_page_says(tmp_
         assert found is not None
         return found.group()
 
-    for name in ("one", "two"):
-        assert _run("fly", "hover", "--duration", 2, "--no-learning", "--out", tmp_path / name) == 0
-    logs = [tmp_path / name / "flight.mcap" for name in ("one", "two")]
+    assert _run(*PLAIN, "--out", tmp_path / "two") == 0
+    logs = [folder / "flight.mcap" for folder in (plain[0] / "out", tmp_path / "two")]
     kept = [read(log).attachment("result.json") for log in logs]
     assert kept[0] == kept[1]
     assert kept[0] is not None
     assert json.loads(kept[0])["completed"] is True
     assert _run("log", "report", logs[0], "--out", tmp_path / "again") == 0
-    assert "hover completed" in head(tmp_path / "one" / "report.html")
-    assert head(tmp_path / "again" / "report.html") == head(tmp_path / "one" / "report.html")
+    own = head(plain[0] / "out" / "report.html")
+    assert "hover completed" in own
+    assert head(tmp_path / "again" / "report.html") == own
 
 
-def test_log_info_reads_what_fly_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _run("fly", "hover", "--duration", 2, "--out", tmp_path) == 0
-    capsys.readouterr()
-    assert _run("log", "info", tmp_path / "flight.mcap", "--json", tmp_path / "i.json") == 0
+def test_log_info_reads_what_fly_wrote(
+    plain: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run("log", "info", plain[0] / "out" / "flight.mcap", "--json", tmp_path / "i.json") == 0
     assert "/truth" in capsys.readouterr().out
     assert json.loads((tmp_path / "i.json").read_text())["complete"] is True
 
 
-def test_hyper_parameters_fitted_to_a_flight_begin_the_next_one(tmp_path: Path) -> None:
-    first, learned = tmp_path / "first", tmp_path / "kept" / "learned.json"
-    assert _run("fly", "hover", "--duration", 5, "--no-learning", "--out", first) == 0
-    assert _run("learn", first / "flight.mcap", "--out", learned, "--json", tmp_path / "l.json") == 0
+def test_hyper_parameters_fitted_to_a_flight_begin_the_next_one(plain: tuple[Path, str], tmp_path: Path) -> None:
+    learned = tmp_path / "kept" / "learned.json"
+    assert _run("learn", plain[0] / "out" / "flight.mcap", "--out", learned, "--json", tmp_path / "l.json") == 0
     result = json.loads((tmp_path / "l.json").read_text())
     assert result["schema"] == "flightstack.learn/1"
     assert result["windows"] >= 100
@@ -374,6 +385,7 @@ def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline and not (log_file.exists() and log_file.stat().st_size > 1_000_000):
         assert flight.poll() is None
+        select.select([], [], [], 0.02)
     flight.kill()
     flight.communicate(timeout=20)
     log = read(log_file)

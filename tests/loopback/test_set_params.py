@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -16,6 +15,8 @@ from pathlib import Path
 import pytest
 from pymavlink import mavutil
 from simulator import HOST, free_ports, simulator
+
+from flightstack.cli import main as cli
 
 GIVE_UP_S = 60.0
 FILE = 'schema = "flightstack.params/1"\n[set]\nCOM_OF_LOSS_T = 0.3\nCOM_RC_IN_MODE = 4\n'
@@ -55,11 +56,14 @@ class Bench:
         self.file = folder / "mine.toml"
         self.file.write_text(FILE)
 
+    @property
+    def words(self) -> list[str]:
+        return ["offboard", "--connect", f"udpin:{HOST}:{self.port}", "--out", str(self.folder / "out")]
+
     def start(self, *more: str) -> subprocess.Popen[str]:
-        words = [sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", f"udpin:{HOST}:{self.port}"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "XDG_STATE_HOME": str(self.folder)}
         return subprocess.Popen(
-            [*words, "--out", str(self.folder / "out"), *more],
+            [sys.executable, "-m", "flightstack.cli.main", *self.words, *more],
             env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=self.folder,
         )  # fmt: skip
 
@@ -68,6 +72,21 @@ class Bench:
         while not wanted():
             assert time.monotonic() < deadline
             time.sleep(0.05)
+
+
+@pytest.fixture(autouse=True)
+def _own_signals() -> Iterator[None]:
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    """Exit code and what went to stderr, in this process."""
+    with pytest.raises(SystemExit) as stop:
+        cli.main(list(words))
+    return int(stop.value.code or 0), capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -124,12 +143,12 @@ def test_ctrl_c_puts_back_and_kill_9_leaves_a_journal_that_the_next_run_follows(
     ],
 )
 def test_what_can_not_be_set_or_flown_with_is_one_line_and_nothing_stays_changed(
-    bench: Bench, text: str, said: str
+    bench: Bench, text: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.file.write_text(text)
-    with bench.start("--set-params", str(bench.file), "--arm") as companion:
-        _, errors = companion.communicate(timeout=GIVE_UP_S)
-    assert companion.returncode in (1, 2)
+    monkeypatch.setenv("XDG_STATE_HOME", str(bench.folder))
+    code, errors = run(capsys, *bench.words, "--set-params", str(bench.file), "--arm")
+    assert code in (1, 2)
     assert sum(line.startswith("error: ") for line in errors.splitlines()) == 1, errors
     assert said in errors
     assert "Traceback" not in errors
@@ -137,15 +156,11 @@ def test_what_can_not_be_set_or_flown_with_is_one_line_and_nothing_stays_changed
     assert not bench.journals.exists() or not list(bench.journals.iterdir())
 
 
-def test_without_a_vehicle_nothing_is_set_and_that_is_said(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind((HOST, 0))
-        port = int(free.getsockname()[1])
-    words = ["offboard", "--connect", f"udpin:{HOST}:{port}", "--timeout", "0.3", "--set-params", "px4-sih-ekf"]
-    done = subprocess.run(
-        [sys.executable, "-m", "flightstack.cli.main", *words],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "XDG_STATE_HOME": str(tmp_path)},
-        capture_output=True, text=True, timeout=GIVE_UP_S, check=False, cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: no vehicle answered")
+def test_without_a_vehicle_nothing_is_set_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    words = ["offboard", "--connect", f"udpin:{HOST}:{free_ports()[0]}", "--timeout", "0.3", "--out", str(tmp_path)]
+    code, errors = run(capsys, *words, "--set-params", "px4-sih-ekf")
+    assert code == 2
+    assert errors.startswith("error: no vehicle answered")

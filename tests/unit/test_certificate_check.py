@@ -135,6 +135,23 @@ def in_turn(path: tuple[Any, ...], name: str, kind: str) -> bool:
     return name in ("+1 %", "sign", "swap") if kind == "ellipse" else name == "-10 %"
 
 
+@pytest.fixture
+def tables_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The checker's tables of the last knowledge are kept: nine changes of ten leave it as it was."""
+    kept: dict[str, Any] = {}
+
+    def once(known: Any) -> dict[int, np.ndarray]:
+        key = json.dumps(known.data) + repr((known.box, known.k))
+        if key not in kept:
+            kept.clear()
+            kept[key] = tables(known), known.lead, known.torque
+        found, known.lead, known.torque = kept[key]
+        return found  # type: ignore[no-any-return]
+
+    monkeypatch.setattr(checker.knowledge, "tables", once)
+
+
+@pytest.mark.usefixtures("tables_kept")
 @pytest.mark.parametrize("kind", ["ellipse", "stopping"])
 def test_a_number_changed_under_a_new_seal_is_refused_or_leaves_the_claims_true(kind: str) -> None:
     text = small_text(kind)

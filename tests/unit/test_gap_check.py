@@ -191,6 +191,16 @@ def test_late_stamps_are_found_within_a_millisecond_and_put_right(name: str, lat
     assert np.sqrt(np.mean((getattr(samples, name)[200:2800] - exact) ** 2)) < 2.0 * NOISE[name] + 2e-3
 
 
+@pytest.mark.parametrize("late_s", [-0.03, 0.0, 0.035])
+def test_without_an_accelerometer_leaning_tells_the_velocitys_stamps(late_s: float) -> None:
+    """Rotors push along one axis of the body: a late velocity is no force."""
+    log = _without("accel_frd_mps2")(late(late(flight(), "vel_ned_mps", late_s), "pos_ned_m", late_s))
+    found = {each.signal: each for each in check(log, vehicle()).offsets}
+    for name in ("vel_ned_mps", "pos_ned_m"):
+        assert found[name].low_s <= late_s <= found[name].high_s
+        assert found[name].high_s - found[name].low_s < 0.01
+
+
 def test_the_intervals_of_offsets_cover_the_truth_as_often_as_they_say() -> None:
     """12 flights of 30 s with 3 known offsets each: 95 % intervals cover 34 of 36; below 30 in one of 2000 runs."""
     covered = count = 0
