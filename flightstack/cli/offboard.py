@@ -19,7 +19,7 @@ from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
-from flightstack.cli.set_params import Wire, parameters_set
+from flightstack.cli.set_params import VehicleLink, parameters_set
 from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
@@ -28,7 +28,7 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
@@ -125,12 +125,12 @@ def _offboard(
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
 ) -> FlightResult:
-    scenario, stack = prepared.scenario, prepared.stack
+    scenario = prepared.scenario
     address = parse_address(options.connect)
     wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
-        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+        parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
@@ -146,21 +146,8 @@ def _offboard(
         observer = prepared.observer(recorder, line, truth=False)
         observer.record_to = score.on_record
         observer.message_to = score.on_message
-        inspector = Inspector(
-            prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
-        )
-        config = CompanionConfig(
-            arm=options.arm,
-            dry_run=options.dry_run,
-            heartbeat_timeout_s=options.heartbeat_timeout_s,
-            contradictions=inspector.contradictions,
-            dead_man=options.dead_man,
-            round_trip_max_s=prepared.protection.round_trip_max_s,
-        )
         link = Link(240, 191, framing=framing_for(address), signing=signer)
-        companion = Companion(link, stack, scenario, observer, config, inspector)
-        inspector.attach(companion)
-        inspector.gate = _heed(prepared.protection, options.grade(scenario), companion)
+        companion, inspector, config = companion_of(link, options, prepared, observer)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
@@ -189,12 +176,36 @@ def _offboard(
     return result
 
 
+def companion_of(
+    link: Link, options: OffboardOptions, prepared: Prepared, observer: Observer
+) -> tuple[Companion, Inspector, CompanionConfig]:
+    """The companion of such a flight, what judges its vehicle, and what it may do."""
+    inspector = Inspector(
+        prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
+    )
+    config = CompanionConfig(
+        arm=options.arm,
+        dry_run=options.dry_run,
+        heartbeat_timeout_s=options.heartbeat_timeout_s,
+        contradictions=inspector.contradictions,
+        dead_man=options.dead_man,
+        round_trip_max_s=prepared.protection.round_trip_max_s,
+    )
+    companion = Companion(link, prepared.stack, prepared.scenario, observer, config, inspector)
+    inspector.attach(companion)
+    inspector.gate = _heed(prepared.protection, options.grade(prepared.scenario), companion)
+    return companion, inspector, config
+
+
 def _settings(options: OffboardOptions, scenario: Scenario, *, signed: bool) -> dict[str, str]:
     """What the log says of this flight besides what every flight says."""
     return {
         "connect": options.connect,
         "arm": str(options.arm),
         "dry_run": str(options.dry_run),
+        "believe_file": str(options.believe_file),
+        "heartbeat_timeout_s": f"{options.heartbeat_timeout_s:g}",
+        "place": "" if options.place is None else "{!r} {!r}".format(*options.place),
         "pace": "realtime",
         "signing": "on" if signed else "off",
         "dead_man": "on" if options.dead_man else "off",

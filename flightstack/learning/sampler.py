@@ -52,6 +52,8 @@ _EXPLAINED = 0.5
 _CURVED = 1.02
 """What delays two steps away must leave at least, of the chosen one's residual variance."""
 _GAP_MAX_S = 0.05
+_SAME_S = 5e-7
+"""Stamps of whole microseconds that differ by less are one."""
 _THRUST_LEAST_WEIGHTS = 0.3
 AWAY_M = 0.1
 """From the place of take-off: nearer the ground may hold the vehicle."""
@@ -83,7 +85,8 @@ S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body 
 S_TARGET_FRD = S_HEADING + 2
 S_HEIGHT = S_TARGET_FRD + 3
 S_DELAY = S_HEIGHT + 1  # that the sample was made with, evident or not
-SAMPLE = S_DELAY + 1
+S_REPEATED = S_DELAY + 1  # the force is that of the step before: nothing new came
+SAMPLE = S_REPEATED + 1
 
 
 class Sampler:
@@ -270,14 +273,14 @@ def _sample(
     _remember(memory, t_sent, norm, sent_rate)
     imu_time = now - imu_age
     dt = imu_time - memory[_M_IMU_S]
-    fresh = 0.0 < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
+    fresh = _SAME_S < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
     away = 0.0
     size = 0.0
     for i in range(3):
         away += (pos[i] - memory[_M_START + i]) ** 2
         size += force[i] * force[i]
     flying = away > constants[10] * constants[10] and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
-    if dt > 0.0:
+    if dt > _SAME_S:
         _advance(constants, memory, imu_time, min(dt, _GAP_MAX_S), force[2], flying and fresh)
         memory[_M_IMU_S] = imu_time
         if flying and fresh:
@@ -316,6 +319,7 @@ def _sample(
     out[S_HEADING], out[S_HEADING + 1] = c, s
     out[S_HEIGHT] = height
     upright = r[2, 2] > 0.0
+    out[S_REPEATED] = 0.0 if dt > _SAME_S else 1.0
     out[S_OK] = 1.0 if fresh and flying and upright and weights > _THRUST_LEAST_WEIGHTS else 0.0
 
 
