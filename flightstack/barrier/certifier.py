@@ -29,7 +29,7 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
-from flightstack.barrier.flown import Flown, least_h
+from flightstack.barrier.flown import FlownPath, least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge
 from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
@@ -138,7 +138,7 @@ class CertifierState:
     """Where each axis' last search with each of the thrusts ended."""
     turn: int = 0
     """Of the thrusts."""
-    flown: Flown = field(default_factory=Flown)
+    flown: FlownPath = field(default_factory=FlownPath)
 
 
 class Elsewhere(Protocol):

@@ -19,7 +19,7 @@ from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
-from flightstack.cli.set_params import Wire, parameters_set
+from flightstack.cli.set_params import VehicleLink, parameters_set
 from flightstack.cli.site import read_site
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
@@ -129,7 +129,7 @@ def _offboard(
     wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
-        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+        parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"

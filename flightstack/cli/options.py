@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 
-class Sensors(StrEnum):
+class SensorGrade(StrEnum):
     """Grades of sensors and estimate."""
 
     mocap = "mocap"
@@ -78,7 +78,7 @@ SigningKeyOption = Annotated[
     Path | None,
     typer.Option(help="Sign with the key in this file (MAVLink 2) and hear nothing unsigned.", metavar="FILE"),
 ]
-SensorsOption = Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
+SensorsOption = Annotated[SensorGrade | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
 PlantOption = Annotated[PlantName, typer.Option(help="Physics.")]
 FaultOption = Annotated[
     str | None,

@@ -16,7 +16,7 @@ from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
-from flightstack_logs.scene import Region, Scene, StoppingWay
+from flightstack_logs.scene import Scene, SceneRegion, StoppingWay
 from flightstack_logs.topics import FILTER_STATUS, MESSAGE
 from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages as m
@@ -303,7 +303,7 @@ class LogObserver:
                 self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
 
 
-def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
+def certified_region(certificate: Certificate, start_ned_m: F64) -> SceneRegion:
     """The positions that a certificate allows: a box, as published an ellipsoid.
 
     Along an axis that it says nothing of it reaches `_OPEN_M` each way.
@@ -313,7 +313,7 @@ def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
     north, east, down = (np.asarray(certificate.centre_ned_m) + start_ned_m + 0.5 * (low + high)).tolist()
     half: Tuple3 = tuple((0.5 * (high - low)).tolist())
     shape = "ellipsoid" if certificate.mode == AS_PUBLISHED else "box"
-    return Region(shape, (north, east, down), half)
+    return SceneRegion(shape, (north, east, down), half)
 
 
 _OPEN_M = 2.0
@@ -328,7 +328,7 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, site: tuple[F64, ...], start_
     if scenario.region is not None:
         north, east, down = (np.asarray(scenario.region.centre_ned_m) + start_ned_m).tolist()
         shape = "ellipsoid" if scenario.region.kind == "ellipsoid" else "box"
-        region = Region(shape, (north, east, down), scenario.region.semi_axes_m)
+        region = SceneRegion(shape, (north, east, down), scenario.region.semi_axes_m)
     return Scene(
         rotor_position_frd_m=vehicle.rotors.position_m,
         rotor_radius_m=vehicle.rotors.radius_m,

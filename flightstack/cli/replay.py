@@ -33,7 +33,7 @@ from flightstack_logs.tables import Log
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, Planner
+from mavlink_bridge.companion import Companion, MissionPlanner
 from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
@@ -160,7 +160,7 @@ def _unknown(log: Log, error: Exception) -> InputError:
     return InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version")
 
 
-def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
+def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, MissionPlanner | None]:
     """The flight, ready to be given its inputs again, and what planned it on the way."""
     try:
         options = FlyOptions(**_common(log, settings, folder), realtime=settings["pace"] != "lockstep")

@@ -27,7 +27,7 @@ from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, KeepOut, Site
-from flightstack.site.stopping import Prior, Stopping, stopping
+from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
 
@@ -151,10 +151,10 @@ class SitePlan:
     """A site, ready to be flown in: the certificate and where the floor does not bind."""
 
     site: Site
-    certificate: Stopping
+    certificate: StoppingCertificate
     chutes: F64
     chute_m: float
-    prior: Stopping | None = None
+    prior: StoppingCertificate | None = None
     """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:

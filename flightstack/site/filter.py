@@ -26,7 +26,7 @@ from flightstack.site import slide
 from flightstack.site.backup import ROW, STEPS
 from flightstack.site.clearance import CHUTE, OPEN, packed
 from flightstack.site.shape import Site
-from flightstack.site.stopping import GAIN_STEP, Stopping
+from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
@@ -67,7 +67,7 @@ class _Known(NamedTuple):
     """More force than this falsifies it."""
 
     @classmethod
-    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+    def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
         """Of a certificate."""
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
         ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
@@ -83,8 +83,8 @@ class SiteFilter:
     enabled = True
 
     def __init__(
-        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
-        prior: Stopping | None = None,
+        self, model: Model, limits: Limits, certificate: StoppingCertificate, site: Site, chutes: F64, chute_m: float,
+        prior: StoppingCertificate | None = None,
     ) -> None:  # fmt: skip
         """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
         what is kept to once the certificate was falsified."""
