@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
+from flightstack.cli.vehicle_site import Questions, as_plan
+from flightstack.site.file import parse_site
 from flightstack_sim.autopilot.requests import Sender
 from flightstack_sim.fence import allowed, shapes_of
 from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Item, Plans
 from mavlink_bridge import messages as m
-from tests.unit.station import Station
+from mavlink_bridge.link import Link
+from tests.unit.station import ONBOARD, Station
 
 LAT, LON = 473_977_420, 85_455_940
 MISSION, FENCE, RALLY = 0, 1, 2
@@ -330,3 +334,30 @@ def test_a_fence_without_home_is_no_fence() -> None:
     station.run(0.3)
     assert "Geofence invalid, doesn't contain Home position" in station.texts()
     assert station.server.fence.shapes == ()
+
+
+def test_a_stored_fence_is_read_back_as_a_site(station: Station) -> None:
+    """A square to stay in, a triangle and a circle to keep out of; the lengths are those that were drawn."""
+    circle = item(5004, p=(7.0, 0.0, 0.0, 0.0), frame=0, z=0.0, **place(20.0, -20.0))
+    hole = ring((0.0, 10.0), (0.0, 15.0), (5.0, 15.0), command=5002)
+    assert upload(station, [*ring(*SQUARE), *hole, circle], FENCE) == 0
+    questions = Questions(Link(240, 191), fence=True)
+    for _ in range(500):
+        station.server.advance(4)
+        for data in station.server.datagrams(ONBOARD):
+            questions.link.receive_datagram(data, station.server.t_us)
+        for received in questions.link.take_events():
+            questions.take(received, station.server.t_us)
+        questions.step(station.server.t_us)
+        for data in questions.link.datagrams_to_send():
+            station.server.receive(ONBOARD, data)
+        if questions.is_answered:
+            break
+    assert questions.place is not None
+    np.testing.assert_allclose(questions.place, (1e-7 * LAT, 1e-7 * LON), atol=1e-4)
+    flat = parse_site(as_plan(questions.shapes), "vehicle.plan").local(1e-7 * LAT, 1e-7 * LON)
+    np.testing.assert_allclose(flat.inside, SQUARE, atol=0.02)
+    triangle, solid = flat.keep_outs
+    np.testing.assert_allclose(triangle.polygon, [[0.0, 10.0], [0.0, 15.0], [5.0, 15.0]], atol=0.02)
+    assert solid.radius_m == 7.0
+    np.testing.assert_allclose(solid.centre, (20.0, -20.0), atol=0.02)
