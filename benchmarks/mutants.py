@@ -53,7 +53,7 @@ _OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
 }  # fmt: skip
 _CALLS = {"min": "max", "max": "min"}
-_TABLES = {"_S": "REFUSED", "State": "REFUSED", "Event": "TIMEOUT"}
+_TABLES = {"_S": "REFUSED", "State": "REFUSED", "HandshakeEvent": "TIMEOUT"}
 """What an entry of the handshake's tables is replaced by."""
 
 

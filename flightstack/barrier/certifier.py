@@ -18,7 +18,7 @@ product lies in it.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol, TypeVar
@@ -29,7 +29,7 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
-from flightstack.barrier.flown import Flown, least_h
+from flightstack.barrier.flown import FlownPath, least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
@@ -138,7 +138,7 @@ class CertifierState:
     """Where each axis' last search with each of the thrusts ended."""
     turn: int = 0
     """Of the thrusts."""
-    flown: Flown = field(default_factory=Flown)
+    flown: FlownPath = field(default_factory=FlownPath)
 
 
 class Elsewhere(Protocol):
@@ -146,6 +146,15 @@ class Elsewhere(Protocol):
 
     lost: str
     """Why none will come any more; empty while they may."""
+
+    def count_anew(self) -> None:
+        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
+        ...
+
+    @property
+    def served(self) -> Sequence[tuple[int, int, int]]:
+        """When each answer came: number of the order, ticks until it was begun, ticks from then."""
+        ...
 
     def work(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from .confidence import check_colour
 from .gaussian import posterior
 from .intervals import F64
-from .knowledge import Knowledge, Process
-from .log import Recording, read_log
+from .knowledge import StatedKnowledge, StatedProcess
+from .log import FlightRecording, read_log
 from .reading import Refused, Unreadable, table_of
-from .samples import AWAY_M, WANTED, WINDOW, Believed, Samples, Ticks, lagged, matrices, samples
+from .samples import AWAY_M, WANTED, WINDOW, Believed, DerivedSamples, Ticks, lagged, matrices, samples
 
 _KEYS = ("log_sha256", "vehicle_sha256", "from_us", "until_us")
 _FINAL = "certificate-final.json"
@@ -46,7 +46,7 @@ _LADDER_S = np.geomspace(0.004, 0.1, 9)
 _CHI2 = 7.4
 
 
-def check_keys(value: Any, stores: list[Process]) -> bool:
+def check_keys(value: Any, stores: list[StatedProcess]) -> bool:
     """Whether the file names a flight; `Unreadable` where it does so in another form."""
     if value is None:
         return False
@@ -72,7 +72,7 @@ def _away_m(estimate: Any) -> float:
 
 
 def check_flight(
-    data: dict[str, Any], known: Knowledge, log: BinaryIO | Recording, vehicle: bytes | None, seal: Any
+    data: dict[str, Any], known: StatedKnowledge, log: BinaryIO | FlightRecording, vehicle: bytes | None, seal: Any
 ) -> list[str]:
     """Verify a certificate that is valid for itself against its log; what was verified, in words."""
     if not known.stores:
@@ -80,7 +80,7 @@ def check_flight(
     if not check_keys(data["provenance"], known.stores):
         raise Refused("provenance: the certificate names no flight")
     named = data["provenance"]
-    recording = log if isinstance(log, Recording) else read_log(log, WANTED)
+    recording = log if isinstance(log, FlightRecording) else read_log(log, WANTED)
     believed = _vehicle(named, known, recording, vehicle)
     _check_frame(data["governor"]["vehicle"], known.data["doubts"], believed)
     ticks = Ticks.of(recording, named["from_us"], named["until_us"])
@@ -97,7 +97,9 @@ def check_flight(
     return lines
 
 
-def _vehicle(named: dict[str, Any], known: Knowledge, recording: Recording, vehicle: bytes | None) -> Believed:
+def _vehicle(
+    named: dict[str, Any], known: StatedKnowledge, recording: FlightRecording, vehicle: bytes | None
+) -> Believed:
     """The believed vehicle: of the file given, or of the one that the log carries."""
     data = recording.attachments.get("vehicle.toml") if vehicle is None else vehicle
     if data is None:
@@ -129,7 +131,7 @@ def _check_frame(stated: dict[str, Any], doubts: dict[str, Any], believed: Belie
         raise Refused("knowledge.doubts.rotor_lag_s is not the rotors' lag of the vehicle file")
 
 
-def _sealed(recording: Recording) -> Any:
+def _sealed(recording: FlightRecording) -> Any:
     """The seal of the certificate that the log ends with."""
     try:
         return json.loads(recording.attachments[_FINAL])["seal"]
@@ -137,7 +139,7 @@ def _sealed(recording: Recording) -> Any:
         raise Refused("log: it ends without a certificate") from None
 
 
-def _check_points(known: Knowledge, found: Samples) -> str:
+def _check_points(known: StatedKnowledge, found: DerivedSamples) -> str:
     for name, store, columns in zip(("lateral", "vertical"), known.stores, (slice(0, 2), slice(2, 3)), strict=True):
         first, last = (
             np.searchsorted(found.t_us, store.windows_us[:, 0]),
@@ -166,7 +168,7 @@ def _check_points(known: Knowledge, found: Samples) -> str:
     return f"points: {' and '.join(str(len(s.x)) for s in known.stores)} derived anew from their windows in the log"
 
 
-def all_windows(found: Samples, from_us: int) -> tuple[F64, F64, NDArray[np.int64]]:
+def all_windows(found: DerivedSamples, from_us: int) -> tuple[F64, F64, NDArray[np.int64]]:
     """x (n, 7), y (n, 3) and last sample (n,) of windows of fit samples one after the other, from a stamp on."""
     run, ends = 0, list[int]()
     for i in range(int(np.searchsorted(found.t_us, from_us)), len(found.fit)):
@@ -179,7 +181,7 @@ def all_windows(found: Samples, from_us: int) -> tuple[F64, F64, NDArray[np.int6
     return found.x[index].mean(axis=1), found.y[index].mean(axis=1), last
 
 
-def _check_windows(known: Knowledge, found: Samples) -> list[str]:
+def _check_windows(known: StatedKnowledge, found: DerivedSamples) -> list[str]:
     """Noise and misses of all windows."""
     lines, start = [], min(int(store.windows_us.min()) for store in known.stores)
     x, y, last = all_windows(found, start)
@@ -219,7 +221,7 @@ def _could_be(misses: int, trials: int, claim: float) -> bool:
     return 1.0 - below >= 0.025
 
 
-def _check_delay(data: dict[str, Any], known: Knowledge, found: Samples, believed: Believed) -> str:
+def _check_delay(data: dict[str, Any], known: StatedKnowledge, found: DerivedSamples, believed: Believed) -> str:
     """Of all pairs of lag and delay one within their doubts explains the force's fast part as well as the best does."""
     for axis in data["axes"]:
         if axis["axis"] == "down" and abs(float(axis["response"]["c1_s"]) - believed.lag_s) > _NEAR:

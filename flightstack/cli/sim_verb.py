@@ -23,7 +23,7 @@ from flightstack.cli.options import (
     PlantName,
     PlantOption,
     SeedOption,
-    Sensors,
+    SensorGrade,
 )
 
 
@@ -39,7 +39,7 @@ def sim(
     ] = None,
     plant: PlantOption = PlantName.native,
     sensors: Annotated[
-        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+        SensorGrade | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
     ] = None,
     seed: SeedOption = 0,
     port: Annotated[

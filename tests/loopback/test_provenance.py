@@ -25,7 +25,7 @@ from certificates import resealed
 
 from flightstack.barrier.provenance import Provenance
 from flightstack.certificate_check import DERIVED, SELF_CONSISTENT, check
-from flightstack.certificate_check.log import Recording, read_log
+from flightstack.certificate_check.log import FlightRecording, read_log
 from flightstack.certificate_check.samples import WANTED
 from flightstack.cli.certify import certify
 from flightstack.cli.flight import FlyOptions
@@ -43,7 +43,7 @@ class Flown(NamedTuple):
     text: str
     certificate: Path
     log: Path
-    recording: Recording
+    recording: FlightRecording
     json: dict[str, Any]
 
 
@@ -61,7 +61,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
         return Flown(path.read_text(), path, log, read_log(file, WANTED), result.as_json())
 
 
-def with_seal_of(recording: Recording, text: str) -> Recording:
+def with_seal_of(recording: FlightRecording, text: str) -> FlightRecording:
     """The same log, but that it ends with this certificate: what a forger of both would make."""
     forged = copy.copy(recording)
     forged.attachments = {**recording.attachments, FINAL: text.encode()}
