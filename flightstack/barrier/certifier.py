@@ -147,6 +147,10 @@ class Elsewhere(Protocol):
     lost: str
     """Why none will come any more; empty while they may."""
 
+    def count_anew(self) -> None:
+        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
+        ...
+
     @property
     def served(self) -> Sequence[tuple[int, int, int]]:
         """When each answer came: number of the order, ticks until it was begun, ticks from then."""

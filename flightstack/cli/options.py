@@ -68,7 +68,7 @@ BelieveFileOption = Annotated[
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 SiteOption = Annotated[
     Path | None,
-    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan of QGroundControl, .geojson)."),
+    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan, .geojson; vehicle: the stored fence)."),
 ]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")

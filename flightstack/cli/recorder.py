@@ -204,6 +204,8 @@ class LogObserver:
         self._estimate_events = EstimateEvents(self._tell)
         self._estimate_due_us = 0
         self._certifier = certifier
+        if certifier is not None and certifier.elsewhere is not None:
+            certifier.elsewhere.count_anew()
         self._certificates, self._served, self._lost = 0, 0, False
         self._placed = False
         self._location_due_us = 0

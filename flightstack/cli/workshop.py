@@ -63,6 +63,11 @@ class Workshop:
         self._calls = 0
         self._recorded: dict[int, Served] | None = None
 
+    def count_anew(self) -> None:
+        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
+        self._calls = 0
+        self._served.clear()
+
     @property
     def served(self) -> Sequence[Served]:
         """Every answer so far."""
