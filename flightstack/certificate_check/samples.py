@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .intervals import F64
-from .log import Recording, Table
+from .log import FlightRecording, Table
 from .reading import Refused, Unreadable
 
 G = 9.80665
@@ -48,6 +48,8 @@ class Believed:
     lag_s: float
     drag_kgps: F64
     radius_m: float
+    frame: dict[str, Any]
+    """Where rotors stand and what they turn: as `governor.vehicle` names it."""
 
     @classmethod
     def of(cls, file: dict[str, Any]) -> Believed:
@@ -63,6 +65,14 @@ class Believed:
                 max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
                 np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"]),
                 float(rotors["radius_m"]),
+                {
+                    "position_m": rotors["position_m"],
+                    "torque_ratio_m": rotors["torque_ratio_m"],
+                    "inertia_kgm2": [
+                        float(i) * float(effects.get("inertia", {}).get(f"scale_{axis}", 1.0))
+                        for i, axis in zip(body["inertia_kgm2"], "xyz", strict=True)
+                    ],
+                },
             )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None
@@ -96,7 +106,7 @@ class Ticks:
     """NaN where nothing was learned from it."""
 
     @classmethod
-    def of(cls, recording: Recording, first_us: int, last_us: int) -> Ticks:
+    def of(cls, recording: FlightRecording, first_us: int, last_us: int) -> Ticks:
         """Those of a log between two stamps; refused where it does not hold them."""
         for topic in ("/tick", "/command"):
             if topic not in recording.tables:
@@ -128,7 +138,7 @@ class Ticks:
 
 
 @dataclass(frozen=True)
-class Samples:
+class DerivedSamples:
     """Of each tick with a new sample of force that something was learned from, in their order."""
 
     t_us: NDArray[np.int64]
@@ -148,7 +158,7 @@ class Samples:
     """Commands as applied and when they were sent."""
 
 
-def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
+def samples(ticks: Ticks, believed: Believed, away_m: float) -> DerivedSamples:
     """All of them, by the module's rule, from `away_m` from the place of take-off on."""
     keep = np.isfinite(ticks.delay_s)
     pos, vel, q, force = (ticks.tick[name][keep] for name in (*TICK[:3], TICK[4]))
@@ -182,7 +192,9 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
     fit = fresh & away & ((force**2).sum(axis=1) < _FORCE_MPS2**2) & (axis[:, 2] > 0.0) & (weights > _LEAST_WEIGHTS)
     fit &= (np.abs(y) <= _MOST_MPS2).all(axis=1)
     new = dt > _SAME_S  # what a tick repeats is no sample
-    return Samples(ticks.t_us[keep][new], x[new], y[new], fit[new], force[new, 2], step[new], middle[new], sent_s, sent)
+    return DerivedSamples(
+        ticks.t_us[keep][new], x[new], y[new], fit[new], force[new, 2], step[new], middle[new], sent_s, sent
+    )
 
 
 def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F64, F64]:

@@ -36,7 +36,7 @@ from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicl
 from flightstack_sim.streams import LinkKind
 from flightstack_sim.warmup import warm_up as warm_up_simulator
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, CompanionConfig, Planner
+from mavlink_bridge.companion import Companion, CompanionConfig, MissionPlanner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.clock import utc_us
@@ -150,7 +150,7 @@ class SimulatedFlight:
         setup: Setup,
         options: FlyOptions,
         log: Recorder,
-        planner: Planner | None = None,
+        planner: MissionPlanner | None = None,
         utc_us: int = UNIX_AT_BOOT_US,
     ) -> None:
         """`utc_us`: when the flight begins; in lockstep, which has no date of its own, the simulator's."""
@@ -265,7 +265,7 @@ def fly_setup(
     setup: Setup,
     options: FlyOptions,
     *,
-    planner: Planner | None = None,
+    planner: MissionPlanner | None = None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
     at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
@@ -290,7 +290,7 @@ def fly_setup(
 def _flown(
     setup: Setup,
     options: FlyOptions,
-    planner: Planner | None,
+    planner: MissionPlanner | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
     at_end: Callable[[Recorder, int], None],

@@ -53,7 +53,7 @@ _ORIGIN_PERIOD_US = 1_000_000
 
 
 @dataclass(slots=True)
-class EstimateScore:
+class GlobalEstimateScore:
     """Where PX4 believes the vehicle, against where it is, on the globe; fed while the scenario is tracked."""
 
     frame: LocalFrame
@@ -104,7 +104,7 @@ class HilFlight:
         self.hil = PhysicsBehindPx4(setup.truth, setup.grade, seed=options.seed, plant=setup.plant)
         self.session = HilSession(server, self.hil)
         self.score = FlightScore(prepared, of="truth")
-        self.estimate = EstimateScore(self.hil.frame)
+        self.estimate = GlobalEstimateScore(self.hil.frame)
         self._clock = LogClock(log, zero_us=0, utc_us=utc_us())
         observer = prepared.observer(log, self._clock, truth=True)
         observer.record_to = self._on_record

@@ -19,15 +19,15 @@ from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
-from flightstack.cli.set_params import Wire, parameters_set
-from flightstack.cli.site import read_site
+from flightstack.cli.set_params import VehicleLink, parameters_set
+from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog
-from mavlink_bridge import messages, px4
+from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
@@ -101,8 +101,9 @@ def offboard(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
-    if options.site is not None and read_site(options.site).is_global:
-        options = replace(options, where=where_it_is(options.connect, options.heartbeat_timeout_s))
+    if options.site is not None:
+        site, where = ask_vehicle(options.site, options.connect, options.heartbeat_timeout_s)
+        options = replace(options, site=site, where=where)
     prepared = prepare_flight(options)
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
@@ -129,7 +130,7 @@ def _offboard(
     wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
-        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+        parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
@@ -228,26 +229,6 @@ def _result(
     )
     result.link_too_slow, result.unprotected_ok = protection.link_too_slow(companion), options.unprotected_ok
     return result
-
-
-def where_it_is(connect: str, within_s: float) -> tuple[float, float] | None:
-    """Latitude and longitude that the vehicle reports; None where it does not within the time."""
-    address = parse_address(connect)
-    link = Link(240, 191, framing=framing_for(address))
-    with closing(open_address(address)) as transport:
-        until_us = monotonic_us() + int(1e6 * within_s)
-        while (now_us := monotonic_us()) < until_us:
-            if transport.wait(0.1):
-                for data in transport.receive_all():
-                    link.receive_datagram(data, now_us)
-            else:
-                link.send(messages.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-            for data in link.datagrams_to_send():
-                transport.send(data)
-            for received in link.take_events():
-                if isinstance(received.message, messages.GlobalPositionInt):
-                    return received.message.lat_deg, received.message.lon_deg
-    return None
 
 
 def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:

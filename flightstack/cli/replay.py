@@ -4,8 +4,8 @@ The log holds all that the companion was given: every message that it goes by wi
 (`recorded_inputs`), the files and the settings, and of `offboard` this machine's clock at each step and what the
 dead-man said.  The companion of today gets them again, step by step, and writes its own tables, which are compared with
 the recorded ones, bit for bit.  What explains a tick is in the log 25 times a second only; the digest of each tick
-tells from which one on anything differs.  A flight that made certificates beside itself is refused: how long each took
-no log holds.
+tells from which one on anything differs.  Certificates that were made beside a flight in real time come at the tick at
+which they came then.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ import math
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
@@ -26,91 +24,23 @@ from flightstack.cli.offboard import OffboardOptions, companion_of
 from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.cli.recorded_inputs import recorded_inputs
 from flightstack.cli.recorder import LogObserver
+from flightstack.cli.replayed import DIGEST, Replayed, differences_of
+from flightstack.cli.workshop import Served
 from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
-from flightstack_logs.tables import Log, Table
+from flightstack_logs.tables import Log
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, Planner
+from mavlink_bridge.companion import Companion, MissionPlanner
 from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
-COMPARED = ("/setpoint", "/tick", "/control", "/command", "/learner", "/filter")
-"""Outputs of a tick, in the order in which a difference is looked for."""
-_DIGEST = "digest"
-_SINGLE = 1.2e-7
-"""Relative step of single precision: another machine's number may be rounded to the next one."""
-_SINGLE_TOPICS = frozenset({"/setpoint", "/control", "/learner", "/filter"})
 _EXPLORATION = "ExplorationPlanner"
 _STOPPED = "the user asked to stop ("
-_MADE_IN_FLIGHT = "certified in flight"
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One field that differs: where first, and by how much at most."""
-
-    topic: str
-    field: str
-    first_s: float
-    recorded: str
-    replayed: str
-    greatest: float | None
-    """Null where the values are no numbers, or one of them is not finite."""
-
-
-@dataclass(slots=True)
-class Replayed:
-    """What came of a replay."""
-
-    log: str
-    ticks: int
-    exact: bool = True
-    """Compared bit for bit."""
-    differences: list[Difference] = field(default_factory=list)
-    """The one that begins first leads."""
-    first_s: float | None = None
-    """The first tick of which anything differs, logged or not; null where nothing does, or with a tolerance."""
-
-    @property
-    def same(self) -> bool:
-        """Nothing differs."""
-        return not self.differences and self.first_s is None
-
-    @property
-    def lines(self) -> list[str]:
-        """In words: what differs, the first tick that does, and by how much."""
-        if self.same:
-            return [f"{self.ticks} ticks: the same" + (", bit for bit" if self.exact else "")]
-        told = []
-        if self.first_s is not None:
-            told.append(f"first tick that differs: {self.first_s:.3f} s")
-        if not self.differences:
-            return [*told, "by less than the logged fields show: in the last bits"]
-        first = self.differences[0]
-        told += [
-            f"differs from {first.first_s:.3f} s on: {first.topic} {first.field}: recorded {first.recorded}, "
-            f"today {first.replayed}"
-        ]
-        for each in self.differences:
-            most = "" if each.greatest is None else f", by {each.greatest:.3g} at most"
-            told.append(f"{each.topic} {each.field}: from {each.first_s:.3f} s on{most}")
-        return told
-
-    def as_json(self) -> dict[str, Any]:
-        """The `flightstack.replay/1` object."""
-        rows = [{name: getattr(each, name) for name in Difference.__slots__} for each in self.differences]
-        return {
-            "schema": "flightstack.replay/1",
-            "log": self.log,
-            "ticks": self.ticks,
-            "same": self.same,
-            "first_s": self.first_s,
-            "differences": rows,
-        }
+_LOST = "filter: certifies nothing more"
 
 
 def replay(
@@ -130,8 +60,8 @@ def replay(
         again = Path(folder) / "again.mcap"
         _run(log, _flight_of(log, settings, Path(folder)), again, on_progress)
         new = read(again)
-    found = _differences(log, new, tolerance)
-    digest = next((each for each in found if each.field == _DIGEST), None)
+    found = differences_of(log, new, tolerance)
+    digest = next((each for each in found if each.field == DIGEST), None)
     differing = [each for each in found if each is not digest]
     first_s = digest.first_s if digest is not None and tolerance == 0.0 else None
     return Replayed(str(path), len(log.tables["/tick"]), tolerance == 0.0, differing, first_s)
@@ -169,14 +99,12 @@ class _Flight:
 
 
 def _flight_of(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight:
-    real = settings["pace"] != "lockstep"
-    if real and _MADE_IN_FLIGHT in settings.get("filter", ""):
-        raise InputError(
-            f"log {log.path}: certificates were made beside the flight, and how long each took is not known"
-        )
+    if any(text.startswith(_LOST) for text in _texts(log)):
+        raise InputError(f"log {log.path}: the process that made certificates was lost, at a time that is not known")
     if "connect" in settings:
         return _of_offboard(log, settings, folder)
     setup, planner = _prepared(log, settings, folder)
+    _answer_as(log, setup.flight)
 
     def companion(observer: LogObserver) -> Companion:
         flight = setup.flight
@@ -201,10 +129,26 @@ def _of_offboard(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight
     except (KeyError, ValueError) as error:
         raise _unknown(log, error) from None
     prepared = prepare_flight(options)
+    _answer_as(log, prepared)
     step = log.tables["/step"]
     columns = (step.t_us, step["received_us"], step["decided_us"])
     steps = list(zip(*(column.tolist() for column in columns), strict=True))
     return _Flight(prepared, lambda to: companion_of(Link(240, 191), options, prepared, to)[0], steps)
+
+
+def _answer_as(log: Log, prepared: Prepared) -> None:
+    """Certificates that were made beside the flight come when they came; InputError where that is not in the log."""
+    workshop, table = prepared.protection.workshop, log.tables.get("/certifier")
+    if workshop is None:
+        return
+    if table is None and any(text.startswith("filter: certificate ") for text in _texts(log)):
+        raise InputError(f"log {log.path}: does not say when its certificates were ready; it is of another version")
+    rows = () if table is None else zip(*(table[name].tolist() for name in Served._fields), strict=True)
+    workshop.again(map(Served._make, rows))
+
+
+def _texts(log: Log) -> list[str]:
+    return [str(text) for text in log.tables["/events"]["text"]] if "/events" in log.tables else []
 
 
 def _place(words: str) -> tuple[float, float] | None:
@@ -216,10 +160,10 @@ def _unknown(log: Log, error: Exception) -> InputError:
     return InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version")
 
 
-def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
+def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, MissionPlanner | None]:
     """The flight, ready to be given its inputs again, and what planned it on the way."""
     try:
-        options = FlyOptions(**_common(log, settings, folder))
+        options = FlyOptions(**_common(log, settings, folder), realtime=settings["pace"] != "lockstep")
     except (KeyError, ValueError) as error:
         raise _unknown(log, error) from None
     if "planner" not in settings:
@@ -333,60 +277,3 @@ def _stops(log: Log) -> dict[int, str]:
         for t_us, name, text in zip(events.t_us, events["name"], events["text"], strict=True)
         if name == "state" and _STOPPED in str(text)
     }
-
-
-def _differences(recorded: Log, replayed: Log, tolerance: float) -> list[Difference]:
-    """Every field that differs, by the time from which it does; InputError where the formats do."""
-    found = []
-    for topic in COMPARED:
-        then, now = recorded.tables.get(topic), replayed.tables.get(topic)
-        if then is None and now is None:
-            continue
-        if then is None or now is None:
-            only = "recorded" if now is None else "today's"
-            first = then if then is not None else now
-            assert first is not None
-            found.append(Difference(topic, "(topic)", float(first.t_us[0]) * 1e-6, only, "not there", None))
-            continue
-        found += _of_table(topic, then, now, tolerance)
-    return sorted(found, key=lambda each: each.first_s)
-
-
-def _of_table(topic: str, then: Table, now: Table, tolerance: float) -> list[Difference]:
-    rows = min(len(then), len(now))
-    apart = np.flatnonzero(then.t_us[:rows] != now.t_us[:rows])
-    rows = int(apart[0]) if len(apart) else rows
-    found = []
-    if tolerance and topic in _SINGLE_TOPICS:
-        tolerance = max(tolerance, _SINGLE)
-    for name, values in then.columns.items():
-        if name in now.columns and (each := _of_column(topic, name, values[:rows], now[name][:rows], then, tolerance)):
-            found.append(each)
-    if len(apart) or len(then) != len(now):
-        longer = then if len(then) > rows else now
-        at_s = float(longer.t_us[min(rows, len(longer) - 1)]) * 1e-6
-        found.append(Difference(topic, "(ticks)", at_s, f"{len(then)} rows", f"{len(now)} rows", None))
-    return found
-
-
-def _of_column(
-    topic: str, name: str, then: np.ndarray, now: np.ndarray, table: Table, tolerance: float
-) -> Difference | None:
-    if then.shape != now.shape:
-        return Difference(topic, name, float(table.t_us[0]) * 1e-6, str(then.shape), str(now.shape), None)
-    if then.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):  # inf less inf
-            near = np.abs(then - now) <= tolerance * np.maximum(1.0, np.abs(then))
-        differs = ~(near | (then == now) | (np.isnan(then) & np.isnan(now)))
-    else:
-        differs = then != now
-    rows = np.flatnonzero(differs if differs.ndim == 1 else differs.any(axis=1))
-    if not len(rows):
-        return None
-    first, greatest = int(rows[0]), None
-    if then.dtype.kind in "fi":
-        with np.errstate(invalid="ignore"):
-            gap = np.abs(then.astype(np.float64) - now.astype(np.float64))[rows]
-        greatest = float(np.nanmax(gap)) if np.isfinite(gap).any() else None
-    at_s = float(table.t_us[first]) * 1e-6
-    return Difference(topic, name, at_s, str(then[first].tolist()), str(now[first].tolist()), greatest)

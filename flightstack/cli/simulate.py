@@ -43,7 +43,6 @@ PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
 LAST_OWN_PORT = 9
 """From the instance after this one on PX4 sends to one port: 14549."""
-MOST_INSTANCES = 100
 MOST_SYSTEM = 255
 TICK_MS = 4
 PATIENCE_US = 200_000

@@ -29,7 +29,7 @@ import numpy as np
 
 from flightstack.learning import sampler as s
 from flightstack.learning.learned_row import assemble, calibrated, weighed
-from flightstack.learning.priors import Prior, Priors, default_priors, state_only
+from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import INFLATION, Evidence, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
@@ -100,7 +100,7 @@ class LearnerState:
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
-        def store(prior: Prior, inputs: int, outputs: int, floor: float) -> Store:
+        def store(prior: StorePrior, inputs: int, outputs: int, floor: float) -> Store:
             rule = config.relevance
             return Store(
                 prior, inputs=inputs, outputs=outputs, capacity=config.capacity, floor=floor, relevance=rule

@@ -26,7 +26,7 @@ from flightstack.site import slide
 from flightstack.site.backup import ROW, STEPS
 from flightstack.site.clearance import CHUTE, OPEN, packed
 from flightstack.site.shape import Site
-from flightstack.site.stopping import GAIN_STEP, Stopping
+from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
@@ -57,24 +57,21 @@ def gain_of(state: object) -> float:
 class _Known(NamedTuple):
     """One certificate's numbers, as compiled code takes them."""
 
-    vehicle: F64
-    rows: F64
-    soft: F64
-    tubes: F64
+    known: d.Known
     far: F64
     """`slide` parameters of a reference."""
     most_mps2: float
     """More force than this falsifies it."""
 
     @classmethod
-    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+    def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
         """Of a certificate."""
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
         ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
         far, doubts = made.soft[0].copy(), made.doubts[0]
         far[slide.RADIUS] = made.kept_m
-        return cls(vehicle, made.rows, made.soft, made.tubes(), far, doubts.force_mps2 + doubts.rest_mps2)
+        return cls(d.Known(vehicle, made.rows, made.soft, made.tubes()), far, doubts.force_mps2 + doubts.rest_mps2)
 
 
 class SiteFilter:
@@ -83,8 +80,8 @@ class SiteFilter:
     enabled = True
 
     def __init__(
-        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
-        prior: Stopping | None = None,
+        self, model: Model, limits: Limits, certificate: StoppingCertificate, site: Site, chutes: F64, chute_m: float,
+        prior: StoppingCertificate | None = None,
     ) -> None:  # fmt: skip
         """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
         what is kept to once the certificate was falsified."""
@@ -102,9 +99,10 @@ class SiteFilter:
         still = np.zeros(3)
         state = self.init(still)
         level = np.zeros(20)
-        level[6], level[15] = 1.0, -9.8
-        measurement = Measurement(1000, level, 0, 0, 0)
-        command = Command(1000, self.model.weight_n, self.model.hover_norm, still)
+        level[2], level[6], level[15] = -1.0, 1.0, -9.8
+        t_us = 2 * _PAUSE_US
+        measurement = Measurement(t_us, level, 0, 0, 0)
+        command = Command(t_us, self.model.weight_n, self.model.hover_norm, still)
         self.step(state, measurement, command, command, Learned.nothing())
         self.bend(state, FlatOutput(np.zeros(17)))
 
@@ -174,9 +172,10 @@ class SiteFilter:
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         known = self._in_force(numbers)
         norm, status = d.decide(
-            state.memory, known.vehicle, measurement.row, times, state.origin_ned_m, sent.thrust_norm,
-            sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps, self._site, known.rows, known.soft,
-            known.tubes, numbers, state.committed, self._scratch, self._way, row, self._rate,
+            known.known, self._site, d.Kept(state.memory, numbers, state.committed), state.origin_ned_m,
+            measurement.row, times,
+            d.Commands(sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
+            d.Buffers(self._scratch, self._way, row, self._rate),
         )  # fmt: skip
         self._watch(numbers)
         row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0

@@ -139,7 +139,7 @@ class _Poses:
     """Place and attitude at the attitude's times, for the 3-D view."""
 
     def __init__(self, attitude: Table, position: Table) -> None:
-        self._trail = viewer.Trail(truth=False)
+        self._trail = viewer.VehicleTrail(truth=False)
         self._place = np.stack(
             [np.interp(attitude.t_us, position.t_us, position["pos_ned_m"][:, axis]) for axis in range(3)], axis=-1
         )

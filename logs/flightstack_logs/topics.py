@@ -313,6 +313,19 @@ _STACK_TOPICS = (
         ),
     ),
     Topic(
+        "/certifier",
+        Kind.TABLE,
+        "flightstack.CertifierAnswer",
+        0.0,
+        "companion",
+        "when the process beside the flight answered, with a certificate or without",
+        (
+            Field("call", "int64", 0, "1", "which order"),
+            Field("before", "int64", 0, "1", "ticks until the process was free for it"),
+            Field("after", "int64", 0, "1", "ticks from then until the answer"),
+        ),
+    ),
+    Topic(
         "/dead_man",
         Kind.TABLE,
         "flightstack.DeadMan",

@@ -111,12 +111,13 @@ def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path)
     log.close()
     with pytest.raises(InputError, match="nothing to replay"):
         replay(tmp_path / "b.mcap")
-    for settings, why in (
-        ({"pace": "realtime", "connect": "udpin:127.0.0.1:14540"}, "when each step was"),
-        ({"pace": "realtime", "filter": "sound, certified in flight"}, "made beside the flight"),
+    for settings, text, why in (
+        ({"pace": "realtime", "connect": "udpin:127.0.0.1:14540"}, "", "when each step was"),
+        ({"pace": "realtime"}, "filter: certifies nothing more (its process has ended)", "was lost"),
     ):
         log = FlightLog.open(tmp_path / "c.mcap", metadata={"settings": settings}, overwrite=True)
         log.tick(tick_record(4000))
+        log.event(4000, "filter", text)
         log.close()
         with pytest.raises(InputError, match=why):
             replay(tmp_path / "c.mcap")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.model import Limits, Model
@@ -28,11 +28,11 @@ def learning(model: Model, limits: Limits) -> Stack:
     return Stack(model, limits, learner=GpLearner(model))
 
 
-def rows(flight: Flight) -> F64:
+def rows(flight: ClosedLoopFlight) -> F64:
     return np.array([record.learned.row for record in flight.records])
 
 
-def true_residual(flight: Flight, model: Model) -> F64:
+def true_residual(flight: ClosedLoopFlight, model: Model) -> F64:
     """(n, 3) body FRD: true specific force less the model's at the rotors' true state."""
     out = []
     for truth in flight.truths:
@@ -45,7 +45,7 @@ def true_residual(flight: Flight, model: Model) -> F64:
 
 
 @functools.cache
-def paper(*, learns: bool) -> Flight:
+def paper(*, learns: bool) -> ClosedLoopFlight:
     scenario = load_scenario("paper-tracking").with_duration(24.0)
     return fly(scenario, QUAD, seed=5, make_stack=learning if learns else Stack)
 
