@@ -107,16 +107,18 @@ def _reach(table: F64, v: float) -> Reach:
 
 @njit
 def assess(
-    memory: F64, flat: F64, measured: F64, times_us: tuple[float, float, float], origin: F64, sent_norm: float,
-    sent_rate: F64, norm: float, rate: F64, work: F64, rows: F64, low: F64, high: F64, out: F64,
+    memory: F64, flat: F64, measured: F64, times_us: tuple[float, float, float], origin: F64,
+    commands: tuple[float, F64, float, F64], problem: tuple[F64, F64, F64, F64], out: F64,
 ) -> int:  # fmt: skip
     """The first half of a tick: the status so far.  CHANGED: the QP is to be solved; INFEASIBLE: it can't be.
 
-    times_us: of the last command sent, the measurement, and now; `measured` (20,): a Measurement's row; `norm`, `rate`:
-    the wanted command's.  Into `work` (WORK,), `rows` (ROWS, 3), `low`, `high` (ROWS,) and `out`, a Filtered's row, in
-    which the wanted thrust is there already.
+    times_us: of the last command sent, the measurement, and now; `measured` (20,): a Measurement's row; commands:
+    normalised thrust and rates of the last and of the wanted one.  Into `problem`, work (WORK,), rows (ROWS, 3), low
+    and high (ROWS,), and `out`, a Filtered's row, in which the wanted thrust is there already.
     """
     sent_us, measured_us, now_us = times_us
+    sent_norm, sent_rate, norm, rate = commands
+    work, rows, low, high = problem
     remember(memory, sent_us, sent_norm, sent_rate)
     step_s = (now_us - memory[0, M_STEP_US]) * 1e-6
     memory[0, M_STEP_US] = now_us

@@ -48,6 +48,8 @@ class Believed:
     lag_s: float
     drag_kgps: F64
     radius_m: float
+    frame: dict[str, Any]
+    """Where rotors stand and what they turn: as `governor.vehicle` names it."""
 
     @classmethod
     def of(cls, file: dict[str, Any]) -> Believed:
@@ -63,6 +65,14 @@ class Believed:
                 max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
                 np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"]),
                 float(rotors["radius_m"]),
+                {
+                    "position_m": rotors["position_m"],
+                    "torque_ratio_m": rotors["torque_ratio_m"],
+                    "inertia_kgm2": [
+                        float(i) * float(effects.get("inertia", {}).get(f"scale_{axis}", 1.0))
+                        for i, axis in zip(body["inertia_kgm2"], "xyz", strict=True)
+                    ],
+                },
             )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None
