@@ -97,11 +97,11 @@ def _replaced(flight: FenceFlight, method: str) -> None:
     other = kind(own.model, own.limits, made, plan_of.site, plan_of.chutes, plan_of.chute_m)
     known = other._known[0]
     if method == "gatekeeper":
-        known.soft[:, slide.RADIUS] = known.soft[:, slide.HALF] = _NO_ROWS_M
+        known.known.soft[:, slide.RADIUS] = known.known.soft[:, slide.HALF] = _NO_ROWS_M
     if method == "backup-cbf":
-        known.tubes[:] = _NO_TUBE_M
-        known.soft[:, slide.RADIUS] = known.soft[:, slide.HALF] = 0.0
-        known.soft[:, slide.BRAKE] /= 0.7
+        known.known.tubes[:] = _NO_TUBE_M
+        known.known.soft[:, slide.RADIUS] = known.known.soft[:, slide.HALF] = 0.0
+        known.known.soft[:, slide.BRAKE] /= 0.7
     flight.timed._filter = other
     flight.state = flight.state._replace(filter=other.init(flight.origin))
 

@@ -19,7 +19,7 @@ from flightstack.calibration import BOUND_SIGMAS
 from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.flight import FlyOptions, Setup, SimulatedFlight, prepare
 from flightstack.cli.result import percentiles
-from flightstack.cli.track import Track, fly_track
+from flightstack.cli.track import TickTrace, fly_track
 from flightstack.control.feedback import FlatnessController
 from flightstack.seams import Learner
 from flightstack.stack import Stack
@@ -45,7 +45,7 @@ def options_of(flight: Flight) -> FlyOptions:
     )
 
 
-def _flown(options: FlyOptions, pilot: Pilot) -> tuple[SimulatedFlight, Setup, Track]:
+def _flown(options: FlyOptions, pilot: Pilot) -> tuple[SimulatedFlight, Setup, TickTrace]:
     """Fly to the end over UDP on loopback; every tick of the track."""
     setup = prepare(options)
     oracle = None
@@ -95,7 +95,7 @@ def fly_scored(flight: Flight) -> dict[str, Any]:
     return row
 
 
-def _learned_summary(flown: SimulatedFlight, setup: Setup, track: Track) -> dict[str, Any]:
+def _learned_summary(flown: SimulatedFlight, setup: Setup, track: TickTrace) -> dict[str, Any]:
     rows, truth = track.learned, track.true_residual(setup.flight.stack.model)
     mean, sigma = rows[:, Learned.residual_frd_mps2.place], rows[:, Learned.sigma_frd_mps2.place]
     known = np.isfinite(mean).all(axis=1) & np.isfinite(sigma).all(axis=1)

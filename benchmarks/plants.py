@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta, chi2, norm
 
-from flightstack.barrier.physics import Plant, mu_physics
+from flightstack.barrier.physics import PhysicalPlant, mu_physics
 from flightstack.gp import Constant, Kernel, RecursiveGP, affine_in
 from flightstack.region import Region
 from flightstack.types import F64
@@ -66,15 +66,15 @@ class Flight:
     """(n, 2) sideways specific thrust that was needed to stay."""
 
 
-def draw(rng: np.random.Generator) -> tuple[Plant, float]:
+def draw(rng: np.random.Generator) -> tuple[PhysicalPlant, float]:
     """A plant and the noise of its accelerations."""
     direction = rng.standard_normal(3)
     wind = rng.uniform(0.0, 0.15) * direction / np.linalg.norm(direction)
-    plant = Plant(float(rng.uniform(0.8, 1.6)), (float(wind[0]), float(wind[1]), float(wind[2])))
+    plant = PhysicalPlant(float(rng.uniform(0.8, 1.6)), (float(wind[0]), float(wind[1]), float(wind[2])))
     return plant, float(rng.uniform(0.02, 0.1))
 
 
-def fly(plant: Plant, noise: float, rng: np.random.Generator) -> Flight:
+def fly(plant: PhysicalPlant, noise: float, rng: np.random.Generator) -> Flight:
     """Hover for half of the points, then thrust up and down; sideways the wind is balanced throughout."""
     wind = G * np.array(plant.wind_g)
     hover = plant.mass_ratio * (G + wind[2])

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from flightstack.cli.result import steady
-from flightstack_logs.mcap_file import Channel, scan
+from flightstack_logs.mcap_file import McapChannel, scan
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS: dict[str, tuple[str, ...]] = {
@@ -58,11 +58,11 @@ def _unlike(results: list[dict[str, Any]], key: str) -> bool:
     return json.dumps(results[0].get(key)) != json.dumps(results[1].get(key))
 
 
-def _topics(path: Path) -> dict[str, Channel]:
+def _topics(path: Path) -> dict[str, McapChannel]:
     return {channel.topic: channel for channel in scan(path.read_bytes(), str(path)).channels.values()}
 
 
-def _compared(then: Channel, now: Channel) -> str:
+def _compared(then: McapChannel, now: McapChannel) -> str:
     if then.schema != now.schema:
         return "another schema"
     for k, pair in enumerate(zip(then.messages, now.messages, strict=False)):

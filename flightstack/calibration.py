@@ -2,11 +2,11 @@
 
 Only scoring: nothing in the stack calls it, because nothing in the stack knows the truth.
 
-Conformal check.  With scores s_i = |y_i - m_i| / sigma_i of n calibration samples, the k-th smallest, with
-k = ceil((1 - alpha)(n + 1)), covers a further exchangeable sample with probability at least 1 - alpha (Vovk, Gammerman
-and Shafer, "Algorithmic Learning in a Random World", 2005).  Samples of one flight are not exchangeable, so the
-held-out half is scored with it and says how far the promise holds.  y is a measurement: its own noise is in the scores,
-so the quantile may exceed the sigmas that bound the residual itself.
+Conformal check.  With scores s_i = |y_i - m_i| / sqrt(sigma_i^2 + noise^2) of n calibration windows, the k-th smallest,
+with k = ceil((1 - alpha)(n + 1)), covers a further exchangeable window with probability at least 1 - alpha (Vovk,
+Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005).  Windows of one flight are not exchangeable, so
+the held-out half is scored with it and says how far the promise holds.  y is the mean of WINDOW measurements; its noise
+is measured as the learner does (`learning.watch`), so that an honest quantile is 3 whatever the accelerometer's noise.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.frames import quat_to_matrix
+from flightstack.learning.watch import LAGS
 from flightstack.model import Model
 from flightstack.types import F64
 
@@ -27,6 +28,8 @@ BOUND_SIGMAS = 3.0
 """Standard deviations in the bound that a learner stands for."""
 ALPHA = 0.0027
 """Share that may lie outside: that of a normal distribution beyond `BOUND_SIGMAS`, so that an honest quantile is 3."""
+WINDOW = 15
+"""Samples of a window: the learner's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +46,12 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Conformal:
-    """The conformal check of a flight's own samples: calibrated on its first half, tried on its second."""
+    """The conformal check of a flight's own windows: calibrated on its first half, tried on its second."""
 
     quantile_sigma: float
-    """So many sigmas hold 1 - alpha of the samples."""
+    """So many sigmas, of residual and a window's noise, hold 1 - alpha of the windows."""
     coverage_heldout: float
-    """Share of the held-out samples within them."""
+    """Share of the held-out windows within them."""
     alpha: float
 
 
@@ -91,18 +94,33 @@ def conformal_quantile(scores: F64, alpha: float = ALPHA) -> float | None:
 
 
 def conformal_check(measured: F64, mean: F64, sigma: F64, alpha: float = ALPHA) -> Conformal | None:
-    """Calibrate on the first half of the samples (n, 3), in the order of time, and try it on the second.
+    """Calibrate on the windows of the first half of the samples (n, 3), in the order of time, and try it on the second.
 
-    Every finite pair of sample and axis is a score; None where there are too few of them.
+    Samples that are not finite are left out; every pair of window and axis is a score; None where there are too few.
     """
+    known = (np.isfinite(measured) & np.isfinite(mean) & np.isfinite(sigma)).all(axis=1)
+    error, sigma = (measured - mean)[known], sigma[known]
+    count = len(error) // WINDOW
+    if len(error) <= LAGS or count == 0:
+        return None
+    shape = (count, WINDOW, 3)
+    variance = np.square(sigma[: count * WINDOW]).reshape(shape).mean(axis=1) + _noise_variance(error)
     with np.errstate(invalid="ignore", divide="ignore"):
-        scores = np.abs(measured - mean) / sigma
+        scores = np.abs(error[: count * WINDOW].reshape(shape).mean(axis=1)) / np.sqrt(variance)
     scores = scores[np.isfinite(scores)]
     half = len(scores) // 2
     quantile = conformal_quantile(scores[:half], alpha)
     if quantile is None:
         return None
     return Conformal(quantile, float(np.mean(scores[half:] <= quantile)), alpha)
+
+
+def _noise_variance(error: F64) -> F64:
+    """(3,) of the noise of a window's mean, by the structure function of the samples (`learning.watch`)."""
+    structure = np.array([0.5 * np.square(error[lag:] - error[:-lag]).mean(axis=0) for lag in range(1, LAGS + 1)])
+    whole = (2.0 * LAGS - 1.0) * structure[-1] - 2.0 * structure[:-1].sum(axis=0)
+    noise: F64 = np.maximum(whole, 0.1 * structure[-1]) / WINDOW
+    return noise
 
 
 def _share(inside: NDArray[np.bool_]) -> float | None:

@@ -27,7 +27,7 @@ import numpy as np
 
 from flightstack import arcs
 from flightstack.barrier.records import AXES, AxisCertificate, Certificate
-from flightstack.targets import Search, limits, reachable, transit
+from flightstack.targets import TargetSearch, limits, reachable, transit
 from flightstack.trajectory import Polynomial
 from flightstack.types import F64, FlatOutput
 
@@ -64,7 +64,7 @@ class ExploreConfig:
     """A bound that is smaller by this factor is better."""
     repeats: int = 2
     """A speed that was flown so often without making the bound better is not flown again."""
-    search: Search = field(default_factory=Search)
+    search: TargetSearch = field(default_factory=TargetSearch)
 
 
 class Visit(NamedTuple):

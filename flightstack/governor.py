@@ -6,10 +6,11 @@ certificate's bound of acceleration unless torque itself is bounded.  So while a
 has the last word on every command, the guard's brake included:
 
 * it runs the rate loop (`rate_loop`, five copies for what is not known of it) on the commands that are sent;
-* it moves wanted rates towards the modelled present rates, as little as does, until the torque predicted for the next
+* it moves wanted rates towards those of the least torque, as little as does, until the torque predicted for the next
   40 ms (yaw 200 ms) with the command held is at most r_max (of roll and pitch together, as their hypotenuse) and y_max,
-  in every copy.  Roll and pitch have r_max / sqrt(2) each, and what the other leaves: who shakes one axis does not take
-  from the other what keeps the vehicle in its region;
+  in every copy.  Roll and pitch are cut as what they turn the lean by, to north and to east, each change at the same
+  size: r_max / sqrt(2) and more is there for either, so who shakes one axis does not take from the other what keeps
+  the vehicle in its region, whatever its heading;
 * it keeps the collective command in [D, 1 - D], and the rates in what PX4's owner allows (MC_*RATE_MAX).
 
 With no rotor's command further than D from the collective one nothing saturates, so PX4's airmode does not matter
@@ -77,6 +78,26 @@ class GovernorLimits(NamedTuple):
         return thrust_to_norm(self.margin, 1.0, undone), thrust_to_norm(1.0 - self.margin, 1.0, undone)
 
 
+class _Loop(NamedTuple):
+    """The rate loop's constants for all lanes of the model, of a prediction of roll and pitch, of one of yaw; PX4's
+    rate limits."""
+
+    model: F64
+    tilt: F64
+    yaw: F64
+    rate_max: F64
+
+
+class _Buffers(NamedTuple):
+    """Written in each tick; `out` (3,) the rates to send."""
+
+    target: F64
+    coupling: F64
+    work: F64
+    torques: F64
+    out: F64
+
+
 class GovernorState(NamedTuple):
     """What one tick hands to the next; the arrays are written in place."""
 
@@ -89,33 +110,22 @@ class GovernorState(NamedTuple):
 class Governor:
     """The governor of one believed vehicle; holds constants and buffers for one tick."""
 
-    __slots__ = (
-        "_constants",
-        "_coupling",
-        "_out",
-        "_rate_max",
-        "_target",
-        "_tilt",
-        "_torques",
-        "_undone",
-        "_work",
-        "_yaw",
-    )
+    __slots__ = ("_buffers", "_loop", "_undone")
 
     def __init__(self, vehicle: Vehicle) -> None:
         autopilot = autopilot_of(vehicle)
-        self._rate_max = np.radians([autopilot[f"mc_{axis}rate_max"] for axis in ("roll", "pitch", "yaw")])
+        rate_max = np.radians([autopilot[f"mc_{axis}rate_max"] for axis in ("roll", "pitch", "yaw")])
         self._undone = autopilot["thr_mdl_fac"]
-        self._constants = constants_of(vehicle).ravel()
         tilt = constants_of(vehicle)[:, : 2 * MODELS]
         yaw = constants_of(vehicle, step_s=_YAW_STEP_S)[:, 2 * MODELS :]
         yaw[B0], yaw[B1 : A2 + 1] = (
             1.0,
             0.0,
         )  # the gyro filter's 6 ms are nothing to yaw, and its state is of 1 ms steps
-        self._tilt, self._yaw = np.hstack([tilt, tilt]).ravel(), np.hstack([yaw, yaw]).ravel()
-        self._target, self._coupling = np.zeros(_TILT), np.zeros(_TILT + _YAW)
-        self._work, self._torques, self._out = np.zeros(STATE * _TILT), np.zeros(_YAW_STEPS * _TILT), np.zeros(3)
+        tilt, yaw = (np.hstack([each, each]).ravel() for each in (tilt, yaw))
+        self._loop = _Loop(constants_of(vehicle).ravel(), tilt, yaw, rate_max)
+        sizes = _TILT, _TILT + _YAW, STATE * _TILT, _YAW_STEPS * _TILT, 3
+        self._buffers = _Buffers(*(np.zeros(size) for size in sizes))
         self.step(self.init(), Command(0, 0.0, 0.5, np.full(3, 0.1)), GovernorLimits())
 
     def init(self) -> GovernorState:
@@ -123,11 +133,11 @@ class Governor:
         return GovernorState(np.zeros(4 + STATE * LANES))
 
     def step(
-        self, state: GovernorState, command: Command, limits: GovernorLimits | None
+        self, state: GovernorState, command: Command, limits: GovernorLimits | None, heading_rad: float = 0.0
     ) -> tuple[GovernorState, float, F64 | None]:
         """The state after sending; collective command and rates (3,) to send; rates None where they pass as they are.
 
-        `limits` None: nothing is limited, the model runs all the same.
+        `limits` None: nothing is limited, the model runs all the same; `heading_rad`: of the vehicle, from north.
         """
         rate, norm = command.rate_frd_radps, command.thrust_norm
         if not math.isfinite(norm + rate[0] + rate[1] + rate[2]):  # PX4 does not take it either
@@ -140,11 +150,9 @@ class Governor:
         most = (math.inf, math.inf, 0.0, 1.0)
         if limits is not None:
             most = (limits.roll_pitch_max, limits.yaw_max, *limits.command_range(self._undone))
-        norm, changed = govern(
-            state.memory, self._constants, self._tilt, self._yaw, self._rate_max, rate, norm, int(steps),
-            most, self._target, self._coupling, self._work, self._torques, self._out,
-        )  # fmt: skip
-        return GovernorState(state.memory, t_us), norm, self._out.copy() if changed else None
+        ahead = (math.sin(heading_rad), math.cos(heading_rad)) if math.isfinite(heading_rad) else (0.0, 1.0)
+        norm, changed = govern(state.memory, self._loop, self._buffers, rate, norm, int(steps), most, ahead)
+        return GovernorState(state.memory, t_us), norm, self._buffers.out.copy() if changed else None
 
     @staticmethod
     def torque(state: GovernorState) -> F64:
@@ -155,51 +163,48 @@ class Governor:
 
 @njit
 def govern(
-    memory: F64, constants: F64, tilt: F64, yaw: F64, rate_max: F64, rate: F64, norm: float, steps: int,
-    bounds: tuple[float, float, float, float], target: F64, coupling: F64, work: F64, torques: F64, out: F64,
+    memory: F64, loop: _Loop, buffers: _Buffers, rate: F64, norm: float, steps: int,
+    bounds: tuple[float, float, float, float], ahead: tuple[float, float],
 ) -> tuple[float, bool]:  # fmt: skip
-    """Run the model for `steps` on what was sent last, then bound what is sent now: rates into `out` (3,)."""
-    state = memory[4:]
+    """Run the model for `steps` on what was sent last, then bound what is sent now: rates into `buffers.out` (3,).
+
+    bounds: r_max, y_max, least and greatest collective command; ahead: sine and cosine of the heading.
+    """
+    state, target, coupling, out = memory[4:], buffers.target, buffers.coupling, buffers.out
     for axis in range(3):
         for m in range(MODELS):
             target[axis * MODELS + m] = memory[axis]
     for _ in range(steps):
-        couple(state, constants, coupling)
-        step_lanes(state, constants, target, coupling, memory[3], LANES, 0.001)
+        couple(state, loop.model, coupling)
+        step_lanes(state, loop.model, target, coupling, memory[3], LANES, 0.001)
     changed = False
     for axis in range(3):
         out[axis] = rate[axis]
     if bounds[0] < np.inf:
         norm = min(max(norm, bounds[2]), bounds[3])
         for axis in range(3):
-            most = rate_max[axis]
+            most = loop.rate_max[axis]
             out[axis] = min(max(rate[axis], -most), most)
-        couple(state, constants, coupling)
+        couple(state, loop.model, coupling)
         for j in range(MODELS):  # beyond what roll and pitch are predicted with
             coupling[_TILT + j] = coupling[2 * MODELS + j]
         present = state[RATE * LANES], state[RATE * LANES + MODELS], state[RATE * LANES + 2 * MODELS]
+        work, torques = buffers.work, buffers.torques
         _pack(state, 0, 2 * MODELS, work)
-        _predict_tilt(work, tilt, coupling, target, norm, present, torques)
-        half = bounds[0] * math.sqrt(0.5)
-        most = half
-        for turn in range(3):  # roll, pitch, roll: with what the other leaves
-            axis = turn % 2
-            change = min(max(rate[axis], -rate_max[axis]), rate_max[axis]) - present[axis]
-            share, used = _share_within(torques, _TILT_STEPS, _TILT, axis * MODELS, 2 * MODELS, change, most)
-            if share < 1.0:
-                out[axis] = present[axis] + share * change
-            else:
-                out[axis] = min(max(rate[axis], -rate_max[axis]), rate_max[axis])
-            most = max(math.sqrt(max(bounds[0] * bounds[0] - used * used, 0.0)), half)
+        _predict_tilt(work, loop.tilt, coupling, target, norm, present, torques)
+        wanted = out[0] - present[0], out[1] - present[1]
+        change = _within(torques, wanted, ahead, bounds[0], False)
+        if change != wanted:
+            out[0], out[1] = present[0] + change[0], present[1] + change[1]
         _pack(state, 2 * MODELS, 3 * MODELS, work)
         for j in range(_YAW):
             work[Z1 * _YAW + j] = work[Z2 * _YAW + j] = 0.0
             work[RATE * _YAW + j] = work[BODY * _YAW + j]
-        _predict_yaw(work, yaw, coupling[_TILT:], target, norm, present[2], torques)
-        change = out[2] - present[2]
-        share, _ = _share_within(torques, _YAW_STEPS, _YAW, 0, MODELS, change, bounds[1])
-        if share < 1.0:
-            out[2] = present[2] + share * change
+        _predict_yaw(work, loop.yaw, coupling[_TILT:], target, norm, present[2], torques)
+        wanted = out[2] - present[2], 0.0
+        change = _within(torques, wanted, (1.0, 0.0), bounds[1], True)
+        if change != wanted:
+            out[2] = present[2] + change[0]
         changed = out[0] != rate[0] or out[1] != rate[1] or out[2] != rate[2]
     for axis in range(3):
         memory[axis] = out[axis]
@@ -247,35 +252,64 @@ def _predict_yaw(
 
 
 @njit
-def _share_within(
-    torques: F64, steps: int, lanes: int, first: int, apart: int, change: float, most: float
+def _within(
+    torques: F64, change: tuple[float, float], ahead: tuple[float, float], most: float, yaw: bool
 ) -> tuple[float, float]:
-    """The greatest share of a change that keeps an axis' torque within `most`, and the greatest torque then.
-
-    torques: `lanes` numbers a step; the axis' copies without a change from `first` on, per unit of change `apart`
-    further.  Where no share does, it is the one with the least peak: the peak is convex in the share.
-    """
-    peak = _peak(torques, steps, lanes, first, apart, change)
-    if peak <= most:
-        return 1.0, peak
-    low, high = 0.0, 1.0
-    held = _peak(torques, steps, lanes, first, apart, 0.0) <= most
+    """The change of roll and pitch rate (of yaw rate, and 0) that keeps the torque within `most`: beyond those of the
+    least torque, what it turns the lean by to north and to east, cut at the same size, the greatest that does."""
+    if _torque_peak(torques, change, yaw) <= most:
+        return change
+    size = abs(change[0]) + abs(change[1])
+    first = _least(torques, 0, size, yaw)
+    second = 0.0 if yaw else _least(torques, MODELS, size, yaw)
+    roll, pitch = change[0] - first, change[1] - second
+    north, east = pitch * ahead[1] + roll * ahead[0], pitch * ahead[0] - roll * ahead[1]
+    low, high = 0.0, max(abs(north), abs(east))
     for _ in range(_HALVINGS):
-        if held:
-            middle = 0.5 * (low + high)
-            if _peak(torques, steps, lanes, first, apart, middle * change) <= most:
-                low = middle
-            else:
-                high = middle
-            continue
+        middle = 0.5 * (low + high)
+        roll, pitch = _cut(north, east, middle, ahead)
+        if _torque_peak(torques, (first + roll, second + pitch), yaw) <= most:
+            low = middle
+        else:
+            high = middle
+    roll, pitch = _cut(north, east, low, ahead)
+    return first + roll, second + pitch
+
+
+@njit
+def _cut(north: float, east: float, most: float, ahead: tuple[float, float]) -> tuple[float, float]:
+    """Changes of roll and pitch rate that turn the lean to north and to east so much, each by `most` at most."""
+    n, e = min(max(north, -most), most), min(max(east, -most), most)
+    return n * ahead[0] - e * ahead[1], n * ahead[1] + e * ahead[0]
+
+
+@njit
+def _least(torques: F64, first: int, size: float, yaw: bool) -> float:
+    """The change of one rate, up to `size` either way, with the least peak of torque: convex, so by golden section."""
+    low, high = -size, size
+    for _ in range(_HALVINGS):
         one, two = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
-        here = _peak(torques, steps, lanes, first, apart, one * change)
-        if here <= _peak(torques, steps, lanes, first, apart, two * change):
+        if _axis_peak(torques, first, one, yaw) <= _axis_peak(torques, first, two, yaw):
             high = two
         else:
             low = one
-    share = low if held else 0.5 * (low + high)
-    return share, _peak(torques, steps, lanes, first, apart, share * change)
+    return 0.5 * (low + high)
+
+
+@njit
+def _axis_peak(torques: F64, first: int, change: float, yaw: bool) -> float:
+    """The greatest torque of any copy in any step of the axis whose lanes begin at `first`."""
+    if yaw:
+        return _peak(torques, _YAW_STEPS, _YAW, first, MODELS, change)
+    return _peak(torques, _TILT_STEPS, _TILT, first, 2 * MODELS, change)
+
+
+@njit
+def _torque_peak(torques: F64, change: tuple[float, float], yaw: bool) -> float:
+    """The same of roll and pitch together (of yaw): any copy of either in any step."""
+    along = _axis_peak(torques, 0, change[0], yaw)
+    across = 0.0 if yaw else _axis_peak(torques, MODELS, change[1], yaw)
+    return math.sqrt(along * along + across * across)
 
 
 @njit

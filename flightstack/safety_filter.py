@@ -102,8 +102,8 @@ class BarrierFilter:
         level = np.zeros(20)
         level[6] = 1.0
         assess(
-            state.memory, state.packed, level, (0.0, 0.0, 0.0), still, 0.5, still, 0.5, still, self._work, self._rows,
-            self._low, self._high, row,
+            state.memory, state.packed, level, (0.0, 0.0, 0.0), still, (0.5, still, 0.5, still),
+            (self._work, self._rows, self._low, self._high), row,
         )  # fmt: skip
         self._qp.solve(np.ones((ROWS, 3)), np.zeros(ROWS), np.ones(ROWS), np.full(3, 2.0))
         fallback(row, row[8:11].copy())
@@ -173,8 +173,9 @@ class BarrierFilter:
             return state, command, Filtered(row)
         times_us = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         status = assess(
-            state.memory, packed, measurement.row, times_us, state.origin_ned_m, sent.thrust_norm, sent.rate_frd_radps,
-            command.thrust_norm, command.rate_frd_radps, work, self._rows, self._low, self._high, row,
+            state.memory, packed, measurement.row, times_us, state.origin_ned_m,
+            (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
+            (work, self._rows, self._low, self._high), row,
         )  # fmt: skip
         row[2], row[4], row[6] = status, 0.0, certificate.version
         if status == WAITING or not np.isfinite(row[8]):  # what is not a number is for the guard to judge

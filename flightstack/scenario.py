@@ -39,7 +39,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class ScenarioTruth:
     """How the vehicle that really flies differs from the believed one."""
 
     mass_ratio: float = 1.0
@@ -85,7 +85,7 @@ class Scenario:
     sensors: str
     trajectory: Trajectory
     limits: Limits
-    truth: Truth
+    truth: ScenarioTruth
     region: Region | None
     events: tuple[TimedEvent, ...]
     checks: tuple[Check, ...]
@@ -153,7 +153,7 @@ def waypoints_scenario(waypoints: Waypoints, source: str) -> Scenario:
         sensors="mocap",
         trajectory=trajectory,
         limits=_envelope(limits, {}, trajectory, trajectory.duration_s, source),
-        truth=Truth(),
+        truth=ScenarioTruth(),
         region=None,
         events=(),
         checks=(),
@@ -248,12 +248,12 @@ def _envelope(
     )
 
 
-def _truth(data: Mapping[str, object], source: str) -> Truth:
+def _truth(data: Mapping[str, object], source: str) -> ScenarioTruth:
     where = f"{source}: truth"
     only(data, ("mass_ratio", "constant_force_weights", "effects", "vehicle"), where)
     effects = table(data, "effects", where)
     checked = {name: check_effect(name, values, where) for name, values in effects.items()}
-    return Truth(
+    return ScenarioTruth(
         mass_ratio=number(data.get("mass_ratio", 1.0), f"{where}.mass_ratio", 0.2, 5.0),
         constant_force_weights=vector(
             data.get("constant_force_weights", (0.0, 0.0, 0.0)), f"{where}.constant_force_weights", -1.0, 1.0

@@ -7,6 +7,7 @@ In flight nothing raises: what goes wrong ends as the guard's fallback, named in
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,7 +126,7 @@ class Stack:
             if premises.version >= 0:
                 filtered.row[_PREMISE : _PREMISE + 2] = premises.broken, premises.ended
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
-        governing, command, governed = self._govern(governing, command, safe)
+        governing, command, governed = self._govern(governing, command, safe, seen)
         if guard and not self.controller.healthy(control):
             control = self.controller.init(now_us)
         if not guard:
@@ -137,12 +138,13 @@ class Stack:
         return after, command, record
 
     def _govern(
-        self, state: GovernorState | None, command: Command, safe: object
+        self, state: GovernorState | None, command: Command, safe: object, seen: Measurement
     ) -> tuple[GovernorState | None, Command, bool]:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        state, norm, rate = self.governor.step(state, command, self.filter.governed(safe))
+        heading_rad = 2.0 * math.atan2(seen.q_ned_frd[3], seen.q_ned_frd[0])
+        state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:
             return state, command, False
         thrust = command.thrust_n if norm == command.thrust_norm else self.model.thrust_of(norm)

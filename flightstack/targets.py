@@ -21,7 +21,7 @@ from flightstack.types import F64
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class TargetSearch:
     """Constants of the search for targets and arcs."""
 
     grow: float = 1.1
@@ -48,7 +48,7 @@ class Limit(NamedTuple):
     score_ps: float
 
 
-def limits(axis: AxisCertificate, search: Search) -> list[Limit]:
+def limits(axis: AxisCertificate, search: TargetSearch) -> list[Limit]:
     """States on the candidate's boundary that have a speed to speak of, the one that limits most first."""
     candidate = at_speed(axis.barrier, search.grow)
     found = []
@@ -89,7 +89,7 @@ def states_near(axis: AxisCertificate, limit: Limit) -> list[tuple[float, float]
     return [(e, limit.v_mps * (1.0 - 0.06 * k)) for k in range(15) for e in places]
 
 
-def reachable(axis: AxisCertificate, limit: Limit, search: Search) -> F64 | None:
+def reachable(axis: AxisCertificate, limit: Limit, search: TargetSearch) -> F64 | None:
     """(5, 6) the arc through the best state that can be reached and left inside the certified region, braking
     hardest."""
     states = [
@@ -135,7 +135,7 @@ def _first(
     return False, np.zeros((5, 6))
 
 
-def transit(axis: AxisCertificate, from_m: float, to_m: float, search: Search) -> F64 | None:
+def transit(axis: AxisCertificate, from_m: float, to_m: float, search: TargetSearch) -> F64 | None:
     """A calm arc from rest to rest inside the certified region; None where even a slow one would leave it."""
     way = to_m - from_m
     if abs(way) < 1e-6:

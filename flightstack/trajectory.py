@@ -237,13 +237,6 @@ class NominalGains:
     """Clamp of the acceleration that tracking errors may add to the reference's (27 degrees of tilt)."""
 
 
-@dataclass(frozen=True, slots=True)
-class NominalState:
-    """What the nominal remembers: the acceleration that tracking errors have added so far, NED."""
-
-    correction_ned_mps2: Tuple3 = (0.0, 0.0, 0.0)
-
-
 @njit
 def nominal_step(
     correction: F64, pole: F64, correction_max: F64, reference: tuple[F64, F64, F64, F64], pos: F64, vel: F64,

@@ -21,7 +21,7 @@ trusted in flight."""
 _VERSION_KINDS = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: "release"}
 
 
-class Check(NamedTuple):
+class ChecklistEntry(NamedTuple):
     """One thing looked at; `said`: what was seen, or what is wrong with it."""
 
     check: str
@@ -46,52 +46,58 @@ class Inspection(NamedTuple):
     """Why it would not be protected all the same."""
 
 
-def checklist(view: VehicleView, found: Inspection, config: CompanionConfig, limits: Limits) -> list[Check]:
+def checklist(view: VehicleView, found: Inspection, config: CompanionConfig, limits: Limits) -> list[ChecklistEntry]:
     """The checklist, the verdict last; it stops where nothing more could be heard."""
     checks = list(_checks(view, found, config, limits))
     failed = [check.check for check in checks if not check.ok]
     said = found.reason or (f"not as a flight needs it: {', '.join(failed)}" if failed else "ready to fly")
-    return [*checks, Check("verdict", not failed and not found.reason, said)]
+    return [*checks, ChecklistEntry("verdict", not failed and not found.reason, said)]
 
 
-def _checks(view: VehicleView, found: Inspection, config: CompanionConfig, limits: Limits) -> Iterator[Check]:
+def _checks(view: VehicleView, found: Inspection, config: CompanionConfig, limits: Limits) -> Iterator[ChecklistEntry]:
     heartbeat = view.heartbeat
     if heartbeat is None:
-        yield Check("vehicle", False, "no heartbeat of an autopilot")
+        yield ChecklistEntry("vehicle", False, "no heartbeat of an autopilot")
         return
     known = heartbeat.autopilot == AUTOPILOT_PX4 and heartbeat.type == TYPE_QUADROTOR
     armed = ", armed" if view.armed else ""
     what = "PX4, quadrotor" if known else f"MAV_AUTOPILOT {heartbeat.autopilot}, MAV_TYPE {heartbeat.type}"
-    yield Check("vehicle", known and not view.armed, f"{what}, in {view.mode_name}{armed}")
+    yield ChecklistEntry("vehicle", known and not view.armed, f"{what}, in {view.mode_name}{armed}")
     if view.version is None:
-        yield Check("version", False, "AUTOPILOT_VERSION was not answered")
+        yield ChecklistEntry("version", False, "AUTOPILOT_VERSION was not answered")
         return
-    yield Check("version", True, version_words(view.version))
+    yield ChecklistEntry("version", True, version_words(view.version))
     yield from _parameters(view, config.dead_man)
-    yield Check(
+    yield ChecklistEntry(
         "vehicle file", not found.contradictions, "; ".join(found.contradictions) or found.unsettled or _agreed(view)
     )
     yield from _streams(found.rates_hz, limits)
-    yield Check("estimate", estimate_is_good(view.estimator_flags), f"ESTIMATOR_STATUS flags {view.estimator_flags:#x}")
-    yield Check("landed state", view.on_ground, {1: "on the ground"}.get(view.landed_state, f"{view.landed_state}"))
+    yield ChecklistEntry(
+        "estimate", estimate_is_good(view.estimator_flags), f"ESTIMATOR_STATUS flags {view.estimator_flags:#x}"
+    )
+    yield ChecklistEntry(
+        "landed state", view.on_ground, {1: "on the ground"}.get(view.landed_state, f"{view.landed_state}")
+    )
     if found.protection:
-        yield Check("protection", not found.unprotected, found.unprotected or found.protection)
+        yield ChecklistEntry("protection", not found.unprotected, found.unprotected or found.protection)
     trip_s = 1e-6 * view.round_trip_us
-    yield Check("round trip", 0.0 < trip_s <= config.round_trip_max_s, f"{1e3 * trip_s:.1f} ms")
+    yield ChecklistEntry("round trip", 0.0 < trip_s <= config.round_trip_max_s, f"{1e3 * trip_s:.1f} ms")
 
 
-def _parameters(view: VehicleView, dead_man: bool) -> Iterator[Check]:
+def _parameters(view: VehicleView, dead_man: bool) -> Iterator[ChecklistEntry]:
     values = view.params.values
     for name in view.params.missing:
-        yield Check(name, False, "not told, and nobody flies without it")
+        yield ChecklistEntry(name, False, "not told, and nobody flies without it")
     for name, problem in findings(values, dead_man=dead_man):
         if name in values:
-            yield Check(name, not problem, problem or f"{values[name]:g}")
+            yield ChecklistEntry(name, not problem, problem or f"{values[name]:g}")
     for name in ("THR_MDL_FAC", "MPC_THR_HOVER"):
         if name in values:
-            yield Check(name, True, f"{values[name]:g}")
+            yield ChecklistEntry(name, True, f"{values[name]:g}")
     if (scaled := values.get("MC_BAT_SCALE_EN")) is not None:
-        yield Check("MC_BAT_SCALE_EN", not scaled, "on: PX4 changes thrust with the battery" if scaled else "0")
+        yield ChecklistEntry(
+            "MC_BAT_SCALE_EN", not scaled, "on: PX4 changes thrust with the battery" if scaled else "0"
+        )
 
 
 def _agreed(view: VehicleView) -> str:
@@ -99,7 +105,7 @@ def _agreed(view: VehicleView) -> str:
     return f"agrees as far as PX4 tells ({untold[0]} is not told)" if untold else "rotors and hover thrust agree"
 
 
-def _streams(rates_hz: Mapping[type, float], limits: Limits) -> Iterator[Check]:
+def _streams(rates_hz: Mapping[type, float], limits: Limits) -> Iterator[ChecklistEntry]:
     """Streams that the state is made of must be young enough at every tick; the others at half the rate asked for."""
     age_max_us = {
         m.AttitudeQuaternion: limits.attitude_age_max_us,
@@ -114,7 +120,7 @@ def _streams(rates_hz: Mapping[type, float], limits: Limits) -> Iterator[Check]:
         if message in age_max_us:
             needed_hz = 1e6 / age_max_us[message]
         words = f"{seen_hz:.0f} Hz (asked for {asked_hz:.0f}, needs {needed_hz:.0f})"
-        yield Check(m.BY_EVENT[message].name, seen_hz >= needed_hz, words)
+        yield ChecklistEntry(m.BY_EVENT[message].name, seen_hz >= needed_hz, words)
 
 
 def version_words(version: m.AutopilotVersion) -> str:

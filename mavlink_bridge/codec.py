@@ -15,10 +15,9 @@ from functools import cached_property
 from struct import error as StructError
 from typing import Any
 
-from mavlink_bridge.layout import Layout, WireField, layout, struct_of
+from mavlink_bridge.layout import MessageLayout, WireField, layout, struct_of
 
 _FLOAT32_MAX = 3.4028234663852886e38
-DEFAULT_TIMEOUT_PERIODS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ class Row:
     def __init__(
         self,
         event: type[Any],
-        layout: Layout,
+        layout: MessageLayout,
         wires: Mapping[str, Wire],
         constants: Mapping[str, int],
         nan: frozenset[str],
@@ -89,11 +88,6 @@ class Row:
         self.id = layout.id
         self.crc_extra = layout.crc_extra
         self.name = layout.name
-
-    @property
-    def timeout_us(self) -> int:
-        """Age at which a stream at its nominal rate counts as missing: three periods; 0 for what isn't a stream."""
-        return round(DEFAULT_TIMEOUT_PERIODS * 1e6 / self.rate_hz) if self.rate_hz else 0
 
     @cached_property
     def decode(self) -> Callable[[bytes, int], Any]:
@@ -138,7 +132,9 @@ class Row:
         return self.struct.pack(*values)
 
 
-def _up_to_last_used(layout: Layout, wires: Mapping[str, Wire], constants: Mapping[str, int]) -> tuple[WireField, ...]:
+def _up_to_last_used(
+    layout: MessageLayout, wires: Mapping[str, Wire], constants: Mapping[str, int]
+) -> tuple[WireField, ...]:
     used = {name for source in wires.values() for name in source.names} | set(constants)
     last = max(i for i, field in enumerate(layout.fields) if field.name in used)
     return layout.fields[: last + 1]

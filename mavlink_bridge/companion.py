@@ -24,11 +24,11 @@ from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
 from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide, landing_limit_s
 from mavlink_bridge.faults import FAULTS
-from mavlink_bridge.handshake import FINAL, Event, State, transition
+from mavlink_bridge.handshake import FINAL, HandshakeEvent, State, transition
 from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link, Received
 from mavlink_bridge.notes import GuardNotes
-from mavlink_bridge.onlookers import Observer, Planner
+from mavlink_bridge.onlookers import MissionPlanner, Observer
 from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_params import remarks
@@ -36,7 +36,7 @@ from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
 from mavlink_bridge.watchdogs import Watchdogs
 
-__all__ = ["Companion", "CompanionConfig", "Observer", "Planner"]
+__all__ = ["Companion", "CompanionConfig", "MissionPlanner", "Observer"]
 
 _REST_TICKS = 1_000
 """Ticks over which the position at rest is averaged; on a longer wait the last 4 s or so count."""
@@ -65,7 +65,7 @@ class Companion:
         scenario: Scenario,
         observer: Observer,
         config: CompanionConfig,
-        planner: Planner | None = None,
+        planner: MissionPlanner | None = None,
     ) -> None:
         self.link = link
         self.view = VehicleView()
@@ -253,11 +253,11 @@ class Companion:
 
     # ---------------------------------------------------------------- act
 
-    def _enter(self, state: State, event: Event, now_us: int) -> None:
+    def _enter(self, state: State, event: HandshakeEvent, now_us: int) -> None:
         """What happens once, on the way into a state."""
         self._now.state, self._now.entered_us = state, now_us
         t_us = self._t_us
-        if event in (Event.FAULT_LAND, Event.FAULT_HOLD):
+        if event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
             fault = FAULTS[self._now.trouble]
             self._observer.on_event(
                 t_us, "fault", f"{self._now.trouble}: {fault.what}; {fault.reaction.value}", "warning"
@@ -275,18 +275,18 @@ class Companion:
             self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.RETAKING:
             self._observer.on_event(t_us, "fault", f"stalled: {self._now.stalls.words}; taking back", "warning")
-        elif state is State.OFFBOARD and event is Event.RETAKEN:
+        elif state is State.OFFBOARD and event is HandshakeEvent.RETAKEN:
             self._resume(t_us)
         elif state is State.OFFBOARD:
             self._engage(t_us)
         elif state is State.LANDING:
             self.land_command_us = t_us
             self._now.landing_limit_s = landing_limit_s(self._height_m())
-            if event is Event.STOP and self.mission is not None:
+            if event is HandshakeEvent.STOP and self.mission is not None:
                 self.mission = self.mission.stop(self._mission_time_s())
-            self._mission_complete = event is Event.MISSION_DONE
+            self._mission_complete = event is HandshakeEvent.MISSION_DONE
             self._now.landing_for = "" if self._mission_complete else self.reason
-            self._fault = self._now.trouble if event is Event.FAULT_LAND else ""
+            self._fault = self._now.trouble if event is HandshakeEvent.FAULT_LAND else ""
             self._set_phase("land", t_us)
             self._command_mode(px4.MODE_LAND, now_us)
         elif state in (State.HOLDING, State.LOST):

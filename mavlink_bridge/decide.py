@@ -13,7 +13,7 @@ from typing import NamedTuple
 from flightstack.error_statistics import ErrorStatistics
 from mavlink_bridge import px4
 from mavlink_bridge.faults import FAULTS, Reaction
-from mavlink_bridge.handshake import Event, State
+from mavlink_bridge.handshake import HandshakeEvent, State
 from mavlink_bridge.requests import CommandQueue
 from mavlink_bridge.stalls import RETAKE_LIMIT_US, Stalls
 from mavlink_bridge.vehicle_params import unsafe
@@ -93,88 +93,90 @@ class Situation:
     """What the dead-man did."""
 
 
-class Verdict(NamedTuple):
+class Decision(NamedTuple):
     """What happened, and one line why where it ends the flight."""
 
-    event: Event
+    event: HandshakeEvent
     reason: str = ""
 
 
-def decide(now: Situation, now_us: int) -> Verdict | None:
+def decide(now: Situation, now_us: int) -> Decision | None:
     """The first thing that matters in the present state; local time `now_us`."""
     state = now.state
     look = _LOOKS.get(state)
     if look is None:
         return None
     if now.stop_requested and state not in (State.LANDING, State.HOLDING):
-        return Verdict(Event.STOP, now.stop_requested)
+        return Decision(HandshakeEvent.STOP, now.stop_requested)
     if state is not State.DISCONNECTED and (lost := _link_lost(now, now_us)):
-        return Verdict(Event.LINK_LOST, lost)
+        return Decision(HandshakeEvent.LINK_LOST, lost)
     if state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
         if now.foreign_system:
             words = f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing"
-            return Verdict(Event.FOREIGN, words)
+            return Decision(HandshakeEvent.FOREIGN, words)
         if now.rival:
-            return Verdict(Event.FOREIGN, f"{now.rival}: stop it first")
+            return Decision(HandshakeEvent.FOREIGN, f"{now.rival}: stop it first")
     return look(now, now_us)
 
 
-def _disconnected(now: Situation, now_us: int) -> Verdict | None:
+def _disconnected(now: Situation, now_us: int) -> Decision | None:
     if now.system:
-        return Verdict(Event.HEARTBEAT)
+        return Decision(HandshakeEvent.HEARTBEAT)
     timeout_s = now.config.heartbeat_timeout_s
     if _in_state_s(now, now_us) > timeout_s:
-        return Verdict(
-            Event.TIMEOUT,
+        return Decision(
+            HandshakeEvent.TIMEOUT,
             f"no heartbeat of an autopilot within {timeout_s:g} s: "
             "check that the vehicle or simulator runs and sends to this address and port",
         )
     return None
 
 
-def _identifying(now: Situation, now_us: int) -> Verdict | None:
+def _identifying(now: Situation, now_us: int) -> Decision | None:
     heartbeat = now.view.heartbeat
     assert heartbeat is not None
     if heartbeat.autopilot != px4.AUTOPILOT_PX4:
-        return Verdict(
-            Event.FOREIGN,
+        return Decision(
+            HandshakeEvent.FOREIGN,
             f"the autopilot of system {now.system} is no PX4 (MAV_AUTOPILOT {heartbeat.autopilot}, "
             f"PX4 is {px4.AUTOPILOT_PX4}): this companion flies PX4 only",
         )
     if heartbeat.type != px4.TYPE_QUADROTOR:
-        return Verdict(
-            Event.FOREIGN,
+        return Decision(
+            HandshakeEvent.FOREIGN,
             f"the vehicle is no quadrotor (MAV_TYPE {heartbeat.type}): this companion flies quadrotors only",
         )
     if now.view.version is not None:
-        return Verdict(Event.IDENTIFIED)
+        return Decision(HandshakeEvent.IDENTIFIED)
     if _in_state_s(now, now_us) > now.config.identify_timeout_s:
-        return Verdict(
-            Event.TIMEOUT, f"system {now.system} did not answer who it is (AUTOPILOT_VERSION): is the link two-way?"
+        return Decision(
+            HandshakeEvent.TIMEOUT,
+            f"system {now.system} did not answer who it is (AUTOPILOT_VERSION): is the link two-way?",
         )
     return None
 
 
-def _standby(now: Situation, now_us: int) -> Verdict | None:
+def _standby(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
     if view.armed and (config.arm or view.in_offboard or view.intends_offboard):
         # Setpoints would make PX4 go back to OFFBOARD by itself, even out of a failsafe that has landed.
-        return Verdict(
-            Event.BUSY, f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over"
+        return Decision(
+            HandshakeEvent.BUSY,
+            f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over",
         )
     if view.params.settled and not config.dry_run:  # a dry run goes on and tells everything that it finds
         if danger := unsafe(view.params.values, dead_man=config.dead_man):
-            return Verdict(Event.UNFIT, danger)
+            return Decision(HandshakeEvent.UNFIT, danger)
         if wrong := config.contradictions(view.params.values):
-            return Verdict(Event.UNFIT, "; ".join(wrong))
+            return Decision(HandshakeEvent.UNFIT, "; ".join(wrong))
     missing = _missing(now)
     if now.unfit:
         missing.append(FAULTS[now.unfit].what)
     if not missing:
-        return Verdict(Event.READY)
+        return Decision(HandshakeEvent.READY)
     if _in_state_s(now, now_us) > config.ready_timeout_s:
         reason = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}"
-        return Verdict(Event.TIMEOUT, reason + _says(view, now_us, 10))
+        return Decision(HandshakeEvent.TIMEOUT, reason + _says(view, now_us, 10))
     return None
 
 
@@ -209,26 +211,27 @@ def _too_slow(now: Situation) -> str:
     )
 
 
-def _streaming(now: Situation, now_us: int) -> Verdict | None:
+def _streaming(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
-        return Verdict(Event.ENGAGED)
+        return Decision(HandshakeEvent.ENGAGED)
     if now.unfit:
-        return Verdict(Event.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
+        return Decision(HandshakeEvent.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
     if slow := _too_slow(now):
-        return Verdict(Event.UNFIT, slow)
+        return Decision(HandshakeEvent.UNFIT, slow)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:
         return None
     arm_request = now.commands.status(px4.Cmd.COMPONENT_ARM_DISARM)
     if arm_request.accepted and view.mode_at_us > arm_request.answered_us and not view.in_offboard:
-        return Verdict(
-            Event.TOOK_OVER, f"the mode changed to {view.mode_name} while arming: leaving the vehicle to the pilot"
+        return Decision(
+            HandshakeEvent.TOOK_OVER,
+            f"the mode changed to {view.mode_name} while arming: leaving the vehicle to the pilot",
         )
     if in_state_s > config.stream_before_offboard_s + config.arm_timeout_s:
         what = "arming" if view.in_offboard else "OFFBOARD mode"
         command = px4.Cmd.COMPONENT_ARM_DISARM if view.in_offboard else px4.Cmd.DO_SET_MODE
-        return Verdict(Event.ARM_REFUSED, f"{what} refused: {_why_refused(now, command, now_us)}")
+        return Decision(HandshakeEvent.ARM_REFUSED, f"{what} refused: {_why_refused(now, command, now_us)}")
     return None
 
 
@@ -238,67 +241,67 @@ def _why_refused(now: Situation, command: px4.Cmd, now_us: int) -> str:
     return answer + (_says(now.view, now_us, 12) or " (the vehicle gave no reason)")
 
 
-def _offboard(now: Situation, now_us: int) -> Verdict | None:
+def _offboard(now: Situation, now_us: int) -> Decision | None:
     view = now.view
     if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Verdict(Event.TOOK_OVER, "the vehicle was disarmed by someone else")
+        return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
     if now.stalls.is_held:
         return _held(now, now_us)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
-        return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
+        return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
     if now.trouble:
         fault = FAULTS[now.trouble]
-        event = Event.FAULT_HOLD if fault.reaction is Reaction.HOLD else Event.FAULT_LAND
-        return Verdict(event, f"{now.trouble}: {fault.what}")
-    return Verdict(Event.MISSION_DONE) if now.mission_done else None
+        event = HandshakeEvent.FAULT_HOLD if fault.reaction is Reaction.HOLD else HandshakeEvent.FAULT_LAND
+        return Decision(event, f"{now.trouble}: {fault.what}")
+    return Decision(HandshakeEvent.MISSION_DONE) if now.mission_done else None
 
 
-def _held(now: Situation, now_us: int) -> Verdict:
+def _held(now: Situation, now_us: int) -> Decision:
     """The dead-man commanded Hold: taken back after a short stall, else the flight is over."""
     why = now.stalls.judge(now_us)
     if not why:
-        return Verdict(Event.STALLED)
+        return Decision(HandshakeEvent.STALLED)
     if now.stalls.report.touched:
-        return Verdict(Event.TOOK_OVER, f"{now.stalls.words}: {why}: hands off")
+        return Decision(HandshakeEvent.TOOK_OVER, f"{now.stalls.words}: {why}: hands off")
     now.trouble = "stalled-long"
-    return Verdict(Event.FAULT_HOLD, f"stalled-long: {now.stalls.words}: {why}")
+    return Decision(HandshakeEvent.FAULT_HOLD, f"stalled-long: {now.stalls.words}: {why}")
 
 
-def _retaking(now: Situation, now_us: int) -> Verdict | None:
+def _retaking(now: Situation, now_us: int) -> Decision | None:
     view, stalls = now.view, now.stalls
     if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Verdict(Event.TOOK_OVER, "the vehicle was disarmed by someone else")
+        return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
     if stalls.is_held:
         return _held(now, now_us)
     asked_us = now.commands.status(px4.Cmd.DO_SET_MODE).sent_us
     seen = view.mode_at_us > now.entered_us
     if seen and not view.in_offboard and not stalls.own_hold(view.custom_mode):
         reason = f"after a stall the vehicle is in {view.mode_name}, not by this companion: hands off"
-        return Verdict(Event.TOOK_OVER, reason + _says(view, now_us, 3))
+        return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
     if seen and view.in_offboard and (now.entered_us <= asked_us < view.mode_at_us or stalls.hold_was_lost(view)):
-        return Verdict(Event.RETAKEN)
+        return Decision(HandshakeEvent.RETAKEN)
     if now_us - now.entered_us > RETAKE_LIMIT_US:
         now.trouble = "stalled-long"
-        return Verdict(Event.FAULT_HOLD, f"stalled-long: {stalls.words}: OFFBOARD could not be taken back")
+        return Decision(HandshakeEvent.FAULT_HOLD, f"stalled-long: {stalls.words}: OFFBOARD could not be taken back")
     return None
 
 
-def _landing(now: Situation, now_us: int) -> Verdict | None:
+def _landing(now: Situation, now_us: int) -> Decision | None:
     view = now.view
     if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Verdict(Event.DISARMED)
+        return Decision(HandshakeEvent.DISARMED)
     settled = view.mode_at_us > now.entered_us + SECOND_US // 2
     if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
         why = f"{now.landing_for}; " if now.landing_for else ""
-        return Verdict(
-            Event.TOOK_OVER,
+        return Decision(
+            HandshakeEvent.TOOK_OVER,
             f"{why}the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot",
         )
     if _in_state_s(now, now_us) > now.landing_limit_s:
         where = "on the ground" if view.on_ground else "in the air"
-        return Verdict(
-            Event.TIMEOUT,
+        return Decision(
+            HandshakeEvent.TIMEOUT,
             f"{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own report: "
             f"left to PX4{_says(view, now_us, 10)}",
         )
@@ -311,14 +314,14 @@ def landing_limit_s(height_m: float) -> float:
     return _LANDING_S + max(height_m, 0.0) / _LANDING_MPS
 
 
-def _holding(now: Situation, now_us: int) -> Verdict | None:
+def _holding(now: Situation, now_us: int) -> Decision | None:
     view = now.view
     if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Verdict(Event.HANDED_OVER)
+        return Decision(HandshakeEvent.HANDED_OVER)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
-        return Verdict(Event.HANDED_OVER)
+        return Decision(HandshakeEvent.HANDED_OVER)
     if _in_state_s(now, now_us) > now.config.link_loss_s:
-        return Verdict(Event.TIMEOUT)
+        return Decision(HandshakeEvent.TIMEOUT)
     return None
 
 
@@ -340,7 +343,7 @@ def _says(view: VehicleView, now_us: int, window_s: int) -> str:
     return f" (vehicle says: {texts})" if texts else ""
 
 
-_LOOKS: dict[State, Callable[[Situation, int], Verdict | None]] = {
+_LOOKS: dict[State, Callable[[Situation, int], Decision | None]] = {
     State.DISCONNECTED: _disconnected,
     State.IDENTIFYING: _identifying,
     State.STANDBY: _standby,

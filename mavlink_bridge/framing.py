@@ -52,7 +52,7 @@ class Frame(NamedTuple):
     flags: int
 
 
-class Fault(NamedTuple):
+class FrameFault(NamedTuple):
     """Why there is no frame here."""
 
     reason: str
@@ -64,18 +64,18 @@ class Fault(NamedTuple):
     sequence: int = 0
 
 
-BAD_CRC = Fault("bad_crc")
-BAD_FLAGS = Fault("bad_flags")
-GARBAGE = Fault("garbage")
+BAD_CRC = FrameFault("bad_crc")
+BAD_FLAGS = FrameFault("bad_flags")
+GARBAGE = FrameFault("garbage")
 
 
-def frame_at(data: bytes, start: int, crc_extras: Mapping[int, int]) -> Frame | Fault:
+def frame_at(data: bytes, start: int, crc_extras: Mapping[int, int]) -> Frame | FrameFault:
     """The frame that begins at `start`.  One with an id that has no CRC extra can't be checked and is a fault."""
     have = len(data) - start
     magic = data[start]
     if magic == MAGIC_V2:
         if have < HEADER_SIZE + 2:
-            return Fault("bad_length", HEADER_SIZE + 2)
+            return FrameFault("bad_length", HEADER_SIZE + 2)
         _, size, sequence, system, number = HEADER.unpack_from(data, start)
         size, flags = size & 0xFF, size >> 8
         if flags > SIGNED:
@@ -85,7 +85,7 @@ def frame_at(data: bytes, start: int, crc_extras: Mapping[int, int]) -> Frame | 
         end = payload_at + size + 2 + SIGNATURE_SIZE * flags
     elif magic == MAGIC_V1:
         if have < 8:
-            return Fault("bad_length", 8)
+            return FrameFault("bad_length", 8)
         size, sequence, system, component, number = data[start + 1 : start + 6]
         flags = 0
         payload_at = start + 6
@@ -93,11 +93,11 @@ def frame_at(data: bytes, start: int, crc_extras: Mapping[int, int]) -> Frame | 
     else:
         return GARBAGE
     if end - start > have:
-        return Fault("bad_length", end - start)
+        return FrameFault("bad_length", end - start)
     extra = crc_extras.get(number)
     crc_at = payload_at + size
     if extra is None:
-        return Fault("unknown_id", 0, system << 8 | component, sequence)
+        return FrameFault("unknown_id", 0, system << 8 | component, sequence)
     if mcrf4xx(data[start + 1 : crc_at] + ONE_BYTE[extra]) != CRC.unpack_from(data, crc_at)[0]:
         return BAD_CRC
     return Frame(end, payload_at, size, sequence, system, component, number, flags)

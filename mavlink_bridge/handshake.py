@@ -51,7 +51,7 @@ class State(Enum):
     REFUSED = "refused"
 
 
-class Event(Enum):
+class HandshakeEvent(Enum):
     """What can happen to it."""
 
     HEARTBEAT = "an autopilot's heartbeat arrived"
@@ -77,8 +77,8 @@ class Event(Enum):
 
 FINAL = frozenset({State.LANDED, State.PILOT, State.LOST, State.REFUSED})
 
-_S, _E = State, Event
-TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
+_S, _E = State, HandshakeEvent
+TRANSITIONS: Mapping[State, Mapping[HandshakeEvent, State]] = MappingProxyType(
     {
         _S.DISCONNECTED: {_E.HEARTBEAT: _S.IDENTIFYING, _E.TIMEOUT: _S.REFUSED, _E.STOP: _S.REFUSED},
         _S.IDENTIFYING: {
@@ -138,6 +138,6 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = MappingProxyType(
 )
 
 
-def transition(state: State, event: Event) -> State | None:
+def transition(state: State, event: HandshakeEvent) -> State | None:
     """The state after `event` in `state`, None where the event means nothing there."""
     return TRANSITIONS[state].get(event)

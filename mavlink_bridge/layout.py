@@ -77,7 +77,7 @@ class WireField:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MessageLayout:
     """A message on the wire."""
 
     id: int
@@ -179,12 +179,12 @@ def crc_extra_of(name: str, fields: tuple[WireField, ...]) -> int:
     return (crc & 0xFF) ^ (crc >> 8)
 
 
-def layout(name: str) -> Layout:
+def layout(name: str) -> MessageLayout:
     """The layout of a message by its MAVLink name."""
     if name not in _BY_NAME:
         number, definition = LACKING[name]
         fields = tuple(sorted(_parse(definition), key=lambda field: -_SIZES[field.type]))
-        return Layout(number, name, crc_extra_of(name, fields), fields)
+        return MessageLayout(number, name, crc_extra_of(name, fields), fields)
     message = _BY_NAME[name]
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=True)) | {
         field: bits for field, bits in _AS_BITS.items() if field in message.fieldnames
@@ -194,4 +194,4 @@ def layout(name: str) -> Layout:
         for field, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True)
     )
     fields += tuple(field for field in _parse(EXTENSIONS.get(name, "")) if field.name not in types)
-    return Layout(message.id, name, message.crc_extra, fields)
+    return MessageLayout(message.id, name, message.crc_extra, fields)

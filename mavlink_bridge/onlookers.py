@@ -21,7 +21,7 @@ class Observer(Protocol):
         """A message of the identified vehicle, at vehicle time `t_us`."""
 
 
-class Planner(Protocol):
+class MissionPlanner(Protocol):
     """Who changes the mission while it is flown."""
 
     def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:

@@ -25,7 +25,6 @@ from flightstack.barrier.packed import (
 from flightstack.barrier.response import (
     C_HOLD,
     C_LEAD_THRUST,
-    C_NORM_HIGH,
     C_NORM_LOW,
     C_RATE_DELAY,
     C_STEER,
@@ -108,16 +107,18 @@ def _reach(table: F64, v: float) -> Reach:
 
 @njit
 def assess(
-    memory: F64, flat: F64, measured: F64, times_us: tuple[float, float, float], origin: F64, sent_norm: float,
-    sent_rate: F64, norm: float, rate: F64, work: F64, rows: F64, low: F64, high: F64, out: F64,
+    memory: F64, flat: F64, measured: F64, times_us: tuple[float, float, float], origin: F64,
+    commands: tuple[float, F64, float, F64], problem: tuple[F64, F64, F64, F64], out: F64,
 ) -> int:  # fmt: skip
     """The first half of a tick: the status so far.  CHANGED: the QP is to be solved; INFEASIBLE: it can't be.
 
-    times_us: of the last command sent, the measurement, and now; `measured` (20,): a Measurement's row; `norm`, `rate`:
-    the wanted command's.  Into `work` (WORK,), `rows` (ROWS, 3), `low`, `high` (ROWS,) and `out`, a Filtered's row, in
-    which the wanted thrust is there already.
+    times_us: of the last command sent, the measurement, and now; `measured` (20,): a Measurement's row; commands:
+    normalised thrust and rates of the last and of the wanted one.  Into `problem`, work (WORK,), rows (ROWS, 3), low
+    and high (ROWS,), and `out`, a Filtered's row, in which the wanted thrust is there already.
     """
     sent_us, measured_us, now_us = times_us
+    sent_norm, sent_rate, norm, rate = commands
+    work, rows, low, high = problem
     remember(memory, sent_us, sent_norm, sent_rate)
     step_s = (now_us - memory[0, M_STEP_US]) * 1e-6
     memory[0, M_STEP_US] = now_us
@@ -229,20 +230,25 @@ def _limit_rows(
 ) -> None:  # fmt: skip
     """All rows of the QP in u; the first three bounds hold the barriers' intervals already.
 
-    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The lean n that is steered to, and
+    Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The budget's gives way to what the
+    barrier needs, a little more while the lean turns; the vehicle's own does not.  The lean n that is steered to, and
     the one that comes of how fast it turns, keep within the certificate's; where both lateral axes are certified these
     bounds give way to the accelerations nearest to an upright n that the barriers allow: lean never takes what position
     needs.
     """
     chain, gain = flat[P_CHAIN:P_BOUNDS], offset[3]
-    ends, still = np.empty(3), np.zeros(3)
+    ends, still, edge, asked = np.empty(3), np.zeros(3), np.empty(2), np.empty(2)
     for i in range(ROWS):
         rows[i, 0] = rows[i, 1] = rows[i, 2] = 0.0
     rows[0, 0] = rows[1, 1] = rows[2, 2] = 1.0
-    acceleration(chain, predicted[0], offset, gain, chain[C_NORM_HIGH], still, ends)
-    low[2] = max(low[2], ends[2])
-    acceleration(chain, predicted[0], offset, gain, chain[C_NORM_LOW], still, ends)
-    high[2] = min(high[2], ends[2])
+    for k in range(2):
+        acceleration(chain, predicted[0], offset, gain, chain[C_NORM_LOW + k], still, ends)
+        edge[k] = ends[2]
+        acceleration(chain, predicted[0], offset, gain, flat[P_BOUNDS + k], still, ends)
+        asked[k] = ends[2]
+    wide = low[2], high[2]
+    low[2] = max(wide[0], edge[1], min(asked[1], wide[1]))
+    high[2] = min(wide[1], edge[0], max(asked[0], wide[0]))
     r = quat_to_matrix(predicted[1, 6:10])
     force = gain * chain[C_LEAD_THRUST]
     upright, near = np.empty(2), np.empty(2)  # u whose n is upright, and the nearest one that the barriers allow

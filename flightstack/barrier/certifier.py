@@ -18,7 +18,7 @@ product lies in it.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol, TypeVar
@@ -29,9 +29,9 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness, doubt, marked, prepare
-from flightstack.barrier.flown import Flown, least_h
+from flightstack.barrier.flown import FlownPath, least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
-from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import (
@@ -138,7 +138,7 @@ class CertifierState:
     """Where each axis' last search with each of the thrusts ended."""
     turn: int = 0
     """Of the thrusts."""
-    flown: Flown = field(default_factory=Flown)
+    flown: FlownPath = field(default_factory=FlownPath)
 
 
 class Elsewhere(Protocol):
@@ -146,6 +146,15 @@ class Elsewhere(Protocol):
 
     lost: str
     """Why none will come any more; empty while they may."""
+
+    def count_anew(self) -> None:
+        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
+        ...
+
+    @property
+    def served(self) -> Sequence[tuple[int, int, int]]:
+        """When each answer came: number of the order, ticks until it was begun, ticks from then."""
+        ...
 
     def work(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
@@ -321,20 +330,22 @@ class OnlineCertifier:
         accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
         box, hover_mps2 = self._budget(accelerations, thrust)
         yield None
+        over = _HOVER_OFF * box.thrust_max_mps2 / hover_mps2
         yield from Knowledge.steps(
-            accelerations, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=self.config.delta, version=version, last=last, widen_mps2=widen_mps2,
-            attitude_mps2=np.array(self.config.estimate.acc_mps2) * _HOVER_OFF * box.thrust_max_mps2 / hover_mps2,
-            torque_mps2=self.torque_mps2,
+            Request(
+                accelerations, self.model, self._envelope(), box, self.initial, self.config.delta, version, last,
+                widen_mps2, over * np.array(self.config.estimate.acc_mps2), self.torque_mps2,
+            )
         )  # fmt: skip
 
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
         """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
-        box, _ = self._budget(Accelerations.live(learner, self.model), self.config.thrusts[turn])
-        return Knowledge.from_learner(
-            learner, self.model, self.limits, self._envelope(), initial=self.initial, box=box,
-            delta=self.config.delta, version=version, torque_mps2=self.torque_mps2,
-        )  # fmt: skip
+        live = Accelerations.live(learner, self.model)
+        box, _ = self._budget(live, self.config.thrusts[turn])
+        delta, torque = self.config.delta, self.torque_mps2
+        return Knowledge.of(
+            Request(live, self.model, self._envelope(), box, self.initial, delta, version, torque_mps2=torque)
+        )
 
     def certificate(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Certificate:
         """Of these axes, with all that they rest on."""
@@ -352,7 +363,7 @@ class OnlineCertifier:
         return Premises(
             sensors=config.sensors,
             vehicle_hash="",
-            estimate=replace(config.estimate, acc_mps2=_three(knowledge.request.attitude)),
+            estimate=replace(config.estimate, acc_mps2=_three(knowledge.request.attitude_mps2)),
             speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.estimate.vel_mps),
             lean=lean(knowledge.budget),
             thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
@@ -417,7 +428,7 @@ class OnlineCertifier:
         steer = 1.0 / config.attitude_p_ps
         authority, coupling = knowledge.authorities[axis], 0.0
         accuracy = Accuracy(
-            config.estimate.pos_m[axis], config.estimate.vel_mps[axis], float(knowledge.request.attitude[axis])
+            config.estimate.pos_m[axis], config.estimate.vel_mps[axis], float(knowledge.request.attitude_mps2[axis])
         )
         if axis == DOWN:
             response = Response(model.motor_lag_s, 0.0, delay)

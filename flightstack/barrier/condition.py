@@ -109,7 +109,7 @@ def coefficients(
         c += inside * (x - NEAR_H)
     c += gamma * x
     c += swing_low - swing * u_low
-    c -= _rest(kee, abs(kev), kvv, abs(v), dt, off_m, off_mps, most, worst)
+    c -= _rest(row, abs(v), dt, (off_m, off_mps), most, worst)
     if row[0] == 0.0:
         return a, b, c, off_m * kee * v, off_m * kev, off_mps * (he - kev * v), -off_mps * kvv
     return a, b, c - off_mps * abs(he), 0.0, 0.0, 0.0, off_mps * kvv
@@ -124,15 +124,14 @@ def doubt_of(row: F64, he: float, hv: float, off_m: float, off_mps: float) -> fl
 
 
 @njit
-def _rest(
-    kee: float, kev: float, kvv: float, speed: float, dt: float, off_m: float, off_mps: float, most: float, worst: float
-) -> float:
+def _rest(row: F64, speed: float, dt: float, off: tuple[float, float], most: float, worst: float) -> float:
     """What an offset of the state may cost beyond the slopes of he v + hv u: by holding, by E, and to second order."""
-    half = 0.5 * dt
+    kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
+    off_m, off_mps = off
     along_e = kee * half * most + (kev + kee * half) * worst
     along_v = dt * (kee * (speed + off_mps) + kev * most) + half * (kee * dt + kev) * most
     along_v += (kvv + kev * half + dt * (kee * half + kev)) * worst
-    return along_e * off_m + along_v * off_mps + kee * off_m * off_mps + kev * off_mps * off_mps
+    return along_e * off_m + along_v * off_mps + kee * off_m * off_mps + kev * off_mps * off_mps  # type: ignore[no-any-return]
 
 
 @njit

@@ -87,7 +87,7 @@ class SafeSet:
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class RegionDesign:
     """The largest barrier found, with its proof."""
 
     barrier: Barrier | None
@@ -97,7 +97,7 @@ class Design:
 
 def largest(
     safe: SafeSet, setting: Setting, authority: Authority, response: Response, *, family: str = "quadratic"
-) -> Design:
+) -> RegionDesign:
     """The barrier of a family that is largest on the slice of zero commanded acceleration (`slice_area`)."""
     setting = _plain(setting)
     table, limits, shear = bands(authority), safe.table * _INSIDE, response.c1_s + response.delay_s
@@ -117,7 +117,7 @@ def largest(
         if design.barrier is not None:
             return design
         ranked = [x]
-    return Design(None, None)
+    return RegionDesign(None, None)
 
 
 def grow(
@@ -128,7 +128,7 @@ def grow(
     *,
     change: Callable[[Barrier, float], Barrier] | None = None,
     most: float = 20.0,
-) -> Design:
+) -> RegionDesign:
     """The same shape at the largest size that lies in the safe set and closes: quick enough for flight.
 
     `change` makes the shape of a size from 0 to `most`: `at_level` (the default) or `at_speed`.
@@ -145,7 +145,7 @@ def grow(
         design = _proven(of_size(shape, size), safe, setting, table, _FEW_CELLS)
         if design.barrier is not None:
             return design
-    return Design(None, None)
+    return RegionDesign(None, None)
 
 
 def _largest_size(
@@ -220,11 +220,11 @@ def worst_slice_area(
     return min(slice_area(barrier, response, a, under_way, inner) for a in ends for under_way in ends)
 
 
-def _proven(barrier: Barrier, safe: SafeSet, setting: Setting, table: F64, most_cells: int) -> Design:
+def _proven(barrier: Barrier, safe: SafeSet, setting: Setting, table: F64, most_cells: int) -> RegionDesign:
     if not safe.holds(barrier):
-        return Design(None, None)
+        return RegionDesign(None, None)
     proof = cover_bands(barrier, setting, table, most_cells=most_cells)
-    return Design(barrier, proof) if proof.closed else Design(None, None)
+    return RegionDesign(barrier, proof) if proof.closed else RegionDesign(None, None)
 
 
 def _plain(setting: Setting) -> Setting:

@@ -33,7 +33,7 @@ Number = Fraction | int | str
 """What becomes a fraction as it is: decimal text ("0.8", "3/7") or an integer; a float would bring its binary tail."""
 
 
-class Polynomial:
+class ExactPolynomial:
     """A polynomial of two states with rational coefficients; zero terms are not kept."""
 
     __slots__ = ("terms",)
@@ -45,7 +45,7 @@ class Polynomial:
         self.terms: dict[Exponents, Fraction] = {powers: value for powers, value in exact.items() if value}
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Polynomial) and self.terms == other.terms
+        return isinstance(other, ExactPolynomial) and self.terms == other.terms
 
     def __hash__(self) -> int:
         return hash(frozenset(self.terms.items()))
@@ -53,24 +53,24 @@ class Polynomial:
     def __repr__(self) -> str:
         return "Polynomial({" + ", ".join(f"{p}: '{v}'" for p, v in sorted(self.terms.items())) + "})"
 
-    def __add__(self, other: Polynomial | Number) -> Polynomial:
+    def __add__(self, other: ExactPolynomial | Number) -> ExactPolynomial:
         total = dict(self.terms)
         for powers, value in _polynomial(other).terms.items():
             total[powers] = total.get(powers, Fraction(0)) + value
-        return Polynomial(total)
+        return ExactPolynomial(total)
 
-    def __neg__(self) -> Polynomial:
-        return Polynomial({powers: -value for powers, value in self.terms.items()})
+    def __neg__(self) -> ExactPolynomial:
+        return ExactPolynomial({powers: -value for powers, value in self.terms.items()})
 
-    def __sub__(self, other: Polynomial | Number) -> Polynomial:
+    def __sub__(self, other: ExactPolynomial | Number) -> ExactPolynomial:
         return self + -_polynomial(other)
 
-    def __mul__(self, other: Polynomial | Number) -> Polynomial:
+    def __mul__(self, other: ExactPolynomial | Number) -> ExactPolynomial:
         total: dict[Exponents, Fraction] = {}
         for (i, j), left in self.terms.items():
             for (k, m), right in _polynomial(other).terms.items():
                 total[i + k, j + m] = total.get((i + k, j + m), Fraction(0)) + left * right
-        return Polynomial(total)
+        return ExactPolynomial(total)
 
     def __call__(self, x1: Fraction, x2: Fraction) -> Fraction:
         """Value at a point, exact for fractions."""
@@ -85,10 +85,10 @@ class Polynomial:
         """Greatest sum of powers; 0 for a constant."""
         return max((i + j for i, j in self.terms), default=0)
 
-    def derivative(self, state: int) -> Polynomial:
+    def derivative(self, state: int) -> ExactPolynomial:
         """Partial derivative along state 0 (x1) or 1 (x2)."""
         lower = (1, 0) if state == 0 else (0, 1)
-        return Polynomial(
+        return ExactPolynomial(
             {
                 (i - lower[0], j - lower[1]): value * (i, j)[state]
                 for (i, j), value in self.terms.items()
@@ -98,15 +98,15 @@ class Polynomial:
 
 
 Point = tuple[Fraction, Fraction]
-Field = tuple[Polynomial, Polynomial]
+Field = tuple[ExactPolynomial, ExactPolynomial]
 """x1' and x2'."""
 
 
-def _polynomial(value: Polynomial | Number) -> Polynomial:
-    return value if isinstance(value, Polynomial) else Polynomial({(0, 0): value})
+def _polynomial(value: ExactPolynomial | Number) -> ExactPolynomial:
+    return value if isinstance(value, ExactPolynomial) else ExactPolynomial({(0, 0): value})
 
 
-def along(h: Polynomial, field: Field) -> Polynomial:
+def along(h: ExactPolynomial, field: Field) -> ExactPolynomial:
     """hdot: the derivative of h along the field."""
     return h.derivative(0) * field[0] + h.derivative(1) * field[1]
 
@@ -116,14 +116,14 @@ def monomials(degree: int, lowest: int = 0) -> tuple[Exponents, ...]:
     return tuple((total - j, j) for total in range(lowest, degree + 1) for j in range(total + 1))
 
 
-def gram_form(basis: Iterable[Exponents], gram: Matrix) -> Polynomial:
+def gram_form(basis: Iterable[Exponents], gram: Matrix) -> ExactPolynomial:
     """z^T Q z as a polynomial."""
     powers = tuple(basis)
     total: dict[Exponents, Fraction] = {}
     for (i, j), row in zip(powers, gram, strict=True):
         for (k, m), value in zip(powers, row, strict=True):
             total[i + k, j + m] = total.get((i + k, j + m), Fraction(0)) + value
-    return Polynomial(total)
+    return ExactPolynomial(total)
 
 
 def leading_minors(matrix: Matrix) -> list[Fraction]:
@@ -169,14 +169,14 @@ class Ellipse:
         return math.pi * float(self.level) / math.sqrt(self.p[0][0] * self.p[1][1] - self.p[0][1] ** 2)
 
 
-def ellipse(p11: Number, p12: Number, p22: Number, c1: Number = 0, c2: Number = 0) -> Polynomial:
+def ellipse(p11: Number, p12: Number, p22: Number, c1: Number = 0, c2: Number = 0) -> ExactPolynomial:
     """The polynomial 1 - (x - c)^T P (x - c)."""
-    x1, x2 = Polynomial({(1, 0): 1, (0, 0): -Fraction(c1)}), Polynomial({(0, 1): 1, (0, 0): -Fraction(c2)})
+    x1, x2 = ExactPolynomial({(1, 0): 1, (0, 0): -Fraction(c1)}), ExactPolynomial({(0, 1): 1, (0, 0): -Fraction(c2)})
     form = x1 * x1 * p11 + x1 * x2 * (2 * Fraction(p12)) + x2 * x2 * p22
     return -form + 1
 
 
-def as_ellipse(h: Polynomial) -> Ellipse:
+def as_ellipse(h: ExactPolynomial) -> Ellipse:
     """Shape of a quadratic h; InputError unless {h >= 0} is an ellipse with an inside."""
     p: Matrix = ((-h[2, 0], -h[1, 1] / 2), (-h[1, 1] / 2, -h[0, 2]))
     if h.degree > 2 or not positive_definite(p):
@@ -194,10 +194,10 @@ def as_ellipse(h: Polynomial) -> Ellipse:
 class Proof:
     """The claim hdot >= rate on h = 0 with what shows it; `check` decides whether it does."""
 
-    h: Polynomial
+    h: ExactPolynomial
     rate_ps: Fraction
     """t; h has no unit."""
-    multiplier: Polynomial
+    multiplier: ExactPolynomial
     """lambda, 1/s."""
     basis: tuple[Exponents, ...]
     """The monomials z."""
@@ -207,7 +207,7 @@ class Proof:
     """S with lambda + t = m^T S m, m all monomials of degree 1 and up that fit: claims that 1 - h falls everywhere."""
 
 
-def identity_gap(proof: Proof, field: Field) -> Polynomial:
+def identity_gap(proof: Proof, field: Field) -> ExactPolynomial:
     """What the identity lacks: hdot - lambda h - t - z^T Q z, zero in a proof."""
     return along(proof.h, field) - proof.multiplier * proof.h - proof.rate_ps - gram_form(proof.basis, proof.gram)
 
@@ -255,15 +255,15 @@ def falling_basis(size: int) -> tuple[Exponents, ...]:
     return monomials(degree, 1)
 
 
-def leaves_between(h: Polynomial, field: Field, inside: Point, outside: Point) -> bool:
+def leaves_between(h: ExactPolynomial, field: Field, inside: Point, outside: Point) -> bool:
     """Whether a motion leaves {h >= 0} on the segment, proven: h changes sign along it and hdot < 0 on all of it.
 
     hdot on the segment is a polynomial of one variable; its Bernstein coefficients bound it.
     """
     if h(*inside) <= 0 or h(*outside) >= 0:
         return False
-    ways = [Polynomial({(0, 0): a, (1, 0): b - a}) for a, b in zip(inside, outside, strict=True)]
-    rate = Polynomial({})
+    ways = [ExactPolynomial({(0, 0): a, (1, 0): b - a}) for a, b in zip(inside, outside, strict=True)]
+    rate = ExactPolynomial({})
     for (i, j), value in along(h, field).terms.items():
         rate += _power(ways[0], i) * _power(ways[1], j) * value
     n = rate.degree
@@ -274,14 +274,14 @@ def leaves_between(h: Polynomial, field: Field, inside: Point, outside: Point) -
     return max(bernstein) < 0
 
 
-def _power(base: Polynomial, exponent: int) -> Polynomial:
-    return math.prod([base] * exponent, start=Polynomial({(0, 0): 1}))
+def _power(base: ExactPolynomial, exponent: int) -> ExactPolynomial:
+    return math.prod([base] * exponent, start=ExactPolynomial({(0, 0): 1}))
 
 
 def proof_to_dict(proof: Proof) -> dict[str, Any]:
     """Plain JSON; every number as text, so that none is rounded."""
 
-    def terms(polynomial: Polynomial) -> list[list[Any]]:
+    def terms(polynomial: ExactPolynomial) -> list[list[Any]]:
         return [[i, j, str(value)] for (i, j), value in sorted(polynomial.terms.items())]
 
     def rows(matrix: Matrix | None) -> list[list[str]] | None:
@@ -300,8 +300,8 @@ def proof_to_dict(proof: Proof) -> dict[str, Any]:
 def proof_from_dict(data: Mapping[str, Any], source: str) -> Proof:
     """The inverse of `proof_to_dict`; InputError that names the source where it isn't one."""
 
-    def terms(name: str) -> Polynomial:
-        return Polynomial({(int(i), int(j)): _fraction(value) for i, j, value in data[name]})
+    def terms(name: str) -> ExactPolynomial:
+        return ExactPolynomial({(int(i), int(j)): _fraction(value) for i, j, value in data[name]})
 
     def rows(name: str) -> Matrix:
         return tuple(tuple(_fraction(value) for value in row) for row in data[name])

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 from flightstack.barrier import sos
 from flightstack.barrier.exact import (
-    Polynomial,
+    ExactPolynomial,
     Proof,
     along,
     as_ellipse,
@@ -36,11 +36,11 @@ from flightstack.barrier.exact import (
 from flightstack.types import F64, InputError
 
 FIELD = (
-    Polynomial({(0, 1): 1, (0, 2): "0.8"}),
-    Polynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}),
+    ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}),
+    ExactPolynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}),
 )
-V_PUBLISHED = Polynomial({(2, 0): "1.343", (1, 1): "0.5155", (0, 2): "1.152"})
-H_PUBLISHED = Polynomial(
+V_PUBLISHED = ExactPolynomial({(2, 0): "1.343", (1, 1): "0.5155", (0, 2): "1.152"})
+H_PUBLISHED = ExactPolynomial(
     {(0, 0): 1, (1, 0): "-0.4254", (0, 1): "-0.3248", (0, 2): "-0.7549", (2, 0): "-0.8616", (1, 1): "-0.2846"}
 )
 LOWERED = {"lyapunov": Fraction("5.7e-4"), "barrier": Fraction("4.7e-4")}
@@ -57,11 +57,11 @@ _LEFT = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class ExampleRegion:
     """One region {h >= 0} with what was measured on its boundary and what is proven."""
 
     name: str
-    h: Polynomial
+    h: ExactPolynomial
     area: float
     least_rate: float
     """Least hdot on the boundary, sampled; below 0 where motions leave."""
@@ -93,12 +93,12 @@ class Flow:
 class Example1:
     """All that was measured."""
 
-    published_lyapunov: Region
-    published_barrier: Region
-    lowered_lyapunov: Region
-    lowered_barrier: Region
-    lyapunov: Region
-    barrier: Region
+    published_lyapunov: ExampleRegion
+    published_barrier: ExampleRegion
+    lowered_lyapunov: ExampleRegion
+    lowered_barrier: ExampleRegion
+    lyapunov: ExampleRegion
+    barrier: ExampleRegion
     flow_lyapunov: Flow
     """From the boundary of the published V*."""
     flow_barrier: Flow
@@ -132,20 +132,20 @@ def evaluate(*, starts: int = 1000, duration_s: float = 60.0) -> Example1:
     )  # fmt: skip
 
 
-def measured(name: str, h: Polynomial, proof: Proof | None) -> Region:
+def measured(name: str, h: ExactPolynomial, proof: Proof | None) -> ExampleRegion:
     """A region's area and boundary; InputError if the proof given does not hold."""
     if proof is not None and (faults := check(proof, FIELD)):
         raise InputError(f"{name}: {'; '.join(faults)}")
     points = boundary(h, _POINTS)
     rates = values(along(h, FIELD), points)
     worst = points[rates.argmin()]
-    return Region(
+    return ExampleRegion(
         name, h, as_ellipse(h).area, float(rates.min()), (float(worst[0]), float(worst[1])),
         float((rates < 0.0).mean()), None if proof is None else proof.rate_ps, _refuted(h, worst), boundary(h, 400),
     )  # fmt: skip
 
 
-def _refuted(h: Polynomial, point: F64) -> bool:
+def _refuted(h: ExactPolynomial, point: F64) -> bool:
     """The exact refutation, tried across the boundary at a point near it."""
     slope = np.array([values(h.derivative(state), point[None])[0] for state in (0, 1)])
     step = 1e-7 * slope / np.linalg.norm(slope)
@@ -153,7 +153,7 @@ def _refuted(h: Polynomial, point: F64) -> bool:
     return leaves_between(h, FIELD, (inside[0], inside[1]), (outside[0], outside[1]))
 
 
-def boundary(h: Polynomial, count: int) -> F64:
+def boundary(h: ExactPolynomial, count: int) -> F64:
     """(count, 2) points on h = 0, evenly by the ellipse's own angle; the first is not repeated."""
     shape = as_ellipse(h)
     root = np.linalg.cholesky(float(shape.level) * np.linalg.inv(np.array(shape.p, dtype=float)))
@@ -162,7 +162,7 @@ def boundary(h: Polynomial, count: int) -> F64:
     return np.asarray(np.array(shape.centre, dtype=float) + (root @ circle).T)
 
 
-def values(polynomial: Polynomial, points: F64) -> F64:
+def values(polynomial: ExactPolynomial, points: F64) -> F64:
     """Values at (..., 2) points in floating point."""
     x1, x2 = points[..., 0], points[..., 1]
     total = np.zeros(points.shape[:-1])
@@ -171,7 +171,7 @@ def values(polynomial: Polynomial, points: F64) -> F64:
     return total
 
 
-def flow(h: Polynomial, starts: int, duration_s: float) -> Flow:
+def flow(h: ExactPolynomial, starts: int, duration_s: float) -> Flow:
     """What becomes of motions from the boundary, looked at each millisecond of the first second, then each 0.1 s."""
     times = np.concatenate([np.arange(0.0, 1.0, 0.001), np.arange(1.0, duration_s + 1e-9, 0.1)])
     followed = motions(boundary(h, starts), times)

@@ -23,7 +23,7 @@ _KEPT = 120
 _WELL_INSIDE_H = 0.3
 
 
-class Flown:
+class FlownPath:
     """Places and speeds, ten a second; changed in place."""
 
     __slots__ = ("_kept", "_taken_us")

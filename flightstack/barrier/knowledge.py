@@ -84,9 +84,8 @@ from flightstack.barrier.queries import (
     statements,
 )  # fmt: skip
 from flightstack.barrier.records import Authority, Budget
-from flightstack.learning.learner import LearnerState
 from flightstack.learning.sampler import V_X
-from flightstack.model import Limits, Model
+from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 __all__ = [
@@ -124,71 +123,15 @@ class Knowledge:
         return _as_json(self.request)
 
     @classmethod
-    def initial(
-        cls, knowledge: InitialKnowledge, model: Model, limits: Limits, envelope: Envelope, *, box: Budget | None = None
-    ) -> Knowledge:
-        """Before any data; with `box` None no thrust across is allowed for (the vertical axis alone)."""
-        box = box or budget(model, limits)
-        nothing = Request(None, knowledge, model, box, envelope, 0.0, 0.0, 0, False, np.zeros(3), np.zeros(3))
-        *_, hulls = _all_steps(nothing)
-        assert hulls is not None
-        return _finish(nothing, hulls)
-
-    @classmethod
-    def from_learner(
-        cls,
-        state: LearnerState,
-        model: Model,
-        limits: Limits,
-        envelope: Envelope,
-        *,
-        initial: InitialKnowledge | None = None,
-        box: Budget | None = None,
-        delta: float = 0.05,
-        version: int = 1,
-        widen_mps2: F64 | None = None,
-        torque_mps2: float = 0.0,
-    ) -> Knowledge:
-        """From the learner's own processes as they stand, kernels untouched, in one go: quick enough for a tick.
-
-        `widen_mps2` (3,) is added to each axis' error.
-        """
-        *_, last = cls.steps(
-            Accelerations.live(state, model), model, limits, envelope, initial=initial, box=box, delta=delta,
-            version=version, widen_mps2=widen_mps2, torque_mps2=torque_mps2,
-        )  # fmt: skip
+    def of(cls, request: Request) -> Knowledge:
+        """All of it in one go; without a learner what is known before any data."""
+        *_, last = cls.steps(request)
         assert last is not None
         return last
 
     @classmethod
-    def steps(
-        cls,
-        learned: Accelerations,
-        model: Model,
-        limits: Limits,
-        envelope: Envelope,
-        *,
-        initial: InitialKnowledge | None = None,
-        box: Budget | None = None,
-        delta: float = 0.05,
-        version: int = 1,
-        last: bool = False,
-        widen_mps2: F64 | None = None,
-        attitude_mps2: F64 | None = None,
-        torque_mps2: float = 0.0,
-    ) -> Iterator[Knowledge | None]:
-        """The same in pieces of about a millisecond: None after each, the knowledge after the last.
-
-        `last`: no certificate will be issued after this one; `attitude_mps2` (3,): what the attitude's error puts
-        thrust off by, added to each axis' error like `widen_mps2`.
-        """
-        box = box or budget(model, limits)
-        k = confidence(delta, version, statements(envelope, last), last)
-        widen = np.zeros(3) if widen_mps2 is None else widen_mps2
-        attitude = np.zeros(3) if attitude_mps2 is None else attitude_mps2
-        request = Request(
-            learned, initial, model, box, envelope, k, delta, version, last, widen + attitude, attitude, torque_mps2
-        )
+    def steps(cls, request: Request) -> Iterator[Knowledge | None]:
+        """The same in pieces of about a millisecond: None after each, the knowledge after the last."""
         for hulls in _all_steps(request):
             yield None if hulls is None else _finish(request, hulls)
 
@@ -197,19 +140,34 @@ class Request(NamedTuple):
     """All that a bound depends on."""
 
     learned: Accelerations | None
-    initial: InitialKnowledge | None
+    """The learner's processes, live or frozen; None: before take-off."""
     model: Model
-    box: Budget
     envelope: Envelope
-    k: float
-    delta: float
-    version: int
-    last: bool
-    widen: F64
-    """All that is added to each axis' error, `attitude` with it."""
-    attitude: F64
+    box: Budget
+    """`queries.budget`; its lateral part is 0 where the vertical axis is meant alone."""
+    initial: InitialKnowledge | None = None
+    delta: float = 0.05
+    version: int = 1
+    last: bool = False
+    """No certificate will be issued after this one."""
+    widen_mps2: F64 = np.zeros(3)
+    """Added to each axis' error, (3,); `attitude_mps2` besides."""
+    attitude_mps2: F64 = np.zeros(3)
+    """What the attitude's error puts thrust off by, (3,)."""
     torque_mps2: float = 0.0
     """Specific thrust that torque may add or take."""
+
+    @property
+    def k(self) -> float:
+        """Sigmas of each bound."""
+        if self.learned is None:
+            return 0.0
+        return confidence(self.delta, self.version, statements(self.envelope, self.last), self.last)
+
+    @property
+    def widen(self) -> F64:
+        """All that is added to each axis' error."""
+        return self.widen_mps2 + self.attitude_mps2
 
 
 class _Hull(NamedTuple):
@@ -334,7 +292,7 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
         for axis in hulls
     }
     parts = {
-        axis: min(part, float(authorities[axis].error_low_mps2.max() - request.attitude[axis]) - torque[axis])
+        axis: min(part, float(authorities[axis].error_low_mps2.max() - request.attitude_mps2[axis]) - torque[axis])
         for axis, part in parts.items()
     }
     return Knowledge(

@@ -29,8 +29,9 @@ P_TURNING = P_BOUNDS + 5
 P_SIZES = P_TURNING + 2
 P_HEAD = P_SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
-response (3, 3), chain, bounds (least and greatest thrust m/s^2, greatest lean, roll and pitch rates), `turning` (2, 0
-where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and tables (`table_of`)."""
+response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, greatest lean, roll and pitch
+rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and
+tables (`table_of`)."""
 
 
 def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
@@ -69,10 +70,10 @@ def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model
     """
     low_n, high_n = model.thrust_range_n(limits)
     low, high, tilt = low_n / model.mass_kg, high_n / model.mass_kg, limits.tilt_max_rad
-    least, most = low, high
+    least, most, longest = low, high, high
     if certificate:
-        tilt = min(certificate.budget.tilt_max_rad, tilt)
-        least, most = certificate.budget.low_mps2, certificate.budget.high_mps2
+        box = certificate.budget
+        tilt, least, most, longest = min(box.tilt_max_rad, tilt), box.low_mps2, box.high_mps2, box.thrust_max_mps2
     steered = 1 if flat[P_CERTIFIED + 1] and not flat[P_CERTIFIED] else 0
     steer, square, delay = flat[P_RESPONSE + 3 * steered : P_RESPONSE + 3 * steered + 3]
     at = int(np.argmin(np.abs(vertical[0, : int(flat[P_NODES + 2])])))
@@ -84,7 +85,8 @@ def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model
     ]  # fmt: skip
     if certificate and certificate.governor is not None:
         flat[P_TURNING:P_SIZES] = turning(certificate.governor, model, max(least, low))
-    flat[P_BOUNDS:P_TURNING] = low, high, _lean(certificate, tilt), *limits.rate_max_radps[:2]
+    asked = (model.norm_of(min(max(each, low), high) * model.mass_kg) for each in (least, longest))
+    flat[P_BOUNDS:P_TURNING] = *asked, _lean(certificate, tilt), *limits.rate_max_radps[:2]
 
 
 def _lean(certificate: Certificate | None, tilt_rad: float) -> float:

@@ -27,7 +27,7 @@ from flightstack.types import F64, InputError, Tuple3
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class PhysicalPlant:
     """What flies, seen from what is believed of it."""
 
     mass_ratio: float = 1.0
@@ -50,7 +50,9 @@ class Plant:
         return self.thrust_max_weights * self.gravity_mps2 / self.mass_ratio
 
 
-def mu_physics(plant: Plant, region: Region, doubt_mps2: Tuple3 = (0.0, 0.0, 0.0), *, lateral: bool = True) -> float:
+def mu_physics(
+    plant: PhysicalPlant, region: Region, doubt_mps2: Tuple3 = (0.0, 0.0, 0.0), *, lateral: bool = True
+) -> float:
     """The least mu (s^2/m^2) that `plant` allows on the region's ellipsoid; inf where there is none.
 
     `doubt_mps2` is taken from the acceleration along each axis: k sigma, or any margin.  Not `lateral`: flight along
@@ -66,7 +68,7 @@ def mu_physics(plant: Plant, region: Region, doubt_mps2: Tuple3 = (0.0, 0.0, 0.0
     return 1.0 / (region.semi_axes_m[2] * room) if room > 0.0 else math.inf
 
 
-def state_only(plant: Plant) -> Plant:
+def state_only(plant: PhysicalPlant) -> PhysicalPlant:
     """What learning the residual as a function of the state alone, from hover, makes of a plant.
 
     In hover thrust balances gravity and wind, so the residual is (ratio - 1) g + ratio wind there; taken to hold at

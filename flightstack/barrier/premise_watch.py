@@ -109,10 +109,8 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
         gain = _gain_at_ends(
             state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg
         )
-    broken = _broken(
-        state.numbers, measurement.row, ages_s, seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s,
-        seen.interval_s, measurement.battery_v,
-    )  # fmt: skip
+    ranged = seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s
+    broken = _broken(state.numbers, measurement.row, ages_s, ranged, seen.interval_s, measurement.battery_v)
     span_s = min(max(seen.interval_s, 0.0), _GAP_MAX_S)
     broken_s = state.broken_s + span_s if broken else max(state.broken_s - _PAID_BACK * span_s, 0.0)
     if state.ended or broken_s < BREACH_S:
@@ -155,10 +153,12 @@ def _gain_at_ends(p: F64, down: F64, row: F64, learned: F64, applied_mps2: float
 
 @njit
 def _broken(
-    p: F64, row: F64, ages_s: F64, thrust_mps2: float, applied: float, gain: float, latency_s: float,
-    interval_s: float, battery_v: float,
-) -> int:  # fmt: skip
-    """Number of the first premise that does not hold; what is not known (NaN) breaks none."""
+    p: F64, row: F64, ages_s: F64, ranged: tuple[float, float, float, float], interval_s: float, battery_v: float
+) -> int:
+    """Number of the first premise that does not hold; what is not known (NaN) breaks none.
+
+    ranged: thrust (m/s^2), its share applied, gain, latency (s).
+    """
     for i in range(3):
         if not p[i] <= row[3 + i] <= p[3 + i]:
             return 1 + i
@@ -166,7 +166,7 @@ def _broken(
     for i in range(2):
         if not abs(r[i, 2]) <= p[6]:
             return 4 + i
-    for i, value in enumerate((thrust_mps2, applied, gain, latency_s)):
+    for i, value in enumerate(ranged):
         if value < p[7 + 2 * i] - 1e-9 or value > p[8 + 2 * i] + 1e-9:
             return 6 + i
     for i in range(3):

@@ -35,7 +35,7 @@ _SPEEDS = 41
 _DOWN = 2
 
 
-class PublishedState(NamedTuple):
+class PublishedCertifierState(NamedTuple):
     """What the certifier remembers."""
 
     mu: float
@@ -52,17 +52,22 @@ class PublishedCertifier:
     def __init__(self, model: Model, limits: Limits, region: Region) -> None:
         self._model, self._limits, self._region = model, limits, region
 
-    def init(self) -> PublishedState:
+    def init(self) -> PublishedCertifierState:
         """Nothing certified yet."""
-        return PublishedState(self._region.semi_axes_mps[_DOWN] ** -2, 0, -1)
+        return PublishedCertifierState(self._region.semi_axes_mps[_DOWN] ** -2, 0, -1)
 
     def step(
-        self, state: PublishedState, learner: object, measurement: Measurement, learned: Learned, filtered: Filtered
-    ) -> tuple[PublishedState, Certificate | None]:
+        self,
+        state: PublishedCertifierState,
+        learner: object,
+        measurement: Measurement,
+        learned: Learned,
+        filtered: Filtered,
+    ) -> tuple[PublishedCertifierState, Certificate | None]:
         """The region as given at first; once a second, where the learner is used, the least mu that is accepted."""
         now_us = measurement.t_us
         if state.version == 0:
-            state = PublishedState(state.mu, 1, now_us + PERIOD_US)
+            state = PublishedCertifierState(state.mu, 1, now_us + PERIOD_US)
             return state, self._certificate(state, None)
         if now_us < state.due_us:
             return state, None
@@ -115,7 +120,7 @@ class PublishedCertifier:
         gain = max(float(down[0] - down[1]) / (0.8 * STANDARD_GRAVITY_MPS2), 0.2)
         return np.array([float(known.at(i, still, upright, none)[0][0]) / gain for i in (0, 1)])
 
-    def _certificate(self, state: PublishedState, known: Accelerations | None) -> Certificate:
+    def _certificate(self, state: PublishedCertifierState, known: Accelerations | None) -> Certificate:
         region = with_mu(self._region, state.mu)
         authorities = tuple(self._authority(axis, region.semi_axes_mps, known) for axis in range(3))
         north, east, down = authorities

@@ -34,7 +34,7 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 _ZERO = np.zeros(3)
 
 
-class Row(NamedTuple):
+class LinearConstraint(NamedTuple):
     """The condition slope T + rest >= 0 at one state, T in newton, in 1/s."""
 
     slope: float
@@ -111,7 +111,9 @@ class PublishedFilter:
         filtered.row[Filtered.safe_acc_ned_mps2.place] = _GRAVITY - thrust * down
         return state, command, filtered
 
-    def row(self, certificate: Certificate, origin_ned_m: F64, measurement: Measurement, learned: Learned) -> Row:
+    def row(
+        self, certificate: Certificate, origin_ned_m: F64, measurement: Measurement, learned: Learned
+    ) -> LinearConstraint:
         """The condition at a measured state; a residual that is not known counts as none."""
         body = quat_to_matrix(measurement.q_ned_frd)
         residual, sigma = _or_zero(learned.residual_frd_mps2), _or_zero(learned.sigma_frd_mps2)
@@ -129,7 +131,7 @@ class PublishedFilter:
             h -= de * along_e + dv * along_v
             slope += 2.0 * along_v * down[i] / self.model.mass_kg
             rest -= 2.0 * (along_e * vel[i] + along_v * known[i] + abs(along_v) * doubt[i])
-        return Row(slope, rest + certificate.axes[0].setting.gamma_ps * h, h)
+        return LinearConstraint(slope, rest + certificate.axes[0].setting.gamma_ps * h, h)
 
 
 def _or_zero(values: F64) -> F64:
@@ -137,7 +139,7 @@ def _or_zero(values: F64) -> F64:
     return _ZERO if math.isnan(values[0]) else values
 
 
-def nearest(wanted_n: float, row: Row, thrust_range_n: tuple[float, float]) -> tuple[float, bool]:
+def nearest(wanted_n: float, row: LinearConstraint, thrust_range_n: tuple[float, float]) -> tuple[float, bool]:
     """The thrust in range nearest to `wanted_n` that meets the row; where none does, the best one and False."""
     low, high = thrust_range_n
     thrust = min(max(wanted_n, low), high)
@@ -161,7 +163,7 @@ def _engaged(state: PublishedState, h: float, now_us: int) -> PublishedState:
     return state._replace(since_us=since, engaged=now_us - since >= ENGAGE_US)
 
 
-def _filtered(status: float, wanted: Command, row: Row | None = None) -> Filtered:
+def _filtered(status: float, wanted: Command, row: LinearConstraint | None = None) -> Filtered:
     """What the filter says, all else NaN."""
     filtered = Filtered(np.full(len(Filtered.nothing().row), np.nan))
     filtered.row[Filtered.status.place] = status

@@ -161,7 +161,7 @@ def _finish(a: F64, low: F64, high: F64, wanted: F64, guess: F64, multipliers: F
     chosen = np.zeros(3, np.int64)
     for i in range(likely):
         chosen[i] = i
-    residual = _attempt(a, low, high, wanted, row, side, chosen, likely, x)
+    residual = _attempt(a, low, high, wanted, row, side, chosen[:likely], x)
     if residual < np.inf:
         return residual
     for i in range(-1, count):
@@ -169,7 +169,7 @@ def _finish(a: F64, low: F64, high: F64, wanted: F64, guess: F64, multipliers: F
             for k in range(-1, max(j, 0)):
                 size = (i >= 0) + (j >= 0) + (k >= 0)
                 chosen[0], chosen[1], chosen[2] = i, j, k
-                residual = _attempt(a, low, high, wanted, row, side, chosen, size, x)
+                residual = _attempt(a, low, high, wanted, row, side, chosen[:size], x)
                 if residual < np.inf:
                     return residual
     return np.inf
@@ -189,7 +189,7 @@ def _keep(row: I64, side: F64, score: F64, i: int, sign: float, value: float) ->
 
 @njit
 def _attempt(
-    a: F64, low: F64, high: F64, wanted: F64, row: I64, side: F64, chosen: I64, size: int, x: F64
+    a: F64, low: F64, high: F64, wanted: F64, row: I64, side: F64, chosen: I64, x: F64
 ) -> float:  # fmt: skip
     """Project `wanted` onto the planes of the chosen bounds, into `x`; the largest violation, infinite where one of the
     conditions fails.
@@ -202,7 +202,7 @@ def _attempt(
     along = np.zeros(3)
     for k in range(3):
         x[k] = wanted[k]
-    for n in range(size):
+    for n in range(len(chosen)):
         i = row[chosen[n]]
         bound = high[i] if side[chosen[n]] > 0.0 else low[i]
         for k in range(3):
@@ -227,7 +227,7 @@ def _attempt(
             step -= basis[n, k] * wanted[k]
         for k in range(3):
             x[k] += step * basis[n, k]
-    if not _signs(basis, part, wanted, side, chosen, size, x):
+    if not _signs(basis, part, wanted, side, chosen, x):
         return np.inf
     worst = 0.0
     for i in range(a.shape[1]):
@@ -237,9 +237,9 @@ def _attempt(
 
 
 @njit
-def _signs(basis: F64, part: F64, wanted: F64, side: F64, chosen: I64, size: int, x: F64) -> bool:
+def _signs(basis: F64, part: F64, wanted: F64, side: F64, chosen: I64, x: F64) -> bool:
     """Whether every chosen bound pushes inwards: wanted - x = sum of multiplier times normal, by back substitution."""
-    multiplier = np.zeros(3)
+    multiplier, size = np.zeros(3), len(chosen)
     for back in range(size):
         n = size - 1 - back
         value = 0.0

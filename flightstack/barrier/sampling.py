@@ -63,7 +63,7 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class ClaimSamples:
     """Samples that carry a claim, and what they could not reach."""
 
     points: F64
@@ -90,7 +90,7 @@ def crossed(limit_m: float, mu: float, cross: float) -> Quadratic:
     return Quadratic(0.0, 0.0, 1.0 / (limit_m * limit_m) + cross * cross / mu, cross, mu)
 
 
-def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> Samples:
+def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> ClaimSamples:
     """Cells from the region's box down to `depth` halvings of it."""
     low_e, high_e, low_v, high_v = claim.barrier.box
     half = 0.5 * max(high_e - low_e, high_v - low_v)
@@ -116,10 +116,10 @@ def adaptive(claim: Claim, *, depth: int = 20, local: bool = False) -> Samples:
         half *= 0.5
         centres = (centres[:, None, :] + half * _CORNERS).reshape(-1, 2)
     places, reach, phi, cells = (np.concatenate(each) for each in (points, radii, lefts, middles))
-    return Samples(places, reach, phi, evaluated, centres, cells)
+    return ClaimSamples(places, reach, phi, evaluated, centres, cells)
 
 
-def thinned(claim: Claim, samples: Samples) -> Samples:
+def thinned(claim: Claim, samples: ClaimSamples) -> ClaimSamples:
     """Fewer of these samples that carry the same claim; as they are where they don't carry it."""
     if not samples.closed:
         return samples
@@ -136,13 +136,13 @@ def thinned(claim: Claim, samples: Samples) -> Samples:
         best = int(np.argmax(held @ left))
         chosen.append(best)
         left &= ~held[best]
-    return Samples(
+    return ClaimSamples(
         samples.points[chosen], reach[chosen], samples.left[chosen], samples.evaluated, samples.open,
         samples.centres[chosen],
     )  # fmt: skip
 
 
-def _farthest(claim: Claim, samples: Samples) -> F64:
+def _farthest(claim: Claim, samples: ClaimSamples) -> F64:
     """(n,) the radius that each sample proves: its cell's at least, found by halving."""
     low, high = samples.radius.copy(), 16.0 * samples.radius
     for _ in range(30):
@@ -152,7 +152,7 @@ def _farthest(claim: Claim, samples: Samples) -> F64:
     return low
 
 
-def uniform(claim: Claim, *, local: bool = False, twofold: bool = False, finest: int = 1024) -> Samples:
+def uniform(claim: Claim, *, local: bool = False, twofold: bool = False, finest: int = 1024) -> ClaimSamples:
     """The coarsest grid that proves the claim; at most `finest` cells along the box's longer side.
 
     `twofold`: as the lemma words it, with tau on the right although every state lies within tau / 2 of a sample.
@@ -230,7 +230,7 @@ def _touching(barrier: Quadratic, centres: F64, half: float) -> tuple[F64, F64]:
     return centres[touches], samples[touches]
 
 
-def _grid(claim: Claim, count: int, local: bool, twofold: bool) -> Samples:
+def _grid(claim: Claim, count: int, local: bool, twofold: bool) -> ClaimSamples:
     """A grid of `count` cells along the longer side of the box."""
     low_e, high_e, low_v, high_v = claim.barrier.box
     half = 0.5 * max(high_e - low_e, high_v - low_v) / count
@@ -247,4 +247,4 @@ def _grid(claim: Claim, count: int, local: bool, twofold: bool) -> Samples:
     margin = local_margin(claim, samples, reach) if local else left - claim.modulus * reach
     enough = margin >= 0.0
     radii = np.full(int(enough.sum()), radius)
-    return Samples(samples[enough], radii, left[enough], len(samples), centres[~enough], centres[enough])
+    return ClaimSamples(samples[enough], radii, left[enough], len(samples), centres[~enough], centres[enough])

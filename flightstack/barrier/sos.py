@@ -33,10 +33,10 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from flightstack.barrier.exact import (
+    ExactPolynomial,
     Exponents,
     Field,
     Matrix,
-    Polynomial,
     Proof,
     along,
     as_ellipse,
@@ -65,7 +65,7 @@ _SOLVER = {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class EllipseFound:
     """An ellipse found, its proof and how it was found."""
 
     proof: Proof
@@ -84,7 +84,7 @@ def _cvxpy() -> Any:
         ) from None
 
 
-def region_of_attraction(field: Field, rate_ps: Fraction, *, starts: int = 4, seed: int = 0) -> Found:
+def region_of_attraction(field: Field, rate_ps: Fraction, *, starts: int = 4, seed: int = 0) -> EllipseFound:
     """The largest {V <= 1} of a quadratic form V that falls by at least rate V in all of it, and so by rate at V = 1.
 
     InputError where the origin is no stable equilibrium or no start leads to a region with proof.
@@ -92,7 +92,7 @@ def region_of_attraction(field: Field, rate_ps: Fraction, *, starts: int = 4, se
     return _largest(field, rate_ps, centred=True, starts=starts, seed=seed)
 
 
-def invariant_ellipse(field: Field, rate_ps: Fraction, *, starts: int = 6, seed: int = 0) -> Found:
+def invariant_ellipse(field: Field, rate_ps: Fraction, *, starts: int = 6, seed: int = 0) -> EllipseFound:
     """The largest ellipse of any centre with hdot >= rate on its boundary, h = 1 at its centre; grown from the origin.
 
     InputError as `region_of_attraction`.
@@ -100,7 +100,7 @@ def invariant_ellipse(field: Field, rate_ps: Fraction, *, starts: int = 6, seed:
     return _largest(field, rate_ps, centred=False, starts=starts, seed=seed)
 
 
-def prove(field: Field, h: Polynomial, rate_ps: Fraction, *, falling: bool = False) -> Proof:
+def prove(field: Field, h: ExactPolynomial, rate_ps: Fraction, *, falling: bool = False) -> Proof:
     """An exact proof of hdot >= rate on h = 0, with `falling` also that 1 - h falls inside; else InputError.
 
     `falling` needs h = 1 - V, V a form about the origin.
@@ -132,7 +132,9 @@ class _Maps:
         self.inner = monomials(half - 1, 1)
         self.multipliers = monomials(2 * half - 2)
         self.rows = monomials(2 * half)
-        self.rates = np.array([_vector(along(Polynomial({powers: 1}), field), self.rows) for powers in _QUADRATIC]).T
+        self.rates = np.array(
+            [_vector(along(ExactPolynomial({powers: 1}), field), self.rows) for powers in _QUADRATIC]
+        ).T
         self.products = np.array(
             [[[float(_sum(a, b) == row) for b in self.multipliers] for a in _QUADRATIC] for row in self.rows]
         )
@@ -231,7 +233,7 @@ class _Programme:
         return (found / level, multiplier) if np.linalg.eigvalsh(p)[0] > 0.0 and level > 0.0 else None
 
 
-def _largest(field: Field, rate_ps: Fraction, *, centred: bool, starts: int, seed: int) -> Found:
+def _largest(field: Field, rate_ps: Fraction, *, centred: bool, starts: int, seed: int) -> EllipseFound:
     programme = _Programme(field, _RESERVE * float(rate_ps), centred=centred)
     ends = [_grown(programme, start) for start in _starts(field, starts, seed)]
     grown = [h for h in ends if h is not None]
@@ -239,7 +241,7 @@ def _largest(field: Field, rate_ps: Fraction, *, centred: bool, starts: int, see
         raise InputError(f"no start led to a region with a rate of {float(rate_ps):.3g} 1/s")
     best = max(grown, key=_area)
     proof = prove(field, _rounded(best, centred=centred), rate_ps, falling=centred)
-    return Found(proof, as_ellipse(proof.h).area, tuple(_area(h) for h in grown))
+    return EllipseFound(proof, as_ellipse(proof.h).area, tuple(_area(h) for h in grown))
 
 
 def _grown(programme: _Programme, h: F64) -> F64 | None:
@@ -278,9 +280,9 @@ def _starts(field: Field, count: int, seed: int) -> list[F64]:
     return starts
 
 
-def _rational(field: Field, h: Polynomial, rate_ps: Fraction, solved: _Solved, maps: _Maps, digits: int) -> Proof:
+def _rational(field: Field, h: ExactPolynomial, rate_ps: Fraction, solved: _Solved, maps: _Maps, digits: int) -> Proof:
     """Everything rounded to decimals, what the identity then lacks spread over the Gram entries of each monomial."""
-    multiplier = Polynomial(dict(zip(maps.multipliers, _decimals(solved.multiplier, digits), strict=True)))
+    multiplier = ExactPolynomial(dict(zip(maps.multipliers, _decimals(solved.multiplier, digits), strict=True)))
     falling = None
     if solved.falling is not None:
         falling = _symmetric(solved.falling, digits)
@@ -307,7 +309,7 @@ def _symmetric(matrix: F64, digits: int) -> Matrix:
     return tuple(tuple(_decimals(row, digits)) for row in 0.5 * (matrix + matrix.T))
 
 
-def _rounded(h: F64, *, centred: bool) -> Polynomial:
+def _rounded(h: F64, *, centred: bool) -> ExactPolynomial:
     """The ellipse with five decimals of P and its centre: short enough to be printed whole."""
     p, centre, level = _shape_of(h)
     p11, p12, p22 = _decimals(np.array([p[0, 0], p[0, 1], p[1, 1]]) / level, _DIGITS)
@@ -327,7 +329,7 @@ def _area(h: F64) -> float:
     return float(math.pi * level / math.sqrt(max(np.linalg.det(p), 1e-300)))
 
 
-def _vector(polynomial: Polynomial, powers: tuple[Exponents, ...]) -> F64:
+def _vector(polynomial: ExactPolynomial, powers: tuple[Exponents, ...]) -> F64:
     return np.array([float(polynomial[power]) for power in powers])
 
 

@@ -89,8 +89,8 @@ def paced(
     if margin < 0.0:
         return low, high, margin
     least, most, _ = interval(rows, e, v, flat, reach)
-    high = _furthest(rows, e, v, flat, reach, turn, 1.0, max(most, low), high)
-    low = _furthest(rows, e, v, flat, reach, turn, -1.0, min(least, high), low)
+    high = _furthest(rows, (e, v), flat, reach, turn, 1.0, max(most, low), high)
+    low = _furthest(rows, (e, v), flat, reach, turn, -1.0, min(least, high), low)
     return low, high, margin
 
 
@@ -109,15 +109,15 @@ def _line(setting: Setting, slope_ps: float) -> Setting:
 
 @njit
 def _furthest(
-    rows: F64, e: float, v: float, flat: Setting, reach: Reach, turn: Turn, way: float, safe: float, end: float
+    rows: F64, at: tuple[float, float], flat: Setting, reach: Reach, turn: Turn, way: float, safe: float, end: float
 ) -> float:
     """The command nearest to `end` from which there is room to turn; at least `safe`, in the direction `way`."""
-    if way * (end - safe) <= 0.0 or _turns(rows, e, v, flat, reach, turn, way, safe, end):
+    if way * (end - safe) <= 0.0 or _turns(rows, at, flat, reach, turn, way, safe, end):
         return end
     held = safe
     for _ in range(_HALVINGS):
         middle = 0.5 * (held + end)
-        if _turns(rows, e, v, flat, reach, turn, way, safe, middle):
+        if _turns(rows, at, flat, reach, turn, way, safe, middle):
             held = middle
         else:
             end = middle
@@ -126,14 +126,14 @@ def _furthest(
 
 @njit
 def _turns(
-    rows: F64, e: float, v: float, flat: Setting, reach: Reach, turn: Turn, way: float, brake: float, u: float
+    rows: F64, at: tuple[float, float], flat: Setting, reach: Reach, turn: Turn, way: float, brake: float, u: float
 ) -> bool:
     """Whether after u, let go at once, z is inside when the brake has been reached."""
-    p, s = after_turning(e, v, turn, way, brake, u)
+    p, s = after_turning(at[0], at[1], turn, way, brake, u)
     low, high, _ = interval(rows, p, s, flat, reach)
     there = high if way > 0.0 else low
     if way * (there - brake) < 0.0:
-        p, s = after_turning(e, v, turn, way, there, u)
+        p, s = after_turning(at[0], at[1], turn, way, there, u)
     return _inside(rows, p, s, flat)
 
 

@@ -30,7 +30,7 @@ from .confidence import check_confidence
 from .governor import check_governor
 from .intervals import F64, Interval
 from .ledger import check_ledger
-from .log import Recording
+from .log import FlightRecording
 from .premises import check_premises, estimate_of
 from .provenance import check_flight, check_keys
 from .reading import Refused, Unreadable, number, numbers, rows, seal_of, table_of, unsealed
@@ -67,7 +67,7 @@ class Verdict:
     """How far what is true of a valid file reaches."""
 
 
-def check(text: str, log: BinaryIO | Recording | None = None, vehicle: bytes | None = None) -> Verdict:
+def check(text: str, log: BinaryIO | FlightRecording | None = None, vehicle: bytes | None = None) -> Verdict:
     """Verify a certificate file's text, and against a flight's log where one is given; never raises.
 
     `vehicle`: the vehicle file; without it the one that the log carries.
@@ -88,7 +88,7 @@ def check(text: str, log: BinaryIO | Recording | None = None, vehicle: bytes | N
     return verdict
 
 
-def _check(text: str, lines: list[str], log: BinaryIO | Recording | None, vehicle: bytes | None) -> None:
+def _check(text: str, lines: list[str], log: BinaryIO | FlightRecording | None, vehicle: bytes | None) -> None:
     if is_stopping(text):
         if log is not None:
             raise Refused("a certificate of a stop is not derived from a log: leave out --log")
@@ -153,7 +153,7 @@ def _budget(value: Any, lines: list[str]) -> knowledge.Box:
     return knowledge.Box(lean, low, high)
 
 
-def _check_heights(condition: Condition, centre_m: float, known: knowledge.Knowledge) -> None:
+def _check_heights(condition: Condition, centre_m: float, known: knowledge.StatedKnowledge) -> None:
     """The nearness to the ground was looked at for all heights of the region."""
     low, high = (-centre_m - e for e in reversed(condition.reach_m()))
     least = 0.5 * float(known.data["rotor_radius_m"])  # nothing changes below
@@ -161,7 +161,7 @@ def _check_heights(condition: Condition, centre_m: float, known: knowledge.Knowl
         raise Refused(f"knowledge.heights_m do not hold the region's {low:.6g} to {high:.6g} m")
 
 
-def _compare(nodes: F64, table: F64, known: knowledge.Knowledge, name: str, lines: list[str]) -> None:
+def _compare(nodes: F64, table: F64, known: knowledge.StatedKnowledge, name: str, lines: list[str]) -> None:
     """The stated authority is that of the knowledge."""
     if nodes.shape != table.shape:
         raise Refused(f"{name}.authority has {nodes.shape[1]} nodes, the knowledge {table.shape[1]}")

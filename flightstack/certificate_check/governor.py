@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
-from .knowledge import Knowledge
+from .knowledge import StatedKnowledge
 from .reading import Refused, number, numbers, rows, table_of
 
 _TERMS = (
@@ -45,7 +45,7 @@ _CLOSE, _NEAR = 0.01, 1e-9
 _DONE: dict[str, tuple[float, float, float, float]] = {}
 
 
-def check_governor(value: Any, budget: Any, known: Knowledge) -> str:
+def check_governor(value: Any, budget: Any, known: StatedKnowledge) -> str:
     """Verify the governor's terms against the budget and the knowledge; what was verified, in words."""
     if value is None:
         raise Refused("governor is missing: nothing bounds the torque that takes thrust")

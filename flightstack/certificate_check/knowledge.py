@@ -62,7 +62,7 @@ class Box:
 
 
 @dataclass
-class Process:
+class StatedProcess:
     """One store: its points and calibration."""
 
     spec: Any
@@ -83,7 +83,7 @@ class Process:
 
 
 @dataclass
-class Knowledge:
+class StatedKnowledge:
     """The certificate's `knowledge`, read and checked for itself."""
 
     data: dict[str, Any]
@@ -94,7 +94,7 @@ class Knowledge:
     k: float
     widen: F64
     initial: tuple[float, float, float] | None
-    stores: list[Process]
+    stores: list[StatedProcess]
     torque: float = 0.0
     """Along the thrust, what torque adds or takes of acceleration at most: known with the tables."""
     lead: float = 0.0
@@ -228,12 +228,12 @@ def _turns(b: F64) -> F64:
     return turn
 
 
-def torque_of(known: Knowledge, axis: int) -> float:
+def torque_of(known: StatedKnowledge, axis: int) -> float:
     """Of the error of an axis, what torque does: along the thrust, sideways by the sine of the greatest lean."""
     return known.torque if axis == DOWN else known.torque * known.box.lean * math.sqrt(2.0) / math.cos(math.pi / 8.0)
 
 
-def tables(known: Knowledge) -> dict[int, F64]:
+def tables(known: StatedKnowledge) -> dict[int, F64]:
     """For each axis asked for (7, nodes): v, offset, gain, u_low, u_high, error_low, error_high."""
     box, hulls = known.box, {DOWN: known.hull(DOWN, None)}
     span, bends, middle = max(box.high - box.low, 1e-9), known.bends(), hulls[DOWN].mean(axis=0)
@@ -266,7 +266,7 @@ def tables(known: Knowledge) -> dict[int, F64]:
     return out
 
 
-def read(data: Any, box: Box, delta: float, k: float, version: Any) -> Knowledge:
+def read(data: Any, box: Box, delta: float, k: float, version: Any) -> StatedKnowledge:
     """The knowledge of a certificate with this thrust box, chance, sigmas and version."""
     learned = isinstance(data, dict) and data.get("kind") == "learned"
     also = tuple(key for key in _ALSO if isinstance(data, dict) and key in data)
@@ -305,12 +305,12 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> Knowledge
         raise Refused("knowledge.axes must be a list of axes, 0 to 2")
     widen, heights = np.array(data["widen_mps2"], np.float64), (float(low), float(high))
     stores = [_process(data[name], count, name) for name, count in (("lateral", 2), ("vertical", 1))] if learned else []
-    known = Knowledge(data, box, speeds, heights, nodes, k, widen, initial, stores)
+    known = StatedKnowledge(data, box, speeds, heights, nodes, k, widen, initial, stores)
     _check_chance(known, delta, k, version)
     return known
 
 
-def _process(value: Any, outputs: int, name: str) -> Process:
+def _process(value: Any, outputs: int, name: str) -> StatedProcess:
     where = f"knowledge.{name}"
     table_of(value, _PROCESS, where)
     x, y = rows(value["x"], 7, f"{where}.x"), rows(value["y"], outputs, f"{where}.y")
@@ -323,7 +323,7 @@ def _process(value: Any, outputs: int, name: str) -> Process:
     floors.check_process(noise, inflation, excess, rest, where)
     lower = factor(value["kernel"], x, noise, f"{where}.kernel")
     floors.check_fit(y, lower, inflation, where)
-    return Process(
+    return StatedProcess(
         value["kernel"], lower, inflation, rest, excess, x, y, noise, _windows(value["windows_us"], len(x), where)
     )
 
@@ -340,7 +340,7 @@ def _windows(value: Any, count: int, where: str) -> NDArray[np.int64]:
     return np.array(value, np.int64)
 
 
-def _check_chance(known: Knowledge, delta: float, k: float, version: Any) -> None:
+def _check_chance(known: StatedKnowledge, delta: float, k: float, version: Any) -> None:
     """delta, k_sigma, the count of statements and the hash of the points belong together."""
     data = known.data
     if (data["delta"], data["k_sigma"], data["version"]) != (delta, k, version):

@@ -31,7 +31,7 @@ import numpy as np
 
 from .condition import Condition, Piece
 from .intervals import F64
-from .knowledge import Knowledge, torque_of
+from .knowledge import StatedKnowledge, torque_of
 from .reading import Refused, number, numbers, table_of
 
 MARGINS = (
@@ -46,7 +46,7 @@ _NEAR = 1e-6
 
 
 def check_ledger(
-    condition: Condition, axis: dict[str, Any], nodes: F64, known: Knowledge, name: str, estimate: F64
+    condition: Condition, axis: dict[str, Any], nodes: F64, known: StatedKnowledge, name: str, estimate: F64
 ) -> str:
     """Verify an axis' margins; what was verified, in words.  `estimate` (3,): bounds of position, velocity and of the
     acceleration that thrust gives along this axis."""
@@ -132,7 +132,7 @@ def _sources(
     }
 
 
-def _claim(vertical: bool, response: list[float], nodes: F64, known: Knowledge, acc: float) -> float:
+def _claim(vertical: bool, response: list[float], nodes: F64, known: StatedKnowledge, acc: float) -> float:
     """How far v may be from what z keeps, m/s: acceleration that is not known, and thrust that is not the lead's."""
     error, span = float(nodes[5:].max()) - acc, float((nodes[4] - nodes[3]).max())
     apart = max(known.box.high - known.lead, known.lead - known.box.low) / known.lead

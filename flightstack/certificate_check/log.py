@@ -35,7 +35,7 @@ Table = dict[str, Any]
 """Columns (n,) or (n, k); `t_us` the log time."""
 
 
-class Recording:
+class FlightRecording:
     """Some tables of a log; its attachments by name."""
 
     def __init__(self) -> None:
@@ -43,14 +43,14 @@ class Recording:
         self.attachments: dict[str, bytes] = {}
 
 
-def read_log(file: BinaryIO, wanted: dict[str, tuple[str, ...]]) -> Recording:
+def read_log(file: BinaryIO, wanted: dict[str, tuple[str, ...]]) -> FlightRecording:
     """The columns `wanted` of each topic; `Unreadable` where it is no whole log or a table lacks a column."""
     schemas: dict[int, tuple[str, bytes]] = {}
     channels: dict[int, tuple[str, int]] = {}
     rows: dict[str, tuple[list[int], list[bytes]]] = {topic: ([], []) for topic in wanted}
     blocks: dict[str, list[tuple[int, int, bytes]]] = {}
     of_topic: dict[str, int] = {}
-    recording, count = Recording(), 0
+    recording, count = FlightRecording(), 0
     try:
         for op, body in _records(file):
             if op == _SCHEMA:

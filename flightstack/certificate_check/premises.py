@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
-from .knowledge import NEAR, Knowledge
+from .knowledge import NEAR, StatedKnowledge
 from .reading import Refused, number, rows, table_of
 
 _KEYS = (
@@ -46,7 +46,7 @@ _WIDEST = 1.25
 _AXES = ("north", "east", "down")
 
 
-def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: Knowledge, down: F64) -> str:
+def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: StatedKnowledge, down: F64) -> str:
     """Verify the premises against the axes, the budget, the knowledge and its table of down; what was, in words."""
     table = table_of(value, _KEYS, "premises")
     for key in ("sensors", "vehicle_hash"):
@@ -98,7 +98,9 @@ def estimate_of(premises: Any) -> F64:
     return bounds
 
 
-def _check_ranges(table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: Knowledge, vel: F64) -> None:
+def _check_ranges(
+    table: dict[str, Any], axes: list[dict[str, Any]], budget: Any, known: StatedKnowledge, vel: F64
+) -> None:
     certified = {axis["axis"] for axis in axes}
     if not isinstance(table["speeds_mps"], list) or len(table["speeds_mps"]) != len(_AXES):
         raise Refused("premises.speeds_mps must be three ranges")

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .intervals import F64
-from .log import Recording, Table
+from .log import FlightRecording, Table
 from .reading import Refused, Unreadable
 
 G = 9.80665
@@ -34,6 +34,7 @@ TICK = (
 WANTED = {"/tick": (*TICK, "delay_s"), "/command": ("thrust_norm", "rate_frd_radps")}
 WINDOW = 15
 """Samples whose mean is a point."""
+_SAME_S = 5e-7
 _GAP_S, AWAY_M, _FORCE_MPS2, _LEAST_WEIGHTS, _MOST_MPS2 = 0.05, 0.1, 40.0, 0.3, 0.8 * G
 
 
@@ -47,6 +48,8 @@ class Believed:
     lag_s: float
     drag_kgps: F64
     radius_m: float
+    frame: dict[str, Any]
+    """Where rotors stand and what they turn: as `governor.vehicle` names it."""
 
     @classmethod
     def of(cls, file: dict[str, Any]) -> Believed:
@@ -62,6 +65,14 @@ class Believed:
                 max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
                 np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"]),
                 float(rotors["radius_m"]),
+                {
+                    "position_m": rotors["position_m"],
+                    "torque_ratio_m": rotors["torque_ratio_m"],
+                    "inertia_kgm2": [
+                        float(i) * float(effects.get("inertia", {}).get(f"scale_{axis}", 1.0))
+                        for i, axis in zip(body["inertia_kgm2"], "xyz", strict=True)
+                    ],
+                },
             )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None
@@ -95,7 +106,7 @@ class Ticks:
     """NaN where nothing was learned from it."""
 
     @classmethod
-    def of(cls, recording: Recording, first_us: int, last_us: int) -> Ticks:
+    def of(cls, recording: FlightRecording, first_us: int, last_us: int) -> Ticks:
         """Those of a log between two stamps; refused where it does not hold them."""
         for topic in ("/tick", "/command"):
             if topic not in recording.tables:
@@ -127,8 +138,8 @@ class Ticks:
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Of each tick that something was learned from, in their order."""
+class DerivedSamples:
+    """Of each tick with a new sample of force that something was learned from, in their order."""
 
     t_us: NDArray[np.int64]
     x: F64
@@ -147,7 +158,7 @@ class Samples:
     """Commands as applied and when they were sent."""
 
 
-def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
+def samples(ticks: Ticks, believed: Believed, away_m: float) -> DerivedSamples:
     """All of them, by the module's rule, from `away_m` from the place of take-off on."""
     keep = np.isfinite(ticks.delay_s)
     pos, vel, q, force = (ticks.tick[name][keep] for name in (*TICK[:3], TICK[4]))
@@ -159,7 +170,7 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
     step = np.clip(dt, 0.0, _GAP_S)
     middle = imu_s - 0.5 * step
     delays, place = np.unique(delay, return_inverse=True)
-    u = lagged(sent_s, sent, middle, np.where(dt > 0.0, step, 0.0), delays, np.full(len(delays), believed.lag_s))
+    u = lagged(sent_s, sent, middle, np.where(dt > _SAME_S, step, 0.0), delays, np.full(len(delays), believed.lag_s))
     thrust = believed.thrust_n(u[np.arange(len(now)), place])
     weights = thrust / (believed.mass_kg * G)
     turn = matrices(q)
@@ -176,11 +187,14 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> Samples:
     y = np.column_stack(
         [c * residual[:, 0] - s * residual[:, 1], s * residual[:, 0] + c * residual[:, 1], residual[:, 2]]
     )
-    fresh = (dt > 0.0) & (dt <= _GAP_S) & (before >= 0.0)
+    fresh = (dt > _SAME_S) & (dt <= _GAP_S) & (before >= 0.0)
     away = ((pos - pos[0]) ** 2).sum(axis=1) > away_m**2
     fit = fresh & away & ((force**2).sum(axis=1) < _FORCE_MPS2**2) & (axis[:, 2] > 0.0) & (weights > _LEAST_WEIGHTS)
     fit &= (np.abs(y) <= _MOST_MPS2).all(axis=1)
-    return Samples(ticks.t_us[keep], x, y, fit, force[:, 2], step, middle, sent_s, sent)
+    new = dt > _SAME_S  # what a tick repeats is no sample
+    return DerivedSamples(
+        ticks.t_us[keep][new], x[new], y[new], fit[new], force[new, 2], step[new], middle[new], sent_s, sent
+    )
 
 
 def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F64, F64]:

@@ -15,10 +15,10 @@ import numpy as np
 
 from flightstack.barrier import viability
 from flightstack.barrier.design import slice_area, worst_slice_area
-from flightstack.barrier.physics import Plant, mu_physics
+from flightstack.barrier.physics import PhysicalPlant, mu_physics
 from flightstack.barrier.published import of_authority
 from flightstack.barrier.records import AxisCertificate, Budget, Certificate
-from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, thinned, uniform
+from flightstack.barrier.sampling import Claim, ClaimSamples, adaptive, crossed, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.cli.flight import Setup
 from flightstack.model import Model
@@ -33,7 +33,7 @@ _MORE_MU = (1.2, 1.35, 1.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class CertifiedFigures:
     """Of the vertical axis."""
 
     mu_initial: float | None
@@ -62,7 +62,7 @@ class Figures:
     @staticmethod
     def nothing() -> dict[str, Any]:
         """All of them null."""
-        return {part.name: None for part in fields(Figures)}
+        return {part.name: None for part in fields(CertifiedFigures)}
 
     def as_json(self) -> dict[str, Any]:
         """The JSON's part; what is not finite is null."""
@@ -102,7 +102,7 @@ def vehicle_mps2(
     return low - gain * max(greatest - budget.high_mps2, 0.0), high + gain * max(budget.low_mps2 - least, 0.0)
 
 
-def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
+def figures_of(adopted: list[Certificate], setup: Setup) -> CertifiedFigures:
     """From the certificates of a flight, the first and the last."""
     region = setup.flight.scenario.region
     first, last = vertical(adopted[0]), vertical(adopted[-1])
@@ -110,7 +110,7 @@ def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     limit = region.semi_axes_m[DOWN]
     mu_initial = region.semi_axes_mps[DOWN] ** -2
     if last is None or first is None:
-        return Figures(**{**Figures.nothing(), "mu_initial": mu_initial, "margins": {}})
+        return CertifiedFigures(**{**CertifiedFigures.nothing(), "mu_initial": mu_initial, "margins": {}})
     published = adopted[-1].mode != "sound"
     low, high = counted_mps2(last)
     other = 0.0 if published else sum(m.mps2 for m in last.margins if m.name not in KNOWLEDGE)
@@ -121,7 +121,7 @@ def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     area = slice_area(last.barrier, last.response, inner=last.setting.inner)
     kernel = viability.area(-limit, limit, low, high)
     whole = viability.area(-limit, limit, *vehicle_mps2(last, adopted[-1].budget, setup, (low, high)))
-    return Figures(
+    return CertifiedFigures(
         mu_initial=mu_initial,
         mu_final=mu_final,
         mu_physics=mu_physics(plant_of(setup), region, (0.0, 0.0, other), lateral=False),
@@ -138,7 +138,7 @@ def figures_of(adopted: list[Certificate], setup: Setup) -> Figures:
     )
 
 
-def plant_of(setup: Setup) -> Plant:
+def plant_of(setup: Setup) -> PhysicalPlant:
     """What flies, seen from what is believed."""
     flight, truth = setup.flight, setup.truth
     believed, true = flight.stack.model, Model.from_vehicle(truth)
@@ -147,7 +147,7 @@ def plant_of(setup: Setup) -> Plant:
     north, east, down = (force.get(f"{name}_n", 0.0) / weight for name in ("north", "east", "down"))
     greatest = believed.thrust_range_n(flight.scenario.limits)[1] / believed.weight_n
     delivered = greatest * true.max_thrust_n / believed.max_thrust_n
-    return Plant(
+    return PhysicalPlant(
         true.mass_kg / believed.mass_kg, (north, east, down), delivered, flight.scenario.limits.tilt_max_rad,
         STANDARD_GRAVITY_MPS2,
     )  # fmt: skip
@@ -165,7 +165,7 @@ def strict_claim(axis: AxisCertificate, limit_m: float, mu: float) -> Claim | No
     return Claim(known[0], axis.setting.gamma_ps, bounds) if known else None
 
 
-def placed(claim: Claim) -> Samples:
+def placed(claim: Claim) -> ClaimSamples:
     """Samples for a claim, placed where they are needed, and no more of them."""
     return thinned(claim, adaptive(claim, local=True, depth=12))
 

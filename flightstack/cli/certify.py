@@ -24,7 +24,7 @@ from flightstack.barrier.settle import settled, worst_area
 from flightstack.certificate_check import check
 from flightstack.cli import files
 from flightstack.cli.barrier_score import WatchedCertifier
-from flightstack.cli.certified import DOWN, Figures, figures_of
+from flightstack.cli.certified import DOWN, CertifiedFigures, figures_of
 from flightstack.cli.certified_page import page_of
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.protection import governor_for
@@ -81,7 +81,7 @@ class CertifyResult:
 
     flight: FlightResult
     state: ExploreState | None
-    figures: Figures | None
+    figures: CertifiedFigures | None
     """None where nothing was certified."""
     certificate: str | None
     """Path of the file; None where there is none to rely on."""
@@ -125,7 +125,7 @@ class CertifyResult:
             "schema": "flightstack.certify/1",
             "mode": "as-published" if self.as_published else "sound",
             "plant": flight.plant,
-            **(Figures.nothing() if self.figures is None else self.figures.as_json()),
+            **(CertifiedFigures.nothing() if self.figures is None else self.figures.as_json()),
             "rounds": 0 if self.state is None else len(self.state.rounds),
             "exits": flight.barrier["violations"],
             "infeasible": flight.qp["infeasible"],

@@ -21,7 +21,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.learning.stored import vehicle_hash
 from flightstack.site.certificate import SPEEDS_MPS, as_json
-from flightstack.site.stopping import Prior, Stopping, stopping
+from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 from flightstack_sim.grade import load_grade
 
@@ -36,7 +36,7 @@ class SiteCertified:
 
     flight: FlightResult
     certificate: Path | None
-    made: Stopping | None
+    made: StoppingCertificate | None
     learned: dict[str, Any]
 
     @property

@@ -27,7 +27,7 @@ TICK_MS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class ClosedLoopFlight:
     """What came of a flight."""
 
     errors_m: F64
@@ -95,7 +95,7 @@ def fly(
     latency_ticks: int = 1,
     truth: Vehicle | None = None,
     plant: str = "native",
-) -> Flight:
+) -> ClosedLoopFlight:
     """Climb, run up and track, all from estimates; the true position is only scored.
 
     Timed events happen as in `fly`.  `latency_ticks`: how late every sample is.
@@ -128,4 +128,4 @@ def fly(
         rates = (float(command.rate_frd_radps[0]), float(command.rate_frd_radps[1]), float(command.rate_frd_radps[2]))
         vehicle.advance(ControlSetpoint(ControlKind.RATE, rates, command.thrust_norm), TICK_MS)
         wire.sample(vehicle)
-    return Flight(np.array(errors), min(heights), {r.guard for r in records} - {""}, records, truths)
+    return ClosedLoopFlight(np.array(errors), min(heights), {r.guard for r in records} - {""}, records, truths)

@@ -17,13 +17,12 @@ from flightstack.control.px4_position import Px4Controller, Px4Gains
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.seams import Controller, Learner, NoLearner
-from flightstack.stack import Stack
 
 Built = tuple[Controller, Learner]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ControllerEntry:
     """One controller."""
 
     gains: str
@@ -56,14 +55,14 @@ def _px4(model: Model, limits: Limits, attitude: AttitudeGains, gains: Px4Gains)
     return Px4Controller(model, limits, attitude, gains), NoLearner()
 
 
-CONTROLLERS: Mapping[str, Row] = {
-    "flatness": Row("flatness", _flatness),
-    "pd": Row("pd", _pid),
-    "pid": Row("pid", _pid),
-    "indi": Row("indi", _indi),
-    "dob": Row("dob", _dob),
-    "px4": Row("px4", _px4),
-    "state-gp": Row("flatness", _state_gp),
+CONTROLLERS: Mapping[str, ControllerEntry] = {
+    "flatness": ControllerEntry("flatness", _flatness),
+    "pd": ControllerEntry("pd", _pid),
+    "pid": ControllerEntry("pid", _pid),
+    "indi": ControllerEntry("indi", _indi),
+    "dob": ControllerEntry("dob", _dob),
+    "px4": ControllerEntry("px4", _px4),
+    "state-gp": ControllerEntry("flatness", _state_gp),
 }
 """Name -> how it is built; what it is says `shipped.CONTROLLER_WORDS`."""
 
@@ -83,14 +82,3 @@ def build(
     tuned = (load_gains() if gains is None else gains)[row.gains]
     controller, learner = row.build(model, limits, *tuned.groups)
     return controller, learner if learning else NoLearner()
-
-
-def stack_maker(name: str, *, learning: bool = True) -> Callable[[Model, Limits], Stack]:
-    """What makes the stack of a flight with this controller; the gains are read once, here."""
-    gains = load_gains()
-
-    def make(model: Model, limits: Limits) -> Stack:
-        controller, learner = build(name, model, limits, learning=learning, gains=gains)
-        return Stack(model, limits, controller=controller, learner=learner)
-
-    return make

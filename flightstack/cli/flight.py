@@ -20,13 +20,13 @@ from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
 from flightstack.dotted import changed_vehicle
+from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.faults import Fault, parse_faults
-from flightstack_sim.geodesy import PX4_SIH
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.server import UNIX_AT_BOOT_US, Server
@@ -35,7 +35,7 @@ from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicl
 from flightstack_sim.streams import LinkKind
 from flightstack_sim.warmup import warm_up as warm_up_simulator
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, CompanionConfig, Planner
+from mavlink_bridge.companion import Companion, CompanionConfig, MissionPlanner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.clock import utc_us
@@ -149,7 +149,7 @@ class SimulatedFlight:
         setup: Setup,
         options: FlyOptions,
         log: Recorder,
-        planner: Planner | None = None,
+        planner: MissionPlanner | None = None,
         utc_us: int = UNIX_AT_BOOT_US,
     ) -> None:
         """`utc_us`: when the flight begins; in lockstep, which has no date of its own, the simulator's."""
@@ -264,7 +264,7 @@ def fly_setup(
     setup: Setup,
     options: FlyOptions,
     *,
-    planner: Planner | None = None,
+    planner: MissionPlanner | None = None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
     at_end: Callable[[Recorder, int], None] = lambda log, t_us: None,
@@ -289,7 +289,7 @@ def fly_setup(
 def _flown(
     setup: Setup,
     options: FlyOptions,
-    planner: Planner | None,
+    planner: MissionPlanner | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
     at_end: Callable[[Recorder, int], None],

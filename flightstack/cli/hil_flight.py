@@ -28,11 +28,11 @@ from flightstack.cli.live_view import shown_live
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore
 from flightstack.cli.score import FlightScore
 from flightstack.cli.simulate import HOST, OFFBOARD_PORT
+from flightstack.geodesy import LocalFrame
 from flightstack.types import InputError, TickRecord, Tuple3
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
@@ -53,7 +53,7 @@ _ORIGIN_PERIOD_US = 1_000_000
 
 
 @dataclass(slots=True)
-class EstimateScore:
+class GlobalEstimateScore:
     """Where PX4 believes the vehicle, against where it is, on the globe; fed while the scenario is tracked."""
 
     frame: LocalFrame
@@ -104,7 +104,7 @@ class HilFlight:
         self.hil = PhysicsBehindPx4(setup.truth, setup.grade, seed=options.seed, plant=setup.plant)
         self.session = HilSession(server, self.hil)
         self.score = FlightScore(prepared, of="truth")
-        self.estimate = EstimateScore(self.hil.frame)
+        self.estimate = GlobalEstimateScore(self.hil.frame)
         self._clock = LogClock(log, zero_us=0, utc_us=utc_us())
         observer = prepared.observer(log, self._clock, truth=True)
         observer.record_to = self._on_record

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.cli import files
-from flightstack.learning.stored import Stored, fit_priors, to_json
-from flightstack.learning.windows import Windows, windows
+from flightstack.learning.stored import StoredPriors, fit_priors, to_json
+from flightstack.learning.windows import SampleWindows, windows
 from flightstack.model import Model
 from flightstack.types import Command, InputError, Measurement
 from flightstack.vehicle import Vehicle, parse_vehicle
@@ -38,13 +38,13 @@ def recorded_ticks(log: Log) -> Iterator[tuple[Measurement, Command]]:
         yield Measurement(int(tick.t_us[i]), rows[i], *ages), command
 
 
-def learn(logs: list[Path], vehicle: str | None, out: Path) -> Stored:
+def learn(logs: list[Path], vehicle: str | None, out: Path) -> StoredPriors:
     """Fit to these flights together and write the file; `vehicle` None: the one that the first log carries."""
     flights = [read(path) for path in logs]
     believed = files.load_vehicle(vehicle)[0] if vehicle is not None else _vehicle_of(flights[0])
     model = Model.from_vehicle(believed)
     parts = [windows(model, recorded_ticks(flight)) for flight in flights]
-    stored = fit_priors(believed, Windows(*(np.concatenate(same) for same in zip(*parts, strict=True))))
+    stored = fit_priors(believed, SampleWindows(*(np.concatenate(same) for same in zip(*parts, strict=True))))
     files.write_text(out, to_json(stored))
     return stored
 

@@ -19,15 +19,15 @@ from flightstack.cli.protection import Protection
 from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
-from flightstack.cli.set_params import Wire, parameters_set
-from flightstack.cli.site import read_site
+from flightstack.cli.set_params import VehicleLink, parameters_set
+from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog
-from mavlink_bridge import messages, px4
-from mavlink_bridge.companion import Companion, CompanionConfig
+from mavlink_bridge import messages
+from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
@@ -100,8 +100,9 @@ def offboard(
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
-    if options.site is not None and read_site(options.site).is_global:
-        options = replace(options, where=where_it_is(options.connect, options.heartbeat_timeout_s))
+    if options.site is not None:
+        site, where = ask_vehicle(options.site, options.connect, options.heartbeat_timeout_s)
+        options = replace(options, site=site, where=where)
     prepared = prepare_flight(options)
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
@@ -123,12 +124,12 @@ def _offboard(
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
 ) -> FlightResult:
-    scenario, stack = prepared.scenario, prepared.stack
+    scenario = prepared.scenario
     address = parse_address(options.connect)
     wanted = files.load_params(options.set_params).values
     with (
         closing(open_address(address)) as transport,
-        parameters_set(Wire(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
+        parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
         log_path = options.log or out / "flight.mcap"
@@ -144,21 +145,8 @@ def _offboard(
         observer = prepared.observer(recorder, line, truth=False)
         observer.record_to = score.on_record
         observer.message_to = score.on_message
-        inspector = Inspector(
-            prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
-        )
-        config = CompanionConfig(
-            arm=options.arm,
-            dry_run=options.dry_run,
-            heartbeat_timeout_s=options.heartbeat_timeout_s,
-            contradictions=inspector.contradictions,
-            dead_man=options.dead_man,
-            round_trip_max_s=prepared.protection.round_trip_max_s,
-        )
         link = Link(240, 191, framing=framing_for(address), signing=signer)
-        companion = Companion(link, stack, scenario, observer, config, inspector)
-        inspector.attach(companion)
-        inspector.gate = _heed(prepared.protection, options.grade(scenario), companion)
+        companion, inspector, config = companion_of(link, options, prepared, observer)
         observer.companion = score.companion = companion
         timing = LoopTiming(1_000_000 // PERIOD_US)
         started = time.perf_counter()
@@ -187,12 +175,36 @@ def _offboard(
     return result
 
 
+def companion_of(
+    link: Link, options: OffboardOptions, prepared: Prepared, observer: Observer
+) -> tuple[Companion, Inspector, CompanionConfig]:
+    """The companion of such a flight, what judges its vehicle, and what it may do."""
+    inspector = Inspector(
+        prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
+    )
+    config = CompanionConfig(
+        arm=options.arm,
+        dry_run=options.dry_run,
+        heartbeat_timeout_s=options.heartbeat_timeout_s,
+        contradictions=inspector.contradictions,
+        dead_man=options.dead_man,
+        round_trip_max_s=prepared.protection.round_trip_max_s,
+    )
+    companion = Companion(link, prepared.stack, prepared.scenario, observer, config, inspector)
+    inspector.attach(companion)
+    inspector.gate = _heed(prepared.protection, options.grade(prepared.scenario), companion)
+    return companion, inspector, config
+
+
 def _settings(options: OffboardOptions, scenario: Scenario, *, signed: bool) -> dict[str, str]:
     """What the log says of this flight besides what every flight says."""
     return {
         "connect": options.connect,
         "arm": str(options.arm),
         "dry_run": str(options.dry_run),
+        "believe_file": str(options.believe_file),
+        "heartbeat_timeout_s": f"{options.heartbeat_timeout_s:g}",
+        "place": "" if options.place is None else "{!r} {!r}".format(*options.place),
         "pace": "realtime",
         "signing": "on" if signed else "off",
         "dead_man": "on" if options.dead_man else "off",
@@ -216,26 +228,6 @@ def _result(
     )
     result.link_too_slow, result.unprotected_ok = protection.link_too_slow(companion), options.unprotected_ok
     return result
-
-
-def where_it_is(connect: str, within_s: float) -> tuple[float, float] | None:
-    """Latitude and longitude that the vehicle reports; None where it does not within the time."""
-    address = parse_address(connect)
-    link = Link(240, 191, framing=framing_for(address))
-    with closing(open_address(address)) as transport:
-        until_us = monotonic_us() + int(1e6 * within_s)
-        while (now_us := monotonic_us()) < until_us:
-            if transport.wait(0.1):
-                for data in transport.receive_all():
-                    link.receive_datagram(data, now_us)
-            else:
-                link.send(messages.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-            for data in link.datagrams_to_send():
-                transport.send(data)
-            for received in link.take_events():
-                if isinstance(received.message, messages.GlobalPositionInt):
-                    return received.message.lat_deg, received.message.lon_deg
-    return None
 
 
 def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:

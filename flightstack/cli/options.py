@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 
-class Sensors(StrEnum):
+class SensorGrade(StrEnum):
     """Grades of sensors and estimate."""
 
     mocap = "mocap"
@@ -68,7 +68,7 @@ BelieveFileOption = Annotated[
 CertificateOption = Annotated[Path | None, typer.Option(help="Fly inside the region of this certificate (.json).")]
 SiteOption = Annotated[
     Path | None,
-    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan of QGroundControl, .geojson)."),
+    typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan, .geojson; vehicle: the stored fence)."),
 ]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
@@ -78,7 +78,7 @@ SigningKeyOption = Annotated[
     Path | None,
     typer.Option(help="Sign with the key in this file (MAVLink 2) and hear nothing unsigned.", metavar="FILE"),
 ]
-SensorsOption = Annotated[Sensors | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
+SensorsOption = Annotated[SensorGrade | None, typer.Option(help="Grade of sensors (default: the scenario's).")]
 PlantOption = Annotated[PlantName, typer.Option(help="Physics.")]
 FaultOption = Annotated[
     str | None,

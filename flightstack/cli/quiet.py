@@ -17,7 +17,7 @@ from dataclasses import replace
 from flightstack.barrier.estimate_bounds import K_SIGMA
 from flightstack.control.feedback import FlatnessController
 from flightstack.seams import Controller
-from flightstack.site.stopping import Stopping
+from flightstack.site.stopping import StoppingCertificate
 from flightstack.types import STANDARD_GRAVITY_MPS2
 
 _NOISE_SHARE = 1.0 / 3.0
@@ -26,7 +26,7 @@ STEP_MPS2 = 8.5
 _LEAST_POLE_RADPS = 1.5
 
 
-def quieted(controller: Controller, made: Stopping) -> Controller:
+def quieted(controller: Controller, made: StoppingCertificate) -> Controller:
     """The controller for a flight under a certificate; the same one where its poles are slow enough."""
     if not isinstance(controller, FlatnessController):
         return controller

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from flightstack.cli.inspection import Inspector
 from flightstack.cli.result import LoopTiming
 from flightstack_logs.log_clock import LogClock
+from flightstack_logs.topics import TOPICS
 from flightstack_logs.writer import Recorder
 from mavlink_bridge.companion import Companion
 from mavlink_bridge.handshake import State
@@ -23,6 +24,7 @@ STALL_US = 8_000
 _LEAST_PERIOD_US = 500
 _LAST_WORDS_S = 0.3
 """After the end the link stays open for so long, for the last command and its answer."""
+_DEAD_MAN_COLUMNS = tuple(field.name for field in TOPICS["/dead_man"].fields if field.name != "ended")
 _COUNTED = frozenset({State.STREAMING, State.OFFBOARD, State.RETAKING, State.LANDING, State.HOLDING})
 
 
@@ -41,6 +43,7 @@ class RealTimeLoop:
     on_progress: Callable[[float, str], None]
     _ticks: int = 0
     _done_at_us: int = field(default=-1)
+    _dead_man_row: tuple[object, ...] = ()
 
     def run(self) -> None:
         """Until nothing more will happen and the last command has had its time."""
@@ -55,15 +58,20 @@ class RealTimeLoop:
         stall = watch.tick("receiving")
         companion, now_us = self.companion, monotonic_us()
         clock, counted = companion.view.clock, companion.state in _COUNTED
-        t_us = self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
+        received_us, t_us = (
+            now_us,
+            self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate),
+        )
         for data in self.transport.receive_all():
             self.log.mavlink("rx", t_us, data)
             companion.receive_datagram(data, now_us)
         watch.mark("deciding and flying")
         if self.dead_man is not None:
             self.dead_man.hear()
+            self._note_dead_man(t_us, self.dead_man)
         if (later_us := monotonic_us()) - now_us > PERIOD_US:  # stalled in here: what is decided is decided now
             now_us = later_us
+        self.log.write("/step", t_us, (received_us, now_us))
         companion.step(now_us)
         watch.mark("sending and logging")
         for data in companion.link.datagrams_to_send():
@@ -78,6 +86,15 @@ class RealTimeLoop:
                 self.timing.stall(stall.between_us, stall.words)
                 self.log.event(t_us, "stall", f"stall: {stall.words}", "warning")
         self._now_and_then(now_us, pace)
+
+    def _note_dead_man(self, t_us: int, dead_man: DeadManWatch) -> None:
+        """Into the log, where anything but its being alive has changed."""
+        report = dead_man.report
+        alive_ns, *rest = (getattr(report, name) for name in _DEAD_MAN_COLUMNS)
+        row = (*rest, bool(dead_man.ended))
+        if row != self._dead_man_row:
+            self._dead_man_row = row
+            self.log.write("/dead_man", t_us, (alive_ns, *row))
 
     def _now_and_then(self, now_us: int, pace: Pace) -> None:
         companion = self.companion

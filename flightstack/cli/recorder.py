@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from flightstack.barrier.certifier import Elsewhere
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
@@ -15,7 +16,7 @@ from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
-from flightstack_logs.scene import Region, Scene, StoppingWay
+from flightstack_logs.scene import Scene, SceneRegion, StoppingWay
 from flightstack_logs.topics import FILTER_STATUS, MESSAGE
 from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages as m
@@ -203,7 +204,9 @@ class LogObserver:
         self._estimate_events = EstimateEvents(self._tell)
         self._estimate_due_us = 0
         self._certifier = certifier
-        self._certificates, self._lost = 0, False
+        if certifier is not None and certifier.elsewhere is not None:
+            certifier.elsewhere.count_anew()
+        self._certificates, self._served, self._lost = 0, 0, False
         self._placed = False
         self._location_due_us = 0
         self._resets = -1
@@ -249,9 +252,8 @@ class LogObserver:
         certifier, companion = self._certifier, self.companion
         if certifier is None or companion is None:
             return
-        if not self._lost and certifier.elsewhere is not None and certifier.elsewhere.lost:
-            self._lost = True
-            self._filter_events.on_lost(t_us, certifier.elsewhere.lost)
+        if certifier.elsewhere is not None:
+            self._on_elsewhere(t_us, certifier.elsewhere)
         if len(certifier.adopted) == self._certificates:
             return
         self._certificates = len(certifier.adopted)
@@ -259,6 +261,14 @@ class LogObserver:
         self._filter_events.on_certificate(t_us, certificate)
         self._log.scene(self._clock.t_us, certified_region(certificate, companion.start_ned_m))
         self._log.certificate(self._clock.t_us, certificate)
+
+    def _on_elsewhere(self, t_us: int, there: Elsewhere) -> None:
+        for each in there.served[self._served :]:
+            self._log.write("/certifier", self._clock.t_us, each)
+        self._served = len(there.served)
+        if not self._lost and there.lost:
+            self._lost = True
+            self._filter_events.on_lost(t_us, there.lost)
 
     def _on_deciding(self, t_us: int, message: object) -> None:
         if isinstance(message, m.Odometry):  # of which only the count of resets decides, where it changes
@@ -293,7 +303,7 @@ class LogObserver:
                 self._log.location(t_us, message.lat_deg, message.lon_deg, message.alt_msl_m)
 
 
-def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
+def certified_region(certificate: Certificate, start_ned_m: F64) -> SceneRegion:
     """The positions that a certificate allows: a box, as published an ellipsoid.
 
     Along an axis that it says nothing of it reaches `_OPEN_M` each way.
@@ -303,7 +313,7 @@ def certified_region(certificate: Certificate, start_ned_m: F64) -> Region:
     north, east, down = (np.asarray(certificate.centre_ned_m) + start_ned_m + 0.5 * (low + high)).tolist()
     half: Tuple3 = tuple((0.5 * (high - low)).tolist())
     shape = "ellipsoid" if certificate.mode == AS_PUBLISHED else "box"
-    return Region(shape, (north, east, down), half)
+    return SceneRegion(shape, (north, east, down), half)
 
 
 _OPEN_M = 2.0
@@ -324,7 +334,7 @@ def scene_of(
     if scenario.region is not None:
         north, east, down = (np.asarray(scenario.region.centre_ned_m) + start_ned_m).tolist()
         shape = "ellipsoid" if scenario.region.kind == "ellipsoid" else "box"
-        region = Region(shape, (north, east, down), scenario.region.semi_axes_m)
+        region = SceneRegion(shape, (north, east, down), scenario.region.semi_axes_m)
     return Scene(
         rotor_position_frd_m=vehicle.rotors.position_m,
         rotor_radius_m=vehicle.rotors.radius_m,

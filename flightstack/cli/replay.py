@@ -1,108 +1,46 @@
 """`flightstack log replay`: a flight's recorded inputs run through today's stack, compared with what it did then.
 
-Of a flight in lockstep the log holds all that the companion was given: every message that it goes by with the time of
-its step (`recorded_inputs`), the files and the settings.  The companion of today gets them again, step by step, and
-writes its own tables, which are compared with the recorded ones, bit for bit.  What explains a tick is in the log 25
-times a second only; the digest of each tick tells from which one on anything differs.  What flew in real time was given
-times that no log holds to the microsecond, and is refused.
+The log holds all that the companion was given: every message that it goes by with the time of its step
+(`recorded_inputs`), the files and the settings, and of `offboard` this machine's clock at each step and what the
+dead-man said.  The companion of today gets them again, step by step, and writes its own tables, which are compared with
+the recorded ones, bit for bit.  What explains a tick is in the log 25 times a second only; the digest of each tick
+tells from which one on anything differs.  Certificates that were made beside a flight in real time come at the tick at
+which they came then.
 """
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import TICK_MS, FlyOptions, Setup, prepare
+from flightstack.cli.offboard import OffboardOptions, companion_of
+from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.cli.recorded_inputs import recorded_inputs
+from flightstack.cli.recorder import LogObserver
+from flightstack.cli.replayed import DIGEST, Replayed, differences_of
+from flightstack.cli.workshop import Served
 from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
-from flightstack_logs.tables import Log, Table
+from flightstack_logs.tables import Log
 from flightstack_logs.topics import CERTIFICATE
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge import messages
-from mavlink_bridge.companion import Companion, Planner
+from mavlink_bridge.companion import Companion, MissionPlanner
+from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
 from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
-COMPARED = ("/setpoint", "/tick", "/control", "/command", "/learner", "/filter")
-"""Outputs of a tick, in the order in which a difference is looked for."""
-_DIGEST = "digest"
-_SINGLE = 1.2e-7
-"""Relative step of single precision: another machine's number may be rounded to the next one."""
-_SINGLE_TOPICS = frozenset({"/setpoint", "/control", "/learner", "/filter"})
 _EXPLORATION = "ExplorationPlanner"
 _STOPPED = "the user asked to stop ("
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One field that differs: where first, and by how much at most."""
-
-    topic: str
-    field: str
-    first_s: float
-    recorded: str
-    replayed: str
-    greatest: float | None
-    """Null where the values are no numbers, or one of them is not finite."""
-
-
-@dataclass(slots=True)
-class Replayed:
-    """What came of a replay."""
-
-    log: str
-    ticks: int
-    exact: bool = True
-    """Compared bit for bit."""
-    differences: list[Difference] = field(default_factory=list)
-    """The one that begins first leads."""
-    first_s: float | None = None
-    """The first tick of which anything differs, logged or not; null where nothing does, or with a tolerance."""
-
-    @property
-    def same(self) -> bool:
-        """Nothing differs."""
-        return not self.differences and self.first_s is None
-
-    @property
-    def lines(self) -> list[str]:
-        """In words: what differs, the first tick that does, and by how much."""
-        if self.same:
-            return [f"{self.ticks} ticks: the same" + (", bit for bit" if self.exact else "")]
-        told = []
-        if self.first_s is not None:
-            told.append(f"first tick that differs: {self.first_s:.3f} s")
-        if not self.differences:
-            return [*told, "by less than the logged fields show: in the last bits"]
-        first = self.differences[0]
-        told += [
-            f"differs from {first.first_s:.3f} s on: {first.topic} {first.field}: recorded {first.recorded}, "
-            f"today {first.replayed}"
-        ]
-        for each in self.differences:
-            most = "" if each.greatest is None else f", by {each.greatest:.3g} at most"
-            told.append(f"{each.topic} {each.field}: from {each.first_s:.3f} s on{most}")
-        return told
-
-    def as_json(self) -> dict[str, Any]:
-        """The `flightstack.replay/1` object."""
-        rows = [{name: getattr(each, name) for name in Difference.__slots__} for each in self.differences]
-        return {
-            "schema": "flightstack.replay/1",
-            "log": self.log,
-            "ticks": self.ticks,
-            "same": self.same,
-            "first_s": self.first_s,
-            "differences": rows,
-        }
+_LOST = "filter: certifies nothing more"
 
 
 def replay(
@@ -115,16 +53,15 @@ def replay(
 
     Numbers count as the same up to `tolerance` (absolute, or relative to the recorded one).
     """
-    log = read(path)
+    log = read(path, as_logged=True)
     settings = _settings(log)
     ensure_compiled(lambda text: on_progress(0.0, text))
     with tempfile.TemporaryDirectory() as folder:
-        setup, planner = _prepared(log, settings, Path(folder))
         again = Path(folder) / "again.mcap"
-        _run(log, setup, planner, again, on_progress)
+        _run(log, _flight_of(log, settings, Path(folder)), again, on_progress)
         new = read(again)
-    found = _differences(log, new, tolerance)
-    digest = next((each for each in found if each.field == _DIGEST), None)
+    found = differences_of(log, new, tolerance)
+    digest = next((each for each in found if each.field == DIGEST), None)
     differing = [each for each in found if each is not digest]
     first_s = digest.first_s if digest is not None and tolerance == 0.0 else None
     return Replayed(str(path), len(log.tables["/tick"]), tolerance == 0.0, differing, first_s)
@@ -132,18 +69,18 @@ def replay(
 
 def _settings(log: Log) -> Mapping[str, str]:
     """How it was flown; InputError where that can't be flown again."""
-    settings = _lockstep(log)
+    settings = _replayable(log)
     if "/tick" not in log.tables:
         raise InputError(f"log {log.path}: never armed: the stack was never run, so there is nothing to replay")
     return settings
 
 
-def _lockstep(log: Log) -> Mapping[str, str]:
+def _replayable(log: Log) -> Mapping[str, str]:
     settings = log.metadata.get("settings", {})
     if log.kind != "mcap" or "pace" not in settings:
-        raise InputError(f"log {log.path}: holds no flight of `flightstack fly`; nothing to replay")
-    if settings["pace"] != "lockstep":
-        raise InputError(f"log {log.path}: was flown in real time, which can't be given again to the microsecond")
+        raise InputError(f"log {log.path}: holds no flight of `flightstack fly` or `offboard`; nothing to replay")
+    if "connect" in settings and "/step" not in log.tables:
+        raise InputError(f"log {log.path}: does not say when each step was; it is of another version")
     if settings.get("planner", _EXPLORATION) != _EXPLORATION:
         raise InputError(
             f"log {log.path}: planned on the way by {settings['planner']}; only certify's explorer is known"
@@ -151,9 +88,84 @@ def _lockstep(log: Log) -> Mapping[str, str]:
     return settings
 
 
-def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, Planner | None]:
+@dataclass(frozen=True, slots=True)
+class _Flight:
+    """A recorded flight, ready to be given its inputs again."""
+
+    prepared: Prepared
+    companion: Callable[[LogObserver], Companion]
+    steps: Sequence[tuple[int, int, int]]
+    """Log time, time at which was received, time at which was decided; microseconds."""
+
+
+def _flight_of(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight:
+    if any(text.startswith(_LOST) for text in _texts(log)):
+        raise InputError(f"log {log.path}: the process that made certificates was lost, at a time that is not known")
+    if "connect" in settings:
+        return _of_offboard(log, settings, folder)
+    setup, planner = _prepared(log, settings, folder)
+    _answer_as(log, setup.flight)
+
+    def companion(observer: LogObserver) -> Companion:
+        flight = setup.flight
+        return Companion(Link(240, 191), flight.stack, flight.scenario, observer, setup.companion, planner)
+
+    times = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)
+    return _Flight(setup.flight, companion, [(now_us, now_us, now_us) for now_us in times])
+
+
+def _of_offboard(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight:
+    try:
+        options = OffboardOptions(
+            **_common(log, settings, folder),
+            connect=settings["connect"],
+            arm=settings["arm"] == "True",
+            dry_run=settings["dry_run"] == "True",
+            believe_file=settings["believe_file"] == "True",
+            heartbeat_timeout_s=float(settings["heartbeat_timeout_s"]),
+            dead_man=settings["dead_man"] == "on",
+            where=_place(settings["place"]),
+        )
+    except (KeyError, ValueError) as error:
+        raise _unknown(log, error) from None
+    prepared = prepare_flight(options)
+    _answer_as(log, prepared)
+    step = log.tables["/step"]
+    columns = (step.t_us, step["received_us"], step["decided_us"])
+    steps = list(zip(*(column.tolist() for column in columns), strict=True))
+    return _Flight(prepared, lambda to: companion_of(Link(240, 191), options, prepared, to)[0], steps)
+
+
+def _answer_as(log: Log, prepared: Prepared) -> None:
+    """Certificates that were made beside the flight come when they came; InputError where that is not in the log."""
+    workshop, table = prepared.protection.workshop, log.tables.get("/certifier")
+    if workshop is None:
+        return
+    if table is None and any(text.startswith("filter: certificate ") for text in _texts(log)):
+        raise InputError(f"log {log.path}: does not say when its certificates were ready; it is of another version")
+    rows = () if table is None else zip(*(table[name].tolist() for name in Served._fields), strict=True)
+    workshop.again(map(Served._make, rows))
+
+
+def _texts(log: Log) -> list[str]:
+    return [str(text) for text in log.tables["/events"]["text"]] if "/events" in log.tables else []
+
+
+def _place(words: str) -> tuple[float, float] | None:
+    latitude, longitude = (float(word) for word in words.split()) if words else (math.nan, math.nan)
+    return None if math.isnan(latitude) else (latitude, longitude)
+
+
+def _unknown(log: Log, error: Exception) -> InputError:
+    return InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version")
+
+
+def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setup, MissionPlanner | None]:
     """The flight, ready to be given its inputs again, and what planned it on the way."""
-    options = _options(log, settings, folder)
+    try:
+        options = FlyOptions(**_common(log, settings, folder), realtime=settings["pace"] != "lockstep")
+    except (KeyError, ValueError) as error:
+        raise _unknown(log, error) from None
     if "planner" not in settings:
         return prepare(options), None
     from flightstack.cli.certify import EXPLORE_S, ExplorationPlanner, prepare_certify
@@ -170,79 +182,89 @@ def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setu
     return setup, ExplorationPlanner(Explorer(), setup.flight.protection.watched)
 
 
-def _options(log: Log, settings: Mapping[str, str], folder: Path) -> FlyOptions:
-    """The options of the flight, its files laid out in a folder."""
+def _common(log: Log, settings: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    """The options that all flights have, their files laid out in a folder; KeyError or ValueError where one lacks."""
     laid: dict[str, Path] = {}
     for item in log.attachments:
         name = Path(item.name).name
         laid[name] = folder / name
         laid[name].write_bytes(item.data)
-    try:
-        scenario, vehicle = laid["scenario.toml"], laid["vehicle.toml"]
-        words, waypoints = settings["filter"], settings["scenario"] == "waypoints"
-        return FlyOptions(
-            scenario="waypoints" if waypoints else str(scenario),
-            waypoints=str(scenario) if waypoints else None,
-            vehicle=str(vehicle),
-            duration_s=float(settings["duration_s"]),
-            controller=settings["controller"],
-            learning=settings["learning"] == "on" or settings["controller"] != "flatness",
-            learned=next((path for name, path in laid.items() if name.startswith("learned")), None),
-            filtering=words != "off: --no-filter",
-            as_published=words.startswith("as-published"),
-            certificate=laid.get(CERTIFICATE) if "certificate" in settings else None,
-            sensors=settings.get("sensors"),
-        )
-    except (KeyError, ValueError) as error:
-        raise InputError(f"log {log.path}: does not say how it was flown ({error}); it is of another version") from None
+    scenario, words = laid["scenario.toml"], settings["filter"]
+    waypoints = settings["scenario"] == "waypoints"
+    return {
+        "scenario": "waypoints" if waypoints else str(scenario),
+        "waypoints": str(scenario) if waypoints else None,
+        "vehicle": str(laid["vehicle.toml"]),
+        "duration_s": float(settings["duration_s"]),
+        "controller": settings["controller"],
+        "learning": settings["learning"] == "on" or settings["controller"] != "flatness",
+        "learned": next((path for name, path in laid.items() if name.startswith("learned")), None),
+        "filtering": words != "off: --no-filter",
+        "as_published": words.startswith("as-published"),
+        "certificate": laid.get(CERTIFICATE) if "certificate" in settings else None,
+        "site": next((path for name, path in laid.items() if name.startswith("site.")), None),
+        "sensors": settings.get("sensors"),
+    }
 
 
 def records_of(log: Log) -> list[TickRecord]:
     """Every tick of today's stack on a log's inputs; InputError where it holds no flight in lockstep."""
-    settings = _lockstep(log)
+    settings = _replayable(log)
     ensure_compiled(lambda text: None)
     found: list[TickRecord] = []
     with tempfile.TemporaryDirectory() as folder:
-        setup, planner = _prepared(log, settings, Path(folder))
-        _run(log, setup, planner, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
+        flight = _flight_of(log, settings, Path(folder))
+        _run(log, flight, Path(folder) / "again.mcap", lambda share, phase: None, found.append)
     return found
 
 
 def _run(
     log: Log,
-    setup: Setup,
-    planner: Planner | None,
+    flight: _Flight,
     path: Path,
     on_progress: Callable[[float, str], None],
     on_record: Callable[[TickRecord], None] | None = None,
 ) -> None:
     """Give today's companion what the recorded one was given; its tables go into a log of their own."""
     messages.prepare()
-    prepared = setup.flight
-    inputs, stops, taken = recorded_inputs(log), _stops(log), 0
+    inputs, stops, reports = deque(recorded_inputs(log)), _stops(log), deque(_dead_man(log))
     out = FlightLog.open(path, metadata={}, compact=True)
-    observer = prepared.observer(out, clock := LogClock(out, zero_us=0, utc_us=0), truth=True)
+    observer = flight.prepared.observer(out, clock := LogClock(out, zero_us=0, utc_us=0), truth=True)
     observer.record_to = on_record
-    companion = Companion(Link(240, 191), prepared.stack, prepared.scenario, observer, setup.companion, planner)
+    companion = flight.companion(observer)
     observer.companion = companion
-    vehicle = Link(1, COMPONENT_AUTOPILOT)
-    steps = range(TICK_MS * 1000, log.span_us[1] + 1, TICK_MS * 1000)
+    vehicle, report = Link(1, COMPONENT_AUTOPILOT), None
     try:
-        for count, now_us in enumerate(steps):
-            clock.step(now_us)
-            if now_us in stops:
-                companion.stop(stops[now_us])
-            while taken < len(inputs) and inputs[taken].t_us <= now_us:
-                vehicle.send(inputs[taken].message)
-                taken += 1
+        for count, (t_us, received_us, decided_us) in enumerate(flight.steps):
+            clock.step(t_us)
+            if t_us in stops:
+                companion.stop(stops[t_us])
+            while inputs and inputs[0].t_us <= t_us:
+                vehicle.send(inputs.popleft().message)
             for data in vehicle.datagrams_to_send():
-                companion.receive_datagram(data, now_us)
-            companion.step(now_us)
+                companion.receive_datagram(data, received_us)
+            while reports and reports[0][0] <= t_us:
+                report = reports.popleft()
+            if report is not None:
+                companion.hear_dead_man(*report[1:])
+            companion.step(decided_us)
             companion.link.datagrams_to_send()
             if count % 250 == 0:
-                on_progress(count / len(steps), companion.phase)
+                on_progress(count / len(flight.steps), companion.phase)
     finally:
         out.close()
+
+
+def _dead_man(log: Log) -> Iterator[tuple[int, DeadManRecord, str]]:
+    """Log time, what the dead-man had done, and why it was no more."""
+    table = log.tables.get("/dead_man")
+    if table is None:
+        return
+    names = [name for name in DeadManRecord._fields if name in table.columns]
+    rows = zip(*(table[name].tolist() for name in names), strict=True)
+    for t_us, row, ended in zip(table.t_us.tolist(), rows, table["ended"].tolist(), strict=True):
+        report = NOBODY._replace(**dict(zip(names, row, strict=True)))
+        yield t_us, report, "the dead-man's process has ended" if ended else ""
 
 
 def _stops(log: Log) -> dict[int, str]:
@@ -255,60 +277,3 @@ def _stops(log: Log) -> dict[int, str]:
         for t_us, name, text in zip(events.t_us, events["name"], events["text"], strict=True)
         if name == "state" and _STOPPED in str(text)
     }
-
-
-def _differences(recorded: Log, replayed: Log, tolerance: float) -> list[Difference]:
-    """Every field that differs, by the time from which it does; InputError where the formats do."""
-    found = []
-    for topic in COMPARED:
-        then, now = recorded.tables.get(topic), replayed.tables.get(topic)
-        if then is None and now is None:
-            continue
-        if then is None or now is None:
-            only = "recorded" if now is None else "today's"
-            first = then if then is not None else now
-            assert first is not None
-            found.append(Difference(topic, "(topic)", float(first.t_us[0]) * 1e-6, only, "not there", None))
-            continue
-        found += _of_table(topic, then, now, tolerance)
-    return sorted(found, key=lambda each: each.first_s)
-
-
-def _of_table(topic: str, then: Table, now: Table, tolerance: float) -> list[Difference]:
-    rows = min(len(then), len(now))
-    apart = np.flatnonzero(then.t_us[:rows] != now.t_us[:rows])
-    rows = int(apart[0]) if len(apart) else rows
-    found = []
-    if tolerance and topic in _SINGLE_TOPICS:
-        tolerance = max(tolerance, _SINGLE)
-    for name, values in then.columns.items():
-        if name in now.columns and (each := _of_column(topic, name, values[:rows], now[name][:rows], then, tolerance)):
-            found.append(each)
-    if len(apart) or len(then) != len(now):
-        longer = then if len(then) > rows else now
-        at_s = float(longer.t_us[min(rows, len(longer) - 1)]) * 1e-6
-        found.append(Difference(topic, "(ticks)", at_s, f"{len(then)} rows", f"{len(now)} rows", None))
-    return found
-
-
-def _of_column(
-    topic: str, name: str, then: np.ndarray, now: np.ndarray, table: Table, tolerance: float
-) -> Difference | None:
-    if then.shape != now.shape:
-        return Difference(topic, name, float(table.t_us[0]) * 1e-6, str(then.shape), str(now.shape), None)
-    if then.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):  # inf less inf
-            near = np.abs(then - now) <= tolerance * np.maximum(1.0, np.abs(then))
-        differs = ~(near | (then == now) | (np.isnan(then) & np.isnan(now)))
-    else:
-        differs = then != now
-    rows = np.flatnonzero(differs if differs.ndim == 1 else differs.any(axis=1))
-    if not len(rows):
-        return None
-    first, greatest = int(rows[0]), None
-    if then.dtype.kind in "fi":
-        with np.errstate(invalid="ignore"):
-            gap = np.abs(then.astype(np.float64) - now.astype(np.float64))[rows]
-        greatest = float(np.nanmax(gap)) if np.isfinite(gap).any() else None
-    at_s = float(table.t_us[first]) * 1e-6
-    return Difference(topic, name, at_s, str(then[first].tolist()), str(now[first].tolist()), greatest)

@@ -141,13 +141,9 @@ class FlightScore:
         stack, region = prepared.stack, self.region.summary()
         region["filtered_ticks"] = self._filter.acting if self._filtering else None
         tracking, watched = self.tracking.summary(), prepared.protection.watched
-        sensors = prepared.settings.get("sensors", "")
-        flown = Flown(
-            first_height_m(prepared.scenario),
-            self.ascent.rose_m,
-            self.ascent.touchdown_mps,
-            most_rms_m(self.tracking.of, sensors),
-        )
+        most_m = most_rms_m(self.tracking.of, prepared.settings.get("sensors", ""))
+        flown = Flown(first_height_m(prepared.scenario), self.ascent.rose_m, self.ascent.touchdown_mps, most_m)
+        asked, exits = prepared.protection.asked and completed is not None, self.site.exits if self.site else None
         reason = companion.reason or (flown.shortcoming(tracking["rmse_m"]) if completed else "")
         result = FlightResult(
             scenario=prepared.scenario.name,
@@ -169,12 +165,7 @@ class FlightScore:
             link=link_summary(companion),
             estimator=self.estimate.summary(),
             flown=flown.as_json(),
-            protection=protection_of(
-                prepared.protection.asked and completed is not None,
-                self._filter.spans,
-                region,
-                None if self.site is None else self.site.exits,
-            ),
+            protection=protection_of(asked, self._filter.spans, region, exits),
             filter_words=prepared.protection.words,
             unprotected_because=prepared.protection.unattainable or (watched.hindrance if watched else ""),
             log_problem=log.failed or "",

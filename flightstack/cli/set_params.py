@@ -31,7 +31,7 @@ _SLICE_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Wire:
+class VehicleLink:
     """How the vehicle is reached."""
 
     transport: Transport
@@ -82,7 +82,7 @@ def journal_folder() -> Path:
 
 
 @contextmanager
-def parameters_set(wire: Wire, values: Mapping[str, float], say: Callable[[str], None]) -> Iterator[Change]:
+def parameters_set(wire: VehicleLink, values: Mapping[str, float], say: Callable[[str], None]) -> Iterator[Change]:
     """The vehicle with these parameters inside the block, as it was after it; InputError where that can't be had."""
     change = Change()
     if not values and not any(journal_folder().glob("*.json")):
@@ -116,7 +116,7 @@ def parameters_set(wire: Wire, values: Mapping[str, float], say: Callable[[str],
         change.restored = _put_back(wire, journal, say)
 
 
-def _put_back(wire: Wire, journal: Path, say: Callable[[str], None]) -> bool:
+def _put_back(wire: VehicleLink, journal: Path, say: Callable[[str], None]) -> bool:
     """Set what the journal says and remove it; whether the vehicle is as it was."""
     if not journal.exists():
         return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from select import select
 from typing import Any
@@ -14,14 +14,14 @@ from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
 from flightstack.cli.controllers import build
 from flightstack.cli.given_certificate import require_checked
-from flightstack.cli.offboard import where_it_is
 from flightstack.cli.protection import governor_for
 from flightstack.cli.quiet import quieted
 from flightstack.cli.result import percentiles
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_router import ShieldRouter
-from flightstack.cli.site import envelope, given_prior, load_site, plan_site, read_site
+from flightstack.cli.site import envelope, given_prior, load_site, plan_site
+from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.governor import Governor
 from flightstack.model import Model
 from flightstack.site.certificate import require_same
@@ -92,7 +92,8 @@ def shield(
     options: ShieldOptions, *, stop_requested: Callable[[], str], on_progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
     """Route until stopped; the JSON."""
-    place = where_it_is(options.connect, 10.0) if read_site(options.site).is_global else None
+    site, place = ask_vehicle(options.site, options.connect, 10.0)
+    options = replace(options, site=site)
     stack, relay, refiner = shield_stack(options, place)
     messages.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])

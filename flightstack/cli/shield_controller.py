@@ -26,6 +26,8 @@ class Relay:
     def __init__(self, inner: Controller, model: Model) -> None:
         self.inner, self.model = inner, model
         self.wish: ControlSetpoint | None = None
+        self.gain = 1.0
+        """Delivered over believed thrust per mass: places are flown with as much more."""
         self.thrust_model_factor = 0.0
         """The vehicle's THR_MDL_FAC, whose curve PX4 undoes: a setpoint's thrust is before it."""
 
@@ -44,7 +46,7 @@ class Relay:
         state, proposal = self.inner.step(state, measurement, reference, learned, sent, now_us)
         wish = self.wish
         if wish is None or wish.kind not in (ControlKind.RATE, ControlKind.ATTITUDE):
-            return state, proposal
+            return state, replace(proposal, thrust_n=proposal.thrust_n / self.gain)
         row = np.full(_PROPOSAL, np.nan)
         if wish.kind is ControlKind.RATE:
             row[17:20] = np.nan_to_num(np.array(wish.rate_frd_radps), nan=0.0)

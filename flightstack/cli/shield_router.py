@@ -7,7 +7,7 @@ for as long as setpoints come.
 
 The program's silence for SILENT_US, or OFFBOARD entered where no way out is clear: the vehicle stops and holds; after
 HOLDS_US of that it is handed over to PX4's Hold.  The router never selects OFFBOARD, arms or takes a mode away from a
-pilot: outside OFFBOARD it says what the program would.
+pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict
 from flightstack.site.decide import PASSED
+from flightstack.site.filter import gain_of
 from flightstack.stack import Stack, StackState
 from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
-from flightstack_sim.geodesy import LocalFrame
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.framing import Frame
@@ -84,7 +85,7 @@ class ShieldRouter:
         self._rest, self._rested = np.zeros(3), 0
         self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
         self._stamps: set[int] = set()
-        self._in_offboard = self._is_certain = self._is_laid = False
+        self._flies = self._is_certain = self._is_laid = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
     # ---------------------------------------------------------------- pass
@@ -94,8 +95,9 @@ class ShieldRouter:
         self.link.receive_datagram(data, now_us)
         for received in self.link.take_events():
             message = received.message
-            if isinstance(message, m.Heartbeat) and message.autopilot == px4.AUTOPILOT_PX4 and not self.system:
-                self.system = self._voice.system = received.system
+            if not self.system and isinstance(message, m.Heartbeat):
+                if (message.autopilot, message.type) == (px4.AUTOPILOT_PX4, px4.TYPE_QUADROTOR):
+                    self.system = self._voice.system = received.system
             if received.system == self.system and received.component == px4.COMPONENT_AUTOPILOT:
                 if isinstance(message, m.CommandAck) and message.target_system == self.link.system:
                     self._commands.acknowledge(message)
@@ -194,48 +196,55 @@ class ShieldRouter:
             self._rest += (measurement.pos_ned_m - self._rest) / self._rested
             self.origin_ned_m = self._rest.copy()
         self._is_laid |= self.view.armed
-        if not self.view.armed:
-            self._state = None
-        if self._wish is None or self.origin_ned_m is None:
+        if self.origin_ned_m is None:
             return
-        entered, self._in_offboard = self.view.in_offboard and not self._in_offboard, self.view.in_offboard
-        if not self.view.armed or (grounded and not self._in_offboard):
-            if now_us - self._wish_us < SILENT_US:
-                self._voice.stand(t_us)
+        silent = self._wish is None or now_us - self._wish_us > SILENT_US
+        if not (self.view.armed and self.view.in_offboard) or (silent and grounded):
+            self._state, self._flies = self._state if self.view.armed else None, False
+            if not silent:
+                self._stand_by(measurement, t_us)
             return
-        silent = now_us - self._wish_us > SILENT_US
-        if silent and not self._in_offboard:  # nobody asks, and somebody else flies
-            self._wish = None
-            return
-        if self._state is None or entered:
-            self._state = self._stack.init(measurement, self.origin_ned_m)
-            self._is_certain, self._obeyed_us, self._hold = False, now_us, None
-        self._tick(measurement, silent, t_us, now_us)
-
-    def _tick(self, measurement: Measurement, silent: bool, t_us: int, now_us: int) -> None:
-        assert self._wish is not None
+        if not self._flies:
+            state = self._state
+            self._state = (
+                self._stack.resume(state, measurement) if state else self._stack.init(measurement, self.origin_ned_m)
+            )
+            self._flies, self._is_certain, self._obeyed_us, self._hold = True, False, now_us, None
         assert self._state is not None
-        if silent or not self._is_certain:
+        self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
+
+    def _stand_by(self, measurement: Measurement, t_us: int) -> None:
+        """A setpoint that does no harm until the router hears that OFFBOARD was selected: PX4 asks for some before."""
+        if self.view.on_ground or not self.view.armed:
+            self._voice.stand(t_us)
+        else:
+            model = self._stack.model
+            carried_n = self._state.carried_n if self._state else model.weight_n
+            self._voice.calm(t_us, model.norm_of(carried_n), yaw_of(measurement.q_ned_frd))
+
+    def _tick(
+        self, state: StackState, measurement: Measurement, wish: ControlSetpoint | None, t_us: int, now_us: int
+    ) -> None:
+        if wish is None or not self._is_certain:
             if self._hold is None:
                 speed = measurement.vel_ned_mps
                 place = measurement.pos_ned_m + 0.25 * float(np.linalg.norm(speed)) * speed
                 self._hold = place, yaw_of(measurement.q_ned_frd)
             self._relay.wish, reference = None, hold_of(*self._hold)
             self.score.stopped += 1
-            if now_us - self._obeyed_us > HOLDS_US and self._in_offboard:
+            if now_us - self._obeyed_us > HOLDS_US:
                 self.score.handed_over = True
                 self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
         else:
             self._hold, self._obeyed_us = None, now_us
-            self._relay.wish, reference = self._wish, reference_of(self._wish, measurement)
-        self._state, command, record = self._stack.tick(self._state, measurement, reference, t_us)
-        self._is_certain |= record.filtered.status >= PASSED
+            self._relay.wish, reference = wish, reference_of(wish, measurement)
+        self._relay.gain = gain_of(state.filter)
+        self._state, command, self.record = self._stack.tick(state, measurement, reference, t_us)
         self._voice.fly(command)
-        if self._in_offboard:
-            self.record = record
-            self.score.ticks += 1
-            self.score.changed += record.filtered.intervened == 1.0
-            self.score.governed += record.governed
+        self._is_certain |= self.record.filtered.status >= PASSED
+        self.score.ticks += 1
+        self.score.changed += self.record.filtered.intervened == 1.0
+        self.score.governed += self.record.governed
 
     def _measured(self, t_us: int) -> Measurement | None:
         measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)

@@ -7,7 +7,7 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -23,8 +23,11 @@ from flightstack.cli.options import (
     PlantName,
     PlantOption,
     SeedOption,
-    Sensors,
+    SensorGrade,
 )
+
+if TYPE_CHECKING:
+    from flightstack.cli.simulate import SimOptions
 
 
 def _end_at_once() -> NoReturn:
@@ -39,7 +42,7 @@ def sim(
     ] = None,
     plant: PlantOption = PlantName.native,
     sensors: Annotated[
-        Sensors | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+        SensorGrade | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
     ] = None,
     seed: SeedOption = 0,
     port: Annotated[
@@ -73,19 +76,25 @@ def sim(
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
     interrupts = Interrupts(always=(signal.SIGINT,))  # nothing flies that would have to land: also in the background
     interrupts.at_once = True
-    from flightstack.cli import files, terminal
-    from flightstack.cli.hil import serve
-    from flightstack.cli.simulate import SimOptions, parse_home, simulate
-
-    def ready(text: str) -> None:
-        interrupts.at_once = False
-        print(text, flush=True)
+    from flightstack.cli.simulate import SimOptions, parse_home
 
     grade = sensors.value if sensors else None
     options = SimOptions(
         vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log,
         bind, parse_home(home), instances, sysid, log_wire, live,
     )  # fmt: skip
+    _run(options, interrupts, px4_hil, json)
+
+
+def _run(options: SimOptions, interrupts: Interrupts, px4_hil: bool, json: Path | None) -> None:
+    from flightstack.cli import files, terminal
+    from flightstack.cli.hil import serve
+    from flightstack.cli.simulate import simulate
+
+    def ready(text: str) -> None:
+        interrupts.at_once = False
+        print(text, flush=True)
+
     try:
         result = (serve if px4_hil else simulate)(
             options,

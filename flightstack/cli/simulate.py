@@ -18,12 +18,12 @@ from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import text_file
 from flightstack.cli.versions import versions
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import clock_metadata
 from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import parse_faults
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.shell import GCS, ONBOARD, Shell
@@ -43,7 +43,6 @@ PORT_STEP = 40
 """PX4 binds its offboard link 40 ports above the one it sends to."""
 LAST_OWN_PORT = 9
 """From the instance after this one on PX4 sends to one port: 14549."""
-MOST_INSTANCES = 100
 MOST_SYSTEM = 255
 TICK_MS = 4
 PATIENCE_US = 200_000

@@ -27,7 +27,7 @@ from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, KeepOut, Site
-from flightstack.site.stopping import Prior, Stopping, stopping
+from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
 
@@ -151,10 +151,10 @@ class SitePlan:
     """A site, ready to be flown in: the certificate and where the floor does not bind."""
 
     site: Site
-    certificate: Stopping
+    certificate: StoppingCertificate
     chutes: F64
     chute_m: float
-    prior: Stopping | None = None
+    prior: StoppingCertificate | None = None
     """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
@@ -264,7 +264,7 @@ def plan_site(
     """
     limits = Limits() if scenario is None else scenario.limits
     certificate = stopping(believed, model, limits, estimate, governor, prior)
-    wider = None if prior is None else stopping(believed, model, limits, estimate, governor)
+    wider = None if prior is None else _wider(certificate, estimate, believed, model, limits)
     kept, half = certificate.kept_m, certificate.half_m
     chute_m = kept + max(_CHUTE_ROOM_M, 2.0 * kept) if site.chute_m is None else site.chute_m
     if chute_m < kept:
@@ -292,6 +292,16 @@ def plan_site(
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
     return SitePlan(site, certificate, chutes, chute_m, wider)
+
+
+def _wider(
+    made: StoppingCertificate, estimate: EstimateBounds, believed: Vehicle, model: Model, limits: Limits
+) -> StoppingCertificate:
+    """The prior's certificate, to be kept to once a narrower one is falsified; itself where thrust can't hold that."""
+    try:
+        return stopping(believed, model, limits, estimate, made.governor)
+    except InputError:
+        return made
 
 
 def _require_clear(site: Site, flat: F64, place: F64, size: tuple[float, float], what: str) -> None:

@@ -66,7 +66,7 @@ class Tape:
 
 
 @dataclass(slots=True)
-class Track:
+class TickTrace:
     """Every tick of the track."""
 
     before: list[TickRecord]
@@ -109,10 +109,10 @@ def fly_track(
     on_ready: Callable[[SimulatedFlight], None] = lambda flight: None,
     stop_requested: Callable[[], str] = lambda: "",
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
-) -> tuple[SimulatedFlight, Track]:
+) -> tuple[SimulatedFlight, TickTrace]:
     """Fly to the end over UDP on loopback; every tick of the track.  `on_ready` sees the flight before it begins."""
     warm_up_all(setup)
-    tape, track = Tape(), Track([], [], [], [], [])
+    tape, track = Tape(), TickTrace([], [], [], [], [])
     flight = SimulatedFlight(setup, options, tape)
     on_ready(flight)
     limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)

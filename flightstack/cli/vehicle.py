@@ -127,7 +127,7 @@ def _from_log(path: Path) -> dict[str, float]:
 
 
 def _from_vehicle(source: str) -> dict[str, float]:
-    from flightstack.cli.set_params import Wire
+    from flightstack.cli.set_params import VehicleLink
     from flightstack.vehicle_new import BATTERY, NEEDED
     from mavlink_bridge import messages
     from mavlink_bridge.transport.address import open_address, parse_address
@@ -135,7 +135,7 @@ def _from_vehicle(source: str) -> dict[str, float]:
     address = parse_address(source)
     messages.prepare()
     with closing(open_address(address)) as transport:
-        wire = Wire(transport, address, None, _WAIT_S)
+        wire = VehicleLink(transport, address, None, _WAIT_S)
         session = wire.session(list(NEEDED))
         if not wire.run(session, lambda: session.identified, _WAIT_S):
             raise InputError(f"{source}: {session.problem or f'no PX4 answered within {_WAIT_S:g} s'}")

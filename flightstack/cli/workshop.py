@@ -13,7 +13,7 @@ import pickle
 import signal
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing import get_context
 from typing import NamedTuple
@@ -33,6 +33,17 @@ _JOIN_S = 2.0
 _ENDED = "its process has ended"
 
 
+class Served(NamedTuple):
+    """When a certificate came, or the word that there is none: what a replay can't work out."""
+
+    call: int
+    """Which call of `work`, from 0; one that was given up has no such record."""
+    before: int
+    """Ticks until the process was free for it."""
+    after: int
+    """Ticks from then on."""
+
+
 class _Reply(NamedTuple):
     certificate: Certificate | None
     ratios: dict[tuple[int, int], Ratios]
@@ -48,6 +59,23 @@ class Workshop:
         self._owed = False
         """An order was placed and its reply has not come."""
         self._out, self._in = memoryview(b""), bytearray()
+        self._served: list[Served] = []
+        self._calls = 0
+        self._recorded: dict[int, Served] | None = None
+
+    def count_anew(self) -> None:
+        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
+        self._calls = 0
+        self._served.clear()
+
+    @property
+    def served(self) -> Sequence[Served]:
+        """Every answer so far."""
+        return self._served
+
+    def again(self, served: Iterable[Served]) -> None:
+        """From now on each answer comes when it came in a recorded flight, made in the tick that asks for it."""
+        self.lost, self._recorded = "", {each.call: each for each in served}
 
     def __enter__(self) -> Workshop:
         self._socket, theirs = socket.socketpair()
@@ -85,17 +113,31 @@ class Workshop:
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
     ) -> Iterator[Certificate | None]:
         """As `OnlineCertifier.work`, of what the learner knows once the process is free: None until it is done."""
-        while self._owed and not self.lost and self._exchange() is None:  # an order that nobody waits for any more
+        call, before, after = self._calls, 0, 0
+        self._calls += 1
+        while self._is_busy(call, before):  # with an order that nobody waits for any more
+            before += 1
             yield None
         self._order(certifier, learner, learned, state)
-        reply = None
-        while reply is None:
-            reply = self._exchange()
-            if reply is None:
-                yield None
+        while (reply := self._reply(call, after)) is None:
+            after += 1
+            yield None
+        self._served.append(Served(call, before, after))
         state.ratios.clear()
         state.ratios.update(reply.ratios)
         yield reply.certificate
+
+    def _is_busy(self, call: int, ticks: int) -> bool:
+        if self._recorded is not None:
+            return call in self._recorded and ticks < self._recorded[call].before
+        return self._owed and not self.lost and self._exchange() is None
+
+    def _reply(self, call: int, ticks: int) -> _Reply | None:
+        """What came for the order, once it came; recorded: never for a call that was given up."""
+        if self._recorded is None:
+            return self._exchange()
+        then = self._recorded.get(call)
+        return None if then is None or ticks < then.after else _made(bytes(self._out[_LENGTH.size :]))
 
     def _order(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState

@@ -35,7 +35,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Companion:
+class ControllerModelUpdate:
     """What the companion makes of a corrected vehicle."""
 
     takes: tuple[Taken, ...]
@@ -43,7 +43,7 @@ class Companion:
     """Effects of the corrected file that its model can't express."""
 
 
-def companion(believed: Vehicle, corrected: Vehicle) -> Companion:
+def companion(believed: Vehicle, corrected: Vehicle) -> ControllerModelUpdate:
     """Numbers of the companion's model that change from one vehicle to the other, and what it leaves to its learner.
 
     InputError where the corrected vehicle can't carry itself: the companion would refuse it.
@@ -54,7 +54,7 @@ def companion(believed: Vehicle, corrected: Vehicle) -> Companion:
         Taken(f"drag_{axis}_kgps", "kg/s", old, new)
         for axis, old, new in zip(_AXES, before.drag_kgps, after.drag_kgps, strict=True)
     ]
-    return Companion(tuple(each for each in takes if each.before != each.after), after.left_to_learner)
+    return ControllerModelUpdate(tuple(each for each in takes if each.before != each.after), after.left_to_learner)
 
 
 def vehicle_file(corrected: Vehicle, found: Mapping[str, Mapping[str, float]]) -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.naming.evidence import fit_subsets, score
-from flightstack.gap.naming.search import ALIKE, Fit, Search, fit_subset, members
+from flightstack.gap.naming.search import ALIKE, Fit, SelectionState, fit_subset, members
 from flightstack.gap.records import Found, Samples
 from flightstack.gap.track import track
 
@@ -21,7 +21,7 @@ _ALIKE_SHARE = 0.002
 _TRIED = 4
 
 
-def alternatives(state: Search, best: Fit, effect: str) -> tuple[str, ...]:
+def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ...]:
     """Effects that would explain the flights as well in this one's place, closest first."""
     point = state.point
     base = [m for m in members(point.candidates, best.effects) if point.candidates[m].effect != effect]

@@ -28,7 +28,7 @@ from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import gain, moved
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.ranged import carried, is_touched
-from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, Search, judged_fit, members, move_to, search
+from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, judged_fit, members, move_to, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Estimate, Found, Rejected, Samples, Unexplained, Where
@@ -70,7 +70,7 @@ class Naming:
     """What these flights could have shown at all (`gap.identify`)."""
     proposed: tuple[Found, ...] = ()
     """All that the search found, also what was taken back since as something that depends on more."""
-    _behind: tuple[SimulatorBench, Search] | None = None
+    _behind: tuple[SimulatorBench, SelectionState] | None = None
     """For `without`."""
 
     def trifles(self) -> tuple[str, ...]:
@@ -201,7 +201,7 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
-def _touched(state: Search, judged: _Judged, r: Rest) -> set[str]:
+def _touched(state: SelectionState, judged: _Judged, r: Rest) -> set[str]:
     """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
 
     An effect that changes from stretch to stretch is given less leave, and so is one that is the same everywhere where
@@ -229,7 +229,7 @@ class _Judged:
     constant: Mapping[str, float]
 
 
-def _fall(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+def _fall(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
     """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
     whole = members(point.candidates, effects)
@@ -239,7 +239,7 @@ def _fall(state: Search, effects: Mapping[str, Mapping[str, float]], gone: str) 
     return float(most - least)
 
 
-def _pruned(state: Search) -> Fit:
+def _pruned(state: SelectionState) -> Fit:
     """The best fit, less the members whose own evidence is too thin or whose size is trifling.
 
     Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.
@@ -264,21 +264,21 @@ def _pruned(state: Search) -> Fit:
     return best
 
 
-def _evidence(state: Search, best: Fit, effect: str) -> float:
+def _evidence(state: SelectionState, best: Fit, effect: str) -> float:
     """By how much the score would rise without the effect."""
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
     return _fall(state, best.effects, effect) - float(price)
 
 
-def _refit(state: Search, best: Fit, gone: str) -> Fit:
+def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
     left = {e: v for e, v in best.effects.items() if e != gone}
     made = estimate(state, left)
     effects = {e: dict(made.vehicle.effects[e]) for e in left}
     return judged_fit(state, effects, made.vehicle, made.rows, len(made.slots))
 
 
-def _size(state: Search, best: Fit, effect: str) -> float:
+def _size(state: SelectionState, best: Fit, effect: str) -> float:
     """The effect's largest change in negligible sizes."""
     sizes = []
     for spec in EFFECT_SPECS[effect].params:
@@ -289,7 +289,7 @@ def _size(state: Search, best: Fit, effect: str) -> float:
     return max(sizes, default=0.0)
 
 
-def _judge(state: Search, best: Fit) -> _Judged:
+def _judge(state: SelectionState, best: Fit) -> _Judged:
     made = estimate(state, best.effects)
     if not best.effects:
         return _Judged((), made, {})
@@ -326,13 +326,13 @@ def _judge(state: Search, best: Fit) -> _Judged:
     return _Judged(tuple(f for _, f in found), made, constant)
 
 
-def _p_value(state: Search, best: Fit, effect: str) -> float:
+def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
     fall = _fall(state, best.effects, effect)
     return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
-def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estimate]:
+def _parameters(state: SelectionState, made: Estimates, effect: str) -> dict[str, Estimate]:
     found: dict[str, Estimate] = {}
     for spec in EFFECT_SPECS[effect].params:
         before = value(state.start, effect, spec.name)
@@ -350,7 +350,7 @@ def _parameters(state: Search, made: Estimates, effect: str) -> dict[str, Estima
 
 
 def _rejected(
-    bench: SimulatorBench, state: Search, best: Fit, found: tuple[str, ...], doubtful: set[str]
+    bench: SimulatorBench, state: SelectionState, best: Fit, found: tuple[str, ...], doubtful: set[str]
 ) -> tuple[Rejected, ...]:
     """Every effect that was not named with what it would change on top of those that were."""
     point = state.point

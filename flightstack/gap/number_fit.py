@@ -27,7 +27,7 @@ from flightstack.gap.naming.design import layout_of, linearise
 from flightstack.gap.naming.estimate import covariance_of, without_nuisance
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.ranged import STANDS_FOR
-from flightstack.gap.naming.search import Search, bounded_step, pressed_beyond
+from flightstack.gap.naming.search import SelectionState, bounded_step, pressed_beyond
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Unexplained
 from flightstack.gap.simulate import Knob, value, with_value
@@ -204,7 +204,7 @@ class _Fit:
         for _ in range(_ROUNDS):
             before = self._values(self.vehicle)
             point = linearise(self._bench, self.vehicle, self._start)
-            state = Search(self._bench, self._start, point, metric_of(point))
+            state = SelectionState(self._bench, self._start, point, metric_of(point))
             x = self._settle(state)
             chosen = state.point.fit_rows()
             rows = without_nuisance(state, state.point.layout.stack(self._bench.residual(self.vehicle)), chosen)
@@ -215,7 +215,7 @@ class _Fit:
             if np.all(moved < 0.1 * np.sqrt(np.diag(self._covariance)) + 1e-12):
                 break
 
-    def _settle(self, state: Search) -> F64:
+    def _settle(self, state: SelectionState) -> F64:
         """Gauss-Newton in one metric; the columns at the end."""
         chosen, layout = state.point.fit_rows(), state.point.layout
         nuisance = state.point.nuisance[chosen][:, state.point.nuisance_fitted]

@@ -28,7 +28,7 @@ import numpy as np
 
 from flightstack.checked import number, only
 from flightstack.gp import program
-from flightstack.gp.program import Factor, Program, Term
+from flightstack.gp.program import KernelFactor, Program, Term
 from flightstack.types import F64, InputError
 
 Lengthscales = float | tuple[float, ...]
@@ -141,7 +141,7 @@ class Linear(Kernel):
         return Linear(next(values), self.column)
 
     def _terms(self, input_dim: int, start: int) -> tuple[Term, ...]:
-        return (Term((start,), (Factor(program.LINEAR, (self.column,), ()),)),)
+        return (Term((start,), (KernelFactor(program.LINEAR, (self.column,), ()),)),)
 
     def to_dict(self) -> dict[str, object]:
         """See Kernel."""
@@ -353,7 +353,7 @@ def _stationary_term(code: int, kernel: SquaredExponential | Matern, input_dim: 
     if isinstance(scales, tuple) and len(scales) != len(columns):
         raise InputError(f"lengthscales: {len(scales)} given for {input_dim} input columns; give one, or as many")
     places = tuple(start + 1 + (i if isinstance(scales, tuple) else 0) for i in range(len(columns)))
-    return Term((start,), (Factor(code, columns, places),))
+    return Term((start,), (KernelFactor(code, columns, places),))
 
 
 def _stationary_dict(kernel: SquaredExponential | Matern) -> dict[str, object]:

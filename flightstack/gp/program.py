@@ -30,7 +30,7 @@ WORK_ROWS = 6
 """Rows of scratch that `row` needs."""
 
 
-class Factor(NamedTuple):
+class KernelFactor(NamedTuple):
     """One factor of a term."""
 
     code: int
@@ -44,7 +44,7 @@ class Term(NamedTuple):
 
     variances: tuple[int, ...]
     """Places of the variances that multiply to the coefficient."""
-    factors: tuple[Factor, ...]
+    factors: tuple[KernelFactor, ...]
 
     def times(self, other: Term) -> Term:
         """The product of two terms."""

@@ -29,7 +29,7 @@ import numpy as np
 
 from flightstack.learning import sampler as s
 from flightstack.learning.learned_row import assemble, calibrated, weighed
-from flightstack.learning.priors import Prior, Priors, default_priors, state_only
+from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import INFLATION, Evidence, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
@@ -100,7 +100,7 @@ class LearnerState:
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
-        def store(prior: Prior, inputs: int, outputs: int, floor: float) -> Store:
+        def store(prior: StorePrior, inputs: int, outputs: int, floor: float) -> Store:
             rule = config.relevance
             return Store(
                 prior, inputs=inputs, outputs=outputs, capacity=config.capacity, floor=floor, relevance=rule
@@ -193,7 +193,7 @@ class GpLearner:
             allowed = state.variance if recovering else state.calm_variance
             if self._learn(state, state.expected, allowed, measurement.t_us):
                 state.calibrate()
-        else:
+        elif sample[s.S_REPEATED] == 0.0:  # a tick between two samples takes nothing from the window
             state.refused += 1
             state.watch.reset()
         stage, weight = self._stage(state, measurement.t_us, fit)

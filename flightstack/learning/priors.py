@@ -27,7 +27,7 @@ _STATE = (V_X, V_Y, V_Z, AXIS_N, AXIS_E)
 
 
 @dataclass(frozen=True, slots=True)
-class Prior:
+class StorePrior:
     """One store's belief."""
 
     kernel: Kernel
@@ -39,9 +39,9 @@ class Prior:
 class Priors:
     """All stores' beliefs."""
 
-    lateral: Prior
-    vertical: Prior
-    rates: Prior
+    lateral: StorePrior
+    vertical: StorePrior
+    rates: StorePrior
 
 
 def _smooth(std: float) -> Kernel:
@@ -63,10 +63,10 @@ def default_priors() -> Priors:
     lean = Linear(1.0, AXIS_N) + Linear(1.0, AXIS_E)
     vertical = Constant(0.1**2) + lean + _drag(0.3, V_Z) + thrust + _smooth(0.12)
     rates = Constant(0.05**2) + SquaredExponential(0.1**2, (2.0, 2.0, 2.0), columns=(0, 1, 2))
-    return Priors(Prior(lateral, 0.03**2), Prior(vertical, 0.045**2), Prior(rates, 0.02**2))
+    return Priors(StorePrior(lateral, 0.03**2), StorePrior(vertical, 0.045**2), StorePrior(rates, 0.02**2))
 
 
 def state_only() -> Priors:
     """The paper's form: a function of q' alone, nothing known of thrust, drag or the ground."""
     smooth = SquaredExponential(4.0, (4.0, 4.0, 4.0, 0.5, 0.5), columns=_STATE)
-    return Priors(Prior(smooth, 0.03**2), Prior(smooth, 0.045**2), default_priors().rates)
+    return Priors(StorePrior(smooth, 0.03**2), StorePrior(smooth, 0.045**2), default_priors().rates)

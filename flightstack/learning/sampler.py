@@ -52,6 +52,8 @@ _EXPLAINED = 0.5
 _CURVED = 1.02
 """What delays two steps away must leave at least, of the chosen one's residual variance."""
 _GAP_MAX_S = 0.05
+_SAME_S = 5e-7
+"""Stamps of whole microseconds that differ by less are one."""
 _THRUST_LEAST_WEIGHTS = 0.3
 AWAY_M = 0.1
 """From the place of take-off: nearer the ground may hold the vehicle."""
@@ -59,13 +61,18 @@ _FORCE_MAX_MPS2 = 40.0
 _LEAST_DOWN = 0.1
 """A thrust axis that leans beyond 84 degrees is none that a reference is flown with: its rate stays finite."""
 
+# What the sampler is made for, one row.
+_C_MASS, _C_MAX_THRUST, _C_THRUST_FACTOR, _C_MOTOR_LAG, _C_RATE_LAG, _C_DRAG = range(6)
+_C_ROTOR_RADIUS, _C_DELAY, _C_AWAY = range(_C_DRAG + 3, _C_DRAG + 6)
+
 # What the sampler remembers, one row: scalars, then the ring of commands, then the bank.
 _M_IMU_S, _M_GROUND, _M_PICK, _M_HEAD, _M_STARTED = range(5)
 _M_START = 5
 _M_RATE = 8  # lagged rate commands
 _M_RING = 11  # time, norm, rates: 5 each
 _M_SLOW = _M_RING + 5 * _RING  # slow part of the force
-_M_BANK = _M_SLOW + 1  # lagged u, slow part of the thrust, then sums n, TT, TF, FF
+_M_BANK = _M_SLOW + 1
+_B_U, _B_SLOW, _B_COUNT, _B_TT, _B_TF, _B_FF = range(6)  # lagged u, slow part of the thrust, then sums
 _BANK = 6
 _M_EVIDENT = _M_BANK + _BANK * _CANDIDATES
 _M_RUN_S = _M_EVIDENT + 1
@@ -83,7 +90,8 @@ S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body 
 S_TARGET_FRD = S_HEADING + 2
 S_HEIGHT = S_TARGET_FRD + 3
 S_DELAY = S_HEIGHT + 1  # that the sample was made with, evident or not
-SAMPLE = S_DELAY + 1
+S_REPEATED = S_DELAY + 1  # the force is that of the step before: nothing new came
+SAMPLE = S_REPEATED + 1
 
 
 class Sampler:
@@ -106,7 +114,7 @@ class Sampler:
         memory = np.zeros(_MEMORY)
         memory[_M_IMU_S] = -1.0
         memory[_M_RING:_M_SLOW:5] = -1.0
-        memory[_M_PICK] = min(round(self._constants[9] / _CANDIDATE_STEP_S), _CANDIDATES - 1)
+        memory[_M_PICK] = min(round(self._constants[_C_DELAY] / _CANDIDATE_STEP_S), _CANDIDATES - 1)
         return memory
 
     def step(self, memory: F64, measurement: Measurement, sent: Command, out: F64) -> None:
@@ -171,8 +179,8 @@ def _command_at(memory: F64, time: float) -> int:
 @njit
 def _advance(constants: F64, memory: F64, now: float, dt: float, force_z: float, learn: bool) -> None:
     """Carry every candidate's rotors over `dt` to `now`, and its regression along."""
-    keep_u = math.exp(-dt / constants[3])
-    keep_rate = math.exp(-dt / constants[4])
+    keep_u = math.exp(-dt / constants[_C_MOTOR_LAG])
+    keep_rate = math.exp(-dt / constants[_C_RATE_LAG])
     forget = math.exp(-dt / _FORGET_S)
     slow = 1.0 - math.exp(-dt / _SLOW_S)
     middle = now - 0.5 * dt
@@ -185,31 +193,31 @@ def _advance(constants: F64, memory: F64, now: float, dt: float, force_z: float,
         b = _M_BANK + _BANK * k
         place = _command_at(memory, middle - k * _CANDIDATE_STEP_S)
         u = memory[place + 1] if place >= 0 else 0.0
-        memory[b] = u + keep_u * (memory[b] - u)
+        memory[b + _B_U] = u + keep_u * (memory[b + _B_U] - u)
         if k == pick:
             for i in range(3):
                 rate = memory[place + 2 + i] if place >= 0 else 0.0
                 memory[_M_RATE + i] = rate + keep_rate * (memory[_M_RATE + i] - rate)
-        thrust = _thrust(memory[b], constants[1], constants[2]) / constants[0]
-        memory[b + 1] += slow * (thrust - memory[b + 1])
-        thrust -= memory[b + 1]
+        thrust = _thrust(memory[b + _B_U], constants[_C_MAX_THRUST], constants[_C_THRUST_FACTOR]) / constants[_C_MASS]
+        memory[b + _B_SLOW] += slow * (thrust - memory[b + _B_SLOW])
+        thrust -= memory[b + _B_SLOW]
         for j in range(2, _BANK):
             memory[b + j] *= forget
         if learn:
-            memory[b + 2] += 1.0
-            memory[b + 3] += thrust * thrust
-            memory[b + 4] += thrust * force
-            memory[b + 5] += force * force
+            memory[b + _B_COUNT] += 1.0
+            memory[b + _B_TT] += thrust * thrust
+            memory[b + _B_TF] += thrust * force
+            memory[b + _B_FF] += force * force
 
 
 @njit
 def _left(memory: F64, k: int) -> tuple[float, float]:
     """Residual variance of candidate `k`'s regression, and the variance of its thrust."""
     b = _M_BANK + _BANK * k
-    n, tt = memory[b + 2], memory[b + 3]
+    n, tt = memory[b + _B_COUNT], memory[b + _B_TT]
     if n < 50.0 or tt <= 0.0:
         return math.inf, 0.0
-    return (memory[b + 5] - memory[b + 4] * memory[b + 4] / tt) / n, tt / n
+    return (memory[b + _B_FF] - memory[b + _B_TF] * memory[b + _B_TF] / tt) / n, tt / n
 
 
 @njit
@@ -225,7 +233,7 @@ def _choose_latency(memory: F64) -> None:
     pick = best if best >= 0 else int(memory[_M_PICK])
     left = min(least, present)
     b = _M_BANK + _BANK * pick
-    if left > (1.0 - _EXPLAINED) * memory[b + 5] / memory[b + 2]:
+    if left > (1.0 - _EXPLAINED) * memory[b + _B_FF] / memory[b + _B_COUNT]:
         return
     memory[_M_PICK] = pick
     for k in (pick - 2, pick + 2):
@@ -270,28 +278,45 @@ def _sample(
     _remember(memory, t_sent, norm, sent_rate)
     imu_time = now - imu_age
     dt = imu_time - memory[_M_IMU_S]
-    fresh = 0.0 < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
+    fresh = _SAME_S < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
     away = 0.0
     size = 0.0
     for i in range(3):
         away += (pos[i] - memory[_M_START + i]) ** 2
         size += force[i] * force[i]
-    flying = away > constants[10] * constants[10] and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
-    if dt > 0.0:
+    flying = away > constants[_C_AWAY] * constants[_C_AWAY] and size < _FORCE_MAX_MPS2 * _FORCE_MAX_MPS2
+    if dt > _SAME_S:
         _advance(constants, memory, imu_time, min(dt, _GAP_MAX_S), force[2], flying and fresh)
         memory[_M_IMU_S] = imu_time
         if flying and fresh:
             _choose_latency(memory)
-    mass = constants[0]
     pick = int(memory[_M_PICK])
-    thrust = _thrust(memory[_M_BANK + _BANK * pick], constants[1], constants[2])
-    weights = thrust / (mass * STANDARD_GRAVITY_MPS2)
+    thrust = _thrust(memory[_M_BANK + _BANK * pick + _B_U], constants[_C_MAX_THRUST], constants[_C_THRUST_FACTOR])
+    weights = thrust / (constants[_C_MASS] * STANDARD_GRAVITY_MPS2)
     r = quat_to_matrix(q)
     height = memory[_M_GROUND] - pos[2]
+    _put_force(constants, r, vel, force, thrust, weights, height, out)
+    for i in range(3):
+        out[S_RATE_INPUT + i] = memory[_M_RATE + i]
+        out[S_RATE_TARGET + i] = rate[i] - memory[_M_RATE + i]
+    out[S_APPLIED] = thrust
+    out[S_DELAY] = pick * _CANDIDATE_STEP_S
+    out[S_LATENCY] = out[S_DELAY] if memory[_M_EVIDENT] != 0.0 else math.nan
+    upright = r[2, 2] > 0.0
+    out[S_REPEATED] = 0.0 if dt > _SAME_S else 1.0
+    out[S_OK] = 1.0 if fresh and flying and upright and weights > _THRUST_LEAST_WEIGHTS else 0.0
+
+
+@njit
+def _put_force(
+    constants: F64, r: F64, vel: F64, force: F64, thrust: float, weights: float, height: float, out: F64
+) -> None:
+    """Inputs and targets of the force into `out`, from the rotation matrix, velocity NED and specific force FRD."""
+    mass = constants[_C_MASS]
     x = out[S_INPUT : S_INPUT + D]
     x[AXIS_N], x[AXIS_E] = r[0, 2], r[1, 2]
     x[THRUST] = weights
-    x[GROUND] = weights * _proximity(constants[8], height)
+    x[GROUND] = weights * _proximity(constants[_C_ROTOR_RADIUS], height)
     tilt = np.empty((3, 3))
     tilt_axes(r[0, 2], r[1, 2], tilt)
     for i in range(3):
@@ -302,21 +327,13 @@ def _sample(
     residual = out[S_TARGET_FRD : S_TARGET_FRD + 3]
     for i in range(3):
         along = r[0, i] * vel[0] + r[1, i] * vel[1] + r[2, i] * vel[2]
-        residual[i] = force[i] + constants[5 + i] * along / mass
+        residual[i] = force[i] + constants[_C_DRAG + i] * along / mass
     residual[2] += thrust / mass
     out[S_TARGET] = c * residual[0] - s * residual[1]
     out[S_TARGET + 1] = s * residual[0] + c * residual[1]
     out[S_TARGET + 2] = residual[2]
-    for i in range(3):
-        out[S_RATE_INPUT + i] = memory[_M_RATE + i]
-        out[S_RATE_TARGET + i] = rate[i] - memory[_M_RATE + i]
-    out[S_APPLIED] = thrust
-    out[S_DELAY] = pick * _CANDIDATE_STEP_S
-    out[S_LATENCY] = out[S_DELAY] if memory[_M_EVIDENT] != 0.0 else math.nan
     out[S_HEADING], out[S_HEADING + 1] = c, s
     out[S_HEIGHT] = height
-    upright = r[2, 2] > 0.0
-    out[S_OK] = 1.0 if fresh and flying and upright and weights > _THRUST_LEAST_WEIGHTS else 0.0
 
 
 @njit
@@ -341,7 +358,7 @@ def _velocity_along(vel: F64, acc: F64, out: F64) -> None:
 @njit
 def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out: F64) -> None:
     """As `Sampler.at_reference` says; `reference` (17,), `learned` (6,), `out` (2, D)."""
-    drag = 0.5 * (constants[5] + constants[6]) / constants[0]
+    drag = 0.5 * (constants[_C_DRAG] + constants[_C_DRAG + 1]) / constants[_C_MASS]
     t = np.empty(3)
     rate = np.empty(3)
     for i in range(3):
@@ -358,8 +375,8 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
         out[1, AXIS_N + i] = (rate[i] - along * t[i] / size) / size
     _velocity_along(reference[3:6], reference[6:9], out)
     height = memory[_M_GROUND] - reference[2]
-    near = _proximity(constants[8], height)
+    near = _proximity(constants[_C_ROTOR_RADIUS], height)
     out[0, THRUST] = 0.0
     out[1, THRUST] = 0.0
     out[0, GROUND] = near
-    out[1, GROUND] = 2.0 * near * reference[5] / height if height > 0.5 * constants[8] else 0.0
+    out[1, GROUND] = 2.0 * near * reference[5] / height if height > 0.5 * constants[_C_ROTOR_RADIUS] else 0.0

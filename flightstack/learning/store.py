@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
-from flightstack.learning.priors import Prior
+from flightstack.learning.priors import StorePrior
 from flightstack.types import F64
 
 Relevance = Literal["oldest", "kernel"]
@@ -104,7 +104,14 @@ class Store:
     )  # fmt: skip
 
     def __init__(
-        self, prior: Prior, *, inputs: int, outputs: int, capacity: int, floor: float, relevance: Relevance = "oldest"
+        self,
+        prior: StorePrior,
+        *,
+        inputs: int,
+        outputs: int,
+        capacity: int,
+        floor: float,
+        relevance: Relevance = "oldest",
     ) -> None:
         self.outputs, self.relevance = outputs, relevance
         self.gp = RecursiveGP(prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity)

@@ -14,8 +14,8 @@ import numpy as np
 
 from flightstack.checked import number, only
 from flightstack.gp import Kernel, fit, kernel_from_dict
-from flightstack.learning.priors import Prior, Priors, default_priors
-from flightstack.learning.windows import Windows
+from flightstack.learning.priors import Priors, StorePrior, default_priors
+from flightstack.learning.windows import SampleWindows
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 
@@ -27,7 +27,7 @@ _NOISE_RANGE = (1e-8, 1e2)
 
 
 @dataclass(frozen=True, slots=True)
-class Stored:
+class StoredPriors:
     """Fitted priors and where they come from."""
 
     priors: Priors
@@ -43,7 +43,7 @@ def vehicle_hash(vehicle: Vehicle) -> str:
     return hashlib.sha256(vehicle_to_toml(vehicle).encode()).hexdigest()
 
 
-def fit_priors(vehicle: Vehicle, data: Windows, *, seed: int = 0) -> Stored:
+def fit_priors(vehicle: Vehicle, data: SampleWindows, *, seed: int = 0) -> StoredPriors:
     """Hyper-parameters of greatest marginal likelihood, starting from the default priors; InputError if too few."""
     count = len(data.x)
     if count < LEAST_WINDOWS:
@@ -56,15 +56,15 @@ def fit_priors(vehicle: Vehicle, data: Windows, *, seed: int = 0) -> Stored:
         _fitted(start.rates, rate_x, rate_y, seed),
     )  # fmt: skip
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in data)).hexdigest()
-    return Stored(priors, vehicle.name, vehicle_hash(vehicle), digest, len(keep))
+    return StoredPriors(priors, vehicle.name, vehicle_hash(vehicle), digest, len(keep))
 
 
-def _fitted(prior: Prior, x: F64, y: F64, seed: int) -> Prior:
+def _fitted(prior: StorePrior, x: F64, y: F64, seed: int) -> StorePrior:
     found = fit(prior.kernel, prior.noise_var, x, y, seed=seed, restarts=0)
-    return Prior(found.kernel, found.noise_var)
+    return StorePrior(found.kernel, found.noise_var)
 
 
-def to_json(stored: Stored) -> str:
+def to_json(stored: StoredPriors) -> str:
     """The file's text."""
     stores = {
         item.name: {"kernel": prior.kernel.to_dict(), "noise_var": prior.noise_var}
@@ -81,7 +81,7 @@ def to_json(stored: Stored) -> str:
     return json.dumps(head | {"stores": stores}, indent=1) + "\n"
 
 
-def parse_stored(text: str, source: str, vehicle: Vehicle) -> Stored:
+def parse_stored(text: str, source: str, vehicle: Vehicle) -> StoredPriors:
     """The priors of a file; InputError names what is wrong, and refuses a file fitted for another vehicle."""
     try:
         data = json.loads(text)
@@ -101,12 +101,12 @@ def parse_stored(text: str, source: str, vehicle: Vehicle) -> Stored:
     only(stores, tuple(item.name for item in fields(Priors)), f"{source}: stores")
     priors = Priors(*(_prior(stores.get(item.name), f"{source}: stores.{item.name}") for item in fields(Priors)))
     count = int(number(data.get("windows"), f"{source}: windows", 1, 1e9))
-    return Stored(priors, str(data.get("vehicle")), str(data["vehicle_hash"]), str(data.get("data_hash")), count)
+    return StoredPriors(priors, str(data.get("vehicle")), str(data["vehicle_hash"]), str(data.get("data_hash")), count)
 
 
-def _prior(data: object, where: str) -> Prior:
+def _prior(data: object, where: str) -> StorePrior:
     if not isinstance(data, Mapping):
         raise InputError(f"{where} is missing")
     only(data, ("kernel", "noise_var"), where)
     kernel: Kernel = kernel_from_dict(data.get("kernel"), f"{where}.kernel")
-    return Prior(kernel, number(data.get("noise_var"), f"{where}.noise_var", *_NOISE_RANGE))
+    return StorePrior(kernel, number(data.get("noise_var"), f"{where}.noise_var", *_NOISE_RANGE))

@@ -24,7 +24,7 @@ _MEAN_SHARE = 0.2
 """Forgetting of the short mean of errors, a sample: 5 samples, 20 ms at 250 Hz."""
 _NOISE_SHARE = 0.001
 """Forgetting of the structure function, a sample: 4 s, which leave a window's variance uncertain by a sixth."""
-_LAGS = 6
+LAGS = 6
 """K: at 250 Hz noise may correlate over 20 ms."""
 _CONFIRM = 8
 """Samples in a row whose short mean must lie beyond the alarm: 32 ms."""
@@ -35,9 +35,9 @@ _FIRST_VARIANCE = 0.04
 # into it, the last K targets (the newest first); then the window: count, sums.
 _W_MEAN, _W_COUNT = 0, 3
 _W_STRUCTURE = 6
-_W_SAMPLES = _W_STRUCTURE + 3 * _LAGS
+_W_SAMPLES = _W_STRUCTURE + 3 * LAGS
 _W_TARGETS = _W_SAMPLES + 1
-_W_RUN = _W_TARGETS + 3 * _LAGS
+_W_RUN = _W_TARGETS + 3 * LAGS
 """Samples since the last one that was not fit."""
 _W_N, _W_SUMS = _W_RUN + 1, _W_RUN + 2
 _SUMMED = s.S_APPLIED - s.S_INPUT
@@ -95,10 +95,10 @@ class Watch:
 @njit
 def _long_run(row: F64, i: int) -> float:
     """Variance of axis i's mean over n samples, times n, by the structure function; at least a tenth of a sample's."""
-    place = _W_STRUCTURE + _LAGS * i
-    last = row[place + _LAGS - 1]
-    total = (2.0 * _LAGS - 1.0) * last
-    for k in range(_LAGS - 1):
+    place = _W_STRUCTURE + LAGS * i
+    last = row[place + LAGS - 1]
+    total = (2.0 * LAGS - 1.0) * last
+    for k in range(LAGS - 1):
         total -= 2.0 * row[place + k]
     return float(max(total, 0.1 * last))
 
@@ -109,22 +109,22 @@ def _step(
 ) -> tuple[int, float]:  # fmt: skip
     surprise = 0.0
     alarm = NO_ALARM
-    if row[_W_RUN] >= _LAGS:
+    if row[_W_RUN] >= LAGS:
         row[_W_SAMPLES] += 1.0
     share = max(_NOISE_SHARE, 1.0 / max(row[_W_SAMPLES], 1.0))
     for i in range(3):
         target = sample[s.S_TARGET + i]
-        structure, past = _W_STRUCTURE + _LAGS * i, _W_TARGETS + _LAGS * i
-        if row[_W_RUN] >= _LAGS:
-            for k in range(_LAGS):
+        structure, past = _W_STRUCTURE + LAGS * i, _W_TARGETS + LAGS * i
+        if row[_W_RUN] >= LAGS:
+            for k in range(LAGS):
                 change = target - row[past + k]
                 row[structure + k] += share * (0.5 * change * change - row[structure + k])
-        for k in range(_LAGS - 1, 0, -1):
+        for k in range(LAGS - 1, 0, -1):
             row[past + k] = row[past + k - 1]
         row[past] = target
         row[_W_MEAN + i] += _MEAN_SHARE * (target - expected[i] - row[_W_MEAN + i])
         error[i] = row[_W_MEAN + i]
-        noise = max(_long_run(row, i), row[structure + _LAGS - 1])
+        noise = max(_long_run(row, i), row[structure + LAGS - 1])
         spread = math.sqrt(noise * _MEAN_SHARE / (2.0 - _MEAN_SHARE) + variance[i])
         sigmas = abs(error[i]) / spread
         surprise = max(surprise, sigmas)

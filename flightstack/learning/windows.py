@@ -15,7 +15,7 @@ from flightstack.model import Model
 from flightstack.types import F64, Command, Measurement
 
 
-class Windows(NamedTuple):
+class SampleWindows(NamedTuple):
     """Means of windows of fit samples."""
 
     x: F64
@@ -28,7 +28,9 @@ class Windows(NamedTuple):
     """(n, 3) measured less these."""
 
 
-def windows(model: Model, ticks: Iterable[tuple[Measurement, Command]], config: LearnerConfig | None = None) -> Windows:
+def windows(
+    model: Model, ticks: Iterable[tuple[Measurement, Command]], config: LearnerConfig | None = None
+) -> SampleWindows:
     """The windows of one flight; each tick is a measurement and the command sent before it."""
     config = config or LearnerConfig()
     sampler = Sampler(model, config.away_m)
@@ -37,6 +39,8 @@ def windows(model: Model, ticks: Iterable[tuple[Measurement, Command]], config: 
     gathered: list[F64] = []
     for measurement, sent in ticks:
         sampler.step(memory, measurement, sent, sample)
+        if sample[s.S_REPEATED] != 0.0:
+            continue
         if not fits(sample, config.residual_max_mps2):
             gathered.clear()
             continue
@@ -45,4 +49,4 @@ def windows(model: Model, ticks: Iterable[tuple[Measurement, Command]], config: 
             kept.append(np.mean(gathered, axis=0))
             gathered.clear()
     rows = np.array(kept).reshape(-1, s.S_APPLIED - s.S_INPUT)
-    return Windows(*np.split(rows, (s.D, s.D + 3, s.D + 6), axis=1))
+    return SampleWindows(*np.split(rows, (s.D, s.D + 3, s.D + 6), axis=1))

@@ -12,8 +12,8 @@ from typing import Any
 
 from flightstack.checked import number
 from flightstack.site import backup as b
-from flightstack.site.stopping import Prior, Stopping
-from flightstack.site.tube import Doubts, Tube
+from flightstack.site.stopping import Prior, StoppingCertificate
+from flightstack.site.tube import LoopBounds, Tube
 from flightstack.types import InputError
 
 SCHEMA = "flightstack.stopping/1"
@@ -21,7 +21,7 @@ _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
 
 
-def as_json(made: Stopping, vehicle: str, vehicle_hash: str, sensors: str, learned: dict[str, Any]) -> str:
+def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors: str, learned: dict[str, Any]) -> str:
     """The file's text; `learned`: where its prior comes from."""
     least = made.rows[0]
     loops = {name: _loop(tube, made.doubts[i], made.lags_s[i]) for i, (name, tube) in enumerate(_tubes(made).items())}
@@ -45,11 +45,11 @@ def as_json(made: Stopping, vehicle: str, vehicle_hash: str, sensors: str, learn
     return json.dumps(said, indent=1) + "\n"
 
 
-def _tubes(made: Stopping) -> dict[str, Tube]:
+def _tubes(made: StoppingCertificate) -> dict[str, Tube]:
     return {"across": made.across, "along": made.along}
 
 
-def _loop(tube: Tube, doubts: Doubts, lag_s: float) -> dict[str, float]:
+def _loop(tube: Tube, doubts: LoopBounds, lag_s: float) -> dict[str, float]:
     gains = {name: float(value) for name, value in tube.gains._asdict().items()}
     return {
         "lag_s": lag_s,
@@ -89,7 +89,7 @@ def _by_name(said: Any) -> dict[str, Any]:
     return {**named, **said} if isinstance(said, dict) else named
 
 
-def require_same(text: str, source: str, made: Stopping) -> None:
+def require_same(text: str, source: str, made: StoppingCertificate) -> None:
     """InputError where any number of the file is not the one that follows from its prior for this vehicle."""
     said, again = (_by_name(json.loads(each)) for each in (text, as_json(made, "", "", "", {})))
     for part in ("across", "along", "braking", "stops_within_m", *(line.name for line in made.ledger)):

@@ -6,6 +6,7 @@ Numbers that last from tick to tick lie in one array (`MEMORY`), all of the vehi
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,8 +55,70 @@ _FORCE_MOST_MPS2 = 4.0
 _TILT_AHEAD_S = 0.12
 _SLEW_RADPS = 0.5
 _ABOVE_M = 0.25
-_LIMITS = CHAIN + 9 + 3 + 2
-"""Places of a packed vehicle: chain, response (3, 3), rate limits (3), drag (1/s) and how uncertain the gain is."""
+_FREE = -9
+_DRAG, _OPEN_SHARE, _GAINS = CHAIN + 12, CHAIN + 13, CHAIN + 14
+"""Places of a packed vehicle, after chain, response (3, 3) and rate limits (3): drag (1/s), how uncertain the gain is,
+its range and the step of the rows."""
+
+
+class Known(NamedTuple):
+    """What a certificate says of the vehicle; rows and soft by least gain (`Stopping`)."""
+
+    vehicle: F64
+    rows: F64
+    soft: F64
+    tubes: F64
+
+
+class Kept(NamedTuple):
+    """What lasts from tick to tick."""
+
+    memory: F64
+    numbers: F64
+    """MEMORY."""
+    committed: F64
+
+
+class Commands(NamedTuple):
+    """The last one sent and the one that is wanted."""
+
+    sent_norm: float
+    sent_rate: F64
+    wanted_norm: float
+    wanted_rate: F64
+
+
+class Buffers(NamedTuple):
+    """Of one tick; `out`: a Filtered's row."""
+
+    scratch: F64
+    way: F64
+    out: F64
+    rate: F64
+
+
+class Now(NamedTuple):
+    """The vehicle when the command begins to act."""
+
+    chain: F64
+    state: F64
+    offset: F64
+    origin: F64
+    numbers: F64
+
+
+class Keeping(NamedTuple):
+    """What is kept to: a row of the certificate, its tube, the site."""
+
+    row: F64
+    tube: F64
+    site: F64
+
+
+@njit_called
+def is_airborne(height: float, force_mps2: float) -> bool:
+    """Whether thrust (m/s^2) at a height above the place of arming says that the vehicle flies."""
+    return abs(height) >= _AIRBORNE_M and force_mps2 >= _LEAST_THRUST * STANDARD_GRAVITY_MPS2
 
 
 @njit
@@ -64,7 +127,7 @@ def _observe(
 ) -> None:
     """The thrust gain and the force, off the accelerometer, while the vehicle flies."""
     force = thrust_of(chain, rotors)
-    if abs(height) < _AIRBORNE_M or force < _LEAST_THRUST * STANDARD_GRAVITY_MPS2:
+    if not is_airborne(height, force):
         for i in range(3):
             n[FORCE + i] = 0.0
         return
@@ -85,30 +148,27 @@ def is_read(n: F64) -> bool:
 
 
 @njit
-def _clear(
-    chain: F64, state: F64, norm: float, rate: F64, offset: F64, origin: F64, n: F64, p: F64, tube: F64, site: F64,
-    scratch: F64, way: F64,
-) -> bool:  # fmt: skip
+def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> bool:
     """Whether the way out after a command that is held for a tick is clear; the way is in `scratch` and `way`."""
-    after, command, start, asked = state.copy(), np.empty(5), np.empty(ROW), np.empty(3)
+    chain, n, p, origin = now.chain, now.numbers, of.row, now.origin
+    after, command, start, asked = now.state.copy(), np.empty(5), np.empty(ROW), np.empty(3)
     command[0], command[1] = 0.0, norm
     for i in range(3):
         command[2 + i] = rate[i]
-    _advance(after, chain, norm, command, n[HOLD_S], offset, n[GAIN])
+    _advance(after, chain, norm, command, n[HOLD_S], now.offset, n[GAIN])
     for i in range(3):  # the governor lets rates change so much
         asked[i] = min(max(rate[i], n[SENT + i] - _SLEW_RADPS), n[SENT + i] + _SLEW_RADPS)
-    point_of(chain, after, offset, n[GAIN], asked, start)
+    point_of(chain, after, now.offset, n[GAIN], asked, start)
     for i in range(3):
         start[i] -= origin[i]
     r = quat_to_matrix(after[6:10])
-    if r[2, 2] + _TILT_AHEAD_S * (after[11] * r[2, 0] - after[10] * r[2, 1]) < p[UPRIGHT]:
-        n[EDGE] = TILT_CODE
-        return False
-    count = roll(start, p, tube, scratch, way)
+    count = 0
+    if r[2, 2] + _TILT_AHEAD_S * (after[11] * r[2, 0] - after[10] * r[2, 1]) >= p[UPRIGHT]:
+        count = roll(start, p, of.tube, buffers.scratch, buffers.way)
     if count == 0:
         n[EDGE] = TILT_CODE
         return False
-    clearance, edge = clear_of(site, way, count, _NEAR_M)
+    clearance, edge = clear_of(of.site, buffers.way, count, _NEAR_M)
     n[CLEARANCE], n[EDGE] = clearance, edge
     if clearance < 0.0:
         return False
@@ -118,68 +178,85 @@ def _clear(
 
 @njit_called
 def decide(
-    memory: F64, vehicle: F64, measured: F64, times_us: tuple[float, float, float], origin: F64, sent_norm: float,
-    sent_rate: F64, wanted_norm: float, wanted_rate: F64, site: F64, rows: F64, soft: F64, tubes: F64, n: F64,
-    committed: F64, scratch: F64, way: F64, out: F64, rate: F64,
+    known: Known, site: F64, kept: Kept, origin: F64, measured: F64, times_us: tuple[float, float, float],
+    commands: Commands, buffers: Buffers,
 ) -> tuple[float, int]:  # fmt: skip
-    """The command to send: thrust, body rates into `rate` (3,); and the status.
+    """The command to send: thrust, body rates into `buffers.rate` (3,); and the status.
 
-    times_us: of the last command sent, the measurement, now; rows and soft: by least gain (`Stopping`); out: a
-    Filtered's row.  PASSED: it is the wanted one, to the bit.
+    times_us: of the last command sent, the measurement, now; origin (3,).  PASSED: it is the wanted one, to the bit.
     """
-    sent_us, measured_us, now_us = times_us
-    remember(memory, sent_us, sent_norm, sent_rate)
-    chain, response = vehicle[:CHAIN], vehicle[CHAIN : CHAIN + 9].reshape(3, 3)
-    most, drag, open_share = vehicle[CHAIN + 9 : CHAIN + 12], vehicle[CHAIN + 12], vehicle[CHAIN + 13]
-    gains = vehicle[CHAIN + 14 : CHAIN + 16]
-    dt = min(max((now_us - n[LAST_US]) * 1e-6, 0.001), 0.05) if n[LAST_US] >= 0.0 else 0.004
-    n[LAST_US], n[HOLD_S], chain[C_HOLD] = now_us, dt, dt
-    follow_rotors(memory, chain, measured_us)
-    _observe(n, chain, measured, memory[0, M_ROTORS], dt, origin[2] - measured[2], gains, drag)
-    read = is_read(n)
-    least = max(n[GAIN] * (1.0 - open_share), gains[0]) if read else gains[0]
-    at = int(min(max((least - gains[0]) / vehicle[CHAIN + 16], 0.0), len(rows) - 1.0))
-    p, s, tube = rows[at], soft[at], tubes[1 if read else 0]
-    offset, state = np.zeros(3), np.empty(STATE)
-    for i in range(2):
-        offset[i] = n[FORCE + i] - drag * measured[3 + i]
-    offset[2] = STANDARD_GRAVITY_MPS2 + n[FORCE + 2] - drag * measured[5]
-    begins_us = now_us + chain[C_RATE_DELAY]
-    ahead(memory, chain, measured, measured_us, begins_us, offset, n[GAIN], state)
+    n, rate, begins_us = kept.numbers, buffers.rate, times_us[2] + known.vehicle[C_RATE_DELAY]
+    state, offset, at = np.empty(STATE), np.zeros(3), _now(known, kept, origin, measured, times_us, commands)
+    _predict(known, kept, measured, times_us, state, offset)
     for i in range(3):
-        n[SENT + i] = sent_rate[i]
+        n[SENT + i] = commands.sent_rate[i]
+        rate[i] = commands.wanted_rate[i]
+    now = Now(known.vehicle[:CHAIN], state, offset, origin, n)
+    of = Keeping(known.rows[at], known.tubes[1 if is_read(n) else 0], site)
+    s = known.soft[at]
     if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
         n[LEFT] = 1.0
     site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
-    norm = wanted_norm
-    for i in range(3):
-        rate[i] = wanted_rate[i]
-    u, near = out[8:11], np.empty((slide.MOST_ROWS, 6))
-    acceleration(chain, state, offset, n[GAIN], norm, rate, u)
-    for i in range(3):
-        out[11 + i] = u[i]
-    z, v = np.empty(3), np.empty(3)
-    for i in range(3):
-        z[i], v[i] = lead(chain, state, response, i, offset[i], n[GAIN])
-        z[i] -= origin[i]
-    count = slide.bounds(site, z, v, s, near)
-    moved, code = slide.nearest_within(near, count, out[11:14])
-    if moved:
-        norm = command_for(chain, state, offset, n[GAIN], out[11:14], rate)
-        for i in range(2):
-            fastest = min(most[i], p[JERK] / STANDARD_GRAVITY_MPS2)
-            rate[i] = min(max(rate[i], -fastest), fastest)
+    norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
     n[KEPT], n[SHARE], n[OFF] = 0.0, 1.0, 0.0
-    if _clear(chain, state, norm, rate, offset, origin, n, p, tube, site, scratch, way):
-        _commit(n, committed, scratch, begins_us)
-        if moved:
+    if _clear(now, norm, rate, of, buffers):
+        _commit(n, kept.committed, buffers.scratch, begins_us)
+        if code != _FREE:
             n[EDGE] = code
-        return norm, CHANGED if moved else PASSED
+        return norm, PASSED if code == _FREE else CHANGED
     if n[COMMITTED] == 0.0:
-        for i in range(3):
-            rate[i] = wanted_rate[i]
-        return wanted_norm, WAITING
-    return _kept(chain, state, offset, origin, norm, rate, n, (p, tube, site), committed, scratch, way, begins_us)
+        return commands.wanted_norm, WAITING
+    return _held(now, norm, of, kept.committed, buffers, begins_us)
+
+
+@njit
+def _now(
+    known: Known, kept: Kept, origin: F64, measured: F64, times_us: tuple[float, float, float], commands: Commands
+) -> int:  # fmt: skip
+    """Take in the last command and what the accelerometer shows; the row of the certificate for the gain."""
+    n, vehicle, now_us = kept.numbers, known.vehicle, times_us[2]
+    chain, gains = vehicle[:CHAIN], vehicle[_GAINS : _GAINS + 2]
+    remember(kept.memory, times_us[0], commands.sent_norm, commands.sent_rate)
+    dt = min(max((now_us - n[LAST_US]) * 1e-6, 0.001), 0.05) if n[LAST_US] >= 0.0 else 0.004
+    n[LAST_US], n[HOLD_S], chain[C_HOLD] = now_us, dt, dt
+    follow_rotors(kept.memory, chain, times_us[1])
+    _observe(n, chain, measured, kept.memory[0, M_ROTORS], dt, origin[2] - measured[2], gains, vehicle[_DRAG])
+    least = max(n[GAIN] * (1.0 - vehicle[_OPEN_SHARE]), gains[0]) if is_read(n) else gains[0]
+    return int(min(max((least - gains[0]) / vehicle[_GAINS + 2], 0.0), len(known.rows) - 1.0))
+
+
+@njit
+def _predict(
+    known: Known, kept: Kept, measured: F64, times_us: tuple[float, float, float], state: F64, offset: F64
+) -> None:  # fmt: skip
+    """The state (STATE,) when a command sent now begins to act, and the acceleration without thrust (3,)."""
+    n, chain, drag = kept.numbers, known.vehicle[:CHAIN], known.vehicle[_DRAG]
+    for i in range(3):
+        offset[i] = n[FORCE + i] - drag * measured[3 + i]
+    offset[2] += STANDARD_GRAVITY_MPS2
+    ahead(kept.memory, chain, measured, times_us[1], times_us[2] + chain[C_RATE_DELAY], offset, n[GAIN], state)
+
+
+@njit
+def _slid(now: Now, of: Keeping, s: F64, vehicle: F64, norm: float, buffers: Buffers) -> tuple[float, int]:
+    """The command slid along what is near, its rates in place; and what moved it, or _FREE."""
+    chain, state, offset, n, rate = now.chain, now.state, now.offset, now.numbers, buffers.rate
+    u, moved_u, near = buffers.out[8:11], buffers.out[11:14], np.empty((slide.MOST_ROWS, 6))
+    acceleration(chain, state, offset, n[GAIN], norm, rate, u)
+    z, v, response = np.empty(3), np.empty(3), vehicle[CHAIN : CHAIN + 9].reshape(3, 3)
+    for i in range(3):
+        moved_u[i] = u[i]
+        z[i], v[i] = lead(chain, state, response, i, offset[i], n[GAIN])
+        z[i] -= now.origin[i]
+    count = slide.bounds(of.site, z, v, s, near)
+    moved, code = slide.nearest_within(near, count, moved_u)
+    if not moved:
+        return norm, _FREE
+    norm = command_for(chain, state, offset, n[GAIN], moved_u, rate)
+    for i in range(2):
+        fastest = min(vehicle[CHAIN + 9 + i], of.row[JERK] / STANDARD_GRAVITY_MPS2)
+        rate[i] = min(max(rate[i], -fastest), fastest)
+    return norm, code
 
 
 @njit
@@ -192,28 +269,27 @@ def _commit(n: F64, committed: F64, scratch: F64, begins_us: float) -> None:
 
 
 @njit
-def _kept(
-    chain: F64, state: F64, offset: F64, origin: F64, norm: float, rate: F64, n: F64, of: tuple[F64, F64, F64],
-    committed: F64, scratch: F64, way: F64, begins_us: float,
+def _held(
+    now: Now, norm: float, of: Keeping, committed: F64, buffers: Buffers, begins_us: float
 ) -> tuple[float, int]:  # fmt: skip
     """The committed way is kept to; as much of the wanted command as leaves a way out clear is let through."""
-    p, tube, site = of
+    chain, state, n, rate = now.chain, now.state, now.numbers, buffers.rate
     clearance, edge = n[CLEARANCE], n[EDGE]
     target, brake, share_rate = np.empty(ROW), np.empty(3), np.empty(3)
     time_s = (begins_us - n[SINCE_US]) * 1e-6
     at_time(committed, int(n[COMMITTED]), time_s, target)
     for i in range(3):
-        target[i] += origin[i]
+        target[i] += now.origin[i]
     off = math.sqrt((state[0] - target[0]) ** 2 + (state[1] - target[1]) ** 2)
     step = int(min(max(time_s / STEP_S, 0.0), STEPS - 1.0))
-    n[OFF] = max(off - tube[step, 0], abs(state[2] - target[2]) - tube[step, 1])
-    brake_norm = follow(p, chain, state, offset, n[GAIN], target, brake)
+    n[OFF] = max(off - of.tube[step, 0], abs(state[2] - target[2]) - of.tube[step, 1])
+    brake_norm = follow(of.row, chain, state, now.offset, n[GAIN], target, brake)
     for share in _SHARES:
         share_norm = min(max(brake_norm + share * (norm - brake_norm), chain[C_NORM_LOW]), chain[C_NORM_HIGH])
         for i in range(3):
             share_rate[i] = brake[i] + share * (rate[i] - brake[i])
-        if _clear(chain, state, share_norm, share_rate, offset, origin, n, p, tube, site, scratch, way):
-            _commit(n, committed, scratch, begins_us)
+        if _clear(now, share_norm, share_rate, of, buffers):
+            _commit(n, committed, buffers.scratch, begins_us)
             for i in range(3):
                 rate[i] = share_rate[i]
             n[SHARE], n[CLEARANCE], n[EDGE] = share, clearance, edge

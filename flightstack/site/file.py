@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.checked import load_toml, number, only
+from flightstack.geodesy import LocalFrame
 from flightstack.site.shape import FAR_M, MOST_EDGES, KeepOut, Site, checked
 from flightstack.types import F64, InputError
 
@@ -22,7 +23,6 @@ _CEILING_M = 120.0
 _HEIGHT_M = 10_000.0
 _ROUND_CORNERS = 64
 """A round fence to stay in is taken as the regular polygon inside it."""
-_METRES_PER_DEGREE = 111_195.0
 
 
 def parse_site(text: str, source: str) -> Site:
@@ -159,10 +159,11 @@ def _listed(fence: Mapping[str, Any], key: str, source: str) -> list[Mapping[str
 
 def _round(centre: Sequence[float], radius_m: float) -> F64:
     """(64, 2) degrees: the regular polygon whose corners lie on the circle."""
-    angle = np.linspace(0.0, 2.0 * math.pi, _ROUND_CORNERS, endpoint=False)
-    shrink = max(math.cos(math.radians(centre[0])), 1e-6)
-    turn = radius_m / _METRES_PER_DEGREE
-    return np.stack([centre[0] + turn * np.cos(angle), centre[1] + turn * np.sin(angle) / shrink], axis=1)
+    frame, found = LocalFrame(centre[0], centre[1], 0.0), []
+    for angle in np.linspace(0.0, 2.0 * math.pi, _ROUND_CORNERS, endpoint=False).tolist():
+        lat, lon = frame.to_globe(radius_m * math.cos(angle), radius_m * math.sin(angle))
+        found.append((lat, math.remainder(lon, 360.0)))
+    return np.array(found)
 
 
 def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
@@ -175,17 +176,19 @@ def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
     out: list[KeepOut] = []
     for i, feature in enumerate(features):
         where = f"{source}: feature {i}"
-        shape, said = _geometry(feature, where)
-        rings = [_lon_lat(ring, f"{where}: ring {k}") for k, ring in enumerate(shape)]
-        if not rings:
-            raise InputError(f"{where} is empty: it has no ring")
-        if said.get("keep_out"):
-            floor, ceiling = _height(said, "floor_m", -math.inf, where), _height(said, "ceiling_m", math.inf, where)
-            out.append(KeepOut(f"feature {i}", rings[0], floor_m=floor, ceiling_m=ceiling))
-            continue
-        low, high = _height(said, "floor_m", 0.0, where), _height(said, "ceiling_m", _CEILING_M, where)
-        inside.append((rings[0], low, high))
-        out.extend(KeepOut(f"feature {i}: hole {k}", ring) for k, ring in enumerate(rings[1:]))
+        polygons, said = _geometry(feature, where)
+        for k, polygon in enumerate(polygons):
+            part = where if len(polygons) == 1 else f"{where}: polygon {k}"
+            rings = _rings(polygon, part)
+            name = part.removeprefix(f"{source}: ")
+            if said.get("keep_out"):
+                floor, ceiling = _height(said, "floor_m", -math.inf, where), _height(said, "ceiling_m", math.inf, where)
+                out.append(KeepOut(name, rings[0], floor_m=floor, ceiling_m=ceiling))
+                continue
+            inside.append(
+                (rings[0], _height(said, "floor_m", 0.0, where), _height(said, "ceiling_m", _CEILING_M, where))
+            )
+            out.extend(KeepOut(f"{name}: hole {k}", ring) for k, ring in enumerate(rings[1:]))
     if len(inside) != 1:
         raise InputError(
             f'{source}: {len(inside)} polygons to stay in, exactly one is taken ("keep_out": true marks the others)'
@@ -194,22 +197,23 @@ def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
 
 
 def _geometry(feature: object, where: str) -> tuple[list[Any], Mapping[str, Any]]:
-    """The rings of a feature or a bare geometry, and what its properties say."""
+    """The polygons (each a list of rings) of a feature or a bare geometry, and what its properties say."""
     if not isinstance(feature, Mapping):
         raise InputError(f"{where} is no GeoJSON object")
     is_feature = feature.get("type") == "Feature"
     shape = feature.get("geometry") if is_feature else feature
     said = feature.get("properties") if is_feature else {}
-    if not isinstance(shape, Mapping) or shape.get("type") != "Polygon":
-        found = shape.get("type") if isinstance(shape, Mapping) else shape
-        raise InputError(f"{where}: {found!r} is not taken, only a Polygon is")
-    rings = shape.get("coordinates")
-    if not isinstance(rings, list):
-        raise InputError(f"{where}: a Polygon needs coordinates")
-    return rings, said if isinstance(said, Mapping) else {}
+    kind = shape.get("type") if isinstance(shape, Mapping) else shape
+    if not isinstance(shape, Mapping) or kind not in ("Polygon", "MultiPolygon"):
+        raise InputError(f"{where}: {kind!r} is not taken, only a Polygon or a MultiPolygon is")
+    found = shape.get("coordinates")
+    if not isinstance(found, list):
+        raise InputError(f"{where}: a {kind} needs coordinates")
+    return ([found] if kind == "Polygon" else found), said if isinstance(said, Mapping) else {}
 
 
-def _lon_lat(ring: object, where: str) -> F64:
-    """(n, 2) latitude, longitude of GeoJSON's longitude, latitude."""
-    flipped: F64 = _corners(ring, where)[:, ::-1].copy()
-    return flipped
+def _rings(polygon: object, where: str) -> list[F64]:
+    """The rings of a polygon, each (n, 2): latitude, longitude of GeoJSON's longitude, latitude."""
+    if not isinstance(polygon, list) or not polygon:
+        raise InputError(f"{where} is empty: it has no ring")
+    return [_corners(ring, f"{where}: ring {k}")[:, ::-1].copy() for k, ring in enumerate(polygon)]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.response import CHAIN, new_memory
+from flightstack.barrier.response import CHAIN, new_memory, remember
 from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
 from flightstack.site import bend as bending
@@ -26,11 +26,13 @@ from flightstack.site import slide
 from flightstack.site.backup import ROW, STEPS
 from flightstack.site.clearance import CHUTE, OPEN, packed
 from flightstack.site.shape import Site
-from flightstack.site.stopping import GAIN_STEP, Stopping
+from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
 _BEND_DT_S = 0.004
+_PAUSE_US = 50_000
+"""Without a tick for longer: somebody else flew."""
 
 
 class SiteState(NamedTuple):
@@ -47,27 +49,29 @@ class SiteState(NamedTuple):
     """`bend.SIZE` numbers."""
 
 
+def gain_of(state: object) -> float:
+    """The thrust gain that was read off the accelerometer; 1 before, and where another filter flies."""
+    return float(state.numbers[d.GAIN]) if isinstance(state, SiteState) and d.is_read(state.numbers) else 1.0
+
+
 class _Known(NamedTuple):
     """One certificate's numbers, as compiled code takes them."""
 
-    vehicle: F64
-    rows: F64
-    soft: F64
-    tubes: F64
+    known: d.Known
     far: F64
     """`slide` parameters of a reference."""
     most_mps2: float
     """More force than this falsifies it."""
 
     @classmethod
-    def of(cls, made: Stopping, model: Model, limits: Limits) -> _Known:
+    def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
         """Of a certificate."""
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
         ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
         far, doubts = made.soft[0].copy(), made.doubts[0]
         far[slide.RADIUS] = made.kept_m
-        return cls(vehicle, made.rows, made.soft, made.tubes(), far, doubts.force_mps2 + doubts.rest_mps2)
+        return cls(d.Known(vehicle, made.rows, made.soft, made.tubes()), far, doubts.force_mps2 + doubts.rest_mps2)
 
 
 class SiteFilter:
@@ -76,8 +80,8 @@ class SiteFilter:
     enabled = True
 
     def __init__(
-        self, model: Model, limits: Limits, certificate: Stopping, site: Site, chutes: F64, chute_m: float,
-        prior: Stopping | None = None,
+        self, model: Model, limits: Limits, certificate: StoppingCertificate, site: Site, chutes: F64, chute_m: float,
+        prior: StoppingCertificate | None = None,
     ) -> None:  # fmt: skip
         """`site` in local metres; `chutes` (n, 2): places of take-off and landing, relative to the origin; `prior`:
         what is kept to once the certificate was falsified."""
@@ -95,9 +99,10 @@ class SiteFilter:
         still = np.zeros(3)
         state = self.init(still)
         level = np.zeros(20)
-        level[6], level[15] = 1.0, -9.8
-        measurement = Measurement(1000, level, 0, 0, 0)
-        command = Command(1000, self.model.weight_n, self.model.hover_norm, still)
+        level[2], level[6], level[15] = -1.0, 1.0, -9.8
+        t_us = 2 * _PAUSE_US
+        measurement = Measurement(t_us, level, 0, 0, 0)
+        command = Command(t_us, self.model.weight_n, self.model.hover_norm, still)
         self.step(state, measurement, command, command, Learned.nothing())
         self.bend(state, FlatOutput(np.zeros(17)))
 
@@ -130,6 +135,15 @@ class SiteFilter:
         out[:3] += state.origin_ned_m
         return FlatOutput(out)
 
+    def _begin(self, state: SiteState, measurement: Measurement, sent: Command) -> None:
+        """At first, or after somebody else flew: nothing is committed, rotors turn as the accelerometer says; what was
+        read of the vehicle stays."""
+        numbers, seen = state.numbers, measurement.row
+        numbers[d.COMMITTED], state.bent[:], state.memory[:] = 0.0, 0.0, new_memory()
+        if d.is_airborne(state.origin_ned_m[2] - seen[2], -seen[15]):
+            norm = self.model.norm_of(-seen[15] * self.model.mass_kg / numbers[d.GAIN])
+            remember(state.memory, sent.t_us - 1.0, norm, seen[10:13])
+
     def _in_force(self, numbers: F64) -> _Known:
         """The certificate's numbers, or the prior's once it was falsified."""
         return self._known[1 if numbers[d.BEYOND_S] >= d.BROKEN_S else 0]
@@ -151,14 +165,17 @@ class SiteFilter:
         if not (np.isfinite(measurement.row[:16]).all() and np.isfinite(command.rate_frd_radps).all()):
             row[2] = d.WAITING
             return state, command, Filtered(row)
+        if command.t_us - numbers[d.LAST_US] > _PAUSE_US:
+            self._begin(state, measurement, sent)
         if state.bent[bending.KNOWN] == 0.0:
             bending.begin(state.bent, measurement.row, state.origin_ned_m)
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         known = self._in_force(numbers)
         norm, status = d.decide(
-            state.memory, known.vehicle, measurement.row, times, state.origin_ned_m, sent.thrust_norm,
-            sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps, self._site, known.rows, known.soft,
-            known.tubes, numbers, state.committed, self._scratch, self._way, row, self._rate,
+            known.known, self._site, d.Kept(state.memory, numbers, state.committed), state.origin_ned_m,
+            measurement.row, times,
+            d.Commands(sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
+            d.Buffers(self._scratch, self._way, row, self._rate),
         )  # fmt: skip
         self._watch(numbers)
         row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0

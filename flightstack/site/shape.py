@@ -1,7 +1,8 @@
 """A site: polygon, floor, ceiling, places to keep out of; local metres (north, east) and heights above a place.
 
 What is wrong with one is one line that names the edge.  A site on the globe is laid out flat round the place of arming
-(`Site.local`): distance north and east on the local radii of the ellipsoid, right to 1 part in 10^4 within 10 km.
+(`Site.local`) by the projection of PX4's own local frame (`flightstack.geodesy`), so that a corner lies where PX4 says
+that it is; an edge is straight there.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import F64, InputError
 
 MOST_EDGES = 1000
 FAR_M = 10_000.0
 """A site farther from the vehicle than this is another site."""
-_SEMI_MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,42 +59,28 @@ class Site:
         """The same in metres round a place on the globe; InputError where it lies elsewhere, or is swapped."""
         if not self.is_global:
             return self
-        flat = _Flat(latitude_deg, longitude_deg)
-        inside = flat.metres(self.inside)
+        frame = LocalFrame(latitude_deg, longitude_deg, 0.0)
+        inside = _metres(frame, self.inside)
         if not float(np.hypot(*inside.T).min()) < FAR_M:
-            swapped = flat.metres(self.inside[:, ::-1])
+            swapped = _metres(frame, self.inside[:, ::-1])
             hint = ": latitude and longitude are swapped" if float(np.hypot(*swapped.T).min()) < FAR_M else ""
             raise InputError(
                 f"{self.source}: the site lies {float(np.hypot(*inside.T).min()) / 1000.0:.0f} km from the vehicle, "
                 f"which is at {latitude_deg:.6f}, {longitude_deg:.6f}{hint}"
             )
-        moved = tuple(flat.keep_out(each) for each in self.keep_outs)
+        moved = tuple(_moved(frame, each) for each in self.keep_outs)
         return checked(replace(self, is_global=False, inside=inside, keep_outs=moved))
 
 
-class _Flat:
-    """North and east in metres round a place on the ellipsoid."""
+def _metres(frame: LocalFrame, corners: F64) -> F64:
+    """(n, 2) north and east of (n, 2) degrees."""
+    return np.array([frame.to_local(*corner) for corner in corners.tolist()]).reshape(-1, 2)
 
-    def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
-        e2 = _FLATTENING * (2.0 - _FLATTENING)
-        s = math.sin(math.radians(latitude_deg))
-        w = math.sqrt(1.0 - e2 * s * s)
-        north = math.radians(_SEMI_MAJOR_M * (1.0 - e2) / w**3)
-        east = math.radians(_SEMI_MAJOR_M / w * math.cos(math.radians(latitude_deg)))
-        self._place, self._scale = np.array([latitude_deg, longitude_deg]), np.array([north, east])
 
-    def metres(self, corners: F64) -> F64:
-        """(n, 2) of (n, 2) degrees."""
-        turn = corners - self._place
-        turn[:, 1] = (turn[:, 1] + 180.0) % 360.0 - 180.0
-        found: F64 = turn * self._scale
-        return found
-
-    def keep_out(self, each: KeepOut) -> KeepOut:
-        """A keep-out in metres."""
-        north, east = self.metres(np.array([each.centre]))[0].tolist()
-        polygon = None if each.polygon is None else self.metres(each.polygon)
-        return replace(each, polygon=polygon, centre=(north, east))
+def _moved(frame: LocalFrame, each: KeepOut) -> KeepOut:
+    """A keep-out in metres."""
+    polygon = None if each.polygon is None else _metres(frame, each.polygon)
+    return replace(each, polygon=polygon, centre=frame.to_local(*each.centre))
 
 
 def checked(site: Site) -> Site:
@@ -129,6 +116,7 @@ def _check_polygon(where: str, corners: F64, is_global: bool) -> None:
         raise InputError(f"{where}: corner {bad} is not a number")
     if is_global:
         _check_degrees(where, corners)
+        corners = _metres(LocalFrame(float(corners[0, 0]), float(corners[0, 1]), 0.0), corners)
     elif float(np.abs(corners).max()) > 2.0 * FAR_M:
         bad = int(np.abs(corners).max(axis=1).argmax())
         raise InputError(

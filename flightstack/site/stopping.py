@@ -36,7 +36,7 @@ from flightstack.model import Limits, Model
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
-from flightstack.site.tube import Doubts, Tube, across, along
+from flightstack.site.tube import LoopBounds, Tube, across, along
 from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
@@ -82,7 +82,7 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stopping:
+class StoppingCertificate:
     """The certificate as the filter uses it."""
 
     prior: Prior
@@ -102,7 +102,7 @@ class Stopping:
     governor: GovernorTerms
     eps_gain: float
     """What the accelerometer leaves open of the gain, as a share of it."""
-    doubts: tuple[Doubts, Doubts]
+    doubts: tuple[LoopBounds, LoopBounds]
     """Across and along: what the tubes are made of."""
     lags_s: tuple[float, float]
     thrust_mps2: float
@@ -150,7 +150,7 @@ class Stopping:
 def stopping(
     vehicle: Vehicle, model: Model, limits: Limits, estimate: EstimateBounds, governor: GovernorTerms,
     prior: Prior | None = None, told: float = 1.0,
-) -> Stopping:  # fmt: skip
+) -> StoppingCertificate:  # fmt: skip
     """The certificate from the prior; InputError where the vehicle can't hold against it.
 
     `told`: the share of every doubt that is told; less than 1 is a lie, for tests that it would be found out.
@@ -171,8 +171,8 @@ def stopping(
         Line("model", MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2),
     )
     doubts = (
-        Doubts(*_seen(ledger, 0, told), told * flat_p, told * flat_v),
-        Doubts(*_seen(ledger, 1, told), told * float(eps_p[2]), told * float(eps_v[2])),
+        LoopBounds(*_seen(ledger, 0, told), told * flat_p, told * flat_v),
+        LoopBounds(*_seen(ledger, 1, told), told * float(eps_p[2]), told * float(eps_v[2])),
     )
     gain_low, gain_high = prior.gain
     unread = told * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
@@ -210,7 +210,7 @@ def stopping(
     response = np.array([
         [steer, steer * model.rate_lag_s, 0.0], [steer, steer * model.rate_lag_s, 0.0], [model.motor_lag_s, 0.0, 0.0],
     ])  # fmt: skip
-    made = Stopping(
+    made = StoppingCertificate(
         prior, ledger, *tubes, first, np.array(rows), np.array(soft), chain, response, governor,
         told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high,
     )  # fmt: skip

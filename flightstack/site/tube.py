@@ -36,7 +36,7 @@ _ACROSS_POLES = tuple(0.8 + 0.2 * k for k in range(11))
 _ALONG_POLES = tuple(0.75 + 0.25 * k for k in range(18))
 
 
-class Doubts(NamedTuple):
+class LoopBounds(NamedTuple):
     """Bounds of what moves a loop."""
 
     force_mps2: float
@@ -67,7 +67,7 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lag_s: float, doubts: Doubts) -> Tube:
+def across(lag_s: float, doubts: LoopBounds) -> Tube:
     """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched."""
     found = []
     for pole in _ACROSS_POLES:
@@ -81,7 +81,7 @@ def across(lag_s: float, doubts: Doubts) -> Tube:
     return _best(found)
 
 
-def along(lag_s: float, doubts: Doubts) -> Tube:
+def along(lag_s: float, doubts: LoopBounds) -> Tube:
     """The vertical loop with the least tube that asks for no more than there is."""
     found = []
     for pole in _ALONG_POLES:
@@ -101,7 +101,7 @@ def _best(found: list[Tube | None]) -> Tube:
     return min(tubes, key=lambda tube: (max(tube.demand_mps2, MOST_MPS2), float(tube.radius_m[-1])))
 
 
-def _tube(gains: Gains, matrix: F64, demand: F64, doubts: Doubts) -> Tube | None:
+def _tube(gains: Gains, matrix: F64, demand: F64, doubts: LoopBounds) -> Tube | None:
     """Of one loop; None where it does not settle well within the horizon."""
     if float(np.linalg.eigvals(matrix).real.max()) > -4.0 / HORIZON_S:
         return None

@@ -11,7 +11,7 @@ import numpy as np
 from flightstack.cli.files import load_vehicle
 from flightstack.types import Tuple3
 from flightstack_sim.autopilot.setpoint import OFF, ControlKind, ControlSetpoint
-from flightstack_sim.estimator import Estimate
+from flightstack_sim.estimator import EstimatorOutput
 from flightstack_sim.grade import load_grade
 from flightstack_sim.plant import Truth
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -52,7 +52,7 @@ class Vehicle:
         return self._vehicle.plant.truth()
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> EstimatorOutput:
         """The state as the autopilot's estimator tells it."""
         return self._vehicle.estimate
 

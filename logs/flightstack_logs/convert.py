@@ -16,8 +16,7 @@ import numpy as np
 
 from flightstack.types import F64, InputError
 from flightstack_logs import scene as viewer
-from flightstack_logs.reader import bytes_of
-from flightstack_logs.readers.mcap import read_mcap
+from flightstack_logs.reader import read
 from flightstack_logs.standard import with_vehicle_topics
 from flightstack_logs.tables import Log, Messages, Table
 from flightstack_logs.topics import TOPICS, Field, Kind, Topic
@@ -71,7 +70,7 @@ def convert(log: Log, path: Path) -> Converted:
 
 def _plain(log: Log, path: Path) -> Converted:
     """Every topic of the table, message by message; what a log holds beyond it is left out."""
-    as_logged = read_mcap(log.path, bytes_of(log.path), align=False)
+    as_logged = read(log.path, as_logged=True)
     tables = [table for name, table in as_logged.tables.items() if name in TOPICS]
     raw = [each for name, each in as_logged.messages.items() if name in TOPICS]
     if all(table.place is None for table in tables):
@@ -140,7 +139,7 @@ class _Poses:
     """Place and attitude at the attitude's times, for the 3-D view."""
 
     def __init__(self, attitude: Table, position: Table) -> None:
-        self._trail = viewer.Trail(truth=False)
+        self._trail = viewer.VehicleTrail(truth=False)
         self._place = np.stack(
             [np.interp(attitude.t_us, position.t_us, position["pos_ned_m"][:, axis]) for axis in range(3)], axis=-1
         )

@@ -1,4 +1,4 @@
-"""The log's one time line: microseconds from 0 at its start, never backwards, in the vehicle's seconds.
+"""The log's one time line: microseconds from 0 at its start, each period later than the last, in the vehicle's seconds.
 
 Whoever flies tells the clock each period what time it is here (`local_us`, a clock that never jumps) and, once that is
 known, by the vehicle's own clock (its time since boot, as fitted from its stamps).  The log counts the vehicle's
@@ -57,7 +57,8 @@ class LogClock:
             if self._ahead_us is None or leapt:
                 self._ahead_us = vehicle_us - expected_us
             t_us = vehicle_us - self._ahead_us
-        self.t_us = max(self.t_us, t_us)
+        later_us = self.t_us + (local_us > self._zero_us)  # no two periods share a time: replay tells them apart
+        self.t_us = max(later_us, t_us)
         if leapt or self.t_us >= self._due_us:
             self._due_us = self.t_us + _PERIOD_US
             vehicle = -1 if self._ahead_us is None else self.t_us + self._ahead_us

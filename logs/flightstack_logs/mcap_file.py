@@ -45,7 +45,7 @@ class Schema:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Channel:
+class McapChannel:
     """One channel with all its messages, in file order."""
 
     topic: str
@@ -60,7 +60,7 @@ class Channel:
 class McapContent:
     """Everything of a file that could be read."""
 
-    channels: dict[int, Channel] = field(default_factory=dict)
+    channels: dict[int, McapChannel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[Attachment] = field(default_factory=list)
     finished: bool = False
@@ -238,7 +238,7 @@ def _rare_record(op: int, body: bytes, content: McapContent, schemas: dict[int, 
         number, schema = record.number(2), record.number(2)
         if number not in content.channels:
             topic, encoding = record.text(), record.text()
-            content.channels[number] = Channel(topic, encoding, record.texts(), schemas.get(schema))
+            content.channels[number] = McapChannel(topic, encoding, record.texts(), schemas.get(schema))
     elif op == _ATTACHMENT:
         record.take(16)
         content.attachments.append(Attachment(record.text(), record.text(), record.take(record.number(8))))

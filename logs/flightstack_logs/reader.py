@@ -26,10 +26,11 @@ _MOST_BYTES = 4 << 30
 """Of a log once unpacked: a day at full rate; what claims more is no log."""
 
 
-def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
+def read(path: Path | str, columns: ColumnMap | None = None, *, as_logged: bool = False) -> Log:
     """Read a log, a cut-off one as far as it goes; InputError, one line, where there is none to read.
 
-    `columns` says what the columns of a CSV mean that hasn't this project's header.
+    `columns` says what the columns of a CSV mean that has not this project's header; `as_logged` leaves the vehicle's
+    own stamps in a log of this project as they came, on its clock.
     """
     path = Path(path)
     data = bytes_of(path)
@@ -37,7 +38,7 @@ def read(path: Path | str, columns: ColumnMap | None = None) -> Log:
         data = _unpacked(path, data)
     for beginning, reader in _KINDS:
         if data.startswith(beginning):
-            return reader(path, data)
+            return read_mcap(path, data, align=False) if as_logged and reader is read_mcap else reader(path, data)
         if beginning.startswith(data):
             raise InputError(f"log {path}: is cut off within its first bytes; there is nothing to read in it")
     if tlog.begins_like_a_tlog(data):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from flightstack.types import InputError
-from flightstack_logs.mcap_file import Channel, McapContent, scan
+from flightstack_logs.mcap_file import McapChannel, McapContent, scan
 from flightstack_logs.reader import bytes_of
 
 
@@ -68,6 +68,6 @@ def _write(content: McapContent, out: Writer) -> None:
     out.finish()  # type: ignore[no-untyped-call]
 
 
-def _in_file_order(number: int, channel: Channel) -> Iterator[tuple[int, int, bytes]]:
+def _in_file_order(number: int, channel: McapChannel) -> Iterator[tuple[int, int, bytes]]:
     for time_ns, data in zip(channel.times_ns, channel.messages, strict=True):
         yield time_ns, number, data

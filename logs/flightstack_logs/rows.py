@@ -36,7 +36,7 @@ def schema() -> bytes:
     return descriptor(Topic("", Kind.TABLE, SCHEMA_NAME, 0.0, "", "", fields))
 
 
-class Blocks:
+class RowBlocks:
     """Rows that are collected until the chunk ends."""
 
     def __init__(self) -> None:

@@ -66,7 +66,6 @@ _LEVELS = {
 _IDENTITY = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _GREY = Color(r=0.5, g=0.5, b=0.5, a=0.6)
 _BLUE = Color(r=0.2, g=0.5, b=1.0, a=1.0)
-_GREEN = Color(r=0.2, g=0.8, b=0.3, a=1.0)
 _ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.9)
 _RED = Color(r=0.9, g=0.2, b=0.2, a=0.9)
 _REGION = Color(r=0.2, g=0.9, b=0.4, a=0.15)
@@ -89,7 +88,7 @@ View = tuple[str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class SceneRegion:
     """The part of space that the flight must keep to: an upright box or an ellipsoid."""
 
     shape: str
@@ -108,7 +107,7 @@ class Scene:
     rotor_radius_m: float
     ground_down_m: float = 0.0
     """Where the ground lies, along down."""
-    region: Region | None = None
+    region: SceneRegion | None = None
     reference_ned_m: F64 | None = None
     """(N, 3) the whole reference path, where it is known beforehand."""
     site_ned_m: tuple[F64, ...] = ()
@@ -125,7 +124,7 @@ class StoppingWay:
     """(n, 3)."""
 
 
-Shown = Scene | Region | StoppingWay
+Shown = Scene | SceneRegion | StoppingWay
 """What the 3-D view is told: all that doesn't move, a new certificate's region of positions, a new stopping way."""
 
 
@@ -178,7 +177,7 @@ class Posed(Protocol):
         """Attitude (w, x, y, z), body to world."""
 
 
-class Trail:
+class VehicleTrail:
     """Pose, transform and flown path of one vehicle (estimated or true): `poses` says what to log at `t_us`.
 
     The path has a point every 0.2 s and never more than 600: a full path drops every other point and goes on half as
@@ -291,7 +290,7 @@ def _line(stamp: Timestamp, name: str, points: list[Point3], color: Color) -> Sc
     return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, lines=[line])
 
 
-def _region(stamp: Timestamp, region: Region, name: str = "region", color: Color = _REGION) -> SceneEntity:
+def _region(stamp: Timestamp, region: SceneRegion, name: str = "region", color: Color = _REGION) -> SceneEntity:
     """A translucent box or ellipsoid."""
     x, y, z = ned_to_enu(np.array(region.center_ned_m)).tolist()
     dx, dy, dz = (2.0 * np.abs(ned_to_enu(np.array(region.half_size_m)))).tolist()
@@ -306,7 +305,7 @@ def views_of(t_us: int, shown: Shown) -> list[View]:
     """The messages for any of them."""
     if isinstance(shown, Scene):
         return _scene_views(t_us, shown)
-    if isinstance(shown, Region):
+    if isinstance(shown, SceneRegion):
         return _certified_views(t_us, shown)
     stamp = timestamp(t_us)
     line = _line(stamp, "way", _points(shown.pos_ned_m), _ORANGE)
@@ -314,7 +313,7 @@ def views_of(t_us: int, shown: Shown) -> list[View]:
     return [("/scene/way", SceneUpdate(entities=[line]).encode()), outline]
 
 
-def _certified_views(t_us: int, region: Region) -> list[View]:
+def _certified_views(t_us: int, region: SceneRegion) -> list[View]:
     """The positions that a certificate allows, inside the region that the scenario asks for."""
     stamp = timestamp(t_us)
     entity = _region(stamp, region, "certified", _CERTIFIED)
@@ -322,7 +321,7 @@ def _certified_views(t_us: int, region: Region) -> list[View]:
     return [("/scene/region", SceneUpdate(entities=[entity]).encode()), outline]
 
 
-def _outline(region: Region) -> F64:
+def _outline(region: SceneRegion) -> F64:
     """(N, 3), NED, m: a region's boundary as points: a box's edges, an ellipsoid's three great circles."""
     turns = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_POINTS, endpoint=False)
     circle = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(_CIRCLE_POINTS)])

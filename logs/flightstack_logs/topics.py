@@ -64,6 +64,15 @@ class Topic:
 MESSAGE = "/vehicle/message"
 """What the vehicle sent that decides something and stands in no table: replay needs it."""
 _PACKED_FROM_HZ = 20.0
+_DEAD_MAN_TIMES = {
+    "alive": "when it said all this",
+    "silent": "last setpoint before it took over",
+    "began": "when it took over",
+    "hold": "its first command to hold",
+    "held": "when Hold was seen",
+    "mode": "when a mode was heard last",
+}
+"""Of the dead-man's record, those that are times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +298,46 @@ _STACK_TOPICS = (
             f32("lateness_us", 0, "us", "start of the tick after its deadline"),
             f32("tick_us", 0, "us", "time that the tick took"),
             Field("missed", "int32", 0, "1", "deadlines missed so far"),
+        ),
+    ),
+    Topic(
+        "/step",
+        Kind.TABLE,
+        "flightstack.Step",
+        250.0,
+        "companion",
+        "this machine's clock at each step: with it a flight in real time is replayed",
+        (
+            Field("received_us", "int64", 0, "us", "when what had arrived was taken"),
+            Field("decided_us", "int64", 0, "us", "when the companion decided"),
+        ),
+    ),
+    Topic(
+        "/certifier",
+        Kind.TABLE,
+        "flightstack.CertifierAnswer",
+        0.0,
+        "companion",
+        "when the process beside the flight answered, with a certificate or without",
+        (
+            Field("call", "int64", 0, "1", "which order"),
+            Field("before", "int64", 0, "1", "ticks until the process was free for it"),
+            Field("after", "int64", 0, "1", "ticks from then until the answer"),
+        ),
+    ),
+    Topic(
+        "/dead_man",
+        Kind.TABLE,
+        "flightstack.DeadMan",
+        0.0,
+        "dead-man",
+        "what the dead-man did last, where that changed; times of this machine's clock",
+        (
+            *(Field(f"{name}_ns", "int64", 0, "ns", what) for name, what in _DEAD_MAN_TIMES.items()),
+            Field("acts", "int64", 0, "1", "how often it took over"),
+            Field("mode", "int64", 0, "1", "the vehicle's custom mode as it saw it"),
+            Field("touched", "int64", 0, "1", "whether anybody else has changed the mode since"),
+            Field("ended", "bool", 0, "1", "whether its process has ended"),
         ),
     ),
 )

@@ -34,7 +34,7 @@ from flightstack.types import InputError, TickRecord
 from flightstack_logs import scene as viewer
 from flightstack_logs.channels import Channel, block_channel
 from flightstack_logs.recorder import Recorder as Recorder
-from flightstack_logs.rows import Blocks
+from flightstack_logs.rows import RowBlocks
 from flightstack_logs.topics import (
     FINAL_CERTIFICATE,
     LEVELS,
@@ -89,7 +89,7 @@ class FlightLog:
         self._context = foxglove.Context()
         self._sink: MCAPWriter = _open_sink(file, self._context, compact)
         self._wire = True
-        self._blocks = Blocks() if compact else None
+        self._blocks = RowBlocks() if compact else None
         self._block_channels: dict[str, foxglove.Channel] = {}
         self._chunk_bytes = COMPACT_CHUNK_BYTES if compact else CHUNK_BYTES
         self._flush_period_us = COMPACT_FLUSH_PERIOD_US if compact else FLUSH_PERIOD_US
@@ -105,8 +105,8 @@ class FlightLog:
         self._pending = 0
         self._due_us = 0
         self._good_bytes = 0
-        self._trail = viewer.Trail(truth=False)
-        self._true_trail = viewer.Trail(truth=True)
+        self._trail = viewer.VehicleTrail(truth=False)
+        self._true_trail = viewer.VehicleTrail(truth=True)
 
     @property
     def context(self) -> foxglove.Context:

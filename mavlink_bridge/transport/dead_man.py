@@ -117,25 +117,28 @@ class DeadManWatch:
     def __init__(self, process: DeadManProcess, companion: Companion, transport: Transport) -> None:
         self._process, self._companion, self._transport = process, companion, transport
         self._acts = self._ticks = 0
-        self._ended = ""
+        self.ended = ""
+        """Why there is none any more; empty while there is."""
+        self.report = NOBODY
+        """What it did last, as of the last `hear`."""
         self._peer: tuple[tuple[str, int] | None, int] = (None, 0)
         self._signer = process.signer
 
     def summary(self) -> dict[str, Any]:
         """What became of it, for the flight's result."""
-        return {"running": not self._ended, "acted": self._acts, "taken_back": self._companion.stalls.taken_back}
+        return {"running": not self.ended, "acted": self._acts, "taken_back": self._companion.stalls.taken_back}
 
     def hear(self) -> None:
         """What the dead-man did of late; now and then, whether it is there at all."""
-        report = self._process.read()
+        report = self.report = self._process.read()
         if report.acts != self._acts:
             self._acts = report.acts
             link = self._companion.link
             link.skip_sequence(report.sequence, link.component)
         self._ticks += 1
-        if not self._ended and self._ticks % _LOOK_TICKS == 0 and self._process.has_ended:
-            self._ended = "the dead-man's process has ended"
-        self._companion.hear_dead_man(report, self._ended)
+        if not self.ended and self._ticks % _LOOK_TICKS == 0 and self._process.has_ended:
+            self.ended = "the dead-man's process has ended"
+        self._companion.hear_dead_man(report, self.ended)
 
     def tell(self) -> None:
         """What has gone out."""

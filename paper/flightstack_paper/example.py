@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from flightstack.barrier import example1, sos
-from flightstack.barrier.exact import Polynomial
-from flightstack.barrier.example1 import Flow, Region
+from flightstack.barrier.exact import ExactPolynomial
+from flightstack.barrier.example1 import ExampleRegion, Flow
 from flightstack.types import InputError
 
 
@@ -48,7 +48,7 @@ def solved_area(name: str) -> dict[str, Any]:
     return {"area": level_set_area(h), "anew": anew}
 
 
-def level_set_area(h: Polynomial) -> float:
+def level_set_area(h: ExactPolynomial) -> float:
     """Area of {h >= 0}, star-shaped round the origin, by where h changes its sign along rays: no ellipse's formula."""
     angles = np.linspace(0.0, 2.0 * math.pi, 2000, endpoint=False)
     inside, outside = np.zeros_like(angles), np.full_like(angles, 10.0)
@@ -59,7 +59,7 @@ def level_set_area(h: Polynomial) -> float:
     return float(0.5 * np.sum(inside * inside) * (angles[1] - angles[0]))
 
 
-def _region(region: Region) -> dict[str, Any]:
+def _region(region: ExampleRegion) -> dict[str, Any]:
     return {
         "area": region.area,
         "level_set_area": level_set_area(region.h),

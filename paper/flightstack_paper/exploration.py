@@ -11,7 +11,7 @@ from flightstack.barrier.initial import require_authority
 from flightstack.barrier.physics import mu_physics
 from flightstack.barrier.published import on_the_vertical
 from flightstack.barrier.records import AxisCertificate
-from flightstack.barrier.sampling import Claim, Samples, adaptive
+from flightstack.barrier.sampling import Claim, ClaimSamples, adaptive
 from flightstack.barrier.shapes import Quadratic
 from flightstack.cli.certified import counted_mps2, placed, plant_of, strict_claim, vertical
 from flightstack.cli.certified_page import path_of
@@ -21,7 +21,7 @@ from flightstack.explore import ExploreConfig
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.report.certified import kernel_outline, outline
 from flightstack_paper.plan import PUBLISHED
-from flightstack_paper.work import Bench, PartFailed
+from flightstack_paper.work import PartContext, PartFailed
 
 DOWN = 2
 _PATH_POINTS = 3000
@@ -41,7 +41,7 @@ class Asked:
     duration_s: float | None = None
 
 
-def explore(asked: Asked, bench: Bench) -> dict[str, Any]:
+def explore(asked: Asked, bench: PartContext) -> dict[str, Any]:
     """What `certify` finds, with the figures' lines; PartFailed where no region came out."""
     options = FlyOptions(
         scenario="paper-barrier", seed=asked.seed, plant=asked.plant, duration_s=asked.duration_s, out=bench.folder,
@@ -134,7 +134,7 @@ def sampling(axes: list[AxisCertificate], limit_m: float) -> dict[str, Any] | No
     }
 
 
-def _samples(claim: Claim, found: Samples) -> dict[str, Any]:
+def _samples(claim: Claim, found: ClaimSamples) -> dict[str, Any]:
     return {
         "mu": claim.barrier.p22,
         "points": _line(found.points),
@@ -153,7 +153,7 @@ def proven_mu(axis: AxisCertificate, limit_m: float) -> float:
     return 1.0 / (limit_m * -low) if low < 0.0 else float("inf")
 
 
-def density(claim: Claim, found: Samples) -> dict[str, float]:
+def density(claim: Claim, found: ClaimSamples) -> dict[str, float]:
     """Samples for each m^2/s: near the boundary (h < 0.3), about the centre (h > 0.7), at speeds down and up.
 
     Each as its own area has them, by counting a fine grid of the region.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.cli.track import Track
+from flightstack.cli.track import TickTrace
 from flightstack.frames import euler_from_quat
 from flightstack.gp import RecursiveGP, SquaredExponential, least_relevant
 from flightstack.model import Model
@@ -25,7 +25,7 @@ _LENGTHSCALES = (1.0, 1.0, 0.5, 1.0, 1.0, 0.5, 0.3, 0.3, 0.3)
 """Metres, metres per second, radians."""
 
 
-def stream(model: Model, track: Track) -> tuple[F64, F64]:
+def stream(model: Model, track: TickTrace) -> tuple[F64, F64]:
     """(n, 9) measured states; (n, 6) true unexplained accelerations, and rates less those asked for; a row a tick."""
     measured = [record.measurement for record in track.records]
     euler = np.array([euler_from_quat(each.q_ned_frd) for each in measured])
@@ -35,7 +35,7 @@ def stream(model: Model, track: Track) -> tuple[F64, F64]:
     return states, np.column_stack([track.true_residual(model), rates])
 
 
-def per_iteration(model: Model, track: Track) -> dict[str, Any]:
+def per_iteration(model: Model, track: TickTrace) -> dict[str, Any]:
     """Milliseconds of each iteration with `POINTS` points: of the processor, and the greatest by the clock."""
     processor, clock = iterations(*stream(model, track))
     every = max(1, len(processor) // 3000)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli.flight import FlyOptions, prepare
-from flightstack.cli.track import Track, fly_track
+from flightstack.cli.track import TickTrace, fly_track
 from flightstack.gp import RecursiveGP, SquaredExponential
 from flightstack.gp.likelihood import fit
 from flightstack.learning import sampler as s
@@ -194,7 +194,7 @@ def samples(
     return windows(setup.flight.stack.model, track)
 
 
-def windows(model: Model, track: Track) -> tuple[F64, F64, F64]:
+def windows(model: Model, track: TickTrace) -> tuple[F64, F64, F64]:
     """The track's windows, as the learner would make them."""
     config = LearnerConfig()
     sampler = Sampler(model)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from flightstack_paper.figures import Figure
-from flightstack_paper.rows import Row
+from flightstack_paper.rows import ResultLine
 
 PAPER = "L. Wang, E. A. Theodorou, M. Egerstedt: Safe Learning of Quadrotor Dynamics Using Barrier Certificates, 2018"
 _STYLE = """
@@ -37,7 +37,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def page(
-    rows: Sequence[Row],
+    rows: Sequence[ResultLine],
     figures: Sequence[Figure],
     head: Mapping[str, Any],
     results: Mapping[str, dict[str, Any]],
@@ -65,7 +65,7 @@ def page(
     ])  # fmt: skip
 
 
-def markdown(rows: Sequence[Row], head: Mapping[str, Any]) -> str:
+def markdown(rows: Sequence[ResultLine], head: Mapping[str, Any]) -> str:
     """What docs/paper.md holds of a run: when and how, the table, and the second plant beside the first."""
     first, *others = head["plants"]
     ends = tuple(f"-{plant}" for plant in others)
@@ -112,11 +112,11 @@ def _made(head: Mapping[str, Any]) -> str:
     )
 
 
-def _word(row: Row) -> str:
+def _word(row: ResultLine) -> str:
     return "yes" if row.holds else "not measured" if row.ours is None else "no"
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[ResultLine]) -> str:
     lines = "".join(
         f"<tr><td>{escape(row.claim)}<br><code>{escape(row.id)}</code></td>"
         f'<td class="value" data-name="paper">{escape(shown(row.paper, row.unit))}</td>'

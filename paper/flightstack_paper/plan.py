@@ -21,7 +21,7 @@ MODES = (SOUND, PUBLISHED)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PaperPart:
     """One part of the run."""
 
     name: str
@@ -53,9 +53,12 @@ def seeds_of(first_plant: bool, seed: int, *, quick: bool) -> tuple[int, ...]:
     return (seed, seed + 1, seed + 2) if first_plant and not quick else (seed,)
 
 
-def parts_of(plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Part]:
+def parts_of(plants: tuple[str, ...], seed: int, *, quick: bool) -> list[PaperPart]:
     """All parts, the longest first."""
-    parts = [Part("example1", "example1", 3.0, {"starts": 300 if quick else 1000}), Part("theory", "theory", 6.0)]
+    parts = [
+        PaperPart("example1", "example1", 3.0, {"starts": 300 if quick else 1000}),
+        PaperPart("theory", "theory", 6.0),
+    ]
     for plant in plants:
         slow = 1.0 if plant == "native" else 2.0
         parts += [_certify(plant, mode, seed, quick, slow) for mode in MODES]
@@ -65,7 +68,7 @@ def parts_of(plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Part]:
                 given = {"plant": plant, "pilot": pilot, "seed": one, "duration_s": 16.0 if quick else 60.0}
                 given["timed"] = (plant, pilot, one) == (plants[0], "learning", seed)
                 cost_s = slow * (4.0 if quick else 10.0)
-                parts.append(Part(tracking_name(plant, pilot, one), "tracking", cost_s, given))
+                parts.append(PaperPart(tracking_name(plant, pilot, one), "tracking", cost_s, given))
     return sorted(parts, key=lambda part: -part.cost_s)
 
 
@@ -74,16 +77,16 @@ def _worlds(first: bool, quick: bool) -> tuple[str, ...]:
     return ("paper",) if quick or not first else ("paper", "air", "ground")
 
 
-def _study(plant: str, world: str, seed: int, quick: bool, slow: float) -> Part:
+def _study(plant: str, world: str, seed: int, quick: bool, slow: float) -> PaperPart:
     given: dict[str, Any] = {"world": world, "plant": plant, "seed": seed}
     if quick:
         given |= {"displacements_m": [0.0, 4.0], "train_s": 15.0, "test_s": 8.0}
-    return Part(inputs_name(plant, world), "inputs", slow * (10.0 if quick else 25.0), given)
+    return PaperPart(inputs_name(plant, world), "inputs", slow * (10.0 if quick else 25.0), given)
 
 
-def _certify(plant: str, mode: str, seed: int, quick: bool, slow: float) -> Part:
+def _certify(plant: str, mode: str, seed: int, quick: bool, slow: float) -> PaperPart:
     given: dict[str, Any] = {"plant": plant, "mode": mode, "seed": seed}
     if quick:  # rounds and seconds of exploration
         given |= {"rounds_max": 2, "duration_s": 60.0 if mode == SOUND else 30.0}
     cost_s = (25.0 if mode == SOUND else 20.0) if quick else (140.0 if mode == SOUND else 50.0)
-    return Part(certify_name(plant, mode), "certify", slow * cost_s, given)
+    return PaperPart(certify_name(plant, mode), "certify", slow * cost_s, given)

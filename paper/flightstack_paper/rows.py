@@ -16,7 +16,7 @@ Results = Mapping[str, dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ResultLine:
     """One line of the table."""
 
     id: str
@@ -40,7 +40,7 @@ Cell = tuple[float, bool, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ResultTable:
     """The rows of one run."""
 
     results: Results
@@ -50,15 +50,15 @@ class Table:
 
     def row(
         self, row_id: str, claim: str, paper: float | None, unit: str, parts: tuple[str, ...], make: Callable[..., Cell]
-    ) -> Row:
+    ) -> ResultLine:
         """A row from the results of `parts`; where one of them failed, it says so."""
         found = [self.results[name] for name in parts]
         failed = [f"{name}: {each['failed']}" for name, each in zip(parts, found, strict=True) if "failed" in each]
         if failed:
-            return Row(row_id, claim, paper, None, unit, False, f"not measured: {'; '.join(failed)}")
+            return ResultLine(row_id, claim, paper, None, unit, False, f"not measured: {'; '.join(failed)}")
         ours, holds, note = make(*found)
         known = math.isfinite(ours)
-        return Row(row_id, claim, paper, float(ours) if known else None, unit, bool(holds) and known, note)
+        return ResultLine(row_id, claim, paper, float(ours) if known else None, unit, bool(holds) and known, note)
 
     def on(self, plant: str) -> str:
         """The end of a flown row's note."""
@@ -71,11 +71,11 @@ class Table:
         )
 
 
-def table(results: Results, plants: tuple[str, ...], seed: int, *, quick: bool) -> list[Row]:
+def table(results: Results, plants: tuple[str, ...], seed: int, *, quick: bool) -> list[ResultLine]:
     """All rows: those of the first plant under their plain ids, those of a second with its name behind."""
     from flightstack_paper import rows_barrier, rows_example
 
-    run = Table(results, plants, seed, quick)
+    run = ResultTable(results, plants, seed, quick)
     rows = rows_example.rows(run)
     for plant in plants:
         behind = "" if plant == plants[0] else f"-{plant}"
@@ -84,7 +84,7 @@ def table(results: Results, plants: tuple[str, ...], seed: int, *, quick: bool) 
     return rows
 
 
-def _learning(run: Table, plant: str, behind: str) -> list[Row]:
+def _learning(run: ResultTable, plant: str, behind: str) -> list[ResultLine]:
     """Section V.A on one plant."""
     rows = [_ratio(run, plant, behind)]
     rows += [_against(run, plant, pilot, behind) for pilot in PILOTS if pilot not in ("learning", "none")]
@@ -97,7 +97,7 @@ def _learning(run: Table, plant: str, behind: str) -> list[Row]:
     return rows
 
 
-def _ratio(run: Table, plant: str, behind: str) -> Row:
+def _ratio(run: ResultTable, plant: str, behind: str) -> ResultLine:
     learning, none = run.tracking(plant, "learning"), run.tracking(plant, "none")
 
     def make(*flights: dict[str, Any]) -> Cell:
@@ -112,7 +112,7 @@ def _ratio(run: Table, plant: str, behind: str) -> Row:
     return run.row(f"tracking-rmse-ratio{behind}", claim, None, "1", (*learning, *none), make)
 
 
-def _against(run: Table, plant: str, pilot: str, behind: str) -> Row:
+def _against(run: ResultTable, plant: str, pilot: str, behind: str) -> ResultLine:
     learning, others = run.tracking(plant, "learning"), run.tracking(plant, pilot)
 
     def make(*flights: dict[str, Any]) -> Cell:
@@ -141,7 +141,7 @@ def _over(count: int) -> str:
     return f" (medians of {count} seeds)" if count > 1 else ""
 
 
-def _inference(run: Table, plant: str) -> Row:
+def _inference(run: ResultTable, plant: str) -> ResultLine:
     def make(flight: dict[str, Any]) -> Cell:
         found = flight["inference"]
         return found["max_ms"], found["max_ms"] < 20.0, (
@@ -154,7 +154,7 @@ def _inference(run: Table, plant: str) -> Row:
     return run.row("gp-step-ms-max", claim, 20.0, "ms", run.tracking(plant, "learning")[:1], make)
 
 
-def _inputs(run: Table, plant: str, world: str, row_id: str, where: str) -> Row:
+def _inputs(run: ResultTable, plant: str, world: str, row_id: str, where: str) -> ResultLine:
     def make(study: dict[str, Any]) -> Cell:
         rows = study["rows"]
         far = max(row["displacement_m"] for row in rows)

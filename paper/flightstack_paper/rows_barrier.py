@@ -8,19 +8,19 @@ from typing import Any
 from flightstack.barrier import viability
 from flightstack.types import STANDARD_GRAVITY_MPS2
 from flightstack_paper.plan import PUBLISHED, SOUND, certify_name
-from flightstack_paper.rows import Cell, Row, Table
+from flightstack_paper.rows import Cell, ResultLine, ResultTable
 
 MU_INITIAL, MU_FINAL, LIMIT_M = 6.3, 0.6, 0.6
 _AREA = math.pi * LIMIT_M / math.sqrt(MU_FINAL)
 """Of the paper's final ellipse, m^2/s."""
 
 
-def flown(run: Table, plant: str, behind: str) -> list[Row]:
+def flown(run: ResultTable, plant: str, behind: str) -> list[ResultLine]:
     """Section V.B on one plant."""
     sound, published = (certify_name(plant, mode) for mode in (SOUND, PUBLISHED))
     on = run.on(plant)
 
-    def row(row_id: str, claim: str, paper: float | None, unit: str, part: str, make: Any) -> Row:
+    def row(row_id: str, claim: str, paper: float | None, unit: str, part: str, make: Any) -> ResultLine:
         return run.row(f"{row_id}{behind}", claim, paper, unit, (part,), lambda found: _on(make(found), on))
 
     return [
@@ -49,7 +49,7 @@ def flown(run: Table, plant: str, behind: str) -> list[Row]:
     ]  # fmt: skip
 
 
-def formulas(run: Table) -> list[Row]:
+def formulas(run: ResultTable) -> list[ResultLine]:
     """What the paper's formulas are worth, whatever is flown."""
     rows = (
         ("mu-physics", "mu = 0.6 is what the vehicle can do", MU_FINAL, "s^2/m^2", _mu_physics),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from flightstack_paper.rows import Cell, Row, Table
+from flightstack_paper.rows import Cell, ResultLine, ResultTable
 
 _PART = ("example1",)
 _PRINTED = {"lyapunov": (1.343, 0.5155, 1.152, 0.0, 0.0), "barrier": (0.8616, 0.2846, 0.7549, 0.4254, 0.3248)}
@@ -30,14 +30,14 @@ _SAME_PROBLEM = 0.02
 """Share by which the programme's region may differ from the printed one: two searches end in neighbouring optima."""
 
 
-def rows(run: Table) -> list[Row]:
+def rows(run: ResultTable) -> list[ResultLine]:
     """Areas as printed, what is wrong with the digits, what is left when they are mended, and larger regions."""
     both = [kind(run, name) for kind in (_area, _invariant, _lowered, _strict) for name in _NAMES]
     return [*both[:2], _ratio(run, "ratio_published", "ex1-ratio", "with the printed digits"), *both[2:],
             _ratio(run, "ratio", "ex1-ratio-strict", "of our own, strictly invariant regions")]  # fmt: skip
 
 
-def _area(run: Table, name: str) -> Row:
+def _area(run: ResultTable, name: str) -> ResultLine:
     words, paper = _NAMES[name]
 
     def make(found: dict[str, Any]) -> Cell:
@@ -52,7 +52,7 @@ def _area(run: Table, name: str) -> Row:
     return run.row(f"ex1-{name}-area", f"area of {words} (Fig. 1)", paper, "1", _PART, make)
 
 
-def _ratio(run: Table, key: str, row_id: str, which: str) -> Row:
+def _ratio(run: ResultTable, key: str, row_id: str, which: str) -> ResultLine:
     def make(found: dict[str, Any]) -> Cell:
         return found[key], found[key] > _MUCH, f"area over area, {which}; 'much' is read as half as large again"
 
@@ -60,7 +60,7 @@ def _ratio(run: Table, key: str, row_id: str, which: str) -> Row:
     return run.row(row_id, claim, _RATIO, "1", _PART, make)
 
 
-def _invariant(run: Table, name: str) -> Row:
+def _invariant(run: ResultTable, name: str) -> ResultLine:
     words, _ = _NAMES[name]
 
     def make(found: dict[str, Any]) -> Cell:
@@ -77,7 +77,7 @@ def _invariant(run: Table, name: str) -> Row:
     return run.row(f"ex1-{name}-least-rate", claim, None, "1/s", _PART, make)
 
 
-def _lowered(run: Table, name: str) -> Row:
+def _lowered(run: ResultTable, name: str) -> ResultLine:
     words, paper = _NAMES[name]
 
     def make(found: dict[str, Any]) -> Cell:
@@ -91,7 +91,7 @@ def _lowered(run: Table, name: str) -> Row:
     return run.row(f"ex1-{name}-lowered-area", claim, paper, "1", _PART, make)
 
 
-def _strict(run: Table, name: str) -> Row:
+def _strict(run: ResultTable, name: str) -> ResultLine:
     words, paper = _NAMES[name]
 
     def make(found: dict[str, Any]) -> Cell:

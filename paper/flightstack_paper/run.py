@@ -23,8 +23,8 @@ from flightstack.cli import files
 from flightstack.cli.versions import versions
 from flightstack.types import InputError
 from flightstack_paper.parts import Parts, sources_hash
-from flightstack_paper.plan import Part, parts_of
-from flightstack_paper.rows import Row, table
+from flightstack_paper.plan import PaperPart, parts_of
+from flightstack_paper.rows import ResultLine, table
 
 SCHEMA = "flightstack.paper/1"
 PROCESSES = 2
@@ -46,7 +46,7 @@ class ReproduceOptions:
 class ReproduceResult:
     """What came of a run."""
 
-    rows: list[Row]
+    rows: list[ResultLine]
     head: dict[str, Any]
     """When, with what, how long."""
     figures: list[str]
@@ -66,7 +66,7 @@ def reproduce(
     *,
     stop_requested: Callable[[], str] = lambda: "",
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
-    parts_wanted: Callable[[tuple[str, ...], int, bool], list[Part]] | None = None,
+    parts_wanted: Callable[[tuple[str, ...], int, bool], list[PaperPart]] | None = None,
 ) -> ReproduceResult:
     """Compute, fly, write; InputError before anything is computed where the folder can't be written."""
     from flightstack.cli.compiled import ensure_compiled
@@ -141,7 +141,7 @@ def _write(
 
 
 def _compute(
-    wanted: list[Part],
+    wanted: list[PaperPart],
     parts: Parts,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
@@ -157,7 +157,7 @@ def _compute(
     progress = _Progress(wanted, set(results), on_progress)
     stopped = ""
     with ProcessPoolExecutor(min(PROCESSES, len(left)), context, _begin, (told, stop)) as pool:
-        running: dict[Future[dict[str, Any]], Part] = {
+        running: dict[Future[dict[str, Any]], PaperPart] = {
             pool.submit(_run, part, str(parts.place(part.name))): part for part in left
         }
         while running:
@@ -189,12 +189,12 @@ def _result_of(future: Future[dict[str, Any]]) -> dict[str, Any]:
 class _Progress:
     """What is done, counted by what the parts are expected to take."""
 
-    def __init__(self, parts: list[Part], done: set[str], show: Callable[[float, str], None]) -> None:
+    def __init__(self, parts: list[PaperPart], done: set[str], show: Callable[[float, str], None]) -> None:
         self._costs = {part.name: part.cost_s for part in parts}
         self._shares = dict.fromkeys(done, 1.0)
         self._show = show
 
-    def finished(self, part: Part) -> None:
+    def finished(self, part: PaperPart) -> None:
         """A part is there."""
         self._shares[part.name] = 1.0
         self._tell(part.name)
@@ -230,9 +230,9 @@ def _begin(told: Any, stop: Any) -> None:
     os.environ.setdefault("MPLBACKEND", "Agg")
 
 
-def _run(part: Part, folder: str) -> dict[str, Any]:
+def _run(part: PaperPart, folder: str) -> dict[str, Any]:
     """One part, in a process of the pool; what goes wrong is its result."""
-    from flightstack_paper.work import KINDS, Bench, PartFailed
+    from flightstack_paper.work import KINDS, PartContext, PartFailed
 
     last = 0.0
 
@@ -243,7 +243,7 @@ def _run(part: Part, folder: str) -> dict[str, Any]:
             last = now
             _TOLD.put((part.name, share))
 
-    bench = Bench(Path(folder), lambda: "stopped by the user" if _STOP.is_set() else "", show)
+    bench = PartContext(Path(folder), lambda: "stopped by the user" if _STOP.is_set() else "", show)
     try:
         found = json.loads(json.dumps(KINDS[part.kind](bench, **part.given)))  # as a resumed run will read it
         return {"failed": "stopped"} if _STOP.is_set() else found

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from flightstack.barrier.physics import Plant, mu_physics, overshoot_m, state_only
+from flightstack.barrier.physics import PhysicalPlant, mu_physics, overshoot_m, state_only
 from flightstack.barrier.published import Basis, certificate, constant, on_the_vertical, tip, with_mu
 from flightstack.barrier.published_filter import PublishedFilter
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate
@@ -79,13 +79,13 @@ def cover() -> dict[str, Any]:
 
 def mu_table() -> dict[str, float]:
     """The least mu that physics allows, and what a residual learned as of the state alone claims."""
-    heavy = Plant(MASS_RATIO)
+    heavy = PhysicalPlant(MASS_RATIO)
     claimed = mu_physics(state_only(heavy), _REGION)
     return {
         "exact": mu_physics(heavy, _REGION),
-        "wind_north": mu_physics(Plant(MASS_RATIO, (0.1, 0.0, 0.0)), _REGION),
-        "wind_down": mu_physics(Plant(MASS_RATIO, (0.0, 0.0, 0.1)), _REGION),
-        "wind_up": mu_physics(Plant(MASS_RATIO, (0.0, 0.0, -0.1)), _REGION),
+        "wind_north": mu_physics(PhysicalPlant(MASS_RATIO, (0.1, 0.0, 0.0)), _REGION),
+        "wind_down": mu_physics(PhysicalPlant(MASS_RATIO, (0.0, 0.0, 0.1)), _REGION),
+        "wind_up": mu_physics(PhysicalPlant(MASS_RATIO, (0.0, 0.0, -0.1)), _REGION),
         "state_only": claimed,
         "state_only_overshoot_m": overshoot_m(claimed, LIMIT_M, -_BRAKING_MPS2),
         "slack_mps2": -_BRAKING_MPS2 - 1.0 / (LIMIT_M * MU),

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli.flight import FlyOptions, Setup, prepare
-from flightstack.cli.track import Track, fly_track
+from flightstack.cli.track import TickTrace, fly_track
 from flightstack.types import F64, Learned
 from flightstack_paper.inference import per_iteration
-from flightstack_paper.work import Bench, PartFailed
+from flightstack_paper.work import PartContext, PartFailed
 
 TRACE_HZ = 10
 _TICKS = 250 // TRACE_HZ
@@ -26,7 +26,7 @@ _CONTROLLERS = {"learning": "flatness", "none": "flatness"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class TrackingFlight:
     """One flight."""
 
     plant: str
@@ -46,7 +46,7 @@ class Flight:
         )  # fmt: skip
 
 
-def fly(flight: Flight, bench: Bench) -> dict[str, Any]:
+def fly(flight: TrackingFlight, bench: PartContext) -> dict[str, Any]:
     """Distance from the reference, and what the figures need; PartFailed where the flight did not complete."""
     setup = prepare(flight.options)
     flown, track = fly_track(setup, flight.options, stop_requested=bench.stop_requested, on_progress=bench.on_progress)
@@ -66,7 +66,7 @@ def fly(flight: Flight, bench: Bench) -> dict[str, Any]:
     return found
 
 
-def trace(track: Track) -> dict[str, Any]:
+def trace(track: TickTrace) -> dict[str, Any]:
     """The distance from the reference, rms over each tenth of a second, and when that begins on the path's clock."""
     first = len(track.before) % _TICKS
     distance = np.asarray(track.distances_m[first:])
@@ -78,7 +78,7 @@ def trace(track: Track) -> dict[str, Any]:
     }
 
 
-def picture(setup: Setup, track: Track) -> dict[str, Any]:
+def picture(setup: Setup, track: TickTrace) -> dict[str, Any]:
     """The flown path, its reference, some poses of the true vehicle, and the force that acts on it."""
     truths = track.truths
     pos = np.array([truth.pos_ned_m for truth in truths])
@@ -95,7 +95,7 @@ def picture(setup: Setup, track: Track) -> dict[str, Any]:
     }
 
 
-def _residual(setup: Setup, track: Track) -> dict[str, float]:
+def _residual(setup: Setup, track: TickTrace) -> dict[str, float]:
     """How large the unexplained specific force is, and how far the expected one is off."""
     rows, truth = track.learned, track.true_residual(setup.flight.stack.model)
     mean = rows[:, Learned.residual_frd_mps2.place]

@@ -9,7 +9,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class PartContext:
     """What a part may use beside its arguments."""
 
     folder: Path
@@ -22,25 +22,25 @@ class PartFailed(Exception):
     """A part that could not be brought to its end; the text says why, one line."""
 
 
-def _example1(bench: Bench, starts: int) -> dict[str, Any]:
+def _example1(bench: PartContext, starts: int) -> dict[str, Any]:
     from flightstack_paper.example import measure
 
     return measure(starts)
 
 
-def _theory(bench: Bench) -> dict[str, Any]:
+def _theory(bench: PartContext) -> dict[str, Any]:
     from flightstack_paper.theory import measure
 
     return measure()
 
 
-def _tracking(bench: Bench, **given: Any) -> dict[str, Any]:
-    from flightstack_paper.tracking import Flight, fly
+def _tracking(bench: PartContext, **given: Any) -> dict[str, Any]:
+    from flightstack_paper.tracking import TrackingFlight, fly
 
-    return fly(Flight(**given), bench)
+    return fly(TrackingFlight(**given), bench)
 
 
-def _inputs(bench: Bench, **given: Any) -> dict[str, Any]:
+def _inputs(bench: PartContext, **given: Any) -> dict[str, Any]:
     from flightstack_paper.inputs import Study, study
 
     asked = Study(**{**given, "displacements_m": tuple(given.get("displacements_m", ()))})
@@ -51,7 +51,7 @@ def _inputs(bench: Bench, **given: Any) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def _certify(bench: Bench, **given: Any) -> dict[str, Any]:
+def _certify(bench: PartContext, **given: Any) -> dict[str, Any]:
     from flightstack_paper.exploration import Asked, explore
 
     return explore(Asked(**given), bench)

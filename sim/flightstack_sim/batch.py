@@ -39,7 +39,7 @@ from flightstack_sim.layout import (
     S_VOLTAGE,
 )
 from flightstack_sim.parameters import parameter_row
-from flightstack_sim.plant import Gusts, state_rows
+from flightstack_sim.plant import GustDraws, state_rows
 
 _DT_US = 1000
 REFERENCE = 17
@@ -50,7 +50,7 @@ _LEAST_SHARE = 64
 """Blocks that are worth a thread: to start one for a call takes some 50 us."""
 
 
-class Fleet:
+class VehicleBatch:
     """What batches share: N vehicles' parameters and states by field, gusts, threads.
 
     `pos_ned_m`, ... are (N, 3 or 4) views of the present state and may be written to between calls.  Vehicle i has the
@@ -68,7 +68,7 @@ class Fleet:
         delays = [vehicle.effects.get("transport_delay", {}).get("delay_s", 0.0) for vehicle in vehicles]
         rows = state_rows(params, dt_us=dt_us, max_delay_s=max(delays))
         gusty = np.flatnonzero(params[:, turbulence.SIGMA] != 0.0).tolist()
-        self._gusts = {i: Gusts(seed + i, rows[i : i + 1]) for i in gusty}
+        self._gusts = {i: GustDraws(seed + i, rows[i : i + 1]) for i in gusty}
         self._normals = np.zeros((self._count, DRAWN if gusty else 0, turbulence.NORMALS))
         self._steps = compiled_steps(any(_acts_in_the_loop(vehicle) for vehicle in vehicles))
         self._state = _by_field(rows)
@@ -108,7 +108,7 @@ class Fleet:
             job.result()
 
 
-class BatchPlant(Fleet):
+class BatchPlant(VehicleBatch):
     """N plants in one compiled call; each flies as its own NativePlant with seed `seed` + i would, to 1e-9.
 
     `threads`: how many step them (default: one for each core where there are enough vehicles); it changes no number.
@@ -175,7 +175,7 @@ def _by_field(rows: F64) -> F64:
     return np.ascontiguousarray(np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]).T)
 
 
-class BatchClosedLoop(Fleet):
+class BatchClosedLoop(VehicleBatch):
     """N vehicles, each with its own truth, all flown by the controller of one believed vehicle.
 
     Each begins level at the origin, at rest, its rotors carrying the believed weight; without a ground.

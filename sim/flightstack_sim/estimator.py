@@ -42,7 +42,7 @@ _HAS_KALMAN, _SMOOTHING, _FOLLOWING, _STEP_S = 0, 1, 2, 3  # places in its row _
 
 
 @dataclass(frozen=True, slots=True)
-class Accuracy:
+class EstimatorAccuracy:
     """One sigma errors as the estimator itself would state them, biases included."""
 
     pos_horizontal_std_m: float
@@ -53,7 +53,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class EstimatorOutput:
     """The estimator's output at `t_us`."""
 
     t_us: int
@@ -64,7 +64,7 @@ class Estimate:
     """Gyro without its estimated bias, through the rate loop's low-pass."""
     acc_ned_mps2: Tuple3
     """Acceleration over ground: mean specific force of the last 4 ms turned by the estimate, plus gravity."""
-    accuracy: Accuracy
+    accuracy: EstimatorAccuracy
     position_valid: bool
     attitude_valid: bool
     position_resets: int
@@ -155,7 +155,7 @@ class EstimatorModel:
         self._next = _BLOCK
         self.state = np.zeros(13)
         self.state[6] = 1.0
-        self.accuracy = Accuracy(
+        self.accuracy = EstimatorAccuracy(
             math.hypot(*grade.pos_std_m[:2], *grade.pos_bias_std_m[:2]),
             math.hypot(grade.pos_std_m[2], grade.pos_bias_std_m[2]),
             math.hypot(*grade.vel_std_mps),

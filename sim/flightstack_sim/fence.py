@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import Tuple3
 from flightstack_sim.autopilot import notices
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.plans import CIRCLES, FENCE, POLYGONS, Item, ItemCmd, Plans, corners
 
 _INSIDE: Final = (ItemCmd.POLYGON_INSIDE, ItemCmd.CIRCLE_INSIDE)

@@ -13,7 +13,7 @@ from typing import Any, Final
 from flightstack_sim.autopilot import notices
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.requests import Sender
-from flightstack_sim.plans import ALL, KINDS, MOST, Item, MissionResult, Plans, judge
+from flightstack_sim.plans import ALL, KINDS, MOST, Item, MissionResult, Plans, judge, returned
 from mavlink_bridge import messages as m
 
 RETRY_US: Final = 250_000
@@ -132,7 +132,8 @@ class PlanTransfer:
         if message.seq != self._next:
             return []
         item = _item(message)
-        result = judge(item, self._kind)
+        foreign = not self._integers and item.frame in _FLOAT_FRAMES
+        result = MissionResult.UNSUPPORTED_FRAME if foreign else judge(item, self._kind)
         if result is not MissionResult.ACCEPTED:
             if result is not MissionResult.ERROR:
                 self.said.append(notices.PLAN_ITEM_INVALID)
@@ -183,8 +184,8 @@ class PlanTransfer:
             self._end()
             self.said.append(notices.PLAN_UNEXPECTED)
             return [_ack(sender, MissionResult.ERROR, self._kind)]
-        current = int(self._kind == 0 and message.seq == self._plans.current)
-        return [_item_message(items[message.seq], message.seq, current, sender, self._kind, self._integers)]
+        item, current = returned(items[message.seq], self._kind), int(message.seq == self._plans.current)
+        return [_item_message(item, message.seq, current, sender, self._kind, self._integers)]
 
     def _on_ack(self, message: m.MissionAck, sender: Sender, now_us: int) -> list[Any]:
         if self._partner is not None and sender != self._partner:

@@ -7,6 +7,7 @@ cross themselves are stored, and judged when they are to be flown.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from enum import IntEnum
@@ -59,7 +60,13 @@ POLYGONS: Final = (ItemCmd.POLYGON_INSIDE, ItemCmd.POLYGON_OUTSIDE)
 CIRCLES: Final = (ItemCmd.CIRCLE_INSIDE, ItemCmd.CIRCLE_OUTSIDE)
 _NOT_IN_A_MISSION: Final = frozenset({*POLYGONS, *CIRCLES, ItemCmd.RALLY_POINT})
 _ROI: Final = (80, 201)
-_ROI_KINDS: Final = {2: (0, 3), 6: (0, 3), 0: (0, 3), 3: (0, 3), 5: (0, 3)}
+_ROI_KINDS: Final = {2: (0, 1, 2), 6: (0, 3), 0: (0, 3), 3: (0, 3), 5: (0, 3)}
+_RETURNED: Final[dict[int, str]] = {
+    ItemCmd.WAYPOINT: "pp0h", ItemCmd.LOITER_UNLIMITED: "00ph", ItemCmd.LOITER_TIME: "pfpf", ItemCmd.LAND: "0w0h",
+    ItemCmd.TAKEOFF: "000h", ItemCmd.VTOL_TAKEOFF: "000h", ItemCmd.VTOL_LAND: "000h", ItemCmd.LOITER_TO_ALT: "fp0f",
+}  # fmt: skip
+"""What a download gives back of an item's four parameters: p as it came, h a heading from 0 to 360 degrees, f 1 where
+it was above 0, w a whole number of 16 bits, 0 nothing."""
 _PLACED: Final = frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 212, 400, 4501, 5000, *_NOT_IN_A_MISSION})
 _UNPLACED: Final = frozenset(
     {20, 80, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 212, 214, 260, 400}
@@ -103,13 +110,53 @@ def judge(item: Item, kind: int) -> MissionResult:
         return MissionResult.UNSUPPORTED_FRAME
     if not known:
         return MissionResult.UNSUPPORTED
-    if item.command in _ROI and item.params[0] not in _ROI_KINDS[item.frame]:
+    if item.command in _ROI and _whole(item.params[0]) not in _ROI_KINDS[item.frame]:
         return MissionResult.INVALID_PARAM1
     if kind == MISSION and item.command in _NOT_IN_A_MISSION:
         return MissionResult.ERROR
     if kind == FENCE and item.command in POLYGONS and corners(item) < _LEAST_CORNERS:
         return MissionResult.ERROR
     return MissionResult.ACCEPTED
+
+
+def returned(item: Item, kind: int) -> Item:
+    """What a download gives back of an item: PX4 keeps what it understands of it."""
+    if kind == FENCE:
+        if not item.placed:
+            item = item._replace(x=0.0, y=0.0)
+        kept = item.command in (*CIRCLES, ItemCmd.WAYPOINT, ItemCmd.LOITER_TIME, ItemCmd.CHANGE_SPEED)
+        first = float(corners(item)) if item.command in POLYGONS else item.params[0] if kept else 0.0
+        return item._replace(
+            frame=ABOVE_SEA[0] if item.placed else item.frame, autocontinue=0, params=(first, 0.0, 0.0, 0.0)
+        )
+    if item.placed:
+        forms = _RETURNED.get(item.command, "0000")
+        item = item._replace(command=_ROI[1]) if item.command == _ROI[0] else item
+    else:
+        forms = "wwpp" if item.command == ItemCmd.JUMP else "pppp"
+        item = item._replace(x=_float32(item.x), y=_float32(item.y))
+    one, two, three, four = (_formed(form, value) for form, value in zip(forms, item.params, strict=True))
+    return item._replace(autocontinue=item.autocontinue & 1, params=(one, two, three, four))
+
+
+def _formed(form: str, value: float) -> float:
+    if form == "h":
+        return value % 360.0 if math.isfinite(value) else math.nan
+    if form == "f":
+        return float(value > 0.0)
+    if form == "w":
+        return float(_whole(value) & 0xFFFF)
+    return value if form == "p" else 0.0
+
+
+def _whole(value: float) -> int:
+    """Towards 0; of what is no number of 32 bits, the least one."""
+    return int(value) if abs(value) < 2.0**31 else -(2**31)
+
+
+def _float32(value: float) -> float:
+    found: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    return found
 
 
 def corners(item: Item) -> int:

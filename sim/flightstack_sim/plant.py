@@ -163,7 +163,7 @@ def state_rows(params: F64, *, dt_us: int, max_delay_s: float = MAX_DELAY_S) -> 
     return state
 
 
-class Gusts:
+class GustDraws:
     """Blocks of standard normals for (N, 5) a step; none are drawn while no vehicle has turbulence."""
 
     def __init__(self, seed: int, state: F64) -> None:
@@ -215,7 +215,7 @@ class NativePlant:
         self._ground = ground
         self._params = parameter_row(vehicle, dt_us=dt_us, ground=ground)[None, :]
         self._state = state_rows(self._params, dt_us=dt_us)
-        self._gusts = Gusts(seed, self._state)
+        self._gusts = GustDraws(seed, self._state)
         row = self.state_row = self._state[0]
         self.params_row = self._params[0]
         self._shown = row[:S_RING]

@@ -21,9 +21,9 @@ from typing import Final
 
 import numpy as np
 
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import Tuple3
 from flightstack.vehicle import Vehicle
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import Grade
 from flightstack_sim.plant import make_plant
 from flightstack_sim.sensors import Sensors

@@ -23,7 +23,7 @@ import numpy as np
 
 from flightstack.jit import njit
 from flightstack.types import F64, Tuple3
-from flightstack_sim.estimator import Estimate, EstimatorModel, estimate, joint
+from flightstack_sim.estimator import EstimatorModel, EstimatorOutput, estimate, joint
 from flightstack_sim.grade import Grade, KalmanGrade
 from flightstack_sim.plant import Plant
 
@@ -169,11 +169,11 @@ class Sensors:
         t_us, (n, e, d, vn, ve, vd) = self._fix
         return Fix(t_us, (n, e, d), (vn, ve, vd), *self._fix_accuracy)
 
-    def estimate(self, rate_frd_radps: F64) -> Estimate:
+    def estimate(self, rate_frd_radps: F64) -> EstimatorOutput:
         """Frozen copy of the last estimate; `rate_frd_radps` is the rate loop's filtered gyro."""
         n, e, d, vn, ve, vd, w, x, y, z, an, ae, ad = self.state.tolist()
         p, q, r = rate_frd_radps.tolist()
-        return Estimate(
+        return EstimatorOutput(
             self.t_us,
             (n, e, d),
             (vn, ve, vd),

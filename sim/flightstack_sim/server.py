@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim import commands, protocols
 from flightstack_sim.autopilot import modes, notices
 from flightstack_sim.autopilot.commander import Commander
@@ -21,13 +22,12 @@ from flightstack_sim.autopilot.mission import MissionFlight
 from flightstack_sim.autopilot.navigator import NOT_STARTED, Navigator
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.offboard import from_attitude_target, from_global_target, from_position_target
-from flightstack_sim.autopilot.requests import NEVER, Inputs, Outputs, Request, Sender
+from flightstack_sim.autopilot.requests import NEVER, Inputs, Replies, Request, Sender
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
 from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Sticks, from_manual_control
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Plans
 from flightstack_sim.protocols import EventMemory, ParameterList
@@ -365,7 +365,7 @@ class Server:
         """What to send on a link now: a datagram per message as PX4 does, or packed to at most `max_bytes`."""
         return self._ports[link_index].link.datagrams_to_send(max_bytes)
 
-    def _tell(self, outputs: Outputs, now_us: int) -> None:
+    def _tell(self, outputs: Replies, now_us: int) -> None:
         for sender, command, result in outputs.answers:
             ack = m.CommandAck(command, result, 0, 0, sender.system, sender.component)
             self._ports[sender.link].link.send(ack)

@@ -16,7 +16,7 @@ from flightstack.vehicle import Vehicle
 from flightstack_sim.autopilot.flight_control import FlightControl, airframe_params
 from flightstack_sim.autopilot.params import Params
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
-from flightstack_sim.estimator import Estimate
+from flightstack_sim.estimator import EstimatorOutput
 from flightstack_sim.fused import FusedRun
 from flightstack_sim.grade import Grade
 from flightstack_sim.plant import NativePlant, Plant, make_plant
@@ -40,7 +40,7 @@ class SimulatedVehicle:
         self.torque: F64 = control.rate.torque
         self._run = _fused(plant, control, sensors) or self._step_by_step
         self._ms = 0
-        self._estimate: Estimate | None = None
+        self._estimate: EstimatorOutput | None = None
         for _ in range(2 * ESTIMATE_EVERY_MS):  # the sensors have run before the first control step
             sensors.step(plant)
 
@@ -60,7 +60,7 @@ class SimulatedVehicle:
         return self.control.landed
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> EstimatorOutput:
         """The state estimate, renewed every 4 ms."""
         if self._estimate is None:
             self._estimate = self.sensors.estimate(self.rate_frd_radps)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import Tuple3, Tuple4
 from flightstack_sim.autopilot import modes
 from flightstack_sim.autopilot.commander import CommanderState
@@ -15,9 +16,8 @@ from flightstack_sim.autopilot.navigator import NavigatorState
 from flightstack_sim.autopilot.requests import NEVER
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlKind, ControlSetpoint
 from flightstack_sim.battery_state import BatteryState
-from flightstack_sim.estimator import Accuracy
+from flightstack_sim.estimator import EstimatorAccuracy
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.plans import Plans
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
@@ -28,7 +28,7 @@ _SETTLED_US: Final = 5_000_000
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # places of the diagonal in a 6x6 upper triangle
 
 
-def _covariances(accuracy: Accuracy) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _covariances(accuracy: EstimatorAccuracy) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """ODOMETRY's pose and velocity covariances (21,) each: the upper triangles' diagonals."""
     across, down = accuracy.pos_horizontal_std_m**2, accuracy.pos_vertical_std_m**2
     tilt, heading = accuracy.tilt_std_rad**2, accuracy.heading_std_rad**2

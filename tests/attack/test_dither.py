@@ -6,15 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from attacked import attacked, held
+from attacked import attacked, engaged, held
 
 from benchmarks import attack_adversary
 from benchmarks.attack_adversary import GRADIENT, INNER, KNOWN, NOISE, PUSH, SINE, SQUARE, Strategy
 from benchmarks.attack_worlds import World
-from flightstack.barrier.premise_watch import NAMES
 
 pytestmark = pytest.mark.attack
-LEAN = (NAMES.index("lean north"), NAMES.index("lean east"))
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -27,13 +25,19 @@ def test_nor_does_it_on_the_other_plant() -> None:
     held(attacked(World(0, plant="jsbsim"), 0, KNOWN))
 
 
-@pytest.mark.parametrize(
-    ("wave", "hz", "radps", "may_break"), [(SQUARE, 5.0, 3.0, ()), (SINE, 15.0, 6.0, ()), (NOISE, 8.0, 6.0, LEAN)]
-)
-def test_nor_do_stronger_and_other_ones(wave: int, hz: float, radps: float, may_break: tuple[int, ...]) -> None:
-    """Noise may take the lean a hundredth beyond the certificate's where position needs it: it rests inside then."""
+@pytest.mark.parametrize(("wave", "hz", "radps"), [(SQUARE, 5.0, 3.0), (SINE, 15.0, 6.0), (NOISE, 8.0, 6.0)])
+def test_nor_do_stronger_and_other_ones(wave: int, hz: float, radps: float) -> None:
     strategy = KNOWN._replace(wave=wave, hz=hz, roll_radps=radps, pitch_radps=radps, phase_rad=0.5 * math.pi)
-    held(attacked(World(0), 1, strategy), may_break)
+    held(attacked(World(0), 1, strategy))
+
+
+def test_who_leans_and_drops_the_thrust_does_not_end_the_protection() -> None:
+    """Each of them took the lean (0.11 beyond it) or the thrust out of the certificate's, and with it the protection,
+    where the governor let the turning of one lateral axis take the other's, and thrust fell below the budget's."""
+    flight = engaged(World(0), 503)
+    for k in (16, 7, 3):
+        strategy = attack_adversary.decode(attack_adversary.drawn(np.random.default_rng([77, k])))
+        held(flight.attack(strategy, 6.0))
 
 
 def test_nor_when_all_axes_are_pushed_and_thrust_goes_up_wherever_it_dithers() -> None:

@@ -13,8 +13,8 @@ from flightstack_logs.report import (
     Learning,
     Outcome,
     Phase,
-    Region,
-    Samples,
+    ReportRegion,
+    ReportSamples,
     Timing,
 )
 
@@ -31,8 +31,8 @@ def circle_flight() -> FlightReport:
     rates = np.stack([0.1 * np.cos(t), 0.2 * np.sin(t), 0.0 * t], axis=1)
     thrust = 12.0 + np.sin(3.0 * t)
 
-    def over_time(values: np.ndarray) -> Samples:
-        return Samples(t, values.reshape(len(t), -1))
+    def over_time(values: np.ndarray) -> ReportSamples:
+        return ReportSamples(t, values.reshape(len(t), -1))
 
     return FlightReport(
         Outcome("circle", True, flight_time_s=20.0, rmse_m=0.05, max_m=0.05, tracking_of="truth", lockstep=False),
@@ -42,7 +42,7 @@ def circle_flight() -> FlightReport:
             FlightEvent(12.0, "vehicle says", HOSTILE, "warning"),
             FlightEvent(13.0, "learner", "learner: sudden change noticed on z (8.2 sigma)", "warning"),
         ),
-        region=Region("ellipsoid", (0.0, -1.0, -1.5), (1.5, 1.5, 1.5)),
+        region=ReportRegion("ellipsoid", (0.0, -1.0, -1.5), (1.5, 1.5, 1.5)),
         reference_ned_m=over_time(wanted),
         estimate_ned_m=over_time(truth + 0.005),
         truth_ned_m=over_time(truth),

@@ -21,7 +21,7 @@ from log_samples import Truth, tick_record
 from flightstack.types import InputError
 from flightstack_logs.live.recorder import LiveRecorder
 from flightstack_logs.reader import read
-from flightstack_logs.scene import Region, Scene, StoppingWay
+from flightstack_logs.scene import Scene, SceneRegion, StoppingWay
 from flightstack_logs.writer import FlightLog, Recorder
 from tests.simulator import HOST, free_tcp_pair
 
@@ -40,11 +40,11 @@ def flown(recorder: LiveRecorder) -> None:
     """A moment of a flight of which everything is told."""
     rotors = np.array([[0.1, 0.1, 0.0], [-0.1, -0.1, 0.0]])
     reference = np.column_stack([np.linspace(0.0, 2.0, 50), np.zeros(50), np.full(50, -1.0)])
-    box = Region("box", (1.0, 0.0, -1.0), (2.0, 1.0, 1.0))
+    box = SceneRegion("box", (1.0, 0.0, -1.0), (2.0, 1.0, 1.0))
     site = (np.array([[0.0, -5.0, -1.0], [4.0, 5.0, -1.0], [0.0, -5.0, -1.0]]),)
     recorder.scene(0, Scene(rotors, 0.1, reference_ned_m=reference, region=box, site_ned_m=site))
     recorder.scene(0, StoppingWay(np.array([[0.25, -0.5, -1.0], [0.75, -0.5, -1.0]])))
-    recorder.scene(0, Region("ellipsoid", (1.0, 0.0, -1.0), (1.0, 0.5, 0.5)))
+    recorder.scene(0, SceneRegion("ellipsoid", (1.0, 0.0, -1.0), (1.0, 0.5, 0.5)))
     recorder.write("/vehicle/status", 0, ("OFFBOARD", True, False))
     recorder.write("/timing", 0, (12.0, 100.0, 3))
     recorder.event(0, "phase", "track")

@@ -14,7 +14,7 @@ from test_report_browser import CHROMIUM, opened
 from flightstack.explore import Round
 from flightstack_logs.report.certified import Exploration, render
 from flightstack_paper.page import page
-from flightstack_paper.rows import Row
+from flightstack_paper.rows import ResultLine
 
 pytestmark = [
     pytest.mark.browser,
@@ -32,8 +32,8 @@ LOOK = """<script>addEventListener("load", () => setTimeout(() => {
   }, 200));</script>"""
 
 
-def row(holds: bool) -> Row:
-    return Row("adaptive-vs-uniform-samples-sound", "adaptive sampling needs far fewer samples " * 3, 2.4335,
+def row(holds: bool) -> ResultLine:
+    return ResultLine("adaptive-vs-uniform-samples-sound", "adaptive sampling needs far fewer samples " * 3, 2.4335,
                0.029340123, "m^2/s", holds, "24 samples of the strict form against 818 " * 5)  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from report_flight import circle_flight
 
-from flightstack_logs.report import FlightReport, Outcome, Samples, write_report
+from flightstack_logs.report import FlightReport, Outcome, ReportSamples, write_report
 
 CHROMIUM = Path("/usr/bin/chromium")
 PANELS = 24
@@ -146,7 +146,7 @@ def test_nothing_overflows_and_a_narrow_page_is_short_until_it_is_unfolded(
 @pytest.mark.parametrize("position", [False, True])
 def test_a_page_with_nothing_or_little_recorded_opens_without_an_error(tmp_path: Path, position: bool) -> None:
     flight = circle_flight()
-    point = Samples(flight.truth_ned_m.t_s[:1], flight.truth_ned_m.values[:1]) if flight.truth_ned_m else None
+    point = ReportSamples(flight.truth_ned_m.t_s[:1], flight.truth_ned_m.values[:1]) if flight.truth_ned_m else None
     bare = FlightReport(Outcome(), truth_ned_m=point if position else None)
     dom, data = opened(write_report(bare, tmp_path / "report.html"), tmp_path / "profile")
     assert data["errors"] == ""

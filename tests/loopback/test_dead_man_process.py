@@ -16,10 +16,13 @@ import numpy as np
 import pytest
 from simulator import ENVIRONMENT, HOST, free_ports, simulator
 
+from flightstack.cli.replay import replay
 from flightstack_logs.reader import read
 
 TILT_MAX_DEG, LOST_MAX_M = 35.0, 0.8
 LIMIT_S = 120.0
+CUT_S = 0.3
+"""A topic's block of the log holds so much at most."""
 STALL_S, AFTER_STALL_S, AFTER_KILL_S = 0.2, 3.0, 2.0
 
 
@@ -68,6 +71,10 @@ def test_a_companion_stopped_and_then_killed_in_a_figure_of_eight_ends_in_hold(t
     longest_ms = max(float(text.split()[1]) for text in stalls)
     assert longest_ms >= 1e3 * STALL_S - 1.0  # counted as what it was
     assert any(text.startswith("stalled: no setpoint for") for text in told)
+    again = replay(tmp_path / "flight.mcap")  # in real time, over a stall and OFFBOARD taken back, cut off by the kill
+    whole_s = 1e-6 * float(read(tmp_path / "flight.mcap").tables["/step"].t_us[-1]) - CUT_S
+    assert again.ticks > 1000
+    assert again.same or min(filter(None, [again.first_s, *(each.first_s for each in again.differences)])) > whole_s
     truth = read(truth_log).tables["/truth"]
     t_s = 1e-6 * np.asarray(truth.t_us)
     height = -np.asarray(truth["pos_ned_m"])[:, 2]

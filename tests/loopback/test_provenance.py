@@ -9,9 +9,11 @@ import copy
 import json
 import os
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +25,7 @@ from certificates import resealed
 
 from flightstack.barrier.provenance import Provenance
 from flightstack.certificate_check import DERIVED, SELF_CONSISTENT, check
-from flightstack.certificate_check.log import Recording, read_log
+from flightstack.certificate_check.log import FlightRecording, read_log
 from flightstack.certificate_check.samples import WANTED
 from flightstack.cli.certify import certify
 from flightstack.cli.flight import FlyOptions
@@ -41,7 +43,7 @@ class Flown(NamedTuple):
     text: str
     certificate: Path
     log: Path
-    recording: Recording
+    recording: FlightRecording
     json: dict[str, Any]
 
 
@@ -59,7 +61,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
         return Flown(path.read_text(), path, log, read_log(file, WANTED), result.as_json())
 
 
-def with_seal_of(recording: Recording, text: str) -> Recording:
+def with_seal_of(recording: FlightRecording, text: str) -> FlightRecording:
     """The same log, but that it ends with this certificate: what a forger of both would make."""
     forged = copy.copy(recording)
     forged.attachments = {**recording.attachments, FINAL: text.encode()}
@@ -267,20 +269,36 @@ def test_a_vehicle_with_another_lag_is_refused_by_the_logs_own_forces(flown: Flo
 
     data = json.loads(flown.text)
     ticks = checker.Ticks.of(flown.recording, data["provenance"]["from_us"], data["provenance"]["until_us"])
-    import tomllib
-
     believed = checker.Believed.of(tomllib.loads(flown.recording.attachments["vehicle.toml"].decode()))
     found = checker.samples(ticks, believed, 0.1)
 
     class Known:
         data = json.loads(flown.text)["knowledge"]
+        stores = (None, SimpleNamespace(inflation=data["vertical"]["inflation"]))
 
     assert "lag and delay" in checker._check_delay(data, Known, found, believed)  # type: ignore[arg-type]
-    data["axes"][0]["response"]["delay_s"] = 0.0  # the log shows lag and delay together: all of it is the lag's here
-    for lag_s in (0.006, 0.05):
-        data["axes"][0]["response"]["c1_s"] = lag_s
+    for lag_s, delay_s in ((0.006, 0.0), (0.05, 0.0), (0.006, 0.004), (0.006, 0.012), (0.04, 0.0)):
+        data["axes"][0]["response"] |= {"c1_s": lag_s, "delay_s": delay_s}  # of some, the sum is the true one
         with pytest.raises(Refused, match="the log shows"):
             checker._check_delay(data, Known, found, replace(believed, lag_s=lag_s))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("key", "share"), [("inertia_kgm2", 0.5), ("position_m", 1.2), ("mass_kg", 1.3), ("thrust_model_factor", 0.5)]
+)
+def test_a_governor_of_another_vehicle_is_refused(flown: Flown, key: str, share: float) -> None:
+    """A vehicle that torque hardly disturbs; every figure of the governor may agree with it."""
+    from flightstack.certificate_check import provenance as checker
+    from flightstack.certificate_check.reading import Refused
+
+    data = json.loads(flown.text)
+    believed = checker.Believed.of(tomllib.loads(flown.recording.attachments["vehicle.toml"].decode()))
+    stated, doubts = data["governor"]["vehicle"], data["knowledge"]["doubts"]
+    checker._check_frame(stated, doubts, believed)
+    with pytest.raises(Refused, match=key):
+        checker._check_frame(stated | {key: (share * np.array(stated[key])).tolist()}, doubts, believed)
+    with pytest.raises(Refused, match="rotor_lag_s"):
+        checker._check_frame(stated, doubts | {"rotor_lag_s": 0.0}, believed)
 
 
 def test_a_log_whose_rates_do_not_turn_it_is_refused(flown: Flown) -> None:

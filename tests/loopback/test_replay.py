@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+from log_samples import tick_record
 
 from flightstack.cli import replay as module
 from flightstack.cli.certify import certify
@@ -57,7 +61,9 @@ def test_settings_that_are_no_number_are_one_line(hovered: Path, monkeypatch: py
     whole = read(hovered)
     settings = {**whole.metadata["settings"], "planner": "ExplorationPlanner", "explore_s": "x"}
     monkeypatch.setattr(
-        module, "read", lambda path: dataclasses.replace(whole, metadata={**whole.metadata, "settings": settings})
+        module,
+        "read",
+        lambda path, **how: dataclasses.replace(whole, metadata={**whole.metadata, "settings": settings}),
     )
     with pytest.raises(InputError, match="rules that it does not name"):
         replay(hovered)
@@ -81,7 +87,7 @@ def test_another_controller_shows_from_its_first_tick_on(
 def test_a_tolerance_lets_small_differences_pass(hovered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As if another machine had recorded it: thrusts off by a few units of the last place."""
 
-    def elsewhere(path: Path) -> Log:
+    def elsewhere(path: Path, **how: Any) -> Log:
         log = read(path)
         if path == hovered:
             columns = log.tables["/command"].columns
@@ -105,3 +111,20 @@ def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path)
     log.close()
     with pytest.raises(InputError, match="nothing to replay"):
         replay(tmp_path / "b.mcap")
+    for settings, text, why in (
+        ({"pace": "realtime", "connect": "udpin:127.0.0.1:14540"}, "", "when each step was"),
+        ({"pace": "realtime"}, "filter: certifies nothing more (its process has ended)", "was lost"),
+    ):
+        log = FlightLog.open(tmp_path / "c.mcap", metadata={"settings": settings}, overwrite=True)
+        log.tick(tick_record(4000))
+        log.event(4000, "filter", text)
+        log.close()
+        with pytest.raises(InputError, match=why):
+            replay(tmp_path / "c.mcap")
+
+
+def test_a_flight_in_a_site_is_replayed_in_its_site(tmp_path: Path) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text('schema = "flightstack.site/1"\ninside = [[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]]\n')
+    again = replay(flown(tmp_path, scenario="hover", duration_s=1.0, learning=False, site=site))
+    assert again.lines == [f"{again.ticks} ticks: the same, bit for bit"]

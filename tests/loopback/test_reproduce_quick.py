@@ -11,8 +11,8 @@ import pytest
 
 from flightstack.cli.main import main
 from flightstack_paper.run import ReproduceOptions, plants_of
-from flightstack_paper.tracking import Flight, fly
-from flightstack_paper.work import Bench
+from flightstack_paper.tracking import TrackingFlight, fly
+from flightstack_paper.work import PartContext
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -119,7 +119,7 @@ def test_the_same_command_takes_up_what_is_there_and_writes_the_same(
 
 def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
     first, again, other = (
-        fly(Flight(plant="native", pilot="none", seed=seed, duration_s=2.0), Bench(Path("unused")))
+        fly(TrackingFlight(plant="native", pilot="none", seed=seed, duration_s=2.0), PartContext(Path("unused")))
         for seed in (4, 4, 5)
     )
     assert first == again

@@ -13,13 +13,12 @@ from certificates import MODEL, resealed
 
 from flightstack.barrier.confidence import Colour
 from flightstack.barrier.file import parse_certificate
-from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge
+from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.gp.kernels import kernel_from_dict
-from flightstack.model import Limits
 from flightstack.types import F64
 
 CHANGES = {
@@ -222,12 +221,12 @@ def supported(data: dict[str, Any]) -> bool:
     speeds = tuple((low, high) for low, high in known["speeds_mps"])
     envelope = Envelope(speeds, tuple(known["heights_m"]), known["nodes"], known["slice_only"], tuple(known["axes"]))
     initial = InitialKnowledge(tuple(known["initial"]["mass_ratio"]), known["initial"]["force_weights"])
-    *_, remade = Knowledge.steps(
-        Accelerations(processes[0], processes[1], model), model, Limits(), envelope, initial=initial,
-        box=certified.budget, widen_mps2=np.array(known["widen_mps2"]),
-        torque_mps2=known["torque_mps2"],
+    remade = Knowledge.of(
+        Request(
+            Accelerations(processes[0], processes[1], model), model, envelope, certified.budget, initial,
+            widen_mps2=np.array(known["widen_mps2"]), torque_mps2=known["torque_mps2"],
+        )
     )  # fmt: skip
-    assert remade is not None
     doubts = known["doubts"]
     _, margins = ledger(
         2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,

@@ -12,7 +12,7 @@ from shipped import load_vehicle
 
 from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.estimate_bounds import EstimateBounds
-from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, budget
+from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request, budget
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.premises import Premises
@@ -97,15 +97,13 @@ def known_vehicle(points: int, *, seed: int = 1) -> Accelerations:
 def knowledge(points: int = 60, axes: tuple[int, ...] = (2,), version: int = 1, last: bool = False) -> Knowledge:
     """What these points say of some axes round 2 m of height, with some thrust across."""
     envelope = Envelope(((-0.2, 0.2), (-0.2, 0.2), (-1.6, 1.6)), (1.2, 2.8), nodes=9, axes=axes)
-    limits = Limits()
-    box = budget(MODEL, limits, lateral_mps2=0.5, low_mps2=3.0)
-    *_, known = Knowledge.steps(
-        known_vehicle(points), MODEL, limits, envelope, initial=InitialKnowledge(), box=box, version=version, last=last,
-        attitude_mps2=np.array(ESTIMATE.acc_mps2),
-        torque_mps2=governor().worst_mps2,
+    box = budget(MODEL, Limits(), lateral_mps2=0.5, low_mps2=3.0)
+    return Knowledge.of(
+        Request(
+            known_vehicle(points), MODEL, envelope, box, InitialKnowledge(), version=version, last=last,
+            attitude_mps2=np.array(ESTIMATE.acc_mps2), torque_mps2=governor().worst_mps2,
+        )
     )  # fmt: skip
-    assert known is not None
-    return known
 
 
 @lru_cache(maxsize=8)

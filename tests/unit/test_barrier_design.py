@@ -12,7 +12,7 @@ from flightstack.barrier import viability
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.cover import cover
 from flightstack.barrier.design import (
-    Design,
+    RegionDesign,
     SafeSet,
     at_level,
     at_speed,
@@ -33,7 +33,7 @@ MARGINS = Setting(2.0, 0.02, 0.1, 0.004)
 ERRORS = (0.1, 0.15)
 
 
-def _barrier(design: Design) -> Barrier:
+def _barrier(design: RegionDesign) -> Barrier:
     assert design.barrier is not None
     assert design.cover is not None
     assert design.cover.closed
@@ -168,7 +168,7 @@ def test_growth_with_knowledge() -> None:
 
 def test_a_shape_too_wide_at_any_speed_does_not_grow() -> None:
     wide = Stopping(-0.585, 0.61, 0.06, 2.5, 9.0)
-    assert grow(wide, STRIP, MARGINS, constant(*PAPER), change=at_speed) == Design(None, None)
+    assert grow(wide, STRIP, MARGINS, constant(*PAPER), change=at_speed) == RegionDesign(None, None)
 
 
 def test_sizes_are_what_they_say() -> None:
@@ -189,8 +189,8 @@ def test_sizes_are_what_they_say() -> None:
 
 def test_nothing_without_authority() -> None:
     found = largest(STRIP, MARGINS, constant(-0.05, 9.81, 0.1), LATE, family="quadratic")
-    assert found == Design(None, None)
-    assert largest(STRIP, MARGINS, constant(math.nan, 9.81), LATE, family="stopping") == Design(None, None)
+    assert found == RegionDesign(None, None)
+    assert largest(STRIP, MARGINS, constant(math.nan, 9.81), LATE, family="stopping") == RegionDesign(None, None)
 
 
 def test_same_input_same_design() -> None:

@@ -8,7 +8,7 @@ from barriers import h
 
 from flightstack.barrier.condition import Setting, interval
 from flightstack.barrier.design import SafeSet
-from flightstack.barrier.flown import Flown
+from flightstack.barrier.flown import FlownPath
 from flightstack.barrier.margins import Accuracy, ledger
 from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
 from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
@@ -89,9 +89,9 @@ def at(t_s: float, north_m: float, north_mps: float) -> Measurement:
     )  # fmt: skip
 
 
-def path() -> Flown:
+def path() -> FlownPath:
     """The paper's to north: 1.5 m, 0.6 rad/s, 12 s of it."""
-    flown = Flown()
+    flown = FlownPath()
     for t_s in np.arange(0.0, 12.0, 0.1):
         flown.take(at(float(t_s), 1.5 * np.sin(0.6 * t_s), 0.9 * np.cos(0.6 * t_s)), REGION, np.zeros(3))
     return flown

@@ -50,6 +50,17 @@ def test_a_task_gives_rows_and_says_what_failed_or_was_refused(tmp_path: Path) -
     assert assess(spec, rows).too_many_failures == "2 flights went wrong, most_failures = 1"
 
 
+def not_plain(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """A task that breaks its word."""
+    return {"path": folder}
+
+
+def test_what_is_no_plain_data_is_a_crash_that_says_so(tmp_path: Path) -> None:
+    (row,) = _rows(_spec("count = 1\n", head=HEAD.replace("halve", "not_plain")), tmp_path)
+    assert row["outcome"] == "crashed"
+    assert "not JSON serializable" in row["reason"]
+
+
 def test_a_flights_file_is_a_campaign_that_flies_it_again(tmp_path: Path) -> None:
     spec = _spec('count = 1\n[vary]\nx = { low = 1.0, high = 2.0 }\nname = ["a \\"b\\"", "c"]\n')
     plan = Planner(spec).plan(4, Design(spec).values(4), 11)
@@ -111,9 +122,16 @@ def test_the_command_line_changes_the_file(tmp_path: Path) -> None:
         ('task = "os:getcwd"\ncount = 1\n[table]\ncolumns = { a = "mean x" }\n', "known are flights, sum"),
         ('task = "os:getcwd"\ncount = 1\n[table]\ncolumns = { a = "sum" }\n', "takes 1 field"),
         ('task = "os:getcwd"\ncount = 1\n[table]\nbye = "x"\n', "nearest known one is by"),
+        (
+            'task = "os:getcwd"\ncount = 1\n[vary]\nkind = [1]\n[table]\nby = "kin"\ncolumns = { a = "flights" }\n',
+            "is kind",
+        ),
+        ('task = "test_campaign_task_broken:f"\ncount = 1\n', "broken on purpose"),
     ],
 )
-def test_each_mistake_is_one_line(text: str, words: str) -> None:
+def test_each_mistake_is_one_line(text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "test_campaign_task_broken.py").write_text('raise RuntimeError("broken\\non purpose")')
+    monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InputError, match=words) as error:
         Planner(_spec(text, head='schema = "flightstack.campaign/1"\n'))
     assert "\n" not in str(error.value)

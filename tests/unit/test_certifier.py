@@ -18,7 +18,7 @@ from flightstack.barrier.design import SafeSet
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import value
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
@@ -47,7 +47,7 @@ class Kept(OnlineCertifier):
 
 def flight(
     duration_s: float, events: tuple[TimedEvent, ...] = (), elsewhere: Workshop | None = None
-) -> tuple[Flight, Kept]:
+) -> tuple[ClosedLoopFlight, Kept]:
     kept: list[Kept] = []
 
     def make(model: Model, limits: Limits) -> Stack:
@@ -69,11 +69,11 @@ def flight(
 
 
 @pytest.fixture(scope="module")
-def calm() -> tuple[Flight, Kept]:
+def calm() -> tuple[ClosedLoopFlight, Kept]:
     return flight(10.0)
 
 
-def test_certificates_appear_soon_grow_and_hold_the_path(calm: tuple[Flight, Kept]) -> None:
+def test_certificates_appear_soon_grow_and_hold_the_path(calm: tuple[ClosedLoopFlight, Kept]) -> None:
     flown, kept = calm
     times, certificates = zip(*kept.issued, strict=True)
     assert times[0] - flown.records[0].t_us < 6_000_000
@@ -86,7 +86,7 @@ def test_certificates_appear_soon_grow_and_hold_the_path(calm: tuple[Flight, Kep
         assert value(down.barrier, float(point.pos_ned_m[2]) + 0.8, float(point.vel_ned_mps[2])) > 0.0
 
 
-def test_true_braking_and_acceleration_lie_within_every_certificate(calm: tuple[Flight, Kept]) -> None:
+def test_true_braking_and_acceleration_lie_within_every_certificate(calm: tuple[ClosedLoopFlight, Kept]) -> None:
     _, kept = calm
     for _, certificate in kept.issued:
         table, box = certificate.axes[0].authority, certificate.budget
@@ -107,7 +107,7 @@ def test_a_dropped_payload_falsifies() -> None:
     assert marked.knowledge["hand_over"] or area_of(marked) < area_of(before)
 
 
-def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[Flight, Kept]) -> None:
+def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[ClosedLoopFlight, Kept]) -> None:
     _, kept = calm
     state, (learner, measurement, learned, _) = kept.last
     assert isinstance(measurement, Measurement)
@@ -142,7 +142,7 @@ def ready(shop: Workshop, work: Iterator[Certificate | None]) -> Certificate | N
     return None
 
 
-def test_another_process_makes_the_very_same_certificate(calm: tuple[Flight, Kept], shop: Workshop) -> None:
+def test_another_process_makes_the_very_same_certificate(calm: tuple[ClosedLoopFlight, Kept], shop: Workshop) -> None:
     """One that nobody waits for any more (the bounds were falsified meanwhile) does not come in place of the next."""
     _, kept = calm
     _, (learner, _, learned, _) = kept.last
@@ -164,10 +164,18 @@ def test_another_process_makes_the_very_same_certificate(calm: tuple[Flight, Kep
 
 def test_a_flight_certifies_while_another_process_does_the_work(shop: Workshop) -> None:
     """How soon depends on the machine (this flight waits for nobody), what is certified is true all the same."""
+    shop.count_anew()
     flown, kept = flight(40.0, elsewhere=shop)
     assert not shop.lost
     assert kept.issued
     assert kept.issued[0][0] > flown.records[0].t_us
+    recorded = Workshop()
+    recorded.again(shop.served)
+    _, again = flight(40.0, elsewhere=recorded)  # in one process, each answer at the tick at which it came
+    assert [t_us for t_us, _ in again.issued] == [t_us for t_us, _ in kept.issued]
+    assert [certificate_to_json(each) for _, each in again.issued] == [
+        certificate_to_json(each) for _, each in kept.issued
+    ]
     test_true_braking_and_acceleration_lie_within_every_certificate((flown, kept))
 
 
@@ -181,7 +189,7 @@ def test_a_process_that_can_t_be_started_is_one_that_is_lost(monkeypatch: pytest
 
 
 @pytest.mark.parametrize("how", ["killed", "at fault"])
-def test_a_process_that_is_lost_takes_nothing_with_it(calm: tuple[Flight, Kept], how: str) -> None:
+def test_a_process_that_is_lost_takes_nothing_with_it(calm: tuple[ClosedLoopFlight, Kept], how: str) -> None:
     _, kept = calm
     _, (learner, measurement, learned, filtered) = kept.last
     with Workshop() as lost:
@@ -208,6 +216,10 @@ class Idle:
 
     def __init__(self, lost: str) -> None:
         self.lost = lost
+        self.served: tuple[tuple[int, int, int], ...] = ()
+
+    def count_anew(self) -> None:
+        """Nothing is counted."""
 
     def work(self, *_: object) -> Iterator[None]:
         return itertools.repeat(None)
@@ -215,7 +227,7 @@ class Idle:
 
 @pytest.mark.parametrize(("lost", "least_s", "most_s"), [("its process has ended", 0.0, 0.01), ("", 1.4, 1.6)])
 def test_a_falsified_certificate_does_not_wait_for_one_that_never_comes(
-    calm: tuple[Flight, Kept], lost: str, least_s: float, most_s: float
+    calm: tuple[ClosedLoopFlight, Kept], lost: str, least_s: float, most_s: float
 ) -> None:
     _, kept = calm
     _, (learner, measurement, learned, filtered) = kept.last

@@ -13,8 +13,8 @@ from mavlink_bridge.codec import camel_to_upper, row, wire
 from mavlink_bridge.framing import (
     LONGEST_FRAME,
     DatagramFraming,
-    Fault,
     Frame,
+    FrameFault,
     StreamFraming,
     build_frame,
     frame_at,
@@ -88,14 +88,14 @@ def test_a_signed_frame_is_thirteen_bytes_longer() -> None:
     frame = frame_at(data, 0, EXTRAS)
     assert isinstance(frame, Frame)
     assert (frame.flags, frame.end) == (1, len(data))
-    assert frame_at(data[:-1], 0, EXTRAS) == Fault("bad_length", len(data))
+    assert frame_at(data[:-1], 0, EXTRAS) == FrameFault("bad_length", len(data))
 
 
 @pytest.mark.parametrize("flags", [2, 3, 4, 0x80, 0xFF])
 def test_a_frame_with_unknown_incompatible_flags_is_none(flags: int) -> None:
     data = build_frame(bytes(range(1, 29)), 32, EXTRAS[32], 0, 1, 1, flags)
     frame = frame_at(data, 0, EXTRAS)
-    assert isinstance(frame, Fault)
+    assert isinstance(frame, FrameFault)
     assert frame.reason == "bad_flags"
 
 
@@ -103,7 +103,7 @@ def test_every_prefix_of_a_frame_asks_for_more_and_is_no_frame() -> None:
     data = _frame()
     for size in range(1, len(data)):
         fault = frame_at(data[:size], 0, EXTRAS)
-        assert isinstance(fault, Fault)
+        assert isinstance(fault, FrameFault)
         assert fault.reason == "bad_length"
         assert size < fault.needs <= len(data)
 

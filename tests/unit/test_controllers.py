@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
-from flightstack.cli.controllers import CONTROLLERS, build, load_gains, stack_maker
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
+from flightstack.cli.controllers import CONTROLLERS, build, load_gains
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.indi import IndiController
 from flightstack.control.observer import FILTER, DisturbanceObserver, ObserverGains, observe
@@ -45,6 +46,14 @@ def seen(t_us: int = 0, **changes: object) -> Measurement:
 
 def sent(t_us: int, thrust_n: float = MODEL.weight_n) -> Command:
     return Command(t_us, thrust_n, MODEL.norm_of(thrust_n), np.zeros(3))
+
+
+def stack_maker(name: str) -> Callable[[Model, Limits], Stack]:
+    def make(model: Model, limits: Limits) -> Stack:
+        controller, learner = build(name, model, limits)
+        return Stack(model, limits, controller=controller, learner=learner)
+
+    return make
 
 
 def laws() -> dict[str, Controller]:
@@ -173,7 +182,7 @@ def test_the_observers_estimate_starts_at_the_first_sample_and_turns_with_the_at
     np.testing.assert_allclose(state[:3], [0.0, 1.5, 0.0], atol=1e-12)
 
 
-def _held(name: str, duration_s: float = 10.0) -> Flight:
+def _held(name: str, duration_s: float = 10.0) -> ClosedLoopFlight:
     """Hover with 1.25 times the mass and a twentieth of the weight to the north."""
     scenario = load_scenario("hover").with_duration(duration_s)
     heavy = with_effects(

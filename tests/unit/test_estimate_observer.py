@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.estimate_observer import EstimateObserver
 from flightstack.types import F64
 
@@ -79,7 +79,7 @@ def test_what_is_late_doubled_or_not_finite_changes_nothing() -> None:
     np.testing.assert_array_equal(observer.disagreement_ned_mps, np.zeros(3))
 
 
-def settled(flight: Flight) -> float:
+def settled(flight: ClosedLoopFlight) -> float:
     """rms distance of the estimated position from the reference over the track's second half."""
     count = len(flight.errors_m)
     rows = [r.measurement.pos_ned_m - r.reference.pos_ned_m for r in flight.records[-count // 2 :]]

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.polynomial import polynomial as npp
 
 from flightstack.barrier.exact import (
+    ExactPolynomial,
     Matrix,
-    Polynomial,
     Proof,
     along,
     as_ellipse,
@@ -30,15 +30,17 @@ from flightstack.barrier.exact import (
 )
 from flightstack.types import InputError
 
-DISC = (Polynomial({(1, 0): -1, (3, 0): 1, (1, 2): 1}), Polynomial({(0, 1): -1, (2, 1): 1, (0, 3): 1}))
+DISC = (ExactPolynomial({(1, 0): -1, (3, 0): 1, (1, 2): 1}), ExactPolynomial({(0, 1): -1, (2, 1): 1, (0, 3): 1}))
 """r' = -r (1 - r^2) along every ray: the open unit disc is the region of attraction of the origin."""
 
 fractions = st.fractions(min_value=-4, max_value=4, max_denominator=64)
-polynomials = st.dictionaries(st.tuples(st.integers(0, 4), st.integers(0, 4)), fractions, max_size=8).map(Polynomial)
+polynomials = st.dictionaries(st.tuples(st.integers(0, 4), st.integers(0, 4)), fractions, max_size=8).map(
+    ExactPolynomial
+)
 points = st.tuples(fractions, fractions)
 
 
-def array(polynomial: Polynomial) -> np.ndarray:
+def array(polynomial: ExactPolynomial) -> np.ndarray:
     """Coefficients as NumPy's polynomial functions want them."""
     coefficients = np.zeros((10, 10))
     for (i, j), value in polynomial.terms.items():
@@ -46,12 +48,12 @@ def array(polynomial: Polynomial) -> np.ndarray:
     return coefficients
 
 
-def at(polynomial: Polynomial, x: tuple[Fraction, Fraction]) -> float:
+def at(polynomial: ExactPolynomial, x: tuple[Fraction, Fraction]) -> float:
     return float(npp.polyval2d(float(x[0]), float(x[1]), array(polynomial)))
 
 
 @given(polynomials, polynomials, points)
-def test_arithmetic_is_that_of_values(p: Polynomial, q: Polynomial, x: tuple[Fraction, Fraction]) -> None:
+def test_arithmetic_is_that_of_values(p: ExactPolynomial, q: ExactPolynomial, x: tuple[Fraction, Fraction]) -> None:
     assert (p + q)(*x) == p(*x) + q(*x)
     assert (p - q)(*x) == p(*x) - q(*x)
     assert (p * q)(*x) == p(*x) * q(*x)
@@ -60,7 +62,7 @@ def test_arithmetic_is_that_of_values(p: Polynomial, q: Polynomial, x: tuple[Fra
 
 
 @given(polynomials, polynomials)
-def test_derivatives_are_numpys_and_products_have_the_right_degree(p: Polynomial, q: Polynomial) -> None:
+def test_derivatives_are_numpys_and_products_have_the_right_degree(p: ExactPolynomial, q: ExactPolynomial) -> None:
     for state in (0, 1):
         expected = npp.polyder(array(p), axis=state)
         got = array(p.derivative(state))
@@ -102,15 +104,15 @@ def test_a_singular_or_unsymmetric_matrix_is_not_positive_definite() -> None:
 def test_gram_form_of_all_ones_is_the_square_of_the_sum() -> None:
     basis = monomials(2)
     ones: Matrix = tuple(tuple(Fraction(1) for _ in basis) for _ in basis)
-    total = Polynomial(dict.fromkeys(basis, 1))
+    total = ExactPolynomial(dict.fromkeys(basis, 1))
     assert gram_form(basis, ones) == total * total
     assert len(basis) == 6
 
 
 def test_decimal_text_is_taken_as_written() -> None:
-    assert Polynomial({(0, 0): "0.1"})[0, 0] == Fraction(1, 10)
+    assert ExactPolynomial({(0, 0): "0.1"})[0, 0] == Fraction(1, 10)
     with pytest.raises(ValueError, match="below 0"):
-        Polynomial({(-1, 0): 1})
+        ExactPolynomial({(-1, 0): 1})
 
 
 def test_ellipse_and_its_shape_agree() -> None:
@@ -119,7 +121,7 @@ def test_ellipse_and_its_shape_agree() -> None:
     assert shape.centre == (Fraction(1, 2), Fraction(-3, 4))
     assert shape.level == 3
     assert shape.area == pytest.approx(math.pi / math.sqrt(1.5 * 2 - 0.25**2), rel=1e-14)
-    for flat in (Polynomial({(2, 0): -1, (0, 0): 1}), Polynomial({(3, 0): 1}), ellipse(1, 0, 1) - 1):
+    for flat in (ExactPolynomial({(2, 0): -1, (0, 0): 1}), ExactPolynomial({(3, 0): 1}), ellipse(1, 0, 1) - 1):
         with pytest.raises(InputError):
             as_ellipse(flat)
 
@@ -129,8 +131,8 @@ def disc_proof() -> Proof:
 
     With lambda = a + b r^2: hdot - lambda h - t = (4 - b + 2 a) r^2 + (2 b - 4) r^4 - a - t = 1/4 + r^2 / 4 + r^4 / 2.
     """
-    h = Polynomial({(0, 0): 1, (2, 0): -2, (0, 2): -2})
-    multiplier = Polynomial({(0, 0): "-3/4", (2, 0): "9/4", (0, 2): "9/4"})
+    h = ExactPolynomial({(0, 0): 1, (2, 0): -2, (0, 2): -2})
+    multiplier = ExactPolynomial({(0, 0): "-3/4", (2, 0): "9/4", (0, 2): "9/4"})
     half, quarter = Fraction(1, 2), Fraction(1, 4)
     diagonal = [quarter, quarter, quarter, half, Fraction(3, 5), half]
     gram = [[diagonal[i] if i == j else Fraction(0) for j in range(6)] for i in range(6)]
@@ -170,7 +172,7 @@ def test_other_numbers_spoiled_are_rejected() -> None:
 
 def test_an_identity_that_holds_without_a_definite_gram_matrix_is_rejected() -> None:
     # hdot - lambda h - t = z^T Q z always has a Q, here for a disc that is not invariant: r = 2
-    h = Polynomial({(0, 0): 1, (2, 0): "-1/4", (0, 2): "-1/4"})
+    h = ExactPolynomial({(0, 0): 1, (2, 0): "-1/4", (0, 2): "-1/4"})
     rest = along(h, DISC) - Fraction(1, 100)
     basis = monomials(2)
     gram = [[Fraction(0)] * 6 for _ in basis]
@@ -178,7 +180,7 @@ def test_an_identity_that_holds_without_a_definite_gram_matrix_is_rejected() -> 
         for j, b in enumerate(basis):
             powers = (a[0] + b[0], a[1] + b[1])
             gram[i][j] = rest[powers] / sum((a2[0] + b2[0], a2[1] + b2[1]) == powers for a2 in basis for b2 in basis)
-    proof = Proof(h, Fraction(1, 100), Polynomial({}), basis, tuple(map(tuple, gram)))
+    proof = Proof(h, Fraction(1, 100), ExactPolynomial({}), basis, tuple(map(tuple, gram)))
     assert check(proof, DISC) == ["the Gram matrix is not symmetric with positive leading minors"]
 
 
@@ -203,7 +205,7 @@ def test_falling_needs_the_origin_and_the_sum_of_squares() -> None:
 def test_leaving_is_proven_only_where_it_happens() -> None:
     inside, outside = (Fraction("0.999"), Fraction(0)), (Fraction("1.001"), Fraction(0))
     disc = ellipse(1, 0, 1)
-    away = (Polynomial({(1, 0): 1}), Polynomial({(0, 1): 1}))
+    away = (ExactPolynomial({(1, 0): 1}), ExactPolynomial({(0, 1): 1}))
     assert leaves_between(disc, away, inside, outside)
     assert not leaves_between(disc, (-away[0], -away[1]), inside, outside)
     assert not leaves_between(disc, away, outside, inside)

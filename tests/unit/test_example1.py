@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import minimize
 
 from flightstack.barrier import example1, sos
-from flightstack.barrier.exact import Polynomial, Proof, as_ellipse, check, leading_minors
-from flightstack.barrier.example1 import FIELD, Example1, Region
+from flightstack.barrier.exact import ExactPolynomial, Proof, as_ellipse, check, leading_minors
+from flightstack.barrier.example1 import FIELD, Example1, ExampleRegion
 from flightstack.types import F64, InputError
 
 
@@ -40,7 +40,7 @@ def h_star(x: F64) -> F64:
     return np.asarray(one)
 
 
-def matrix(polynomial: Polynomial) -> tuple[F64, F64, float]:
+def matrix(polynomial: ExactPolynomial) -> tuple[F64, F64, float]:
     """P, centre and level, anew from the coefficients."""
     p = -np.array([[float(polynomial[2, 0]), float(polynomial[1, 1]) / 2.0], [0.0, float(polynomial[0, 2])]])
     p[1, 0] = p[0, 1]
@@ -48,7 +48,7 @@ def matrix(polynomial: Polynomial) -> tuple[F64, F64, float]:
     return p, centre, float(polynomial[0, 0]) + centre @ p @ centre
 
 
-def sampled_rates(polynomial: Polynomial, count: int = 400_000) -> tuple[F64, F64]:
+def sampled_rates(polynomial: ExactPolynomial, count: int = 400_000) -> tuple[F64, F64]:
     """hdot = -2 (x - c)^T P f on the boundary, and the boundary, by polar angle."""
     p, centre, level = matrix(polynomial)
     angle = np.linspace(0.0, 2.0 * np.pi, count)
@@ -57,7 +57,7 @@ def sampled_rates(polynomial: Polynomial, count: int = 400_000) -> tuple[F64, F6
     return -2.0 * np.einsum("ik,ij,jk->k", x - centre[:, None], p, slope(x)), x
 
 
-def regions(result: Example1) -> tuple[Region, ...]:
+def regions(result: Example1) -> tuple[ExampleRegion, ...]:
     return (
         result.published_lyapunov,
         result.published_barrier,
@@ -209,7 +209,7 @@ def test_a_shipped_proof_rounded_fails(name: str) -> None:
 
 
 def test_a_proof_is_of_one_system_only() -> None:
-    field = (FIELD[0], FIELD[1] + Polynomial({(1, 0): Fraction(1, 10**15)}))
+    field = (FIELD[0], FIELD[1] + ExactPolynomial({(1, 0): Fraction(1, 10**15)}))
     for proof in example1.proofs().values():
         assert check(proof, field)
 

@@ -18,7 +18,7 @@ from flightstack.barrier.design import at_speed
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, gradient, value
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
-from flightstack.targets import Search, boundary, limits, reachable, transit
+from flightstack.targets import TargetSearch, boundary, limits, reachable, transit
 from flightstack.trajectory import Polynomial
 from flightstack.types import F64
 
@@ -98,7 +98,7 @@ def _edge(barrier: Barrier, e0: float, v0: float, de: float, dv: float) -> float
 
 @pytest.mark.parametrize("barrier", [STOPPING, ELLIPSE])
 def test_the_first_limit_is_the_worst_state_of_a_boundary_ten_times_finer(barrier: Barrier) -> None:
-    axis, search = axis_of(barrier), Search()
+    axis, search = axis_of(barrier), TargetSearch()
     candidate = at_speed(barrier, search.grow)
     candidate_axis = axis_of(candidate)
     first = limits(axis, search)[0]
@@ -131,7 +131,7 @@ def _passes(axis: AxisCertificate, arc: F64, keep_h: float, count: int = 601) ->
 
 @pytest.mark.parametrize("barrier", [STOPPING, ELLIPSE])
 def test_the_arc_is_the_first_in_order_that_the_filter_would_let_pass(barrier: Barrier) -> None:
-    axis, search = axis_of(barrier), Search(shares=(0.9, 0.4, 0.15), ramp_s=(0.3, 0.2))
+    axis, search = axis_of(barrier), TargetSearch(shares=(0.9, 0.4, 0.15), ramp_s=(0.3, 0.2))
     limit = limits(axis, search)[0]
     arc = reachable(axis, limit, search)
     assert arc is not None
@@ -152,7 +152,7 @@ def test_the_arc_is_the_first_in_order_that_the_filter_would_let_pass(barrier: B
 
 
 def test_the_way_to_the_start_of_an_arc_is_calm_and_inside() -> None:
-    axis, search = axis_of(STOPPING), Search()
+    axis, search = axis_of(STOPPING), TargetSearch()
     way = transit(axis, -0.35, 0.3, search)
     assert way is not None
     assert arcs.at(way, 0.0) == pytest.approx((-0.35, 0.0, 0.0))

@@ -18,7 +18,7 @@ from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.held_rows import gain
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.metric import metric_of
-from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.trifles import CLEARLY, trifles, worth_of
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Estimate, Figures, Found, Gap
@@ -97,16 +97,16 @@ def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model()
 def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: Split) -> None:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
-    state = Search(bench, quad(), point := linearise(bench, with_drag(1.0), quad()), metric_of(point))
+    state = SelectionState(bench, quad(), point := linearise(bench, with_drag(1.0), quad()), metric_of(point))
     made = estimate(state, HIDDEN | {"blade_flapping": {"k_flap_nms2_per_rad_m": 0.0}})
     assert trifles(state, made, ["blade_flapping", "payload", "rotor_drag"]) == ("blade_flapping",)
 
 
-def _drag_named(flown: Split) -> tuple[Search, Estimates]:
+def _drag_named(flown: Split) -> tuple[SelectionState, Estimates]:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     drag = {"rotor_drag": HIDDEN["rotor_drag"]}
-    state = Search(bench, quad(), point := linearise(bench, hidden(quad(), drag), quad()), metric_of(point))
+    state = SelectionState(bench, quad(), point := linearise(bench, hidden(quad(), drag), quad()), metric_of(point))
     return state, estimate(state, drag)
 
 
@@ -149,7 +149,7 @@ def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_bel
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     near = hidden(with_drag(1.0), {"ground_effect": {"strength": 1.0}})
-    state = Search(bench, quad(), point := linearise(bench, near, quad()), metric_of(point))
+    state = SelectionState(bench, quad(), point := linearise(bench, near, quad()), metric_of(point))
     made = estimate(state, HIDDEN | {"ground_effect": {"strength": 1.0}})
     assert 0.1 < gain(state, made, "payload") < 1.0  # the drag has the rest
     assert np.isnan(gain(state, made, "ground_effect"))  # 8 m up

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from flightstack_sim.geodesy import EARTH_RADIUS_M, PX4_SIH, LocalFrame
+from flightstack.geodesy import EARTH_RADIUS_M, PX4_SIH, LocalFrame
 
 
 def haversine_m(a: tuple[float, float], b: tuple[float, float]) -> float:

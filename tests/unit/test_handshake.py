@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from mavlink_bridge.handshake import FINAL, TRANSITIONS, Event, State, transition
+from mavlink_bridge.handshake import FINAL, TRANSITIONS, HandshakeEvent, State, transition
 
 
 def _reachable(start: State) -> set[State]:
@@ -20,7 +20,14 @@ def _reachable(start: State) -> set[State]:
 
 
 def test_a_good_flight_goes_through_the_states_in_order() -> None:
-    events = [Event.HEARTBEAT, Event.IDENTIFIED, Event.READY, Event.ENGAGED, Event.MISSION_DONE, Event.DISARMED]
+    events = [
+        HandshakeEvent.HEARTBEAT,
+        HandshakeEvent.IDENTIFIED,
+        HandshakeEvent.READY,
+        HandshakeEvent.ENGAGED,
+        HandshakeEvent.MISSION_DONE,
+        HandshakeEvent.DISARMED,
+    ]
     states = [State.DISCONNECTED]
     for event in events:
         after = transition(states[-1], event)
@@ -49,7 +56,7 @@ def test_flight_is_only_entered_from_streaming_and_again_after_a_short_stall_of_
 
 def test_a_watchdog_that_barks_leads_to_px4_and_never_back() -> None:
     assert _reachable(State.HOLDING) == {State.HOLDING, State.PILOT, State.LOST}
-    assert transition(State.OFFBOARD, Event.FAULT_LAND) is State.LANDING
+    assert transition(State.OFFBOARD, HandshakeEvent.FAULT_LAND) is State.LANDING
 
 
 def test_once_flown_it_never_streams_or_flies_again() -> None:
@@ -58,14 +65,14 @@ def test_once_flown_it_never_streams_or_flies_again() -> None:
 
 @pytest.mark.parametrize("state", [State.STREAMING, State.OFFBOARD, State.LANDING])
 def test_the_pilot_can_take_over_whenever_setpoints_flow(state: State) -> None:
-    assert transition(state, Event.TOOK_OVER) is State.PILOT
+    assert transition(state, HandshakeEvent.TOOK_OVER) is State.PILOT
 
 
 def test_every_state_hears_the_users_stop_unless_px4_is_taking_over_already() -> None:
-    deaf = {state for state in State if state not in FINAL and Event.STOP not in TRANSITIONS[state]}
+    deaf = {state for state in State if state not in FINAL and HandshakeEvent.STOP not in TRANSITIONS[state]}
     assert deaf == {State.LANDING, State.HOLDING}
 
 
 def test_every_event_is_used_and_every_state_has_a_row() -> None:
     assert set(TRANSITIONS) == set(State)
-    assert {event for row in TRANSITIONS.values() for event in row} == set(Event)
+    assert {event for row in TRANSITIONS.values() for event in row} == set(HandshakeEvent)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
-from flightstack.cli.hil_flight import EstimateScore
-from flightstack_sim.geodesy import PX4_SIH, LocalFrame
+from flightstack.cli.hil_flight import GlobalEstimateScore
+from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack_sim.grade import load_grade
 from flightstack_sim.px4_hil import PhysicsBehindPx4
 from mavlink_bridge import messages as m
@@ -52,7 +52,7 @@ def test_fixes_are_as_old_as_px4_expects_within_a_step(told_s: float | None, age
 def test_the_truth_is_put_into_px4s_frame_before_it_is_compared() -> None:
     """PX4's first fix lay 3 m north, 2 m west and 0.5 m above the truth's origin: that place reads (0, 0, 0)."""
     lat, lon = PX4_SIH.to_globe(3.0, -2.0)
-    score = EstimateScore(PX4_SIH)
+    score = GlobalEstimateScore(PX4_SIH)
     assert score.in_px4s_frame((0.0, 0.0, 0.0)) is None
     assert score.summary()["height_rms_m"] is None
     score.on_message(0, m.GpsGlobalOrigin(lat, lon, PX4_SIH.altitude_m + 0.5))
@@ -66,6 +66,6 @@ def test_the_truth_is_put_into_px4s_frame_before_it_is_compared() -> None:
 
 def test_the_frame_is_the_globes_not_the_simulators() -> None:
     far = LocalFrame(-33.0, 151.0, 20.0)
-    score = EstimateScore(far)
+    score = GlobalEstimateScore(far)
     score.on_message(0, m.GpsGlobalOrigin(-33.0, 151.0, 20.0))
     assert score.in_px4s_frame((10.0, -5.0, -1.0)) == pytest.approx((10.0, -5.0, -1.0), abs=1e-6)

@@ -19,6 +19,7 @@ from flightstack.barrier.knowledge import (
     Envelope,
     InitialKnowledge,
     Knowledge,
+    Request,
     budget,
     confidence,
     require_authority,
@@ -35,6 +36,7 @@ from flightstack.types import InputError
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 LIMITS = Limits()
+BOX = budget(MODEL, LIMITS)
 VERTICAL = Envelope(((-1.0, 1.0), (-1.0, 1.0), (-2.0, 2.0)), (0.2, 1.4), 5, axes=(2,))
 HIGH_UP = VERTICAL._replace(heights_m=(1e6, 1e6 + 1.0))
 
@@ -89,7 +91,7 @@ def test_a_wrong_knowledge_table_is_one_line(line: str, what: str) -> None:
     ],
 )  # fmt: skip
 def test_braking_that_is_left_gives_the_papers_least_mu(mass: float, force: float, sigma: float, mu: float) -> None:
-    known = Knowledge.initial(InitialKnowledge((mass, mass), force), MODEL, LIMITS, HIGH_UP)
+    known = Knowledge.of(Request(None, MODEL, HIGH_UP, BOX, InitialKnowledge((mass, mass), force)))
     authority = known.authorities[2]
     braking = -float(authority.u_low_mps2[0] + authority.error_low_mps2[0]) * 9.81 / G - sigma
     assert (0.6 / 0.36) / braking == pytest.approx(mu, abs=1e-4)
@@ -97,7 +99,7 @@ def test_braking_that_is_left_gives_the_papers_least_mu(mass: float, force: floa
 
 def test_initial_knowledge_is_exact_at_its_corners() -> None:
     box = budget(MODEL, LIMITS, lateral_mps2=1.0, low_mps2=5.0, hover_mps2=G)
-    known = Knowledge.initial(InitialKnowledge(), MODEL, LIMITS, HIGH_UP, box=box)
+    known = Knowledge.of(Request(None, MODEL, HIGH_UP, box, InitialKnowledge()))
     a = known.authorities[2]
     for thrust, middle, error in (
         (box.high_mps2, a.u_low_mps2, a.error_low_mps2), (box.low_mps2, a.u_high_mps2, a.error_high_mps2),
@@ -182,8 +184,7 @@ def test_certified_braking_is_what_the_true_plant_has_in_all_but_delta_of_plants
     envelope = VERTICAL._replace(slice_only=True)
     for _ in range(plants):
         learned, mass, force = plant(rng)
-        *_, known = Knowledge.steps(learned, MODEL, LIMITS, envelope, initial=InitialKnowledge())
-        assert known is not None
+        known = Knowledge.of(Request(learned, MODEL, envelope, BOX, InitialKnowledge()))
         a, box = known.authorities[2], known.budget
         true_low, true_high = (G + force[2] - thrust / mass for thrust in (box.high_mps2, box.low_mps2))
         off_low = np.abs(true_low - a.u_low_mps2) > a.error_low_mps2
@@ -210,7 +211,7 @@ def test_the_last_certificates_braking_is_true_from_the_least_height_to_the_grea
         strength = float(rng.uniform(0.0, 1.5))
         learned, mass, force = plant(rng, ground=strength)
         before, last = (
-            list(Knowledge.steps(learned, MODEL, LIMITS, envelope, initial=InitialKnowledge(), last=last))[-1]
+            Knowledge.of(Request(learned, MODEL, envelope, BOX, InitialKnowledge(), last=last))
             for last in (False, True)
         )
         assert before is not None
@@ -234,8 +235,7 @@ def test_a_learner_that_knows_no_ground_says_nothing_of_it() -> None:
     envelope = VERTICAL._replace(slice_only=True)
     errors = []
     for last in (False, True):
-        *_, known = Knowledge.steps(Accelerations(learned.lateral, blind, MODEL), MODEL, LIMITS, envelope, last=last)
-        assert known is not None
+        known = Knowledge.of(Request(Accelerations(learned.lateral, blind, MODEL), MODEL, envelope, BOX, last=last))
         errors.append(known.authorities[2].error_low_mps2.min())
     ground = 2.0 * (MODEL.rotor_radius_m / 0.8) ** 2 * known.budget.high_mps2
     assert errors[1] > 0.5 * ground
@@ -245,8 +245,7 @@ def test_a_learner_that_knows_no_ground_says_nothing_of_it() -> None:
 def test_bounds_at_the_nodes_are_mean_and_k_sigma_of_an_independent_computation() -> None:
     learned, _, _ = plant(np.random.default_rng(5), 60)
     envelope = VERTICAL._replace(slice_only=True, nodes=3)
-    *_, known = Knowledge.steps(learned, MODEL, LIMITS, envelope)
-    assert known is not None
+    known = Knowledge.of(Request(learned, MODEL, envelope, BOX))
     data = known.as_json()
     store = data["vertical"]
     assert isinstance(store, dict)
@@ -279,10 +278,8 @@ def test_bounds_at_the_nodes_are_mean_and_k_sigma_of_an_independent_computation(
 def test_widening_adds_to_the_error_and_later_versions_ask_for_more_sigmas() -> None:
     learned, _, _ = plant(np.random.default_rng(6), 40)
     envelope = VERTICAL._replace(slice_only=True, nodes=3)
-    *_, plain = Knowledge.steps(learned, MODEL, LIMITS, envelope)
-    *_, wide = Knowledge.steps(learned, MODEL, LIMITS, envelope, widen_mps2=np.array([0.0, 0.0, 0.4]))
-    assert plain is not None
-    assert wide is not None
+    plain = Knowledge.of(Request(learned, MODEL, envelope, BOX))
+    wide = Knowledge.of(Request(learned, MODEL, envelope, BOX, widen_mps2=np.array([0.0, 0.0, 0.4])))
     np.testing.assert_allclose(
         wide.authorities[2].error_low_mps2 - plain.authorities[2].error_low_mps2, np.full(3, 0.4)
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.model import Limits, Model
@@ -28,11 +28,11 @@ def learning(model: Model, limits: Limits) -> Stack:
     return Stack(model, limits, learner=GpLearner(model))
 
 
-def rows(flight: Flight) -> F64:
+def rows(flight: ClosedLoopFlight) -> F64:
     return np.array([record.learned.row for record in flight.records])
 
 
-def true_residual(flight: Flight, model: Model) -> F64:
+def true_residual(flight: ClosedLoopFlight, model: Model) -> F64:
     """(n, 3) body FRD: true specific force less the model's at the rotors' true state."""
     out = []
     for truth in flight.truths:
@@ -45,7 +45,7 @@ def true_residual(flight: Flight, model: Model) -> F64:
 
 
 @functools.cache
-def paper(*, learns: bool) -> Flight:
+def paper(*, learns: bool) -> ClosedLoopFlight:
     scenario = load_scenario("paper-tracking").with_duration(24.0)
     return fly(scenario, QUAD, seed=5, make_stack=learning if learns else Stack)
 
@@ -234,6 +234,23 @@ def test_without_new_samples_it_freezes_and_keeps_what_it_learned() -> None:
     assert learned.fed == before.fed
     np.testing.assert_allclose(learned.acc_ned_mps2, before.acc_ned_mps2, atol=1e-6)
     assert learned.thrust_gain == pytest.approx(before.thrust_gain)
+
+
+def test_a_tick_between_two_samples_costs_no_window() -> None:
+    """An IMU stream a little slower than the ticks, as PX4's 246 Hz: every 40th tick finds the sample before again."""
+    hover = Hover()
+    before, points = hover.run(1), len(hover.state.lateral.gp)
+    for k in range(600):
+        if k % 40 == 39:
+            hover.t_us += 4000
+            seen = measurement(hover.t_us, np.array([0.0, 0.0, -G + 1.0]), np.array([0.0, 0.0, -2.0]), 4000)
+            sent = Command(hover.t_us - 4000, MODEL.weight_n, MODEL.hover_norm, np.zeros(3))
+            hover.state, learned = hover.learner.step(hover.state, seen, sent, hover.point)
+        else:
+            learned = hover.tick()
+    assert learned.fed == before.fed + 585
+    assert learned.refused == before.refused
+    assert len(hover.state.lateral.gp) == points + 585 // 15
 
 
 def test_far_from_all_data_the_bound_is_the_priors() -> None:

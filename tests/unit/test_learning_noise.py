@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from flightstack.learning import sampler as s
 from flightstack.learning.learner import LearnerConfig
-from flightstack.learning.priors import Prior, default_priors
+from flightstack.learning.priors import StorePrior, default_priors
 from flightstack.learning.store import Store
 from flightstack.learning.watch import Watch
 from flightstack.types import F64
@@ -60,7 +60,7 @@ def test_after_three_windows_the_noise_is_known_within_a_factor_of_two() -> None
     assert 0.5 < np.median(ratios) < 2.0
 
 
-def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: Prior | None = None) -> Store:
+def filled(noise_std: float, offset: float, windows: int, seed: int, *, prior: StorePrior | None = None) -> Store:
     """A vertical store that hovers, with noise in each window and an offset of changing sign that no kernel can say."""
     prior = prior or default_priors().vertical
     store = Store(prior, inputs=s.D, outputs=1, capacity=300, floor=LearnerConfig().floor_mps2)

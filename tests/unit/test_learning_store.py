@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.gp import RecursiveGP, SquaredExponential
-from flightstack.learning.priors import Prior
+from flightstack.learning.priors import StorePrior
 from flightstack.learning.store import Store
 from flightstack.types import F64
 
-PRIOR = Prior(SquaredExponential(1.0, (1.0, 1.0)), 0.01)
+PRIOR = StorePrior(SquaredExponential(1.0, (1.0, 1.0)), 0.01)
 
 
 def path(count: int) -> F64:

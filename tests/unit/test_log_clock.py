@@ -71,6 +71,12 @@ def test_a_fit_that_wavers_never_takes_it_back_and_a_leap_does_not_take_it_along
     assert leaps[-1] == pytest.approx(-2_000_000, abs=10_000)
 
 
+def test_no_two_periods_share_a_time_even_where_the_vehicles_clock_is_set_back() -> None:
+    clock = LogClock(Rows(), zero_us=1_000, utc_us=0)
+    times = [clock.step(1_000 + 4_000 * k, 50_000 + 4_000 * min(k, 5)) for k in range(1, 12)]
+    assert (np.diff(times) > 0).all()
+
+
 def test_reading_puts_the_vehicles_stamps_on_the_logs_time_line(tmp_path: Path) -> None:
     """20 ms old at receipt, before and after the vehicle's clock leaps."""
     log = FlightLog.open(tmp_path / "a.mcap", metadata={})

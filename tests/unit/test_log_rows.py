@@ -69,7 +69,7 @@ def test_a_changed_record_leaves_the_first_one_as_it_was() -> None:
 def test_blocks_give_back_every_row_in_the_order_written_whatever_its_size() -> None:
     rng = random.Random(1)
     written = [(k * 4000, rng.randbytes(rng.choice([5, 5, 5, 9]))) for k in range(200)]
-    blocks, packed = rows.Blocks(), []
+    blocks, packed = rows.RowBlocks(), []
     for t_us, data in written:
         blocks.add("/x", t_us, data)
         if rng.random() < 0.1:
@@ -82,7 +82,7 @@ def test_blocks_give_back_every_row_in_the_order_written_whatever_its_size() -> 
 
 def test_a_block_is_what_its_module_says_it_is() -> None:
     """By hand: two rows of one byte of message, 0x10 at 256 us and 0x13 at 257 us, and Google's own parser."""
-    blocks = rows.Blocks()
+    blocks = rows.RowBlocks()
     blocks.add("/x", 256, b"\x10")
     blocks.add("/x", 257, b"\x13")
     ((_, block),) = blocks.take()

@@ -22,7 +22,7 @@ from mcap.stream_reader import StreamReader
 
 from flightstack.types import InputError
 from flightstack_logs import encoder
-from flightstack_logs.scene import Region, Scene
+from flightstack_logs.scene import Scene, SceneRegion
 from flightstack_logs.topics import TOPICS, Attachment, Kind
 from flightstack_logs.writer import CHUNK_BYTES, FLUSH_PERIOD_US, FlightLog
 
@@ -192,7 +192,7 @@ def fly(path: Path) -> FlightLog:
     """Half a second of a flight, every kind of call."""
     log = FlightLog.open(path, metadata={"b": {"y": "1", "x": "2"}, "a": {"z": "3"}}, attachments=[VEHICLE])
     rotors = np.array([[0.1, 0.2, 0.0], [-0.1, -0.2, 0.0]])
-    log.scene(0, Scene(rotors, 0.1, reference_ned_m=np.ones((4, 3)), region=Region("box", (0, 0, -1), (1, 1, 1))))
+    log.scene(0, Scene(rotors, 0.1, reference_ned_m=np.ones((4, 3)), region=SceneRegion("box", (0, 0, -1), (1, 1, 1))))
     for k in range(125):
         t_us = k * 4000
         log.mavlink("rx", t_us, bytes([k] * 30))
@@ -374,7 +374,7 @@ def test_poses_come_at_25_hz_and_the_path_stays_bounded(tmp_path: Path) -> None:
 def test_the_scene_has_rotors_ground_reference_and_region_where_they_are(tmp_path: Path) -> None:
     rotors = np.array([[0.13, 0.16, 0.0], [-0.13, -0.16, 0.0], [0.13, -0.16, 0.0], [-0.13, 0.16, -0.02]])
     reference = np.array([[0.0, 0.0, -1.0], [3.0, 1.0, -1.5]])
-    region = Region("ellipsoid", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5))
+    region = SceneRegion("ellipsoid", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5))
     log = FlightLog.open(tmp_path / "a.mcap", metadata={})
     log.scene(0, Scene(rotors, 0.12, ground_down_m=0.25, region=region, reference_ned_m=reference, truth=True))
     log.close()
@@ -415,7 +415,7 @@ def cloud(found: dict[str, list[tuple[int, Any]]], name: str) -> np.ndarray:
 
 def test_a_box_is_outlined_by_its_edges_and_the_flown_path_by_its_points(tmp_path: Path) -> None:
     log = FlightLog.open(tmp_path / "a.mcap", metadata={})
-    log.scene(0, Region("box", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5)))
+    log.scene(0, SceneRegion("box", (1.0, 2.0, -3.0), (0.5, 1.0, 1.5)))
     for k in range(3):
         log.tick(tick_record(1_000_000 * k, (1.0 * k, 0.0, -2.0)))
     log.close()

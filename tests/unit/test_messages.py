@@ -231,12 +231,6 @@ def test_the_table_has_every_message_once_and_all_that_the_peers_need() -> None:
     assert m.id_of(m.CurrentMode) == 436
 
 
-def test_streams_time_out_after_three_of_their_periods() -> None:
-    assert m.BY_EVENT[m.Heartbeat].timeout_us == 3_000_000
-    assert m.BY_EVENT[m.HighresImu].timeout_us == 60_000
-    assert m.BY_EVENT[m.CommandAck].timeout_us == 0
-
-
 def test_integer_parameters_are_bit_cast_and_every_one_survives() -> None:
     """-5000000 is a signalling NaN if read as a float; as bits it stays what it is."""
     for value in (0, 1, -1, 2**31 - 1, -(2**31), -5_000_000, 2_139_095_041):

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
+from flightstack.cli.vehicle_site import Questions, as_plan
+from flightstack.site.file import parse_site
 from flightstack_sim.autopilot.requests import Sender
 from flightstack_sim.fence import allowed, shapes_of
 from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Item, Plans
 from mavlink_bridge import messages as m
-from tests.unit.station import Station
+from mavlink_bridge.link import Link
+from tests.unit.station import ONBOARD, Station
 
 LAT, LON = 473_977_420, 85_455_940
 MISSION, FENCE, RALLY = 0, 1, 2
@@ -142,6 +146,56 @@ def test_what_was_stored_comes_back(station: Station) -> None:
     for kind in (MISSION, FENCE):
         station.send(m.MissionClearAll(1, 1, kind))
     assert download(station) == download(station, FENCE) == []
+
+
+ASKED = ((1.0, 2.0, 3.0, 4.0), (0.4, -1.0, -50.0, 370.0), (NAN, NAN, NAN, NAN), (7.6, 3.0, 0.0, -30.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "command", "frame", "given", "back"),
+    [
+        (MISSION, 16, 6, 0, (1, 2, 0, 4)), (MISSION, 16, 6, 1, (0.4, -1, 0, 10)), (MISSION, 16, 0, 3, (7.6, 3, 0, 330)),
+        (MISSION, 16, 6, 2, (NAN, NAN, 0, NAN)), (MISSION, 17, 6, 1, (0, 0, -50, 10)),
+        (MISSION, 19, 6, 0, (1, 1, 3, 1)), (MISSION, 19, 6, 1, (0.4, 0, -50, 1)), (MISSION, 19, 6, 2, (NAN, 0, NAN, 0)),
+        (MISSION, 21, 6, 1, (0, 65535, 0, 10)), (MISSION, 21, 6, 2, (0, 0, 0, NAN)),
+        (MISSION, 21, 6, 3, (0, 3, 0, 330)),
+        (MISSION, 22, 6, 1, (0, 0, 0, 10)), (MISSION, 84, 6, 0, (0, 0, 0, 4)), (MISSION, 85, 6, 3, (0, 0, 0, 330)),
+        (MISSION, 31, 6, 1, (1, -1, 0, 1)), (MISSION, 31, 6, 3, (1, 3, 0, 0)), (MISSION, 195, 6, 0, (0, 0, 0, 0)),
+        (MISSION, 178, 2, 1, (0.4, -1, -50, 370)), (MISSION, 177, 2, 1, (0, 65535, -50, 370)),
+        (MISSION, 177, 2, 3, (7, 3, 0, -30)), (FENCE, 5001, 6, 3, (8, 0, 0, 0)), (FENCE, 5003, 6, 3, (7.6, 0, 0, 0)),
+        (FENCE, 16, 6, 3, (7.6, 0, 0, 0)), (FENCE, 4501, 6, 3, (0, 0, 0, 0)), (RALLY, 5100, 3, 1, (0, 0, 0, 0)),
+    ],
+)  # fmt: skip
+def test_a_download_gives_back_what_px4_keeps(
+    station: Station, kind: int, command: int, frame: int, given: int, back: tuple[float, ...]
+) -> None:
+    """Each line was asked of a real PX4; unplaced coordinates have been through 32 bits, fences count from the sea."""
+    assert upload(station, [item(command, frame=frame, p=ASKED[given], x=473_974_286, y=85_461_864)], kind) == 0
+    (found,) = download(station, kind)
+    assert found.params[:4] == pytest.approx(back, nan_ok=True)
+    assert found.params[4:6] == ((473_974_272, 85_461_864) if frame == 2 else (473_974_286, 85_461_864))
+    assert (found.frame, found.autocontinue) == (
+        (5, 0) if kind == FENCE else (2 if frame == 2 else 5 if frame == 0 else 6, 1)
+    )
+    assert found.current == 1
+
+
+def test_an_item_of_floats_does_not_count_in_whole_degrees() -> None:
+    """UNSUPPORTED_FRAME, as a real PX4 answered: 5 and 6 are frames of MISSION_ITEM_INT."""
+    for frame, answer in ((5, 2), (6, 2), (3, 0)):
+        sender, transfer = Sender(0, 245, 190), PlanTransfer(Plans())
+        transfer.handle(m.MissionCount(1, 1, 1, MISSION), sender, 0)
+        given = m.MissionItem(1, 1, 0, frame, WAYPOINT, 0, 1, (0.0, 0.0, 0.0, 0.0, 47.39, 8.54, 10.0), MISSION)
+        assert transfer.handle(given, sender, 0)[0].type == answer
+
+
+@pytest.mark.parametrize(
+    ("frame", "mode", "answer"), [(6, 0.4, 0), (6, 1.0, 6), (2, 1.0, 0), (2, 0.4, 0), (2, 3.0, 6), (2, NAN, 6)]
+)
+def test_a_region_of_interest_is_told_by_its_whole_number(
+    station: Station, frame: int, mode: float, answer: int
+) -> None:
+    assert upload(station, [item(80, frame=frame, p=(mode, 0.0, 0.0, 0.0))]) == answer
 
 
 def test_counts_beyond_all_bounds_and_kinds_that_are_none(station: Station) -> None:
@@ -280,3 +334,30 @@ def test_a_fence_without_home_is_no_fence() -> None:
     station.run(0.3)
     assert "Geofence invalid, doesn't contain Home position" in station.texts()
     assert station.server.fence.shapes == ()
+
+
+def test_a_stored_fence_is_read_back_as_a_site(station: Station) -> None:
+    """A square to stay in, a triangle and a circle to keep out of; the lengths are those that were drawn."""
+    circle = item(5004, p=(7.0, 0.0, 0.0, 0.0), frame=0, z=0.0, **place(20.0, -20.0))
+    hole = ring((0.0, 10.0), (0.0, 15.0), (5.0, 15.0), command=5002)
+    assert upload(station, [*ring(*SQUARE), *hole, circle], FENCE) == 0
+    questions = Questions(Link(240, 191), fence=True)
+    for _ in range(500):
+        station.server.advance(4)
+        for data in station.server.datagrams(ONBOARD):
+            questions.link.receive_datagram(data, station.server.t_us)
+        for received in questions.link.take_events():
+            questions.take(received, station.server.t_us)
+        questions.step(station.server.t_us)
+        for data in questions.link.datagrams_to_send():
+            station.server.receive(ONBOARD, data)
+        if questions.is_answered:
+            break
+    assert questions.place is not None
+    np.testing.assert_allclose(questions.place, (1e-7 * LAT, 1e-7 * LON), atol=1e-4)
+    flat = parse_site(as_plan(questions.shapes), "vehicle.plan").local(1e-7 * LAT, 1e-7 * LON)
+    np.testing.assert_allclose(flat.inside, SQUARE, atol=0.02)
+    triangle, solid = flat.keep_outs
+    np.testing.assert_allclose(triangle.polygon, [[0.0, 10.0], [0.0, 15.0], [5.0, 15.0]], atol=0.02)
+    assert solid.radius_m == 7.0
+    np.testing.assert_allclose(solid.centre, (20.0, -20.0), atol=0.02)

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binomtest
 
 from benchmarks import plants
-from flightstack.barrier.physics import Plant, mu_physics, state_only
+from flightstack.barrier.physics import PhysicalPlant, mu_physics, state_only
 
 
 def test_a_hundred_learned_plants_are_refuted_no_more_often_than_stated() -> None:
@@ -23,7 +23,7 @@ def test_the_count_can_fail_a_residual_of_the_state_alone_is_refuted_by_most_hea
 
 
 def test_without_noise_both_ways_claim_what_they_should() -> None:
-    plant = Plant(1.4, (0.05, -0.02, 0.03))
+    plant = PhysicalPlant(1.4, (0.05, -0.02, 0.03))
     flight = plants.fly(plant, 0.0, np.random.default_rng(0))
     affine, state = (plants.certified_mu(flight, 0.05, affine=each) for each in (True, False))
     assert affine == pytest.approx(mu_physics(plant, plants.REGION, lateral=False), rel=0.02)
@@ -38,6 +38,6 @@ def test_the_interval_is_clopper_and_pearson_s() -> None:
 
 
 def test_where_authority_is_gone_nothing_is_certified() -> None:
-    plant = Plant(1.75, (0.0, 0.0, 0.05))
+    plant = PhysicalPlant(1.75, (0.0, 0.0, 0.05))
     assert mu_physics(plant, plants.REGION, lateral=False) == math.inf
     assert plants.certified_mu(plants.fly(plant, 0.05, np.random.default_rng(0)), 0.05, affine=True) == math.inf

@@ -16,8 +16,8 @@ from flightstack.cli.flight import FlyOptions
 from flightstack.cli.offboard import OffboardOptions
 from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.learning.learner import GpLearner
-from flightstack.learning.priors import Prior, default_priors
-from flightstack.learning.stored import Stored, to_json, vehicle_hash
+from flightstack.learning.priors import StorePrior, default_priors
+from flightstack.learning.stored import StoredPriors, to_json, vehicle_hash
 from flightstack.types import InputError
 
 
@@ -33,9 +33,9 @@ def stored_file(tmp_path: Path, vehicle: str = "quad-x", noise_var: float = 0.12
     """Hyper-parameters of a vehicle, told from the default ones by their noise."""
     believed = load_vehicle(vehicle)
     priors = default_priors()
-    priors = dataclasses.replace(priors, vertical=Prior(priors.vertical.kernel, noise_var))
+    priors = dataclasses.replace(priors, vertical=StorePrior(priors.vertical.kernel, noise_var))
     path = tmp_path / "learned.json"
-    path.write_text(to_json(Stored(priors, believed.name, vehicle_hash(believed), "0" * 64, 100)))
+    path.write_text(to_json(StoredPriors(priors, believed.name, vehicle_hash(believed), "0" * 64, 100)))
     return path
 
 

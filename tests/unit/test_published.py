@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.barrier.physics import Plant, farthest, mu_physics, overshoot_m, state_only
+from flightstack.barrier.physics import PhysicalPlant, farthest, mu_physics, overshoot_m, state_only
 from flightstack.barrier.published import (
     MU_INITIAL,
     Basis,
@@ -34,7 +34,7 @@ from flightstack.types import InputError
 
 G = 9.81
 REGION = Region("ellipsoid", (0.0, 0.0, -0.8), (0.4, 0.4, 0.6), (0.5, 0.5, 0.4))
-HEAVY = Plant(1.4)
+HEAVY = PhysicalPlant(1.4)
 EXACT = constant(G - 1.8 * G / 1.4, G)
 HALF = 0.1 / math.sqrt(2.0)
 NOTHING_KNOWN = Authority(*(np.zeros(2) for _ in range(7)))
@@ -44,31 +44,31 @@ NOTHING_KNOWN = Authority(*(np.zeros(2) for _ in range(7)))
     ("plant", "doubt", "mu"),
     [
         (HEAVY, 0.0, 0.594631),
-        (Plant(1.4, gravity_mps2=9.80665), 0.0, 0.594834),
-        (Plant(1.4, gravity_mps2=10.0), 0.0, 0.583333),
-        (Plant(1.4, (0.0, 0.0, 0.1)), 0.0, 0.914817),
-        (Plant(1.4, (0.0, 0.0, -0.1)), 0.0, 0.440468),
-        (Plant(1.4, (0.1, 0.0, 0.0)), 0.0, 0.602849),
-        (Plant(1.4, (0.15, 0.0, 0.0)), 0.0, 0.6137),
-        (Plant(1.4, (0.0, 0.15, 0.0)), 0.0, 0.6137),
-        (Plant(1.4, (HALF, 0.0, HALF)), 0.0, 0.7975),
+        (PhysicalPlant(1.4, gravity_mps2=9.80665), 0.0, 0.594834),
+        (PhysicalPlant(1.4, gravity_mps2=10.0), 0.0, 0.583333),
+        (PhysicalPlant(1.4, (0.0, 0.0, 0.1)), 0.0, 0.914817),
+        (PhysicalPlant(1.4, (0.0, 0.0, -0.1)), 0.0, 0.440468),
+        (PhysicalPlant(1.4, (0.1, 0.0, 0.0)), 0.0, 0.602849),
+        (PhysicalPlant(1.4, (0.15, 0.0, 0.0)), 0.0, 0.6137),
+        (PhysicalPlant(1.4, (0.0, 0.15, 0.0)), 0.0, 0.6137),
+        (PhysicalPlant(1.4, (HALF, 0.0, HALF)), 0.0, 0.7975),
         (HEAVY, 0.05, 0.6054),
         (HEAVY, 0.1, 0.6166),
         (HEAVY, 0.2, 0.6403),
         (HEAVY, 0.3, 0.6659),
         (HEAVY, 0.5, 0.7237),
         (HEAVY, 1.0, 0.9245),
-        (Plant(1.0), 0.0, 0.2124),
+        (PhysicalPlant(1.0), 0.0, 0.2124),
         (state_only(HEAVY), 0.0, 0.4247),
-        (Plant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(11.0)), 0.0, 0.6029),
-        (Plant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(10.0)), 0.0, 0.7127),
-        (Plant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(9.5)), 0.0, 1.3031),
-        (Plant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(9.25)), 0.0, math.inf),
-        (Plant(1.4, tilt_max_rad=math.radians(11.0)), 0.0, 0.594631),
-        (Plant(2.0), 0.0, math.inf),
+        (PhysicalPlant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(11.0)), 0.0, 0.6029),
+        (PhysicalPlant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(10.0)), 0.0, 0.7127),
+        (PhysicalPlant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(9.5)), 0.0, 1.3031),
+        (PhysicalPlant(1.4, (0.1, 0.0, 0.0), tilt_max_rad=math.radians(9.25)), 0.0, math.inf),
+        (PhysicalPlant(1.4, tilt_max_rad=math.radians(11.0)), 0.0, 0.594631),
+        (PhysicalPlant(2.0), 0.0, math.inf),
     ],
 )
-def test_the_least_mu_of_the_table(plant: Plant, doubt: float, mu: float) -> None:
+def test_the_least_mu_of_the_table(plant: PhysicalPlant, doubt: float, mu: float) -> None:
     assert mu_physics(plant, REGION, (0.0, 0.0, doubt)) == pytest.approx(mu, abs=1e-4)
 
 
@@ -76,7 +76,9 @@ def test_on_the_vertical_line_the_least_mu_is_the_closed_form() -> None:
     for north in (0.0, 0.1, 0.15):
         braking = math.hypot(1.8 / 1.4, 0.0) ** 2 - north**2
         expected = 1.0 / (0.6 * (math.sqrt(braking) - 1.0) * G)
-        assert mu_physics(Plant(1.4, (north, 0.0, 0.0)), REGION, lateral=False) == pytest.approx(expected, rel=1e-10)
+        assert mu_physics(PhysicalPlant(1.4, (north, 0.0, 0.0)), REGION, lateral=False) == pytest.approx(
+            expected, rel=1e-10
+        )
 
 
 @settings(deadline=None, max_examples=25)
@@ -89,7 +91,7 @@ def test_on_the_vertical_line_the_least_mu_is_the_closed_form() -> None:
 def test_just_above_the_least_mu_thrust_suffices_and_just_below_it_does_not(
     ratio: float, wind: tuple[float, float, float], doubt: tuple[float, float, float], tilt: float
 ) -> None:
-    plant = Plant(ratio, wind, tilt_max_rad=tilt)
+    plant = PhysicalPlant(ratio, wind, tilt_max_rad=tilt)
     mu = mu_physics(plant, REGION, doubt)
 
     def excess(mu: float) -> float:
@@ -263,6 +265,6 @@ def test_bad_numbers_are_refused_in_words() -> None:
     with pytest.raises(InputError, match="mu"):
         with_mu(REGION, 0.0)
     with pytest.raises(InputError, match="plant"):
-        Plant(mass_ratio=-1.0)
+        PhysicalPlant(mass_ratio=-1.0)
     with pytest.raises(InputError, match="equal semi-axes"):
         mu_physics(HEAVY, Region("ellipsoid", (0.0, 0.0, 0.0), (0.4, 0.3, 0.6), (0.5, 0.5, 0.4)))

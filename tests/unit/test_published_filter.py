@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.barrier.published import Basis, certificate, with_mu
-from flightstack.barrier.published_filter import PublishedFilter, Row, nearest
+from flightstack.barrier.published_filter import LinearConstraint, PublishedFilter, nearest
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate
 from flightstack.barrier.shapes import Quadratic, Stopping
 from flightstack.frames import quat_from_euler, quat_to_matrix
@@ -89,7 +89,7 @@ def test_the_row_is_the_rate_of_h_under_the_model(numbers: list[float], thrust: 
 @given(st.floats(-5.0, 25.0), st.floats(-3.0, 3.0), st.floats(-20.0, 20.0))
 def test_the_answer_is_the_nearest_thrust_that_meets_the_row(want: float, slope: float, rest: float) -> None:
     low, high = 1.0, 18.0
-    thrust, feasible = nearest(want, Row(slope, rest, 0.0), (low, high))
+    thrust, feasible = nearest(want, LinearConstraint(slope, rest, 0.0), (low, high))
     assert low <= thrust <= high
     every = np.linspace(low, high, 17001)
     meets = every[slope * every + rest >= 1e-9]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack
@@ -30,7 +30,7 @@ def learning(model: Model, limits: Limits) -> Stack:
 
 
 @functools.cache
-def flown(name: str, seed: int) -> Flight:
+def flown(name: str, seed: int) -> ClosedLoopFlight:
     """What flies is what is believed: gain 1, no force."""
     scenario = load_scenario(name).with_duration(20.0)
     return fly(scenario, SIH, seed=seed, grade="px4-sih", make_stack=learning, truth=SIH)

@@ -21,8 +21,8 @@ from flightstack_logs.report import (
     FlightReport,
     Outcome,
     Phase,
-    Region,
-    Samples,
+    ReportRegion,
+    ReportSamples,
     Timing,
     from_log,
     outcome_from_result,
@@ -57,7 +57,7 @@ RESULT = {
 }
 
 
-def signal(t: object, values: object) -> Samples:
+def signal(t: object, values: object) -> ReportSamples:
     made = samples(t, values)
     assert made is not None
     return made
@@ -228,7 +228,7 @@ def test_limits_and_region_come_from_the_logs_own_scenario_and_vehicle(log: Log)
     assert flight.thrust_limits_n is not None
     assert flight.thrust_limits_n[1] == pytest.approx(1.8 * mass_kg * 9.80665)
     region = tomllib.loads(SCENARIO.decode())["region"]
-    assert flight.region == Region("box", tuple(region["centre_m"]), tuple(region["semi_axes_m"]))
+    assert flight.region == ReportRegion("box", tuple(region["centre_m"]), tuple(region["semi_axes_m"]))
 
 
 @pytest.mark.parametrize("missing", [*sorted(FLOWN), "all", "half"])
@@ -339,7 +339,7 @@ def test_hostile_strings_stay_text_everywhere() -> None:
                 checks=(CheckResult(HOSTILE, 1.0, False),)),
         phases=(Phase(HOSTILE, 0.0, 1.0),),
         events=(FlightEvent(0.5, HOSTILE, HOSTILE, '"><script>'),),
-        region=Region(HOSTILE, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+        region=ReportRegion(HOSTILE, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
         truth_ned_m=signal([0.0, 1.0], np.zeros((2, 3))),
         settings=((HOSTILE, HOSTILE),),
     )  # fmt: skip

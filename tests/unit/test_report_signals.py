@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from flightstack_logs.report import Samples, samples, signals
+from flightstack_logs.report import ReportSamples, samples, signals
 from flightstack_logs.report.histogram import counts, edges_us, lateness_svg
 from flightstack_logs.report.page import safe_json
 
 
-def signal(t: object, values: object) -> Samples:
+def signal(t: object, values: object) -> ReportSamples:
     made = samples(t, values)
     assert made is not None
     return made
@@ -88,7 +88,7 @@ def test_tilt_and_attitude_difference_agree_with_scipy() -> None:
     t = np.arange(200.0)
     sign = np.where(np.arange(200) % 7 < 3, -1.0, 1.0)[:, None]  # q and -q are one attitude
     qa, qb = (signal(t, r.as_quat()[:, [3, 0, 1, 2]]) for r in (a, b))
-    qb = Samples(t, qb.values * sign)
+    qb = ReportSamples(t, qb.values * sign)
     tilt = np.degrees(np.arccos(np.clip(a.apply([0.0, 0.0, 1.0])[:, 2], -1.0, 1.0)))
     np.testing.assert_allclose(signals.tilt_deg(qa).values[:, 0], tilt, atol=1e-6)
     expected = np.degrees((a.inv() * b).magnitude())

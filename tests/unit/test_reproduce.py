@@ -15,8 +15,8 @@ from flightstack.cli.main import main
 from flightstack_paper.figures import FIGURES
 from flightstack_paper.page import markdown, page
 from flightstack_paper.parts import Parts, sources_hash
-from flightstack_paper.plan import Part, parts_of
-from flightstack_paper.rows import Row, Table, table
+from flightstack_paper.plan import PaperPart, parts_of
+from flightstack_paper.rows import ResultLine, ResultTable, table
 from flightstack_paper.run import ReproduceOptions, ReproduceResult, reproduce
 from flightstack_paper.verb import show_reproduced
 
@@ -90,15 +90,18 @@ def test_a_folder_that_cannot_be_written_is_one_line_before_anything_is_computed
 # ------------------------------------------------------------------ a run of one part
 
 
-def _some(plants: tuple[str, ...], seed: int, quick: bool) -> list[Part]:
+def _some(plants: tuple[str, ...], seed: int, quick: bool) -> list[PaperPart]:
     return [
-        Part("first", "example1", 9.0, {"starts": 5}),
-        *(Part(f"t{i}", "example1", 1.0, {"starts": 5}) for i in range(3)),
+        PaperPart("first", "example1", 9.0, {"starts": 5}),
+        *(PaperPart(f"t{i}", "example1", 1.0, {"starts": 5}) for i in range(3)),
     ]
 
 
-def _wrong(plants: tuple[str, ...], seed: int, quick: bool) -> list[Part]:
-    return [Part("first", "example1", 1.0, {"starts": 5}), Part("wrong", "theory", 1.0, {"no": "such argument"})]
+def _wrong(plants: tuple[str, ...], seed: int, quick: bool) -> list[PaperPart]:
+    return [
+        PaperPart("first", "example1", 1.0, {"starts": 5}),
+        PaperPart("wrong", "theory", 1.0, {"no": "such argument"}),
+    ]
 
 
 def test_a_run_that_is_stopped_writes_no_report_and_goes_on_where_it_was(
@@ -145,7 +148,7 @@ def test_a_part_that_fails_is_told_is_not_kept_and_costs_the_others_nothing(
 # ------------------------------------------------------------------ plan and rows
 
 
-def _failed(parts: list[Part]) -> dict[str, dict[str, Any]]:
+def _failed(parts: list[PaperPart]) -> dict[str, dict[str, Any]]:
     return {part.name: {"failed": f"no luck with {part.name}"} for part in parts}
 
 
@@ -177,7 +180,7 @@ def test_what_could_not_be_measured_holds_nothing_and_says_why() -> None:
 
 
 def test_a_row_is_plain_numbers_whatever_it_was_made_of() -> None:
-    run = Table({"part": {"x": np.float64(2.0)}}, ("native",), 0, True)
+    run = ResultTable({"part": {"x": np.float64(2.0)}}, ("native",), 0, True)
     made = run.row("a", "claim", None, "1", ("part",), lambda found: (found["x"], found["x"] > 1.0, "note"))
     assert json.loads(json.dumps(made.as_json()))["holds"] is True
     endless = run.row("a", "claim", None, "1", ("part",), lambda found: (np.inf, True, "note"))
@@ -208,8 +211,8 @@ def test_the_terminal_says_claims_and_why_those_that_do_not_hold_do_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [
-        Row("kept", "this [is] kept", 2.0, 1.0, "m", True, "quietly"),
-        Row("broken", "this is not", None, 3.25, "1", False, "for [a] reason"),
+        ResultLine("kept", "this [is] kept", 2.0, 1.0, "m", True, "quietly"),
+        ResultLine("broken", "this is not", None, 3.25, "1", False, "for [a] reason"),
     ]
     show_reproduced(ReproduceResult(rows, {}, []), tmp_path)
     said = capsys.readouterr().out
@@ -219,7 +222,10 @@ def test_the_terminal_says_claims_and_why_those_that_do_not_hold_do_not(
 
 
 def test_the_page_is_self_contained_and_what_it_is_given_stays_text(tmp_path: Path) -> None:
-    rows = [Row("a", "claim <b>", None, math.pi, "m|s", True, "why & how"), Row("b", "c", 1.0, None, "1", False, "n")]
+    rows = [
+        ResultLine("a", "claim <b>", None, math.pi, "m|s", True, "why & how"),
+        ResultLine("b", "c", 1.0, None, "1", False, "n"),
+    ]
     head = {
         "date": "2026-01-01",
         "version": "1",
@@ -239,9 +245,9 @@ def test_the_page_is_self_contained_and_what_it_is_given_stays_text(tmp_path: Pa
 
 def test_the_table_for_the_docs_has_the_second_plant_beside_the_first() -> None:
     rows = [
-        Row("a", "claim", None, math.pi, "m|s", True, "why"),
-        Row("a-jsbsim", "claim", None, 3.0, "m|s", False, "why"),
-        Row("b", "c", 1.0, None, "1", False, "n"),
+        ResultLine("a", "claim", None, math.pi, "m|s", True, "why"),
+        ResultLine("a-jsbsim", "claim", None, 3.0, "m|s", False, "why"),
+        ResultLine("b", "c", 1.0, None, "1", False, "n"),
     ]
     head = {"plants": ["native", "jsbsim"], "command": "run", "date": "2026-01-01", "version": "1", "git_commit": "abc"}
     lines = markdown(rows, head).splitlines()

@@ -10,9 +10,9 @@ import pytest
 from scipy.special import erf
 from shipped import load_scenario
 
-from flightstack.barrier.exact import Polynomial
+from flightstack.barrier.exact import ExactPolynomial
 from flightstack.barrier.published import constant
-from flightstack.barrier.sampling import Claim, Samples, crossed
+from flightstack.barrier.sampling import Claim, ClaimSamples, crossed
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack_paper import theory
 from flightstack_paper.example import level_set_area, solved_area
@@ -146,18 +146,18 @@ def test_density_counts_samples_on_their_own_area() -> None:
     points = points[b.p11 * e * e + 2.0 * b.p12 * e * v + b.p22 * v * v <= 1.0]
     even = len(points) / claim.barrier.area_m2ps
     none = np.zeros(0)
-    for each in density(claim, Samples(points, none, none, 0, np.zeros((0, 2)), points)).values():
+    for each in density(claim, ClaimSamples(points, none, none, 0, np.zeros((0, 2)), points)).values():
         assert each == pytest.approx(even, rel=0.05)
-    half = density(claim, Samples(points[points[:, 1] > 0.0], none, none, 0, np.zeros((0, 2)), points))
+    half = density(claim, ClaimSamples(points[points[:, 1] > 0.0], none, none, 0, np.zeros((0, 2)), points))
     assert half["down"] == pytest.approx(even, rel=0.05)
     assert half["up"] == 0.0
 
 
 def test_an_area_of_a_level_set_is_counted_along_rays() -> None:
     """A shifted ellipse of semi-axes 0.5 and 2: pi; and a curve that is none, x^4 + y^4 <= 1 (Gamma functions)."""
-    shifted = Polynomial({(0, 0): "0.96", (1, 0): "0.8", (2, 0): -4, (0, 2): "-0.25"})
+    shifted = ExactPolynomial({(0, 0): "0.96", (1, 0): "0.8", (2, 0): -4, (0, 2): "-0.25"})
     assert level_set_area(shifted) == pytest.approx(math.pi * 0.5 * 2.0, rel=1e-6)
-    quartic = Polynomial({(0, 0): 1, (4, 0): -1, (0, 4): -1})
+    quartic = ExactPolynomial({(0, 0): 1, (4, 0): -1, (0, 4): -1})
     assert level_set_area(quartic) == pytest.approx(4.0 * math.gamma(1.25) ** 2 / math.gamma(1.5), rel=1e-6)
 
 

@@ -129,11 +129,12 @@ def test_the_summary_is_json_whatever_the_learner_says() -> None:
 
 def test_the_conformal_check_is_of_the_learners_own_targets() -> None:
     rng = np.random.default_rng(0)
-    noisy = [knows((0.0, 0.0, 0.0), sigma=0.5, target_frd_mps2=rng.normal(size=3)) for _ in range(4000)]
+    off = np.repeat(rng.normal(size=(400, 3)), 60, axis=0)
+    noisy = [knows((0.0, 0.0, 0.0), sigma=0.5, target_frd_mps2=each) for each in off]
     summary = gp_summary(Said(noisy[0]), MODEL, noisy[0], rows(*noisy), [])
     assert set(summary["conformal"]) == {"quantile_sigma", "coverage_heldout", "alpha"}
-    assert summary["conformal"]["quantile_sigma"] == pytest.approx(3.0 / 0.5, rel=0.1)  # errors of 1, claimed as 0.5
-    assert summary["conformal"]["coverage_heldout"] == pytest.approx(0.9973, abs=0.003)
+    assert summary["conformal"]["quantile_sigma"] == pytest.approx(3.0 / 0.5, rel=0.2)  # errors of 1, claimed as 0.5
+    assert summary["conformal"]["coverage_heldout"] == pytest.approx(0.9973, abs=0.005)
 
 
 def test_step_times_are_in_microseconds() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.barrier.published import Bounds, constant, left_side, on_the_vertical
-from flightstack.barrier.sampling import Claim, Samples, adaptive, crossed, local_margin, project, thinned, uniform
+from flightstack.barrier.sampling import Claim, ClaimSamples, adaptive, crossed, local_margin, project, thinned, uniform
 from flightstack.barrier.shapes import Quadratic
 from flightstack.types import F64, InputError
 
@@ -60,7 +60,7 @@ def test_fewer_samples_with_larger_balls_still_vouch_for_the_region(doubt: float
     assert len(fewer.points) <= 0.05 * len(uniform(claim).points)
 
 
-def _check(claim: Claim, found: Samples) -> None:
+def _check(claim: Claim, found: ClaimSamples) -> None:
     """Every state of a fine grid lies in a sample's ball, and the condition holds in all of each ball."""
     fine = inside(claim.barrier, 151)
     left = claim.left(fine)

@@ -12,7 +12,7 @@ import pytest
 from flightstack.cli import files
 from flightstack.cli.shield import ShieldOptions, shield_stack
 from flightstack.cli.shield_router import ShieldRouter
-from flightstack_sim.geodesy import PX4_SIH
+from flightstack.geodesy import PX4_SIH
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.simulated_vehicle import simulated_vehicle

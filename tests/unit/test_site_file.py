@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from flightstack.geodesy import LocalFrame
 from flightstack.site.file import parse_site
 from flightstack.types import InputError
 
@@ -78,8 +79,23 @@ def test_a_plan_s_fence() -> None:
     assert len(site.inside) == 4
     assert site.keep_outs[0].radius_m == 10.0
     flat = site.local(47.0, 8.0)
-    # 0.001 degree: 111.17 m north at latitude 47 (meridian), 76.1 m east (WGS84 tables)
-    np.testing.assert_allclose(flat.inside[2], [111.17, 76.1], atol=0.1)
+    # PX4's local frame, on a sphere of 6371 km: 0.001 degree is 111.195 m, times cos 47.001 degrees to the east
+    np.testing.assert_allclose(flat.inside[2], [111.195, 75.834], atol=0.002)
+
+
+@pytest.mark.parametrize("place", [(0.0, 180.0), (12.0, -180.0), (89.999, 20.0), (-90.0, 0.0), (-89.9995, -170.0)])
+def test_a_field_across_the_antimeridian_or_a_pole(place: tuple[float, float]) -> None:
+    """A box of 200 x 100 m round a place, by Snyder's inverse formulas, comes out as drawn."""
+    frame, box = LocalFrame(*place, 0.0), [(-100.0, -50.0), (100.0, -50.0), (100.0, 50.0), (-100.0, 50.0)]
+    corners = [(lat, math.remainder(lon, 360.0)) for lat, lon in (frame.to_globe(*corner) for corner in box)]
+    circle = {"inclusion": False, "circle": {"center": list(corners[2]), "radius": 10.0}}
+    for shape in ([{"inclusion": True, "polygon": corners}], [{"inclusion": True, "polygon": corners[::-1]}]):
+        flat = parse_site(_plan(list(shape), [circle]), "field.plan").local(*place)
+        np.testing.assert_allclose(np.sort(flat.inside, axis=0), np.sort(box, axis=0), atol=1e-3)
+        np.testing.assert_allclose(flat.keep_outs[0].centre, box[2], atol=1e-3)
+    round_one = {"inclusion": True, "circle": {"center": list(place), "radius": 100.0}}
+    flat = parse_site(_plan([], [round_one]), "field.plan").local(*place)
+    np.testing.assert_allclose(np.hypot(*flat.inside.T), 100.0, atol=1e-3)
 
 
 def test_a_round_fence_is_the_polygon_inside_it() -> None:
@@ -87,7 +103,7 @@ def test_a_round_fence_is_the_polygon_inside_it() -> None:
     flat = parse_site(_plan([], [circle]), "field.plan").local(47.0, 8.0)
     reach = np.hypot(*flat.inside.T)
     assert len(flat.inside) == 64
-    assert np.all(np.abs(reach - 100.0) < 0.5)
+    np.testing.assert_allclose(reach, 100.0, atol=1e-3)
 
 
 def test_geojson_with_a_hole_and_a_keep_out() -> None:
@@ -105,9 +121,28 @@ def test_geojson_with_a_hole_and_a_keep_out() -> None:
     assert site.inside[1].tolist() == SQUARE[1]
 
 
+def test_a_multipolygon_of_one_polygon_with_holes() -> None:
+    """As geographic information systems write them; several areas to stay in are told apart by their number."""
+    ring = [[b, a] for a, b in [*SQUARE, SQUARE[0]]]
+    hole = [[8.0004, 47.0004], [8.0006, 47.0004], [8.0006, 47.0006], [8.0004, 47.0004]]
+    far = [[x + 0.01, y] for x, y in ring]
+    site = parse_site(json.dumps({"type": "MultiPolygon", "coordinates": [[ring, hole, hole]]}), "field.geojson")
+    assert [each.name for each in site.keep_outs] == ["feature 0: hole 0", "feature 0: hole 1"]
+    both = {"type": "MultiPolygon", "coordinates": [[ring], [far]]}
+    with pytest.raises(InputError, match="2 polygons to stay in"):
+        parse_site(json.dumps(both), "field.geojson")
+    blocks = {"type": "Feature", "properties": {"keep_out": True}, "geometry": both}
+    field = {"type": "Feature", "properties": None, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    site = parse_site(json.dumps({"type": "FeatureCollection", "features": [field, blocks]}), "field.geojson")
+    assert [each.name for each in site.keep_outs] == ["feature 1: polygon 0", "feature 1: polygon 1"]
+
+
 @pytest.mark.parametrize(
     ("text", "name", "said"),
     [
+        ('{"type": "MultiPolygon", "coordinates": [[], 3]}', "a.geojson", "polygon 0 is empty"),
+        ('{"type": "MultiPolygon", "coordinates": []}', "a.geojson", "0 polygons"),
+        ('{"type": "MultiPolygon"}', "a.geojson", "needs coordinates"),
         (_plan([]), "a.plan", "0 areas"),
         (_plan([{"inclusion": True, "polygon": SQUARE}] * 2), "a.plan", "2 areas"),
         (_plan([{"inclusion": True, "polygon": [[47.0, None], [1.0, 2.0], [2.0, 3.0]]}]), "a.plan", "corner 0"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import StateSpace, lsim
 
-from flightstack.site.tube import OBSERVER_S, STEP_S, Doubts, Tube, across
+from flightstack.site.tube import OBSERVER_S, STEP_S, LoopBounds, Tube, across
 from flightstack.types import F64
 
 LAG_S = 0.06
@@ -34,7 +34,7 @@ def moved(tube: Tube, inputs: F64, start: F64) -> F64:
 
 
 def test_nothing_within_the_doubts_leaves_the_tube() -> None:
-    doubts = Doubts(1.5, 0.3, 0.02, 0.05)
+    doubts = LoopBounds(1.5, 0.3, 0.02, 0.05)
     tube = across(LAG_S, doubts)
     rng = np.random.default_rng(0)
     for _ in range(60):
@@ -46,7 +46,7 @@ def test_nothing_within_the_doubts_leaves_the_tube() -> None:
 
 def test_the_worst_disturbance_comes_to_its_rim() -> None:
     """Bang-bang by the sign of the answer, backwards in time: the bound is tight, so half of it would be broken."""
-    doubts = Doubts(1.5, 0.0, 0.0, 0.0)
+    doubts = LoopBounds(1.5, 0.0, 0.0, 0.0)
     tube = across(LAG_S, doubts)
     pulse = np.zeros((len(T), 4))
     pulse[0, 0] = 1.0 / STEP_S
@@ -60,6 +60,6 @@ def test_the_worst_disturbance_comes_to_its_rim() -> None:
 
 
 def test_less_doubt_is_a_narrower_tube() -> None:
-    wide, narrow = across(LAG_S, Doubts(1.5, 0.3, 0.02, 0.05)), across(LAG_S, Doubts(0.75, 0.15, 0.01, 0.025))
+    wide, narrow = across(LAG_S, LoopBounds(1.5, 0.3, 0.02, 0.05)), across(LAG_S, LoopBounds(0.75, 0.15, 0.01, 0.025))
     assert narrow.radius_m[-1] <= 0.55 * wide.radius_m[-1]
     assert np.all(np.diff(wide.radius_m) >= 0.0)

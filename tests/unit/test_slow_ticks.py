@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack, StackState
@@ -30,7 +30,7 @@ class Slow(Stack):
         return state, command, record
 
 
-def flown(every: int) -> Flight:
+def flown(every: int) -> ClosedLoopFlight:
     def slow(model: Model, limits: Limits) -> Stack:
         stack = Slow(model, limits)
         stack.every, stack.count, stack.last = every, -1, None

@@ -9,15 +9,15 @@ from fractions import Fraction
 import pytest
 
 from flightstack.barrier import sos
-from flightstack.barrier.exact import Field, Polynomial, check, ellipse
+from flightstack.barrier.exact import ExactPolynomial, Field, check, ellipse
 from flightstack.types import InputError
 
 
 def disc(power: int, turn: int = 0) -> Field:
     """r' = -r (1 - r^(2 power)), turning at a constant rate: everything in the unit disc ends at its centre."""
-    r2 = Polynomial({(2, 0): 1, (0, 2): 1})
-    shrink = Polynomial({(0, 0): -1}) + (r2 if power == 1 else r2 * r2)
-    x1, x2 = Polynomial({(1, 0): 1}), Polynomial({(0, 1): 1})
+    r2 = ExactPolynomial({(2, 0): 1, (0, 2): 1})
+    shrink = ExactPolynomial({(0, 0): -1}) + (r2 if power == 1 else r2 * r2)
+    x1, x2 = ExactPolynomial({(1, 0): 1}), ExactPolynomial({(0, 1): 1})
     return shrink * x1 - x2 * turn, shrink * x2 + x1 * turn
 
 
@@ -46,7 +46,7 @@ def test_nothing_false_is_proven() -> None:
         with pytest.raises(InputError, match="no sum of squares found"):
             sos.prove(disc(1), h, Fraction(1, 10**6))
     with pytest.raises(InputError, match="no ellipse"):
-        sos.prove(disc(1), Polynomial({(1, 0): 1}), Fraction(1, 10))
+        sos.prove(disc(1), ExactPolynomial({(1, 0): 1}), Fraction(1, 10))
 
 
 def test_a_region_just_inside_is_proven_both_ways() -> None:
@@ -58,7 +58,7 @@ def test_a_region_just_inside_is_proven_both_ways() -> None:
 
 
 def test_what_has_no_region_is_refused() -> None:
-    x1, x2 = Polynomial({(1, 0): 1}), Polynomial({(0, 1): 1})
+    x1, x2 = ExactPolynomial({(1, 0): 1}), ExactPolynomial({(0, 1): 1})
     with pytest.raises(InputError, match="no equilibrium with a stable linearisation"):
         sos.invariant_ellipse((x1, x2), Fraction(1, 100))
     with pytest.raises(InputError, match="no equilibrium with a stable linearisation"):

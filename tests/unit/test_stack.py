@@ -10,7 +10,7 @@ import pytest
 from certified import certificate
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import Flight, fly
+from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.control.feedback import FeedbackGains, FlatnessController
 from flightstack.frames import quat_from_euler
 from flightstack.model import Limits, Model
@@ -105,18 +105,18 @@ def test_with_a_right_model_the_true_path_is_within_3_cm(name: str, vehicle: Veh
 
 
 @pytest.fixture(scope="module")
-def wrong_model() -> Flight:
+def wrong_model() -> ClosedLoopFlight:
     """The paper's flight for 20 s: 1.4 times the mass, 0.1 g to the north, nothing learned."""
     return fly(load_scenario("paper-tracking").with_duration(20.0), QUAD, seed=1)
 
 
-def test_with_the_papers_wrong_model_the_error_is_large_but_the_flight_is_safe(wrong_model: Flight) -> None:
+def test_with_the_papers_wrong_model_the_error_is_large_but_the_flight_is_safe(wrong_model: ClosedLoopFlight) -> None:
     assert 0.2 < wrong_model.rmse_m < 0.6
     assert wrong_model.least_height_m > 0.4
     assert wrong_model.guards == set()
 
 
-def test_the_wrong_masss_error_is_the_one_that_the_gains_predict(wrong_model: Flight) -> None:
+def test_the_wrong_masss_error_is_the_one_that_the_gains_predict(wrong_model: ClosedLoopFlight) -> None:
     """0.4 g of missing thrust against a stiffness of p^2 / 3 + Kp / m along body z: a constant droop."""
     gains = FeedbackGains()
     stiffness = gains.nominal.pole_radps[2] ** 2 / 3.0 + gains.thrust_p_ps2

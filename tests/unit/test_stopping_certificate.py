@@ -16,7 +16,7 @@ from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
 from flightstack.site.certificate import as_json, prior_of, require_same
-from flightstack.site.stopping import Prior, Stopping, stopping
+from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.types import InputError
 from flightstack_sim.grade import load_grade
 
@@ -25,7 +25,7 @@ LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60
 
 
 @pytest.fixture(scope="module")
-def made() -> Stopping:
+def made() -> StoppingCertificate:
     believed, _ = files.load_vehicle(None)
     model = Model.from_vehicle(believed)
     estimate = estimate_bounds(error_statistics(load_grade("mocap")))
@@ -34,11 +34,11 @@ def made() -> Stopping:
 
 
 @pytest.fixture(scope="module")
-def text(made: Stopping) -> str:
+def text(made: StoppingCertificate) -> str:
     return as_json(made, "quad-x", "hash", "mocap", LEARNED)
 
 
-def test_an_honest_file_is_valid_and_stops_as_is_asked(made: Stopping, text: str) -> None:
+def test_an_honest_file_is_valid_and_stops_as_is_asked(made: StoppingCertificate, text: str) -> None:
     verdict = check(text)
     assert verdict.valid, verdict.lines
     assert made.stopping_way_m(5.0, 0.0) < 4.2
@@ -106,7 +106,7 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, 
         yield path, float(value)
 
 
-def test_no_number_that_a_flight_uses_can_be_changed(made: Stopping, text: str) -> None:
+def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, text: str) -> None:
     """What the checker cannot know (vehicle, sensors) is compared with what follows from the file's own prior."""
     count = 0
     for path, value in leaves(json.loads(text)):
@@ -125,7 +125,7 @@ def test_no_number_that_a_flight_uses_can_be_changed(made: Stopping, text: str) 
     assert count > 20
 
 
-def test_for_whom_it_holds(made: Stopping, text: str) -> None:
+def test_for_whom_it_holds(made: StoppingCertificate, text: str) -> None:
     assert prior_of(text, "a.json", "hash", "mocap") == made.prior
     require_same(text, "a.json", made)
     for other in (("another", "mocap"), ("hash", "gps")):

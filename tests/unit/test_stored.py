@@ -13,8 +13,8 @@ from sklearn.gaussian_process.kernels import ConstantKernel
 from flightstack.gp import Constant, Linear
 from flightstack.learning import sampler as s
 from flightstack.learning.priors import default_priors
-from flightstack.learning.stored import Stored, fit_priors, parse_stored, to_json
-from flightstack.learning.windows import Windows
+from flightstack.learning.stored import StoredPriors, fit_priors, parse_stored, to_json
+from flightstack.learning.windows import SampleWindows
 from flightstack.types import F64, InputError
 from flightstack.vehicle import scaled
 
@@ -22,7 +22,7 @@ QUAD = load_vehicle("quad-x")
 NOISE = 0.05
 
 
-def recorded(count: int = 160, seed: int = 0) -> Windows:
+def recorded(count: int = 160, seed: int = 0) -> SampleWindows:
     """Windows of a world with linear drag of 0.7 / s and thrust that gives 80 %."""
     rng = np.random.default_rng(seed)
     x = np.zeros((count, s.D))
@@ -34,11 +34,11 @@ def recorded(count: int = 160, seed: int = 0) -> Windows:
     y[:, 2] = 0.2 * 9.80665 * x[:, s.THRUST]
     y += rng.normal(scale=NOISE, size=y.shape)
     rate_x = rng.normal(size=(count, 3))
-    return Windows(x, y, rate_x, 0.05 * rate_x + rng.normal(scale=0.02, size=rate_x.shape))
+    return SampleWindows(x, y, rate_x, 0.05 * rate_x + rng.normal(scale=0.02, size=rate_x.shape))
 
 
 @pytest.fixture(scope="module")
-def stored() -> Stored:
+def stored() -> StoredPriors:
     return fit_priors(QUAD, recorded())
 
 
@@ -50,7 +50,7 @@ def likelihood(prior_kernel: F64, noise_var: float, y: F64) -> float:
     return float(-0.5 * (y @ alpha + logdet + len(y) * np.log(2.0 * np.pi)))
 
 
-def test_the_fit_finds_the_noise_and_explains_the_data(stored: Stored) -> None:
+def test_the_fit_finds_the_noise_and_explains_the_data(stored: StoredPriors) -> None:
     assert np.sqrt(stored.priors.lateral.noise_var) == pytest.approx(NOISE, rel=0.15)
     assert np.sqrt(stored.priors.vertical.noise_var) == pytest.approx(NOISE, rel=0.2)
     data = recorded(seed=1)
@@ -69,25 +69,25 @@ def test_the_helper_above_is_scikit_learns_likelihood() -> None:
     assert ours == pytest.approx(model.log_marginal_likelihood_value_)
 
 
-def test_a_file_reads_back_as_it_was_written(stored: Stored) -> None:
+def test_a_file_reads_back_as_it_was_written(stored: StoredPriors) -> None:
     again = parse_stored(to_json(stored), "a.json", QUAD)
     assert again == stored
     assert to_json(again) == to_json(stored)
 
 
-def test_the_same_data_give_the_same_bytes(stored: Stored) -> None:
+def test_the_same_data_give_the_same_bytes(stored: StoredPriors) -> None:
     assert to_json(fit_priors(QUAD, recorded())) == to_json(stored)
     assert fit_priors(QUAD, recorded(seed=2)).data_hash != stored.data_hash
 
 
-def test_a_file_of_another_vehicle_is_refused(stored: Stored) -> None:
+def test_a_file_of_another_vehicle_is_refused(stored: StoredPriors) -> None:
     heavier = scaled(QUAD, mass_ratio=1.01)
     with pytest.raises(InputError, match=r"a\.json: fitted for vehicle 'quad-x' with another vehicle file"):
         parse_stored(to_json(stored), "a.json", heavier)
 
 
 def test_too_little_flight_is_refused() -> None:
-    short = Windows(*(part[:20] for part in recorded()))
+    short = SampleWindows(*(part[:20] for part in recorded()))
     with pytest.raises(InputError, match="20 windows of flight are too few"):
         fit_priors(QUAD, short)
 
@@ -104,7 +104,7 @@ def test_too_little_flight_is_refused() -> None:
         (lambda d: d.update(stores=3), "stores must be a table"),
     ],
 )
-def test_a_damaged_file_is_named_in_one_line(stored: Stored, change: object, words: str) -> None:
+def test_a_damaged_file_is_named_in_one_line(stored: StoredPriors, change: object, words: str) -> None:
     data = json.loads(to_json(stored))
     change(data)  # type: ignore[operator]
     with pytest.raises(InputError, match=words) as caught:
@@ -118,7 +118,7 @@ def test_text_that_is_no_json_is_refused() -> None:
         parse_stored("{", "a.json", QUAD)
 
 
-def test_kernels_are_sums_of_named_physics(stored: Stored) -> None:
+def test_kernels_are_sums_of_named_physics(stored: StoredPriors) -> None:
     kinds = str(stored.priors.vertical.kernel.to_dict())
     assert all(name in kinds for name in ("constant", "linear", "squared_exponential"))
     assert isinstance(Constant(1.0) + Linear(1.0, 0), type(stored.priors.vertical.kernel))

@@ -88,8 +88,10 @@ def test_a_lean_that_turns_outwards_is_held_back_before_there_is_no_room() -> No
     assert least[False] < -0.05
 
 
+@pytest.mark.parametrize("heading_rad", [0.0, 0.8])
 @pytest.mark.parametrize("name", ["quad-x", "px4-sihsim-quadx"])
-def test_the_governor_turns_a_dithered_command_as_fast_as_is_counted_on(name: str) -> None:
+def test_the_governor_turns_a_dithered_command_as_fast_as_is_counted_on(name: str, heading_rad: float) -> None:
+    """Lean rates to north and to east (0, 1), whatever the other does and wherever the nose points."""
     vehicle = load_vehicle(name)
     model = Model.from_vehicle(vehicle)
     terms = governor_terms(vehicle, model, Limits(), NOISE)
@@ -97,18 +99,22 @@ def test_the_governor_turns_a_dithered_command_as_fast_as_is_counted_on(name: st
     low_mps2 = 11.6
     turn, wait_s = turning(terms, model, low_mps2)
     assert turn > 0.5
-    norm = model.norm_of(low_mps2 * model.mass_kg)
+    norm, sin, cos = model.norm_of(low_mps2 * model.mass_kg), math.sin(heading_rad), math.cos(heading_rad)
+    most, back = (6.0, 4.0) if heading_rad == 0.0 else (2.5, 2.5)  # PX4's own limits are of roll and of pitch
     for trial in range(16):
-        hz, size, base = rng.uniform(1.0, 15.0), rng.uniform(0.0, 6.0), rng.uniform(-2.0, 2.0)
+        hz, size, base = rng.uniform(1.0, 15.0), rng.uniform(0.0, most), rng.uniform(-2.0, 2.0)
         phase, axis, begins = rng.uniform(0.0, 6.3, 2), trial % 2, int(rng.integers(80, 160))
         state, sent = governor.init(), []
+        north, east = np.array([sin, cos]), np.array([-cos, sin])  # what roll and pitch rates turn the lean by
         for k in range(begins + 75):
             angle = 2.0 * math.pi * hz * 0.004 * k
-            rates = np.zeros(3)
-            rates[axis] = base + size * math.copysign(1.0, math.sin(angle + phase[0])) if k < begins else -4.0
-            rates[1 - axis] = size * math.copysign(1.0, math.sin(angle + phase[1]))
-            state, _, changed = governor.step(state, Command(k * 4000, 0.0, norm, rates), terms.limits)
-            sent.append(rates[axis] if changed is None else changed[axis])
+            leans = np.zeros(2)
+            leans[axis] = base + size * math.copysign(1.0, math.sin(angle + phase[0])) if k < begins else -back
+            leans[1 - axis] = size * math.copysign(1.0, math.sin(angle + phase[1]))
+            rates = np.append(leans[0] * north + leans[1] * east, 0.0)
+            command = Command(k * 4000, 0.0, norm, rates)
+            state, _, changed = governor.step(state, command, terms.limits, heading_rad)
+            sent.append(float((north, east)[axis] @ (rates if changed is None else changed)[:2]))
         turned = sent[begins - 1] - np.array(sent[begins:])
         counted = turn * np.maximum(0.004 * np.arange(75) - wait_s, 0.0)
-        assert (turned >= np.minimum(counted, sent[begins - 1] + 4.0) - 0.05).all(), (trial, turn, turned - counted)
+        assert (turned >= np.minimum(counted, sent[begins - 1] + back) - 0.05).all(), (trial, turn, turned - counted)

@@ -21,7 +21,7 @@ from mavlink_bridge import messages as m
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import State
 from mavlink_bridge.vehicle_clock import VehicleClock
-from mavlink_bridge.watchdogs import ResetWatch, Watchdogs
+from mavlink_bridge.watchdogs import PERIOD_US, ResetWatch, Watchdogs
 
 Alter = Callable[[Any, float], Any | None]
 """A message and the seconds since the fault began (0 for the first altered one) -> what arrives."""
@@ -188,6 +188,48 @@ def test_a_third_reset_within_ten_seconds_hands_back() -> None:
     assert companion.state is State.LANDING
     assert companion.reason.startswith("resets: ")
     assert (now - begun) * 1e-6 <= (FAULTS["resets"].after_s or 0.0) + 2 * STEP_S
+
+
+def test_of_small_counted_steps_the_largest_is_taken_out_once_and_then_the_next() -> None:
+    watch = ResetWatch()
+    assert watch.shift_ned_m == (0.0, 0.0, 0.0)
+    watch.counter(1, 0)
+    assert not watch.counter(2, 1)  # of heading: nothing has stepped
+    assert watch.counted == 0
+    for t_us, north_m in ((10, 0.06), (20, 0.08)):
+        assert not watch.position(t_us, (north_m, 0.0, 0.0))
+    assert watch.counter(30, 2)
+    assert watch.shift_ned_m == pytest.approx((0.08, 0.0, 0.0))
+    assert watch.counter(40, 3)
+    assert watch.shift_ned_m == pytest.approx((0.14, 0.0, 0.0))
+    assert not watch.counter(50, 4)
+    assert watch.counted == 2
+
+
+@pytest.mark.parametrize("jumped_us", [0, 1_000_000])
+def test_a_jump_that_no_counter_tells_is_trouble_after_a_fifth_of_a_second_and_none_is_none(jumped_us: int) -> None:
+    watch = ResetWatch()
+    watch.position(jumped_us + 900_000, (0.0, 0.0, 0.0))
+    assert watch.trouble == ""
+    watch = ResetWatch()
+    assert watch.position(jumped_us, (2.0, 0.0, 0.0))
+    watch.position(jumped_us + 200_000, (0.0, 0.0, 0.0))
+    assert watch.trouble == ""
+    watch.position(jumped_us + 200_001, (0.0, 0.0, 0.0))
+    assert watch.trouble == "jump"
+
+
+def test_before_the_flight_begins_a_jump_is_left_as_it_is() -> None:
+    watchdogs = Watchdogs(VehicleClock())
+    assert watchdogs.pace.period_us == PERIOD_US
+    still = (0.0, 0.0, 0.0)
+    for t_us, north_m in ((0, 0.0), (8_000, 0.0), (16_000, 5.0)):
+        message = POSITION(t_us, (north_m, 0.0, 0.0), still)
+        assert watchdogs.see(message) is message
+    watchdogs.begin()
+    moved = watchdogs.see(POSITION(24_000, (9.0, 0.0, 0.0), still))
+    assert isinstance(moved, POSITION)
+    assert moved.pos_ned_m == pytest.approx((5.0, 0.0, 0.0))
 
 
 def test_a_long_gap_between_ticks_hands_back_to_hold() -> None:

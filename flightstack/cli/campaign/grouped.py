@@ -28,7 +28,7 @@ _FIGURES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class Grouping:
     """How a campaign's flights are told."""
 
     by: tuple[str, ...]
@@ -37,7 +37,7 @@ class Table:
     """Head -> figure and its fields of the result, dotted."""
 
 
-def parse_table(table: object, where: str) -> Table:
+def parse_table(table: object, where: str) -> Grouping:
     """The checked table."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where} must be a table, not {table!r}")
@@ -51,7 +51,7 @@ def parse_table(table: object, where: str) -> Table:
     columns = table.get("columns")
     if not isinstance(columns, Mapping) or not columns:
         raise InputError(f"{where}.columns must be a table: head = figure")
-    return Table(tuple(by), {head: _column(text, f"{where}.columns: {head}") for head, text in columns.items()})
+    return Grouping(tuple(by), {head: _column(text, f"{where}.columns: {head}") for head, text in columns.items()})
 
 
 def _column(text: object, where: str) -> tuple[str, ...]:
@@ -63,7 +63,7 @@ def _column(text: object, where: str) -> tuple[str, ...]:
     return parts
 
 
-def grouped(table: Table, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+def grouped(table: Grouping, entries: Sequence[Entry]) -> list[dict[str, Any]]:
     """A row for each combination of values that was flown, in the order of their first flight."""
     groups: dict[tuple[str, ...], list[Entry]] = {}
     for entry in entries:

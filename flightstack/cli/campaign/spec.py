@@ -14,7 +14,7 @@ from typing import Any
 
 from flightstack.checked import number
 from flightstack.cli.campaign import keys
-from flightstack.cli.campaign.grouped import Table, parse_table
+from flightstack.cli.campaign.grouped import Grouping, parse_table
 from flightstack.cli.campaign.searching import Search, parse_search
 from flightstack.cli.filed import FILES, option_value
 from flightstack.errors import InputError
@@ -88,7 +88,7 @@ class CampaignSpec:
     search: Search | None = None
     task: str = ""
     """MODULE:FUNCTION that is called instead of `fly`."""
-    table: Table | None = None
+    table: Grouping | None = None
     most_failures: int | None = None
     """With more than so many flights that failed, crashed or never ended, the verb's exit code is 1."""
     text: str = field(default="", repr=False)
@@ -185,7 +185,7 @@ def parse_spec(text: str, path: Path) -> CampaignSpec:
         timeout_s=None if "timeout_s" not in data else number(data["timeout_s"], f"{source}: timeout_s", 0.1, 1e6),
         search=search,
         task=task,
-        table=parse_table(data["table"], f"{source}: table") if "table" in data else None,
+        table=_grouping(data, [each.name for each in found], source),
         most_failures=(
             None
             if "most_failures" not in data
@@ -193,6 +193,16 @@ def parse_spec(text: str, path: Path) -> CampaignSpec:
         ),
         text=text,
     )
+
+
+def _grouping(data: Mapping[str, Any], factors: list[str], source: str) -> Grouping | None:
+    if "table" not in data:
+        return None
+    table = parse_table(data["table"], f"{source}: table")
+    for name in table.by:
+        if name not in factors:
+            raise keys.unknown(name, factors, f"{source}: table.by")
+    return table
 
 
 def _task(data: Mapping[str, Any], source: str) -> str:

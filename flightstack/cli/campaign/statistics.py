@@ -11,7 +11,6 @@ import numpy as np
 from scipy import stats
 
 from flightstack.cli.campaign.outcomes import COMPLETED
-from flightstack.dotted import flattened
 from flightstack.types import F64
 
 Entry = Mapping[str, Any]
@@ -139,11 +138,3 @@ def _bins(column: F64, failed: np.ndarray) -> tuple[Bin, ...]:
 
 def _words(value: Any) -> str:
     return str(value)
-
-
-def numeric_fields(entries: Sequence[Entry]) -> list[str]:
-    """Names of all numbers in fly's JSON, in order of appearance."""
-    return list(dict.fromkeys(
-        name for entry in entries for name, value in flattened(entry["result"] or {}).items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    ))  # fmt: skip

@@ -9,6 +9,7 @@ text of such a flight is a campaign file of one flight.
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 import tomllib
@@ -40,8 +41,9 @@ def function(task: str) -> Task:
         sys.path.append(os.getcwd())
     try:
         found = getattr(importlib.import_module(module), name, None)
-    except ImportError as error:
-        raise InputError(f"task = {task}: {error}") from None
+    except Exception as error:  # whatever a module does when it is imported
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"task = {task}: {words}") from None
     if not callable(found):
         raise InputError(f"task = {task}: {module} has no function {name}")
     made: Task = found
@@ -59,4 +61,5 @@ def called(text: str, folder: Path) -> dict[str, Any] | None:
     values = {name: listed[0] for name, listed in data.get("vary", {}).items()}
     result = function(data["task"])(values, data["seeds"]["from"], folder)
     failure = " ".join(str(result.pop("failure", "")).split())
+    json.dumps(result)  # what is no plain data is said here, not by a process that ends
     return {"outcome": FAILED if failure else COMPLETED, "reason": failure, "result": result}

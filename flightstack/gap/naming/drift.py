@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.gap.naming.estimate import Estimates
-from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.simulate import Knob
 from flightstack.types import F64
 
 
-def drifts_better(state: Search, made: Estimates, moved: F64) -> bool:
+def drifts_better(state: SelectionState, made: Estimates, moved: F64) -> bool:
     """Whether a thrust that only drifts with time explains the flights better than the battery's voltage does."""
     layout = state.point.layout
     thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])

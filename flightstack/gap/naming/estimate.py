@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from flightstack.gap.naming.candidates import fitted, negligible
 from flightstack.gap.naming.design import Layout, layout_of
-from flightstack.gap.naming.search import Search, bounded_step
+from flightstack.gap.naming.search import SelectionState, bounded_step
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.simulate import Knob, value, with_value
 from flightstack.types import F64
@@ -52,7 +52,7 @@ class Estimates:
     """(R,) whitened residual at `vehicle`."""
 
 
-def estimate(state: Search, effects: Mapping[str, Mapping[str, float]]) -> Estimates:
+def estimate(state: SelectionState, effects: Mapping[str, Mapping[str, float]]) -> Estimates:
     """Fit these effects (in the search's whitened rows to learn from) by the noise alone."""
     vehicle = state.start
     for effect, values in effects.items():
@@ -96,7 +96,9 @@ def _bounds(vehicle: Vehicle, slots: tuple[tuple[str, str], ...]) -> tuple[F64, 
     return np.array([s.minimum for s in specs]) - now, np.array([s.maximum for s in specs]) - now
 
 
-def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask) -> F64:
+def _step(
+    state: SelectionState, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
+) -> F64:
     low, high = _bounds(vehicle, slots)
     nuisance, size = _fitted_nuisance(state)
     both = np.hstack([x, nuisance])[chosen]
@@ -108,12 +110,12 @@ def _step(state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x
     return bounded_step(k[:n, :n] - shift @ k[n:, :n], b[:n] - shift @ b[n:], low, high)[0]
 
 
-def _fitted_nuisance(state: Search) -> tuple[F64, F64]:
+def _fitted_nuisance(state: SelectionState) -> tuple[F64, F64]:
     told = state.point.nuisance_fitted
     return state.point.nuisance[:, told], state.point.nuisance_size[told]
 
 
-def without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
+def without_nuisance(state: SelectionState, rows: F64, chosen: Mask) -> F64:
     """(R,) residual at the estimate less what the nuisance makes of it."""
     nuisance, size = _fitted_nuisance(state)
     mine = nuisance[chosen]
@@ -121,7 +123,7 @@ def without_nuisance(state: Search, rows: F64, chosen: Mask) -> F64:
 
 
 def covariance_of(
-    state: Search, x: F64, rows: F64, chosen: Mask, left: Layout | None = None, known: F64 | None = None
+    state: SelectionState, x: F64, rows: F64, chosen: Mask, left: Layout | None = None, known: F64 | None = None
 ) -> F64:
     """Of the coefficients: noise, and what is neither known nor fitted (Schmidt's consider parameters, 1966).
 
@@ -148,7 +150,7 @@ def _inverse(gram: F64) -> F64:
     return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size))
 
 
-def _sandwich(state: Search, x: F64, rows: F64, chosen: Mask, prior: F64, left: Layout | None) -> F64:
+def _sandwich(state: SelectionState, x: F64, rows: F64, chosen: Mask, prior: F64, left: Layout | None) -> F64:
     """Sandwich over time: scores of all channels at one time belong together, neighbours by Bartlett weights."""
     layout = state.point.layout
     xs, e = x[chosen], rows[chosen]
@@ -196,7 +198,7 @@ def _coloured(layout: Layout, left: Layout, x: F64, chosen: Mask) -> F64:
     return total
 
 
-def segments(state: Search, chosen: Mask) -> NDArray[np.int64]:
+def segments(state: SelectionState, chosen: Mask) -> NDArray[np.int64]:
     """(R,) segment number of each row to learn from, others -1: flights cut into stretches of equal length."""
     layout = state.point.layout
     number = np.full(len(layout.at), -1)
@@ -214,7 +216,7 @@ def segments(state: Search, chosen: Mask) -> NDArray[np.int64]:
 
 
 def _constancy(
-    state: Search, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
+    state: SelectionState, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
 ) -> F64:
     """P-value of each parameter being the same in all segments, small differences allowed."""
     if not slots:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.gap.naming.estimate import Estimates
-from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.simulate import value
 from flightstack.types import F64
 
@@ -13,13 +13,13 @@ _SHOWN = 20.0
 """Chi-square that an effect must make of held-out rows for them to judge it: a noise's own scatter is a few."""
 
 
-def moved(state: Search, made: Estimates) -> F64:
+def moved(state: SelectionState, made: Estimates) -> F64:
     """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
     origin = np.array([value(state.start, *slot) for slot in made.slots])
     return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
 
 
-def gain(state: Search, made: Estimates, effect: str) -> float:
+def gain(state: SelectionState, made: Estimates, effect: str) -> float:
     """Share of the explainable held-out gap that falls when the effect joins the others: 0 or less where it does harm.
 
     NaN where held-out rows hardly hold it (a low pass that only the learned part has): they can't speak for or against.

@@ -16,7 +16,7 @@ from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.metric import metric_of
-from flightstack.gap.naming.search import Fit, Search, fit_subset, judged_fit, members, strained
+from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, judged_fit, members, strained
 from flightstack.gap.naming.trifles import CLEARLY, worth_of
 from flightstack.vehicle import Vehicle
 
@@ -25,8 +25,8 @@ _NEAR = 12.0
 
 
 def joined(
-    state: Search, made: Estimates, effects: Mapping[str, Mapping[str, float]], of: Collection[str]
-) -> tuple[Search, Fit] | None:
+    state: SelectionState, made: Estimates, effects: Mapping[str, Mapping[str, float]], of: Collection[str]
+) -> tuple[SelectionState, Fit] | None:
     """The named effects (all in `made`) and one more, one of `of`, in a search of their own; None if none earns it."""
     fresh = _searched_at(state, made.vehicle)
     point = fresh.point
@@ -54,7 +54,7 @@ def joined(
     return there, judged_fit(there, best[1].effects, best[1].vehicle, best[1].rows, best[1].used)
 
 
-def _searched_at(state: Search, vehicle: Vehicle) -> Search:
+def _searched_at(state: SelectionState, vehicle: Vehicle) -> SelectionState:
     """A search with its columns at this vehicle, and the other's model of the noise."""
     point = linearise(state.bench, vehicle, state.start, layout=state.point.layout)
-    return Search(state.bench, state.start, point, metric_of(point), barred=state.barred)
+    return SelectionState(state.bench, state.start, point, metric_of(point), barred=state.barred)

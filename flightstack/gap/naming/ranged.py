@@ -21,7 +21,7 @@ from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.estimate import covariance_of, without_nuisance
-from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.records import Estimate, Found
 from flightstack.gap.simulate import Knob, value, with_value
 from flightstack.types import F64
@@ -49,7 +49,7 @@ def is_touched(start: Vehicle, found: Sequence[Found]) -> bool:
     return bool(found) and (bool(start.ranges) or sum(f.name in _SCALED for f in found) > 1)
 
 
-def carried(state: Search, found: tuple[Found, ...], vehicle: Vehicle) -> tuple[tuple[Found, ...], Vehicle]:
+def carried(state: SelectionState, found: tuple[Found, ...], vehicle: Vehicle) -> tuple[tuple[Found, ...], Vehicle]:
     """The names with what guessed numbers do to them, and the vehicle at their estimates; `vehicle` holds them."""
     start, layout, chosen = state.start, state.point.layout, state.point.fit_rows()
     slots = [(f.name, p) for f in found for p in fitted(vehicle, f.name, vehicle.effects[f.name]).parameters]
@@ -97,7 +97,7 @@ def _prior(numbers: dict[str, FileNumber], effect: str, parameter: str, now: flo
     return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
 
 
-def _number_columns(state: Search, vehicle: Vehicle, numbers: Sequence[FileNumber]) -> list[F64]:
+def _number_columns(state: SelectionState, vehicle: Vehicle, numbers: Sequence[FileNumber]) -> list[F64]:
     """Derivatives of the simulated (N, 12, K) of each flight by numbers of the file."""
     columns = []
     for number in numbers:

@@ -66,7 +66,7 @@ class Fit:
 
 
 @dataclass(slots=True, eq=False)
-class Search:
+class SelectionState:
     """State of one search: where the columns are, and all that has been fitted."""
 
     bench: Bench
@@ -109,7 +109,7 @@ def strained(start: Vehicle, fit: Fit) -> set[str]:
     return {e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)}
 
 
-def _bar(state: Search) -> bool:
+def _bar(state: SelectionState) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
     fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
     at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
@@ -117,10 +117,10 @@ def _bar(state: Search) -> bool:
     return bool(at_ends)
 
 
-def search(bench: Bench, start: Vehicle) -> Search:
+def search(bench: Bench, start: Vehicle) -> SelectionState:
     """The subsets worth a look, fitted; `start` is the vehicle as its file has it."""
     point = linearise(bench, start, start)
-    state = Search(bench, start, point, metric_of(point))
+    state = SelectionState(bench, start, point, metric_of(point))
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, subsets)
@@ -140,11 +140,11 @@ def search(bench: Bench, start: Vehicle) -> Search:
     return state
 
 
-def _allowed(state: Search, members: Sequence[int]) -> bool:
+def _allowed(state: SelectionState, members: Sequence[int]) -> bool:
     return not state.barred & {state.point.candidates[m].effect for m in members}
 
 
-def move_to(state: Search, vehicle: Vehicle) -> None:
+def move_to(state: SelectionState, vehicle: Vehicle) -> None:
     """Take all columns and the noise anew at this vehicle and measure all fits by the new metric."""
     state.point = linearise(state.bench, vehicle, state.start)
     state.metric = metric_of(state.point)
@@ -166,7 +166,7 @@ def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
     ]
 
 
-def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[float, Subset]]:
+def _scored(state: SelectionState, subsets: Sequence[tuple[int, ...]]) -> list[tuple[float, Subset]]:
     """Subsets with their scores on the columns as they are, best first."""
     point = state.point
     gram = point.gram()
@@ -178,7 +178,7 @@ def _scored(state: Search, subsets: Sequence[tuple[int, ...]]) -> list[tuple[flo
     return [(float(values[i]), found[i]) for i in np.argsort(values, kind="stable") if np.isfinite(values[i])]
 
 
-def _neighbours(state: Search) -> list[Subset]:
+def _neighbours(state: SelectionState) -> list[Subset]:
     """Subsets one member less and up to two more than the best, where they come near it."""
     point, effects = state.point, state.best.effects
     inside = members(point.candidates, effects)
@@ -202,7 +202,7 @@ def _neighbours(state: Search) -> list[Subset]:
     return found[:_NEIGHBOURS]
 
 
-def _swap(state: Search) -> None:
+def _swap(state: SelectionState) -> None:
     """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
     effects, start = state.best.effects, state.start
     for (old, was), (new, now) in (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE)):
@@ -230,7 +230,7 @@ def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float
     return tuple(sorted(nearest.values()))
 
 
-def _beaten(state: Search, subset: Subset) -> float:
+def _beaten(state: SelectionState, subset: Subset) -> float:
     """Score below which a subset is fitted: what it had, if it was stuck far from where the columns now point to."""
     fit = state.fits.get(_key([state.point.candidates[m] for m in subset.members]))
     return np.inf if fit is None else fit.score - _STUCK
@@ -246,18 +246,18 @@ def _label(candidate: Candidate) -> str:
     return candidate.effect + "".join(f":{k}={v:g}" for k, v in candidate.variant.items() if k in whole)
 
 
-def _fit_all(state: Search, subsets: Iterable[Subset]) -> None:
+def _fit_all(state: SelectionState, subsets: Iterable[Subset]) -> None:
     for subset in subsets:
         _keep(state, [state.point.candidates[m] for m in subset.members], fit_subset(state, subset))
 
 
-def _keep(state: Search, group: Sequence[Candidate], fit: Fit) -> None:
+def _keep(state: SelectionState, group: Sequence[Candidate], fit: Fit) -> None:
     key = _key(group)
     if key not in state.fits or fit.score < state.fits[key].score:
         state.fits[key] = fit
 
 
-def fit_subset(state: Search, subset: Subset) -> Fit:
+def fit_subset(state: SelectionState, subset: Subset) -> Fit:
     """The subset fitted from where the columns point to."""
     group = [state.point.candidates[m] for m in subset.members]
     vehicle = _stepped(state, subset)
@@ -266,7 +266,7 @@ def fit_subset(state: Search, subset: Subset) -> Fit:
     return _fit_from(state, group, vehicle)
 
 
-def _fit_from(state: Search, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
+def _fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
     """Gauss-Newton from this vehicle; columns are taken anew while they still promise something else."""
     layout, metric = state.point.layout, state.metric
     rows = layout.stack(state.bench.residual(vehicle))
@@ -310,7 +310,7 @@ def pressed_beyond(k: F64, b: F64, sides: NDArray[np.int64]) -> list[int]:
     return found
 
 
-def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
+def _swung(state: SelectionState, vehicle: Vehicle) -> Vehicle:
     """The vehicle with the rope on which the load swings best: too long or too short by a quarter it swings otherwise.
 
     Which rope that is hardly depends on what else is missing, so all are tried once for each set of columns.
@@ -326,7 +326,7 @@ def _swung(state: Search, vehicle: Vehicle) -> Vehicle:
     return best
 
 
-def _stepped(state: Search, subset: Subset) -> Vehicle:
+def _stepped(state: SelectionState, subset: Subset) -> Vehicle:
     """The start vehicle with the subset's own coefficients."""
     point = state.point
     vehicle = state.start
@@ -342,7 +342,7 @@ def _stepped(state: Search, subset: Subset) -> Vehicle:
 
 
 def judged_fit(
-    state: Search,
+    state: SelectionState,
     effects: Mapping[str, Mapping[str, float]],
     vehicle: Vehicle,
     rows: F64,
@@ -381,7 +381,7 @@ def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:
 
 
 def _best_on_the_way(
-    state: Search, vehicle: Vehicle, slots: list[tuple[Candidate, str]], now: F64, step: F64, chi2: float
+    state: SelectionState, vehicle: Vehicle, slots: list[tuple[Candidate, str]], now: F64, step: F64, chi2: float
 ) -> tuple[Vehicle, F64, float]:
     share = 1.0
     tried = (vehicle, np.empty(0), np.inf)

@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.estimate import Estimates
-from flightstack.gap.naming.search import Search
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.remainder import GROUPS
 from flightstack.gap.simulate import Knob, value
@@ -87,7 +87,7 @@ class _View:
         return np.asarray(np.bincount(block.ravel(), weights=change), dtype=np.float64)
 
 
-def trifles(state: Search, made: Estimates, effects: Sequence[str]) -> tuple[str, ...]:
+def trifles(state: SelectionState, made: Estimates, effects: Sequence[str]) -> tuple[str, ...]:
     """Of these effects, all in `made`, those that are taken back; () where nothing is held out."""
     if not np.any(state.point.layout.keep & state.point.layout.held):
         return ()
@@ -103,7 +103,7 @@ def trifles(state: Search, made: Estimates, effects: Sequence[str]) -> tuple[str
     return tuple(gone)
 
 
-def worth_of(state: Search, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
+def worth_of(state: SelectionState, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
     """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
     views = _views(state, made)
     base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
@@ -122,7 +122,7 @@ def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
     return [i for i, (effect, _) in enumerate(made.slots) if effect in effects]
 
 
-def _views(state: Search, made: Estimates) -> tuple[_View, _View]:
+def _views(state: SelectionState, made: Estimates) -> tuple[_View, _View]:
     origin = np.array([value(state.start, *slot) for slot in made.slots])
     moved = np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
     bench, coloured = state.bench, state.point.layout

@@ -14,10 +14,10 @@ from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.report.waterfall import waterfall_svg
 from flightstack.gap.verdict import MOSTLY_CLOSED
 from flightstack.types import F64
-from flightstack_logs.report.flight import Samples
+from flightstack_logs.report.flight import ReportSamples
 from flightstack_logs.report.page import asset, figures_html, fill, panel_html, safe_json
-from flightstack_logs.report.panel import Curve, Line, Panel, Span
-from flightstack_logs.report.words import Figure
+from flightstack_logs.report.panel import Curve, Panel, PanelLine, Span
+from flightstack_logs.report.words import KeyFigure
 
 _UNITS = ("m/s²", "m/s²", "m/s²", "rad/s²", "rad/s²", "rad/s²")
 POINTS = 2500
@@ -71,25 +71,25 @@ def render_report(report: GapReport) -> str:
     )
 
 
-def _figures(report: GapReport) -> tuple[Figure, ...]:
+def _figures(report: GapReport) -> tuple[KeyFigure, ...]:
     gap = report.gap
     closed = "–" if gap.closed is None else words.percent(gap.closed)
     why = "of the gap over the noise" if gap.closed is not None else "no gap to close"
     state = "plain" if gap.closed is None else "good" if gap.closed >= MOSTLY_CLOSED else "bad"
 
-    def figure(label: str, name: str, unit: str, note: str = "") -> Figure:
+    def figure(label: str, name: str, unit: str, note: str = "") -> KeyFigure:
         before, after = getattr(gap.before, name), getattr(gap.after, name)
         floor = getattr(gap.noise_floor, name)
         value = "–" if before is None else f"{before:.2g} → {'–' if after is None else f'{after:.2g}'} {unit}"
-        return Figure(label, value, note or ("" if floor is None else f"noise {floor:.2g} {unit}"))
+        return KeyFigure(label, value, note or ("" if floor is None else f"noise {floor:.2g} {unit}"))
 
     return (
-        Figure("Closed, held out", closed, why, state),
+        KeyFigure("Closed, held out", closed, why, state),
         figure("Force, one step", "one_step_mps2", "m/s²"),
         figure("Turning, one step", "one_step_radps2", "rad/s²"),
         figure("Path after 1 s alone", "rollout_1s_m", "m", words.ratio(gap.before, gap.after)),
-        Figure("Effects named", str(len(report.found)), "of 26 looked at"),
-        Figure("Left over", words.percent(report.unexplained.fraction), _left(report)),
+        KeyFigure("Effects named", str(len(report.found)), "of 26 looked at"),
+        KeyFigure("Left over", words.percent(report.unexplained.fraction), _left(report)),
     )
 
 
@@ -132,7 +132,7 @@ def panels(traces: tuple[Trace, ...]) -> tuple[Panel, ...]:
 
 def _panel(trace: Trace, column: int, signal: str) -> Panel:
     def curve(label: str, role: str, values: F64, *, wide: bool = False) -> Curve:
-        return Curve(label, role, Samples(trace.t_s, values[:, column : column + 1]), wide=wide)
+        return Curve(label, role, ReportSamples(trace.t_s, values[:, column : column + 1]), wide=wide)
 
     before, after = (_rms(trace.measured[:, column] - x[:, column]) for x in (trace.before, trace.after))
     unit = _UNITS[column]
@@ -151,7 +151,7 @@ def _panel(trace: Trace, column: int, signal: str) -> Panel:
             curve("simulated before", "before", trace.before),
             curve("simulated after", "after", trace.after),
         ),
-        lines=() if column != 2 else (Line(-9.80665, "hover", "muted"),),
+        lines=() if column != 2 else (PanelLine(-9.80665, "hover", "muted"),),
         note=f"off by {before:.2g} → {after:.2g} {unit} rms, noise {trace.noise[column]:.2g}",
         points=POINTS,
         strip=tuple(spans),

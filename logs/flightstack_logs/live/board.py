@@ -74,7 +74,7 @@ class Board:
 
     def scene(self, view: viewer.Shown) -> None:
         """What does not move, what a new certificate allows, or how the vehicle would stop."""
-        if isinstance(view, viewer.Region):
+        if isinstance(view, viewer.SceneRegion):
             self._scene["certified"] = _region(view)
         elif isinstance(view, viewer.StoppingWay):
             self._scene["way"] = view.pos_ned_m.tolist()
@@ -93,7 +93,7 @@ class Board:
         return json.dumps(_finite(said)).encode()
 
 
-def _region(region: viewer.Region) -> dict[str, Any]:
+def _region(region: viewer.SceneRegion) -> dict[str, Any]:
     return {"shape": region.shape, "center": list(region.center_ned_m), "half": list(region.half_size_m)}
 
 

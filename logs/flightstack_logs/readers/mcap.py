@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flightstack_logs import rows
 from flightstack_logs.log_clock import aligned
-from flightstack_logs.mcap_file import Channel, McapContent, scan
+from flightstack_logs.mcap_file import McapChannel, McapContent, scan
 from flightstack_logs.tables import About, Log, Messages, Table
 from flightstack_logs.topics import LEVELS
 from flightstack_logs.wire import decode_columns, walk
@@ -58,15 +58,15 @@ def read_mcap(path: Path, data: bytes, *, align: bool = True) -> Log:
     )
 
 
-def _with_packed(content: McapContent, blocks: dict[str, Channel]) -> list[Channel]:
+def _with_packed(content: McapContent, blocks: dict[str, McapChannel]) -> list[McapChannel]:
     """The topics of a log; blocks of rows are no topics, but one of which there is nothing else is."""
     found = [channel for channel in content.channels.values() if channel.topic not in blocks]
     known = {channel.topic for channel in found}
     alone = [name.removeprefix(rows.PREFIX) for name in blocks]
-    return found + [Channel(topic, "", {"kind": "raw"}, None) for topic in alone if topic not in known]
+    return found + [McapChannel(topic, "", {"kind": "raw"}, None) for topic in alone if topic not in known]
 
 
-def _in_time(channel: Channel) -> tuple[NDArray[np.int64], list[bytes]]:
+def _in_time(channel: McapChannel) -> tuple[NDArray[np.int64], list[bytes]]:
     """Log times in microseconds and the messages, in ascending order of time (equal times: as written)."""
     times = (np.array(channel.times_ns, dtype=np.uint64) // np.uint64(1000)).astype(np.int64)
     if len(times) < 2 or bool(np.all(times[1:] >= times[:-1])):
@@ -75,7 +75,7 @@ def _in_time(channel: Channel) -> tuple[NDArray[np.int64], list[bytes]]:
     return times[order], [channel.messages[index] for index in order.tolist()]
 
 
-def _columns(channel: Channel, bodies: list[bytes] | NDArray[np.uint8]) -> dict[str, np.ndarray] | None:
+def _columns(channel: McapChannel, bodies: list[bytes] | NDArray[np.uint8]) -> dict[str, np.ndarray] | None:
     """The messages as columns, or None where they are not meant to be."""
     schema = channel.schema
     if schema is None or channel.message_encoding != "protobuf" or not len(bodies):
@@ -104,7 +104,7 @@ def _text(value: int | bytes) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _about(channel: Channel) -> About:
+def _about(channel: McapChannel) -> About:
     said = channel.metadata
     try:
         rate_hz = float(said.get("rate_hz", "0"))
@@ -114,7 +114,7 @@ def _about(channel: Channel) -> About:
     return About(said.get("kind", ""), schema, said.get("description", ""), said.get("source", ""), rate_hz)
 
 
-def _units(channel: Channel) -> dict[str, str]:
+def _units(channel: McapChannel) -> dict[str, str]:
     """Field -> unit out of the channel's own metadata (`field.NAME` = `unit: meaning`)."""
     pairs = [(key[6:], value.partition(":")[0]) for key, value in channel.metadata.items() if key.startswith("field.")]
     return {name: "" if unit == "-" else unit for name, unit in pairs}

@@ -10,11 +10,11 @@ import numpy as np
 from flightstack.barrier.records import AXES, MARGINS, AxisCertificate, Certificate
 from flightstack.types import F64
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import Barrier, FlightReport, Outcome, Samples
+from flightstack_logs.report.flight import Barrier, FlightReport, Outcome, ReportSamples
 from flightstack_logs.report.histogram import histogram_svg
-from flightstack_logs.report.panel import Curve, Line, Mark, Panel, Span, known
+from flightstack_logs.report.panel import Curve, Mark, Panel, PanelLine, Span, known
 from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg
-from flightstack_logs.report.words import Figure, count, judged_span, microseconds
+from flightstack_logs.report.words import KeyFigure, count, judged_span, microseconds
 from flightstack_logs.topics import FILTER_STATUS
 
 POINTS = 2000
@@ -53,7 +53,7 @@ def _h(flight: FlightReport, barrier: Barrier) -> Panel:
         clear = known(("of the way out", "learned", barrier.h))
         return Panel(
             "barrier-h", "Clearance of the way out, with all of its tube", "m", 3, tuple(clear),
-            (Line(0.0, "forbidden"),), tuple(signals.intervals(barrier.intervened)), note=_note(barrier),
+            (PanelLine(0.0, "forbidden"),), tuple(signals.intervals(barrier.intervened)), note=_note(barrier),
             strip=_strip(barrier.status), cut=(-1.0, 5.0),
         )  # fmt: skip
     curves = (
@@ -62,13 +62,13 @@ def _h(flight: FlightReport, barrier: Barrier) -> Panel:
         *known((f"of the scenario's region, {_state_of(flight)}", "truth", region_h(barrier))),
     )
     return Panel(
-        "barrier-h", "Barrier value h", "1 in the middle, 0 on the boundary", 3, curves, (Line(0.0, "boundary"),),
+        "barrier-h", "Barrier value h", "1 in the middle, 0 on the boundary", 3, curves, (PanelLine(0.0, "boundary"),),
         tuple(signals.intervals(barrier.intervened)), note=_note(barrier), strip=_strip(barrier.status),
         cut=_scale([curve.samples for curve in curves]),
     )  # fmt: skip
 
 
-def _scale(shown: list[Samples]) -> tuple[float, float]:
+def _scale(shown: list[ReportSamples]) -> tuple[float, float]:
     """From somewhat below the boundary, or the least h while any was positive, to 1: on the ground h is far below."""
     least = -0.2
     for signal in shown:
@@ -87,15 +87,15 @@ def _state_of(flight: FlightReport) -> str:
     return "truth" if flight.truth_ned_m is not None else "estimate"
 
 
-def region_h(barrier: Barrier) -> Samples | None:
+def region_h(barrier: Barrier) -> ReportSamples | None:
     """(n, 1) h of the scenario's region at the state, thinned for display."""
     if barrier.region is None or barrier.state is None:
         return None
     shown = signals.thin(barrier.state, 2 * POINTS)
-    return Samples(shown.t_s, barrier.region.values(shown.values[:, :3], shown.values[:, 3:])[:, None])
+    return ReportSamples(shown.t_s, barrier.region.values(shown.values[:, :3], shown.values[:, 3:])[:, None])
 
 
-def _strip(status: Samples) -> tuple[Span, ...]:
+def _strip(status: ReportSamples) -> tuple[Span, ...]:
     """What the filter did when: passing and changing are one, and what is too short to be seen is as the one before."""
     values = np.where(status.values[:, 0] == 3.0, _ENGAGED, status.values[:, 0])
     least_s = (float(status.t_s[-1]) - float(status.t_s[0])) / 500.0
@@ -116,7 +116,9 @@ def _margin(barrier: Barrier) -> Panel:
     names = [] if margins is None else [axis for axis in range(3) if np.isfinite(margins.values[:, axis]).any()]
     roles = ("one", "two", "three")
     curves = tuple(Curve(AXES[axis], roles[axis], signals.column(margins, axis)) for axis in names if margins)
-    return Panel("barrier-margin", "Margin of the best command", "1/s", 2, curves, (Line(0.0, "infeasible below"),))
+    return Panel(
+        "barrier-margin", "Margin of the best command", "1/s", 2, curves, (PanelLine(0.0, "infeasible below"),)
+    )
 
 
 def _acceleration(barrier: Barrier, axis: int) -> Panel:
@@ -160,7 +162,7 @@ def planes(flight: FlightReport) -> tuple[Plane, ...]:
     flown = (state.t_s >= start) & (state.t_s <= end)
     if not flown.any():
         return ()
-    state = Samples(state.t_s[flown], state.values[flown])
+    state = ReportSamples(state.t_s[flown], state.values[flown])
     shown = signals.thin(state, PATH_POINTS)
     engaged = _held(barrier.status, shown.t_s) >= _ENGAGED
     changes = _changes(barrier, state)
@@ -178,7 +180,7 @@ def planes(flight: FlightReport) -> tuple[Plane, ...]:
     )
 
 
-def _map(barrier: Barrier, shown: Samples, engaged: np.ndarray, changes: F64) -> Plane:
+def _map(barrier: Barrier, shown: ReportSamples, engaged: np.ndarray, changes: F64) -> Plane:
     """The path in the site, from above; engaged (n,): whether the filter was."""
     above = [1, 0]
     outlines = tuple(Outline("region" if i == 0 else "before", line[:, above]) for i, line in enumerate(barrier.site))
@@ -186,13 +188,13 @@ def _map(barrier: Barrier, shown: Samples, engaged: np.ndarray, changes: F64) ->
     return Plane("site", parted(path, ~engaged), parted(path, engaged), changes[:, above], outlines, is_map=True)
 
 
-def _held(signal: Samples, t_s: F64) -> F64:
+def _held(signal: ReportSamples, t_s: F64) -> F64:
     """(m,) the last value at each time; that of the first sample before it."""
     at = np.clip(np.searchsorted(signal.t_s, t_s, side="right") - 1, 0, len(signal.t_s) - 1)
     return np.asarray(signal.values[at, 0])
 
 
-def _changes(barrier: Barrier, state: Samples) -> F64:
+def _changes(barrier: Barrier, state: ReportSamples) -> F64:
     """(m, 6) states at which the command was changed, at most CHANGES_SHOWN of them."""
     changed = np.flatnonzero(_held(barrier.intervened, state.t_s) > 0.5)
     if len(changed) > CHANGES_SHOWN:
@@ -214,23 +216,25 @@ def _outlines(barrier: Barrier, axis: int) -> tuple[Outline, ...]:
     return tuple(found)
 
 
-def figures(flight: FlightReport) -> tuple[Figure, ...]:
+def figures(flight: FlightReport) -> tuple[KeyFigure, ...]:
     """The section's key figures; only what is known."""
     outcome, filtered = flight.outcome, flight.outcome.filter
     violations = outcome.barrier_violations
     stated = [
-        Figure("Least h, truth", _h_words(filtered.min_h_truth), _outside(violations), _kept(outcome)),
-        Figure("Least h, estimate", _h_words(filtered.min_h_estimate)),
-        Figure("Engaged", "–" if filtered.engaged_s is None else f"{filtered.engaged_s:.1f} s", "after take-off began"),
-        Figure("Interventions", count(outcome.barrier_interventions), "ticks with a changed command"),
-        Figure("Infeasible", count(filtered.infeasible), "ticks without a solution", _state(filtered.infeasible)),
-        Figure("One step", microseconds(filtered.solve_p50_us), f"p99 {microseconds(filtered.solve_p99_us)}"),
+        KeyFigure("Least h, truth", _h_words(filtered.min_h_truth), _outside(violations), _kept(outcome)),
+        KeyFigure("Least h, estimate", _h_words(filtered.min_h_estimate)),
+        KeyFigure(
+            "Engaged", "–" if filtered.engaged_s is None else f"{filtered.engaged_s:.1f} s", "after take-off began"
+        ),
+        KeyFigure("Interventions", count(outcome.barrier_interventions), "ticks with a changed command"),
+        KeyFigure("Infeasible", count(filtered.infeasible), "ticks without a solution", _state(filtered.infeasible)),
+        KeyFigure("One step", microseconds(filtered.solve_p50_us), f"p99 {microseconds(filtered.solve_p99_us)}"),
     ]
     certificates = flight.barrier.certificates if flight.barrier is not None else ()
     if certificates:
         last = certificates[-1]
         sets = " · ".join(f"{AXES[axis.axis]} {axis.barrier.area_m2ps:.2f}" for axis in last.axes)
-        stated.append(Figure("Certified area", f"version {last.version}", f"{sets} m²/s"))
+        stated.append(KeyFigure("Certified area", f"version {last.version}", f"{sets} m²/s"))
     return tuple(figure for figure in stated if figure.value != "–")
 
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import FlightReport, Region, Samples
-from flightstack_logs.report.panel import Curve, Line, Panel, components, known
+from flightstack_logs.report.flight import FlightReport, ReportRegion, ReportSamples
+from flightstack_logs.report.panel import Curve, Panel, PanelLine, components, known
 
 PATH_POINTS = 2000
 """Display points of a curve in space."""
@@ -26,19 +26,19 @@ def panels(flight: FlightReport) -> tuple[Panel, ...]:
     )
 
 
-def length_unit(signal: Samples) -> tuple[str, float, int]:
+def length_unit(signal: ReportSamples) -> tuple[str, float, int]:
     """Unit, factor from metres and decimals in which the signal reads best."""
     largest = float(np.nanmax(np.abs(signal.values))) if np.isfinite(signal.values).any() else 0.0
     return ("cm", 100.0, 1) if largest < 1.0 else ("m", 1.0, 3)
 
 
-def tracking_error(flight: FlightReport) -> Samples | None:
+def tracking_error(flight: FlightReport) -> ReportSamples | None:
     """(n, 3) flown minus reference, north, east, down, metres, where both are known."""
     if flight.reference_ned_m is None or flight.flown_ned_m is None:
         return None
     error = signals.difference(flight.flown_ned_m, flight.reference_ned_m)
     known = np.isfinite(error.values).all(axis=1)
-    return Samples(error.t_s[known], error.values[known]) if known.any() else None
+    return ReportSamples(error.t_s[known], error.values[known]) if known.any() else None
 
 
 def _tracking(flight: FlightReport) -> tuple[Panel, Panel]:
@@ -48,9 +48,11 @@ def _tracking(flight: FlightReport) -> tuple[Panel, Panel]:
     if error is None:
         return (Panel(*keys[0], "m", 3, ()), Panel(*keys[1], "m", 3, ()))
     unit, factor, decimals = length_unit(error)
-    scaled = Samples(error.t_s, error.values * factor)
+    scaled = ReportSamples(error.t_s, error.values * factor)
     rmse = flight.outcome.rmse_m
-    rmse_line = () if rmse is None else (Line(rmse * factor, f"rmse {rmse * factor:.{decimals}f} {unit}", "muted"),)
+    rmse_line = (
+        () if rmse is None else (PanelLine(rmse * factor, f"rmse {rmse * factor:.{decimals}f} {unit}", "muted"),)
+    )
     return (
         Panel(
             *keys[0],
@@ -64,7 +66,7 @@ def _tracking(flight: FlightReport) -> tuple[Panel, Panel]:
     )
 
 
-def _norm(signal: Samples | None) -> Samples | None:
+def _norm(signal: ReportSamples | None) -> ReportSamples | None:
     return None if signal is None else signals.norm(signal)
 
 
@@ -80,20 +82,20 @@ def _thrust(flight: FlightReport) -> Panel:
             if signal is not None
         ),
     )
-    lines: tuple[Line, ...] = ()
+    lines: tuple[PanelLine, ...] = ()
     if flight.thrust_limits_n is not None:
         low, high = flight.thrust_limits_n
-        lines = (Line(low, f"least {low:.1f} N"), Line(high, f"limit {high:.1f} N"))
+        lines = (PanelLine(low, f"least {low:.1f} N"), PanelLine(high, f"limit {high:.1f} N"))
     spans = () if flight.thrust_saturated is None else tuple(signals.intervals(flight.thrust_saturated))
     note = "red bands: command cut to its limit" if spans else ""
     return Panel("thrust", "Total thrust", "N", 2, curves, lines, spans if curves else (), floor=0.0, note=note)
 
 
-def motor_saturation(motors: Samples) -> Samples:
+def motor_saturation(motors: ReportSamples) -> ReportSamples:
     """(n, 1), 1 where any motor command is at 0 or 1."""
     with np.errstate(invalid="ignore"):
         at_limit = ((motors.values >= 0.999) | (motors.values <= 0.001)).any(axis=1, keepdims=True)
-    return Samples(motors.t_s, np.asarray(at_limit, dtype=np.float64))
+    return ReportSamples(motors.t_s, np.asarray(at_limit, dtype=np.float64))
 
 
 def _motors(flight: FlightReport) -> Panel:
@@ -105,7 +107,7 @@ def _motors(flight: FlightReport) -> Panel:
         "of full scale",
         3,
         components(motors, labels),
-        lines=(Line(1.0, "full"),),
+        lines=(PanelLine(1.0, "full"),),
         floor=0.0,
     )
 
@@ -119,13 +121,13 @@ def _rates(flight: FlightReport) -> tuple[Panel, ...]:
             ("measured", "measured", signals.scaled(signals.column(flight.rate_measured_frd_radps, axis), degrees)),
             ("truth", "truth", signals.scaled(signals.column(flight.rate_truth_frd_radps, axis), degrees)),
         )
-        lines: tuple[Line, ...] = ()
+        lines: tuple[PanelLine, ...] = ()
         note = ""
         if flight.rate_limit_frd_radps is not None and curves:
             limit = flight.rate_limit_frd_radps[axis] * degrees
             largest = max(float(np.nanmax(np.abs(curve.samples.values))) for curve in curves)
             if largest > 0.5 * limit:
-                lines = (Line(-limit, f"limit {-limit:.0f} °/s"), Line(limit, f"limit {limit:.0f} °/s"))
+                lines = (PanelLine(-limit, f"limit {-limit:.0f} °/s"), PanelLine(limit, f"limit {limit:.0f} °/s"))
             else:
                 note = f"limit ±{limit:.0f} °/s is off the scale"
         out.append(Panel(f"rate-{name.lower()}", f"{name} rate", "°/s", 1, curves, lines, note=note, third=True))
@@ -169,7 +171,7 @@ def path_payload(flight: FlightReport) -> dict[str, object] | None:
         if signal is None:
             continue
         known = np.isfinite(signal.values).all(axis=1)
-        shown = signals.thin(Samples(signal.t_s[known], signal.values[known]), PATH_POINTS)
+        shown = signals.thin(ReportSamples(signal.t_s[known], signal.values[known]), PATH_POINTS)
         north, east, down = shown.values.T
         tracks.append(
             {
@@ -186,6 +188,6 @@ def path_payload(flight: FlightReport) -> dict[str, object] | None:
     return {"tracks": tracks, "region": None if flight.region is None else _region(flight.region)}
 
 
-def _region(region: Region) -> dict[str, object]:
+def _region(region: ReportRegion) -> dict[str, object]:
     north, east, down = region.centre_ned_m
     return {"shape": region.shape, "centre": [north, east, -down], "half": list(region.half_ned_m)}

@@ -17,7 +17,7 @@ from flightstack.types import F64, Tuple3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class ReportSamples:
     """A signal over time: `t_s` (n,) ascending seconds, `values` (n, k); NaN marks what is unknown."""
 
     t_s: F64
@@ -49,7 +49,7 @@ class FlightEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class ReportRegion:
     """Where the vehicle has to stay: a box or an ellipsoid with axes along north, east and down."""
 
     shape: str
@@ -83,21 +83,21 @@ class CheckResult:
 class Learning:
     """What the learner said, tick by tick, and what was so; residual specific forces in body axes, m/s^2."""
 
-    residual_frd_mps2: Samples
+    residual_frd_mps2: ReportSamples
     """(n, 3) expected."""
-    bound_frd_mps2: Samples
+    bound_frd_mps2: ReportSamples
     """(n, 3) half the width of what it stands for: three standard deviations."""
-    stage: Samples
+    stage: ReportSamples
     """(n, 1) 0..4, as `flightstack.calibration.STAGES`."""
-    target_frd_mps2: Samples | None = None
+    target_frd_mps2: ReportSamples | None = None
     """(n, 3) as measured; NaN at ticks without a sample."""
-    truth_frd_mps2: Samples | None = None
+    truth_frd_mps2: ReportSamples | None = None
     """(n, 3) the true one, in the air."""
-    thrust_gain: Samples | None = None
+    thrust_gain: ReportSamples | None = None
     """(n, 1) delivered over believed thrust per mass."""
-    thrust_gain_bound: Samples | None = None
+    thrust_gain_bound: ReportSamples | None = None
     """(n, 1) three of its standard deviations."""
-    confidence: Samples | None = None
+    confidence: ReportSamples | None = None
     """(n, 1) share of the prior's variance that the data have removed."""
 
 
@@ -105,24 +105,24 @@ class Learning:
 class Barrier:
     """What the barrier filter said, tick by tick, and what it kept to; axes are north, east, down."""
 
-    h: Samples
+    h: ReportSamples
     """(n, 1) least barrier value of the predicted state."""
-    status: Samples
+    status: ReportSamples
     """(n, 1) 0..6, as `logs.topics.FILTER_STATUS`."""
-    intervened: Samples
+    intervened: ReportSamples
     """(n, 1) 1 where the command was changed."""
-    h_state: Samples | None = None
+    h_state: ReportSamples | None = None
     """(n, 1) at the measured position and velocity."""
-    margins_ned_ps: Samples | None = None
+    margins_ned_ps: ReportSamples | None = None
     """(n, 3) of the barrier condition at its best command."""
-    wanted_acc_ned_mps2: Samples | None = None
+    wanted_acc_ned_mps2: ReportSamples | None = None
     """(n, 3)."""
-    safe_acc_ned_mps2: Samples | None = None
+    safe_acc_ned_mps2: ReportSamples | None = None
     """(n, 3)."""
-    low_ned_mps2: Samples | None = None
+    low_ned_mps2: ReportSamples | None = None
     """(n, 3) least that the barriers allow."""
-    high_ned_mps2: Samples | None = None
-    state: Samples | None = None
+    high_ned_mps2: ReportSamples | None = None
+    state: ReportSamples | None = None
     """(n, 6) position relative to the start and velocity: the true ones where they are known."""
     region: SafeRegion | None = None
     """The scenario's."""
@@ -208,36 +208,36 @@ class FlightReport:
     outcome: Outcome
     phases: tuple[Phase, ...] = ()
     events: tuple[FlightEvent, ...] = ()
-    region: Region | None = None
-    reference_ned_m: Samples | None = None
+    region: ReportRegion | None = None
+    reference_ned_m: ReportSamples | None = None
     """(n, 3) the scenario's reference, not the nominal that chases the vehicle; positions are relative to the start."""
-    estimate_ned_m: Samples | None = None
+    estimate_ned_m: ReportSamples | None = None
     """(n, 3)."""
-    truth_ned_m: Samples | None = None
+    truth_ned_m: ReportSamples | None = None
     """(n, 3)."""
-    estimate_error_ned_m: Samples | None = None
+    estimate_error_ned_m: ReportSamples | None = None
     """(n, 3) estimate minus truth."""
-    estimate_q_ned_frd: Samples | None = None
+    estimate_q_ned_frd: ReportSamples | None = None
     """(n, 4)."""
-    truth_q_ned_frd: Samples | None = None
+    truth_q_ned_frd: ReportSamples | None = None
     """(n, 4)."""
-    thrust_command_n: Samples | None = None
+    thrust_command_n: ReportSamples | None = None
     """(n, 1) total thrust."""
-    thrust_feedforward_n: Samples | None = None
+    thrust_feedforward_n: ReportSamples | None = None
     """(n, 1)."""
-    thrust_truth_n: Samples | None = None
+    thrust_truth_n: ReportSamples | None = None
     """(n, 1) sum of what the rotors really delivered."""
-    thrust_saturated: Samples | None = None
+    thrust_saturated: ReportSamples | None = None
     """(n, 1), 1 where the command was cut to its limit."""
     thrust_limits_n: tuple[float, float] | None = None
-    rate_command_frd_radps: Samples | None = None
+    rate_command_frd_radps: ReportSamples | None = None
     """(n, 3)."""
-    rate_measured_frd_radps: Samples | None = None
+    rate_measured_frd_radps: ReportSamples | None = None
     """(n, 3)."""
-    rate_truth_frd_radps: Samples | None = None
+    rate_truth_frd_radps: ReportSamples | None = None
     """(n, 3)."""
     rate_limit_frd_radps: Tuple3 | None = None
-    motors: Samples | None = None
+    motors: ReportSamples | None = None
     """(n, 4) normalised commands, 0..1."""
     learning: Learning | None = None
     barrier: Barrier | None = None
@@ -246,7 +246,7 @@ class FlightReport:
     """Name and value: vehicle, scenario, seed, versions, git commit."""
 
     @property
-    def flown_ned_m(self) -> Samples | None:
+    def flown_ned_m(self) -> ReportSamples | None:
         """What tracking is judged by: the truth where there is one, else the estimate."""
         return self.truth_ned_m if self.truth_ned_m is not None else self.estimate_ned_m
 
@@ -255,7 +255,7 @@ class FlightReport:
         return next((phase for phase in self.phases if phase.name == name), None)
 
 
-def samples(t_s: object, values: object) -> Samples | None:
+def samples(t_s: object, values: object) -> ReportSamples | None:
     """Samples of array-likes, ascending in time; (n,) values become (n, 1); None where nothing finite is in them."""
     t = np.asarray(t_s, dtype=np.float64).reshape(-1)
     v = np.asarray(values, dtype=np.float64)
@@ -269,4 +269,4 @@ def samples(t_s: object, values: object) -> Samples | None:
     if (np.diff(t) < 0.0).any():
         order = np.argsort(t, kind="stable")
         t, v = t[order], v[order]
-    return Samples(t, v)
+    return ReportSamples(t, v)

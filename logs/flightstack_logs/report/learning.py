@@ -13,9 +13,9 @@ import numpy as np
 from flightstack.calibration import BOUND_SIGMAS, STAGES, conformal_check, coverage
 from flightstack.types import F64
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import FlightReport, LearnerOutcome, Learning, Samples
-from flightstack_logs.report.panel import Curve, Line, Mark, Panel, Span, known
-from flightstack_logs.report.words import Figure, count, judged_span, microseconds, share
+from flightstack_logs.report.flight import FlightReport, LearnerOutcome, Learning, ReportSamples
+from flightstack_logs.report.panel import Curve, Mark, Panel, PanelLine, Span, known
+from flightstack_logs.report.words import KeyFigure, count, judged_span, microseconds, share
 
 POINTS = 2000
 """Display points of a curve: the panels take a third of the page's width."""
@@ -37,7 +37,7 @@ def with_measured_honesty(flight: FlightReport) -> FlightReport:
     start, end = judged_span(flight)
     span = (expected.t_s >= start) & (expected.t_s <= end)
 
-    def judged(signal: Samples | None) -> F64:
+    def judged(signal: ReportSamples | None) -> F64:
         known = None if signal is None else signals.resample(signal, expected.t_s)
         return (np.full_like(expected.values, np.nan) if known is None else known)[span]
 
@@ -72,26 +72,26 @@ def panels(flight: FlightReport, error: Panel) -> tuple[Panel, ...]:
     return tuple(replace(panel, marks=marks, third=True, points=POINTS) for panel in drawn)
 
 
-def _while_learning(flight: FlightReport, learning: Learning) -> Samples | None:
+def _while_learning(flight: FlightReport, learning: Learning) -> ReportSamples | None:
     """The true residual as long as the learner ran and the scenario was flown."""
     truth, ran = learning.truth_frd_mps2, learning.residual_frd_mps2.t_s
     if truth is None:
         return None
     _, end = judged_span(flight)
     kept = (truth.t_s >= ran[0]) & (truth.t_s <= min(ran[-1], end))
-    return Samples(truth.t_s[kept], truth.values[kept]) if kept.any() else None
+    return ReportSamples(truth.t_s[kept], truth.values[kept]) if kept.any() else None
 
 
-def _band(middle: Samples, half: Samples | None) -> tuple[Curve, ...]:
+def _band(middle: ReportSamples, half: ReportSamples | None) -> tuple[Curve, ...]:
     """The bound round a signal: its upper and lower edge."""
     if half is None:
         return ()
     reach = signals.resample(half, middle.t_s)
-    upper, lower = (Samples(middle.t_s, middle.values + sign * reach) for sign in (1.0, -1.0))
+    upper, lower = (ReportSamples(middle.t_s, middle.values + sign * reach) for sign in (1.0, -1.0))
     return Curve(_BOUND, "learned", upper, edge="upper"), Curve(_BOUND, "learned", lower, edge="lower")
 
 
-def _measured(learning: Learning) -> Samples | None:
+def _measured(learning: Learning) -> ReportSamples | None:
     """(n, 3) the measured residual without most of its noise."""
     target = learning.target_frd_mps2
     return None if target is None else signals.mean_over(target, MEAN_S)
@@ -128,10 +128,10 @@ def _surprise(learning: Learning, axis: int) -> Panel:
         if usual > 0.0:
             cut = (-1.3 * usual, 1.3 * usual)
             note = "peaks are cut" if np.nanmax(np.abs(away[:, axis])) > cut[1] else ""
-        level = Samples(expected.t_s, np.zeros((len(expected.t_s), 1)))
+        level = ReportSamples(expected.t_s, np.zeros((len(expected.t_s), 1)))
         curves = (
             *_band(level, signals.column(bound, axis)),
-            Curve(f"{of} − expected", of, Samples(expected.t_s, away[:, axis : axis + 1])),
+            Curve(f"{of} − expected", of, ReportSamples(expected.t_s, away[:, axis : axis + 1])),
         )
     return Panel(f"surprise-{name}", f"Prediction error, {name}", "m/s²", 3, curves, cut=cut, note=note)
 
@@ -148,7 +148,7 @@ def _gain(learning: Learning) -> Panel:
     if gain is not None:
         band = _band(gain, learning.thrust_gain_bound)
         curves = (*band, Curve("thrust gain", "learned", gain))
-    lines = (Line(1.0, "as believed", "muted"),)
+    lines = (PanelLine(1.0, "as believed", "muted"),)
     return Panel("thrust-gain", "Thrust gain", "delivered over believed", 3, curves, lines)
 
 
@@ -168,7 +168,7 @@ def _stage(learning: Learning) -> Panel:
     )
 
 
-def _strip(stage: Samples) -> tuple[Span, ...]:
+def _strip(stage: ReportSamples) -> tuple[Span, ...]:
     """The stage over time; stages in between that are too short to be seen belong to the one before."""
     values = stage.values[:, 0]
     changes = np.flatnonzero(np.diff(values, prepend=np.nan))
@@ -185,7 +185,7 @@ def _strip(stage: Samples) -> tuple[Span, ...]:
     )
 
 
-def figures(flight: FlightReport) -> tuple[Figure, ...]:
+def figures(flight: FlightReport) -> tuple[KeyFigure, ...]:
     """The section's key figures: how far the learner's word was true, and what it took; only what is known."""
     learner = flight.outcome.learner
     if learner is None:
@@ -193,13 +193,13 @@ def figures(flight: FlightReport) -> tuple[Figure, ...]:
     gain = "–" if learner.thrust_gain is None else f"{learner.thrust_gain:.3f}"
     axes = ", ".join(f"{axis} {_share(value)}" for axis, value in zip("xyz", learner.coverage_axes, strict=False))
     stated = (
-        Figure("Truth within 3 sigma", _share(learner.coverage), axes.replace(" %", "")),
-        Figure("All three axes at once", _share(learner.coverage_simultaneous), "of the ticks"),
+        KeyFigure("Truth within 3 sigma", _share(learner.coverage), axes.replace(" %", "")),
+        KeyFigure("All three axes at once", _share(learner.coverage_simultaneous), "of the ticks"),
         _conformal(learner),
-        Figure("Thrust gain", gain, "delivered over believed"),
-        Figure("Points", count(learner.points), f"of {count(learner.fed)} samples"),
-        Figure("Sudden changes", count(learner.changes), "noticed"),
-        Figure("One step", microseconds(learner.step_p50_us), f"p99 {microseconds(learner.step_p99_us)}"),
+        KeyFigure("Thrust gain", gain, "delivered over believed"),
+        KeyFigure("Points", count(learner.points), f"of {count(learner.fed)} samples"),
+        KeyFigure("Sudden changes", count(learner.changes), "noticed"),
+        KeyFigure("One step", microseconds(learner.step_p50_us), f"p99 {microseconds(learner.step_p99_us)}"),
     )
     return tuple(figure for figure in stated if figure.value != "–")
 
@@ -208,9 +208,11 @@ def _share(value: float | None) -> str:
     return "–" if value is None else share(value)
 
 
-def _conformal(learner: LearnerOutcome) -> Figure:
+def _conformal(learner: LearnerOutcome) -> KeyFigure:
     label, checked = "Held-out check", learner.conformal
     if checked is None:
-        return Figure(label, "–")
+        return KeyFigure(label, "–")
     within, kept = share(1.0 - checked.alpha), share(checked.coverage_heldout)
-    return Figure(label, f"{checked.quantile_sigma:.1f} sigma", f"held {within} of the noisy measurements, then {kept}")
+    return KeyFigure(
+        label, f"{checked.quantile_sigma:.1f} sigma", f"held {within} of the noisy measurements, then {kept}"
+    )

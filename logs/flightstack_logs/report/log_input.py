@@ -30,8 +30,8 @@ from flightstack_logs.report.flight import (
     Learning,
     Outcome,
     Phase,
-    Region,
-    Samples,
+    ReportRegion,
+    ReportSamples,
     Timing,
     samples,
 )
@@ -94,7 +94,7 @@ class _Source:
         """Log times on the report's axis."""
         return np.asarray((np.asarray(t_us, dtype=np.int64) - self.zero_us) * 1e-6, dtype=np.float64)
 
-    def signal(self, topic: str, column: str) -> Samples | None:
+    def signal(self, topic: str, column: str) -> ReportSamples | None:
         """A column over its own sample time where the topic carries one, else over log time."""
         table = self.table(topic)
         if table is None or column not in table.columns:
@@ -105,7 +105,7 @@ class _Source:
             return None
         return samples(self.seconds(sampled), values.astype(np.float64))
 
-    def first(self, *places: tuple[str, str]) -> Samples | None:
+    def first(self, *places: tuple[str, str]) -> ReportSamples | None:
         """The first of several places that holds the signal."""
         found = (self.signal(topic, column) for topic, column in places)
         return next((signal for signal in found if signal is not None), None)
@@ -178,17 +178,17 @@ def _arming(source: _Source) -> list[FlightEvent]:
     ]
 
 
-def _total(signal: Samples | None) -> Samples | None:
-    return None if signal is None else Samples(signal.t_s, signal.values.sum(axis=1, keepdims=True))
+def _total(signal: ReportSamples | None) -> ReportSamples | None:
+    return None if signal is None else ReportSamples(signal.t_s, signal.values.sum(axis=1, keepdims=True))
 
 
-def _motors(source: _Source) -> Samples | None:
+def _motors(source: _Source) -> ReportSamples | None:
     """Normalised commands: as the stack knew them, else out of the pulse widths, else the true rotors' state."""
     known = source.signal("/tick", "motor_command")
     pulses = source.signal("/vehicle/motors", "pwm_us")
     if pulses is not None:
         values = (pulses.values[:, :_ROTORS] - _PWM_LOW_US) / _PWM_SPAN_US
-        pulses = Samples(pulses.t_s, np.clip(values, 0.0, 1.0))
+        pulses = ReportSamples(pulses.t_s, np.clip(values, 0.0, 1.0))
     return pulses or known or source.signal("/truth", "motor_u")
 
 
@@ -218,7 +218,7 @@ def _with_positions(report: FlightReport, source: _Source) -> FlightReport:
     )
 
 
-def _at_zero(signal: Samples | None) -> F64 | None:
+def _at_zero(signal: ReportSamples | None) -> F64 | None:
     """The signal's first known row from t = 0 on; of one that ended before, the last."""
     if signal is None:
         return None
@@ -229,8 +229,8 @@ def _at_zero(signal: Samples | None) -> F64 | None:
     return np.asarray(signal.values[later[0] if later.size else known[-1]])
 
 
-def _shifted(signal: Samples | None, origin: F64 | None) -> Samples | None:
-    return signal if signal is None or origin is None else Samples(signal.t_s, signal.values - origin)
+def _shifted(signal: ReportSamples | None, origin: F64 | None) -> ReportSamples | None:
+    return signal if signal is None or origin is None else ReportSamples(signal.t_s, signal.values - origin)
 
 
 def _scenario(log: Log) -> Scenario | None:
@@ -268,7 +268,7 @@ def _learning(source: _Source, model: Model | None) -> Learning | None:
     )
 
 
-def _true_residual(source: _Source, model: Model | None) -> Samples | None:
+def _true_residual(source: _Source, model: Model | None) -> ReportSamples | None:
     table = source.table("/truth")
     parts = ("specific_force_frd_mps2", "motor_u", "vel_ned_mps", "q_ned_frd")
     if model is None or table is None or not {*parts, "on_ground"} <= table.columns.keys():
@@ -284,7 +284,7 @@ def _barrier(source: _Source) -> Barrier | None:
     if status is None or changed is None:
         return None
     if h is None:  # nothing was ever certified
-        h = Samples(status.t_s, np.full_like(status.values, np.nan))
+        h = ReportSamples(status.t_s, np.full_like(status.values, np.nan))
     scenario = _scenario(source.log)
     judged_by_scenario = scenario is not None and "certificate" not in source.log.metadata.get("settings", {})
     return Barrier(
@@ -304,14 +304,16 @@ def _barrier(source: _Source) -> Barrier | None:
     )
 
 
-def _state(source: _Source) -> Samples | None:
+def _state(source: _Source) -> ReportSamples | None:
     """(n, 6) position relative to the start and velocity: the true ones, or else the estimated ones."""
     for topic in ("/truth", "/tick"):
         position, velocity = source.signal(topic, "pos_ned_m"), source.signal(topic, "vel_ned_mps")
         if position is not None and velocity is not None:
             start = _at_zero(position)
             shifted = position.values if start is None else position.values - start
-            return Samples(position.t_s, np.concatenate([shifted, signals.resample(velocity, position.t_s)], axis=1))
+            return ReportSamples(
+                position.t_s, np.concatenate([shifted, signals.resample(velocity, position.t_s)], axis=1)
+            )
     return None
 
 
@@ -347,7 +349,9 @@ def _with_limits(report: FlightReport, log: Log, model: Model | None) -> FlightR
     given = scenario.region
     region = None
     if given is not None:
-        region = Region("ellipsoid" if given.kind == "ellipsoid" else "box", given.centre_ned_m, given.semi_axes_m)
+        region = ReportRegion(
+            "ellipsoid" if given.kind == "ellipsoid" else "box", given.centre_ned_m, given.semi_axes_m
+        )
     thrust = None if model is None else model.thrust_range_n(scenario.limits)
     return replace(report, region=region, thrust_limits_n=thrust, rate_limit_frd_radps=scenario.limits.rate_max_radps)
 

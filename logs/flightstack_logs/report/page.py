@@ -129,7 +129,7 @@ def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
     )
 
 
-def figures_html(figures: tuple[words.Figure, ...]) -> str:
+def figures_html(figures: tuple[words.KeyFigure, ...]) -> str:
     """Key figures as items of a description list."""
     return "".join(
         f'<div class="figure {figure.state}"><dt>{escape(figure.label)}</dt><dd>{escape(figure.value)}</dd>'

@@ -14,7 +14,7 @@ import numpy as np
 
 from flightstack.types import F64
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import Samples
+from flightstack_logs.report.flight import ReportSamples
 
 POINTS = 4000
 """Display points of a curve over time; the log holds every sample."""
@@ -26,14 +26,14 @@ class Curve:
 
     label: str
     role: str
-    samples: Samples
+    samples: ReportSamples
     wide: bool = False
     edge: str = ""
     """upper or lower: of a band, an upper edge directly before its lower one; only the upper one's label is shown."""
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PanelLine:
     """A horizontal line with a name: a limit, or a level to compare with."""
 
     value: float
@@ -68,7 +68,7 @@ class Panel:
     unit: str
     decimals: int
     curves: tuple[Curve, ...]
-    lines: tuple[Line, ...] = ()
+    lines: tuple[PanelLine, ...] = ()
     shaded_s: tuple[tuple[float, float], ...] = ()
     """Spans in which the vehicle was at a limit."""
     floor: float | None = None
@@ -120,7 +120,7 @@ class Panel:
         }
 
 
-def _join(curves: Sequence[Curve]) -> Samples:
+def _join(curves: Sequence[Curve]) -> ReportSamples:
     """All curves on the times of the densest one."""
     base = max(curves, key=lambda curve: len(curve.samples.t_s)).samples
     columns = []
@@ -129,7 +129,7 @@ def _join(curves: Sequence[Curve]) -> Samples:
         # A slow signal is a line between its samples; it must not vanish between them.
         gap = max(signals.MAX_GAP_S, 3.0 * _period(curve.samples))
         columns.append(curve.samples.values if same else signals.resample(curve.samples, base.t_s, gap))
-    return Samples(base.t_s, np.concatenate(columns, axis=1))
+    return ReportSamples(base.t_s, np.concatenate(columns, axis=1))
 
 
 def _outwards(values: F64, edge: str, thinned: bool) -> F64:
@@ -140,22 +140,22 @@ def _outwards(values: F64, edge: str, thinned: bool) -> F64:
     return np.repeat(extreme(values[::2], values[1::2]), 2)
 
 
-def _period(signal: Samples) -> float:
+def _period(signal: ReportSamples) -> float:
     return float(np.median(np.diff(signal.t_s))) if len(signal.t_s) > 1 else 0.0
 
 
-def known(*candidates: tuple[str, str, Samples | None]) -> tuple[Curve, ...]:
+def known(*candidates: tuple[str, str, ReportSamples | None]) -> tuple[Curve, ...]:
     """Curves of those signals (label, role, signal) that were recorded; the estimate is drawn wide, below the truth."""
     return tuple(
         Curve(label, role, signal, wide=role == "measured") for label, role, signal in candidates if signal is not None
     )
 
 
-def components(signal: Samples | None, labels: Sequence[str]) -> tuple[Curve, ...]:
+def components(signal: ReportSamples | None, labels: Sequence[str]) -> tuple[Curve, ...]:
     """One curve for each column of a signal."""
     if signal is None:
         return ()
     roles = ("one", "two", "three", "four")
     return tuple(
-        Curve(label, roles[i], Samples(signal.t_s, signal.values[:, i : i + 1])) for i, label in enumerate(labels)
+        Curve(label, roles[i], ReportSamples(signal.t_s, signal.values[:, i : i + 1])) for i, label in enumerate(labels)
     )

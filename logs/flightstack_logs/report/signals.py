@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.types import F64
-from flightstack_logs.report.flight import Samples
+from flightstack_logs.report.flight import ReportSamples
 
 MAX_GAP_S = 0.25
 """A signal is not bridged over a longer hole in its samples."""
 
 
-def resample(signal: Samples, t_s: F64, max_gap_s: float = MAX_GAP_S) -> F64:
+def resample(signal: ReportSamples, t_s: F64, max_gap_s: float = MAX_GAP_S) -> F64:
     """`signal` at the times `t_s` (m,), linear between its samples, -> (m, k); NaN outside and in holes."""
     out = np.full((len(t_s), signal.values.shape[1]), np.nan, dtype=np.float64)
     if len(signal.t_s) == 0:
@@ -30,30 +30,30 @@ def resample(signal: Samples, t_s: F64, max_gap_s: float = MAX_GAP_S) -> F64:
     return out
 
 
-def difference(signal: Samples, minus: Samples) -> Samples:
+def difference(signal: ReportSamples, minus: ReportSamples) -> ReportSamples:
     """`signal - minus`, (n, k), at the times of `signal`."""
-    return Samples(signal.t_s, signal.values - resample(minus, signal.t_s))
+    return ReportSamples(signal.t_s, signal.values - resample(minus, signal.t_s))
 
 
 @overload
-def column(signal: Samples, number: int) -> Samples: ...
+def column(signal: ReportSamples, number: int) -> ReportSamples: ...
 @overload
-def column(signal: Samples | None, number: int) -> Samples | None: ...
-def column(signal: Samples | None, number: int) -> Samples | None:
+def column(signal: ReportSamples | None, number: int) -> ReportSamples | None: ...
+def column(signal: ReportSamples | None, number: int) -> ReportSamples | None:
     """One column, (n, 1), of a signal; nothing stays nothing."""
-    return None if signal is None else Samples(signal.t_s, signal.values[:, number : number + 1])
+    return None if signal is None else ReportSamples(signal.t_s, signal.values[:, number : number + 1])
 
 
 @overload
-def scaled(signal: Samples, factor: float) -> Samples: ...
+def scaled(signal: ReportSamples, factor: float) -> ReportSamples: ...
 @overload
-def scaled(signal: Samples | None, factor: float) -> Samples | None: ...
-def scaled(signal: Samples | None, factor: float) -> Samples | None:
+def scaled(signal: ReportSamples | None, factor: float) -> ReportSamples | None: ...
+def scaled(signal: ReportSamples | None, factor: float) -> ReportSamples | None:
     """The signal times a number; nothing stays nothing."""
-    return None if signal is None else Samples(signal.t_s, signal.values * factor)
+    return None if signal is None else ReportSamples(signal.t_s, signal.values * factor)
 
 
-def mean_over(signal: Samples, period_s: float) -> Samples:
+def mean_over(signal: ReportSamples, period_s: float) -> ReportSamples:
     """Means of the finite values in consecutive stretches of `period_s`; a stretch without any is NaN."""
     stretch = ((signal.t_s - signal.t_s[0]) / period_s).astype(np.intp)
     known = np.isfinite(signal.values)
@@ -61,31 +61,31 @@ def mean_over(signal: Samples, period_s: float) -> Samples:
     with np.errstate(invalid="ignore"):
         sums = np.add.reduceat(np.where(known, signal.values, 0.0), first, axis=0)
         means = sums / np.add.reduceat(known, first, axis=0, dtype=np.intp)
-    return Samples(signal.t_s[0] + (stretch[first] + 0.5) * period_s, means)
+    return ReportSamples(signal.t_s[0] + (stretch[first] + 0.5) * period_s, means)
 
 
-def norm(signal: Samples) -> Samples:
+def norm(signal: ReportSamples) -> ReportSamples:
     """Euclidean length of each row, (n, 1)."""
-    return Samples(signal.t_s, np.sqrt(np.sum(signal.values**2, axis=1, keepdims=True)))
+    return ReportSamples(signal.t_s, np.sqrt(np.sum(signal.values**2, axis=1, keepdims=True)))
 
 
-def tilt_deg(q_ned_frd: Samples) -> Samples:
+def tilt_deg(q_ned_frd: ReportSamples) -> ReportSamples:
     """Angle between the body's and the world's vertical, degrees, (n, 1); cos = 1 - 2 (x^2 + y^2)."""
     x, y = q_ned_frd.values[:, 1], q_ned_frd.values[:, 2]
     # 2 asin(sqrt(x^2 + y^2)) stays exact for small angles, where acos of the cosine would not.
     sine = np.sqrt(x * x + y * y) / np.linalg.norm(q_ned_frd.values, axis=1)
-    return Samples(q_ned_frd.t_s, np.degrees(2.0 * np.arcsin(np.minimum(sine, 1.0)))[:, None])
+    return ReportSamples(q_ned_frd.t_s, np.degrees(2.0 * np.arcsin(np.minimum(sine, 1.0)))[:, None])
 
 
-def rotation_between_deg(a: Samples, b: Samples) -> Samples:
+def rotation_between_deg(a: ReportSamples, b: ReportSamples) -> ReportSamples:
     """Angle of the rotation from attitude `b` to `a`, degrees, (n, 1), at the times of `a`."""
     q = a.values / np.linalg.norm(a.values, axis=1, keepdims=True)
-    p = resample(Samples(b.t_s, _same_hemisphere(b.values)), a.t_s)
+    p = resample(ReportSamples(b.t_s, _same_hemisphere(b.values)), a.t_s)
     p = p / np.linalg.norm(p, axis=1, keepdims=True)
     # |q - p| and |q + p| give half the angle without the loss of precision of acos(q . p).
     minus, plus = np.linalg.norm(q - p, axis=1), np.linalg.norm(q + p, axis=1)
     angle: F64 = 4.0 * np.arctan2(np.minimum(minus, plus), np.maximum(minus, plus))
-    return Samples(a.t_s, np.asarray(np.degrees(angle)[:, None], dtype=np.float64))
+    return ReportSamples(a.t_s, np.asarray(np.degrees(angle)[:, None], dtype=np.float64))
 
 
 def _same_hemisphere(q: F64) -> F64:
@@ -95,7 +95,7 @@ def _same_hemisphere(q: F64) -> F64:
     return q * sign[:, None]
 
 
-def decimate(signal: Samples, points: int) -> Samples:
+def decimate(signal: ReportSamples, points: int) -> ReportSamples:
     """At most `points` rows for display: minimum and maximum of every column in each of `points / 2` equal intervals.
 
     No peak is lost; each extreme stands at most one interval's width from where it was, earlier one first.  An interval
@@ -108,7 +108,7 @@ def decimate(signal: Samples, points: int) -> Samples:
     buckets = points // 2
     width = (end - start) / buckets
     if width <= 0.0:
-        return Samples(signal.t_s[:1], signal.values[:1])
+        return ReportSamples(signal.t_s[:1], signal.values[:1])
     bucket = np.minimum(((signal.t_s - start) / width).astype(np.int64), buckets - 1)
     used, first = np.unique(bucket, return_index=True)
     t = np.asarray(start + width * (np.arange(2 * buckets) + 0.5) / 2.0, dtype=np.float64)
@@ -123,7 +123,7 @@ def decimate(signal: Samples, points: int) -> Samples:
         low_first = at_low <= at_high
         out[2 * used, column] = np.where(low_first, low[:, column], high[:, column])
         out[2 * used + 1, column] = np.where(low_first, high[:, column], low[:, column])
-    return Samples(t, out)
+    return ReportSamples(t, out)
 
 
 def _first_row(hit: NDArray[np.bool_], group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
@@ -135,16 +135,16 @@ def _first_row(hit: NDArray[np.bool_], group: NDArray[np.intp], groups: int) -> 
     return out
 
 
-def thin(signal: Samples, points: int) -> Samples:
+def thin(signal: ReportSamples, points: int) -> ReportSamples:
     """At most `points` rows, evenly picked, the last one kept: for curves in space, whose columns belong together."""
     n = len(signal.t_s)
     if n <= points:
         return signal
     index = np.round(np.linspace(0, n - 1, points)).astype(np.intp)
-    return Samples(signal.t_s[index], signal.values[index])
+    return ReportSamples(signal.t_s[index], signal.values[index])
 
 
-def intervals(flags: Samples, limit: int = 400) -> list[tuple[float, float]]:
+def intervals(flags: ReportSamples, limit: int = 400) -> list[tuple[float, float]]:
     """Spans of time in which a 0/1 signal (n, 1) is set; near ones are joined until at most `limit` remain."""
     on = flags.values[:, 0] > 0.5
     if not on.any():
@@ -171,7 +171,7 @@ def rms(values: F64) -> float | None:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
-def within(signal: Samples, start_s: float, end_s: float) -> F64:
+def within(signal: ReportSamples, start_s: float, end_s: float) -> F64:
     """The rows (m, k) between two times, both included."""
     return signal.values[(signal.t_s >= start_s) & (signal.t_s <= end_s)]
 

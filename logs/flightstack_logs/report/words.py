@@ -13,7 +13,7 @@ from flightstack_logs.report.flight import FlightReport
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class KeyFigure:
     """One key figure: `state` is good, bad, off or plain."""
 
     label: str
@@ -128,14 +128,14 @@ def headline(flight: FlightReport) -> str:
     return ", ".join(parts) + "."
 
 
-def figures(flight: FlightReport) -> tuple[Figure, ...]:
+def figures(flight: FlightReport) -> tuple[KeyFigure, ...]:
     """The strip of key figures."""
     outcome = flight.outcome
     of = f"of the {outcome.tracking_of}" if outcome.tracking_of else ""
     return (
-        Figure("Tracking error, rms", length(outcome.rmse_m), of),
-        Figure("Largest error", length(outcome.max_m), of),
-        Figure("Settled error, rms", length(outcome.rmse_settled_m), "second half"),
+        KeyFigure("Tracking error, rms", length(outcome.rmse_m), of),
+        KeyFigure("Largest error", length(outcome.max_m), of),
+        KeyFigure("Settled error, rms", length(outcome.rmse_settled_m), "second half"),
         *_estimate(flight),
         _saturation(flight),
         _speed(flight),
@@ -144,7 +144,7 @@ def figures(flight: FlightReport) -> tuple[Figure, ...]:
     )
 
 
-def _estimate(flight: FlightReport) -> tuple[Figure, ...]:
+def _estimate(flight: FlightReport) -> tuple[KeyFigure, ...]:
     """The estimate's disagreement with itself and the control's own error; nothing where they are unknown."""
     outcome = flight.outcome
     if not outcome.disagreement_mps:
@@ -152,8 +152,8 @@ def _estimate(flight: FlightReport) -> tuple[Figure, ...]:
     worst = max(outcome.disagreement_mps)
     apart = ", ".join(f"{value:.2f}" for value in outcome.disagreement_mps)
     return (
-        Figure("Control error, settled", length(outcome.control_rmse_settled_m), "of the estimate"),
-        Figure(
+        KeyFigure("Control error, settled", length(outcome.control_rmse_settled_m), "of the estimate"),
+        KeyFigure(
             "Estimate's disagreement",
             f"{worst:.2f} m/s",
             f"d(position)/dt less velocity, rms; N, E, D {apart}; 0.15 is good",
@@ -161,57 +161,57 @@ def _estimate(flight: FlightReport) -> tuple[Figure, ...]:
     )
 
 
-def _saturation(flight: FlightReport) -> Figure:
+def _saturation(flight: FlightReport) -> KeyFigure:
     start, end = judged_span(flight)
     motors = ""
     if flight.motors is not None:
         at_limit = signals.within(motor_saturation(flight.motors), start, end)
         motors = f"a motor at its limit: {percent(float(np.mean(at_limit)))}" if at_limit.size else ""
     if flight.thrust_saturated is None:
-        return Figure("Thrust at its limit", "–", motors or "not recorded")
+        return KeyFigure("Thrust at its limit", "–", motors or "not recorded")
     rows = signals.within(flight.thrust_saturated, start, end)
     if not rows.size:
-        return Figure("Thrust at its limit", "–", motors)
-    return Figure("Thrust at its limit", percent(float(np.nanmean(rows))), motors or "of the time judged")
+        return KeyFigure("Thrust at its limit", "–", motors)
+    return KeyFigure("Thrust at its limit", percent(float(np.nanmean(rows))), motors or "of the time judged")
 
 
-def _speed(flight: FlightReport) -> Figure:
+def _speed(flight: FlightReport) -> KeyFigure:
     outcome = flight.outcome
     factor = outcome.realtime_factor
     if outcome.lockstep is False or (flight.timing is not None and outcome.lockstep is None):
         timing = flight.timing
         note = "" if timing is None else f"late {microseconds(timing.p99_us)} p99, missed {count(timing.missed)}"
-        return Figure("Speed", "real time", note)
+        return KeyFigure("Speed", "real time", note)
     if factor is None:
-        return Figure("Speed", "–", "not recorded")
-    return Figure("Speed", f"{factor:.1f} ×", "real time, in lockstep")
+        return KeyFigure("Speed", "–", "not recorded")
+    return KeyFigure("Speed", f"{factor:.1f} ×", "real time, in lockstep")
 
 
-def _barrier(flight: FlightReport) -> Figure:
+def _barrier(flight: FlightReport) -> KeyFigure:
     outcome = flight.outcome
     if outcome.barrier_enabled is None:
-        return Figure("Barrier filter", "–", "not recorded")
+        return KeyFigure("Barrier filter", "–", "not recorded")
     if not outcome.barrier_enabled:
-        return Figure("Barrier filter", "off", "", "off")
+        return KeyFigure("Barrier filter", "off", "", "off")
     violations = outcome.barrier_violations
     notes = [] if outcome.barrier_min_h is None else [f"least h {outcome.barrier_min_h:.3f}"]
     notes.append(f"{count(outcome.barrier_interventions)} interventions")
     if not outcome.protection:
         state = "plain" if violations is None else "bad" if violations else "good"
-        return Figure("Barrier filter", f"{count(violations)} violations", ", ".join(notes), state)
+        return KeyFigure("Barrier filter", f"{count(violations)} violations", ", ".join(notes), state)
     notes.insert(0, "violations not known" if violations is None else f"{violations} violations")
     state = {"held": "good", "off": "off"}.get(outcome.protection, "bad")
-    return Figure("Protection", outcome.protection_words, ", ".join(notes), state)
+    return KeyFigure("Protection", outcome.protection_words, ", ".join(notes), state)
 
 
-def _learner(flight: FlightReport) -> Figure:
+def _learner(flight: FlightReport) -> KeyFigure:
     learner = flight.outcome.learner
     if learner is None:
-        return Figure("Learner", "–", "not recorded")
+        return KeyFigure("Learner", "–", "not recorded")
     if not learner.enabled:
-        return Figure("Learner", "off", "", "off")
+        return KeyFigure("Learner", "off", "", "off")
     note = "" if learner.coverage is None else f"{share(learner.coverage)} within 3 sigma"
-    return Figure("Learner", f"{count(learner.points)} points", note)
+    return KeyFigure("Learner", f"{count(learner.points)} points", note)
 
 
 def share(value: float) -> str:

@@ -16,7 +16,7 @@ from typing import Final
 
 from flightstack_sim.autopilot import arming, failsafe, modes, notices
 from flightstack_sim.autopilot.arming import Checks, Conditions
-from flightstack_sim.autopilot.failsafe import Action, Failsafe, Status, battery_warning
+from flightstack_sim.autopilot.failsafe import Action, Failsafe, FailsafeStatus, battery_warning
 from flightstack_sim.autopilot.goal import Goal
 from flightstack_sim.autopilot.modes import Mode
 from flightstack_sim.autopilot.notices import Notice
@@ -42,7 +42,7 @@ from flightstack_sim.autopilot.requests import (
     GoRequest,
     Inputs,
     ModeRequest,
-    Outputs,
+    Replies,
     Request,
     StartRequest,
     TerminateRequest,
@@ -51,7 +51,7 @@ from flightstack_sim.autopilot.requests import (
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
 
-_SILENCE: Final = Outputs((), ())
+_SILENCE: Final = Replies((), ())
 
 
 @dataclass(slots=True)
@@ -108,7 +108,7 @@ class Commander:
         nothing = Conditions(estimate_ready=False, offboard_signal=False)
         self.state = CommanderState(arming.check(modes.HOLD, nothing))
 
-    def step(self, inputs: Inputs, now_us: int) -> Outputs:
+    def step(self, inputs: Inputs, now_us: int) -> Replies:
         """Advance to `now_us`; requests are handled in their order, before the failsafes."""
         state, self._inputs = self.state, inputs
         if inputs.landed is not state.landed:
@@ -133,7 +133,7 @@ class Commander:
             self._report(now_us)
         if not self._notices and not self._answers:
             return _SILENCE
-        outputs = Outputs(tuple(self._notices), tuple(self._answers))
+        outputs = Replies(tuple(self._notices), tuple(self._answers))
         self._notices.clear()
         self._answers.clear()
         return outputs
@@ -174,7 +174,7 @@ class Commander:
     def _apply_mode(self, now_us: int, *, chosen: bool = False) -> None:
         """Fly the intention, or the failsafe that takes its place; `chosen`: somebody has just chosen a mode."""
         state, inputs = self.state, self._inputs
-        status = Status(
+        status = FailsafeStatus(
             state.intended,
             state.armed,
             state.checks.can_run,

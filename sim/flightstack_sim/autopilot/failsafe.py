@@ -73,7 +73,7 @@ class Takeover(IntEnum):
     NEVER = 3
 
 
-class Status(NamedTuple):
+class FailsafeStatus(NamedTuple):
     """What the failsafes look at."""
 
     intended: Mode
@@ -170,7 +170,7 @@ class _Standing:
     """Its cause is there still."""
 
 
-def _on_gcs_loss(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+def _on_gcs_loss(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
     action = _ON_LINK_LOSS.get(int(params.get("NAV_DLL_ACT")), Action.NONE)
     if not status.gcs_lost or status.intended in _NO_GCS_NEEDED or action is Action.NONE:
         return None
@@ -179,7 +179,7 @@ def _on_gcs_loss(status: Status, params: Params, at_arming: Warning) -> _Wanted 
     return _Wanted(action, Cause.GCS_LOSS, ends, Takeover.NEVER if final else Takeover.AFTER_HOLD)
 
 
-def _on_sticks_loss(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+def _on_sticks_loss(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
     action = _ON_LINK_LOSS.get(int(params.get("NAV_RCL_ACT")), Action.NONE)
     if not status.sticks_lost or action is Action.NONE:
         return None
@@ -188,7 +188,7 @@ def _on_sticks_loss(status: Status, params: Params, at_arming: Warning) -> _Want
     return _Wanted(action, Cause.MANUAL_CONTROL_LOSS, ends, Takeover.NEVER if final else Takeover.AFTER_HOLD)
 
 
-def _on_attitude_failure(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+def _on_attitude_failure(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
     if not status.attitude_failed:
         return None
     if params.get("CBRK_FLIGHTTERM") == _BREAKER:
@@ -196,7 +196,7 @@ def _on_attitude_failure(status: Status, params: Params, at_arming: Warning) -> 
     return _Wanted(Action.TERMINATE, ends=Ends.NEVER, takeover=Takeover.NEVER)
 
 
-def _on_breach(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+def _on_breach(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
     action = _ON_BREACH.get(int(params.get("GF_ACTION")), Action.NONE)
     if not status.breached or action is Action.NONE:
         return None
@@ -208,7 +208,7 @@ def _on_breach(status: Status, params: Params, at_arming: Warning) -> _Wanted | 
 
 
 def _on_battery(level: Warning, cause: Cause, acts: dict[int, Action]) -> Callable[..., _Wanted | None]:
-    def wanted(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+    def wanted(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
         if status.battery is not level:
             return None
         acting = status.battery > at_arming  # armed with a low battery: the same level is no news
@@ -217,7 +217,7 @@ def _on_battery(level: Warning, cause: Cause, acts: dict[int, Action]) -> Callab
     return wanted
 
 
-def _fallback(status: Status, params: Params, at_arming: Warning) -> _Wanted | None:
+def _fallback(status: FailsafeStatus, params: Params, at_arming: Warning) -> _Wanted | None:
     """The intended mode can't go on: no setpoints, or no estimate that it needs."""
     action, intended = Action.NONE, status.intended
     if intended is modes.OFFBOARD and not status.offboard_signal:
@@ -230,7 +230,7 @@ def _fallback(status: Status, params: Params, at_arming: Warning) -> _Wanted | N
     return None if action is Action.NONE else _Wanted(action, takeover=Takeover.AT_ONCE)
 
 
-_CAUSES: Final[dict[str, Callable[[Status, Params, Warning], _Wanted | None]]] = {
+_CAUSES: Final[dict[str, Callable[[FailsafeStatus, Params, Warning], _Wanted | None]]] = {
     "sticks": _on_sticks_loss,
     "ground station": _on_gcs_loss,
     "fence": _on_breach,
@@ -277,7 +277,7 @@ class Failsafe:
         self._taken_over = False
         self._delay_us = 0.0
 
-    def update(self, status: Status, now_us: int, *, chosen: bool) -> Selected:
+    def update(self, status: FailsafeStatus, now_us: int, *, chosen: bool) -> Selected:
         """Advance to `now_us`; `chosen`: somebody has just chosen a mode."""
         step_us = now_us - self._last_us if self._last_us >= 0 else 0
         self._last_us = now_us
@@ -313,7 +313,7 @@ class Failsafe:
         for name in ended:
             del self._standing[name]
 
-    def _look(self, status: Status) -> None:
+    def _look(self, status: FailsafeStatus) -> None:
         """Bring the list up to date."""
         for name, cause in _CAUSES.items():
             wanted, standing = cause(status, self._params, self._at_arming), self._standing.get(name)
@@ -342,7 +342,7 @@ class Failsafe:
         else:
             self._taken_over = False
 
-    def _select(self, status: Status, *, chosen: bool) -> Selected:
+    def _select(self, status: FailsafeStatus, *, chosen: bool) -> Selected:
         """The most severe action, the Hold before it, or no more than a warning where somebody took over."""
         if self.selected.action is Action.TERMINATE:
             return Selected(Action.TERMINATE)

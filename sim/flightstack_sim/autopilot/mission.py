@@ -13,12 +13,12 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import Tuple3
 from flightstack_sim.autopilot import notices
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.params import Params
 from flightstack_sim.autopilot.setpoint import HOLD, NAN, ControlKind, ControlSetpoint
-from flightstack_sim.geodesy import LocalFrame
 from flightstack_sim.plans import MISSION, Item, ItemCmd, Plans
 
 _TAKEOFFS: Final = (ItemCmd.TAKEOFF, ItemCmd.VTOL_TAKEOFF)

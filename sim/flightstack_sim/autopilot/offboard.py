@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from flightstack.geodesy import LocalFrame
 from flightstack.types import Tuple3, Tuple4
 from flightstack_sim.autopilot.setpoint import NAN, ControlKind, ControlSetpoint
-from flightstack_sim.geodesy import LocalFrame
 from mavlink_bridge.messages import SetAttitudeTarget, SetPositionTargetGlobalInt, SetPositionTargetLocalNed
 
 # SET_ATTITUDE_TARGET.type_mask

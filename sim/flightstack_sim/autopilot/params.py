@@ -36,7 +36,7 @@ class ParamResult(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ParamSpec:
+class Px4ParamSpec:
     """One parameter: its PX4 name, type, default, allowed range (inclusive), unit and meaning."""
 
     name: str
@@ -48,12 +48,12 @@ class ParamSpec:
     text: str
 
 
-def _i(name: str, default: int, minimum: int, maximum: int, text: str, unit: str = "") -> ParamSpec:
-    return ParamSpec(name, ParamType.INT32, default, minimum, maximum, unit, text)
+def _i(name: str, default: int, minimum: int, maximum: int, text: str, unit: str = "") -> Px4ParamSpec:
+    return Px4ParamSpec(name, ParamType.INT32, default, minimum, maximum, unit, text)
 
 
-def _f(name: str, default: float, minimum: float, maximum: float, unit: str, text: str) -> ParamSpec:
-    return ParamSpec(name, ParamType.REAL32, _float32(default), minimum, maximum, unit, text)
+def _f(name: str, default: float, minimum: float, maximum: float, unit: str, text: str) -> Px4ParamSpec:
+    return Px4ParamSpec(name, ParamType.REAL32, _float32(default), minimum, maximum, unit, text)
 
 
 def _float32(value: float) -> float:
@@ -64,7 +64,7 @@ def _float32(value: float) -> float:
 _INT_MAX = 2**31 - 1
 
 
-def _rotor(index: int, x: float, y: float, km: float) -> tuple[ParamSpec, ...]:
+def _rotor(index: int, x: float, y: float, km: float) -> tuple[Px4ParamSpec, ...]:
     n = f"CA_ROTOR{index}_"
     return (
         _f(n + "PX", x, -100.0, 100.0, "m", "Rotor's place along body x"),
@@ -75,7 +75,7 @@ def _rotor(index: int, x: float, y: float, km: float) -> tuple[ParamSpec, ...]:
     )
 
 
-_UNSORTED: tuple[ParamSpec, ...] = (
+_UNSORTED: tuple[Px4ParamSpec, ...] = (
     # battery
     _f("BAT_LOW_THR", 0.15, 0.12, 0.5, "norm", "Charge at which the battery is low"),
     _f("BAT_CRIT_THR", 0.07, 0.05, 0.5, "norm", "Charge at which the battery is critical"),
@@ -229,7 +229,7 @@ _UNSORTED: tuple[ParamSpec, ...] = (
     _i("CAL_GYRO0_ID", 1310988, 0, _INT_MAX, "Id of the first gyro that was calibrated"),
     _i("CAL_MAG0_ID", 197388, 0, _INT_MAX, "Id of the first magnetometer that was calibrated"),
 )
-PARAMS: tuple[ParamSpec, ...] = tuple(sorted(_UNSORTED, key=lambda spec: spec.name))
+PARAMS: tuple[Px4ParamSpec, ...] = tuple(sorted(_UNSORTED, key=lambda spec: spec.name))
 """The table, in index order (by name, as PX4 lists them)."""
 _NAMES = tuple(spec.name for spec in PARAMS)
 

@@ -126,7 +126,7 @@ class Inputs(NamedTuple):
     """Its present item asks for Return."""
 
 
-class Outputs(NamedTuple):
+class Replies(NamedTuple):
     """What the vehicle says."""
 
     notices: tuple[Notice, ...]

@@ -84,17 +84,17 @@ def wind(effects: Effects) -> dict[str, float]:
     }
 
 
-class Gusts(NamedTuple):
+class GustComponents(NamedTuple):
     """Components that blow, and their states' first values."""
 
     components: tuple[str, ...]
     first: Mapping[str, float]
 
 
-STILL = Gusts((), {})
+STILL = GustComponents((), {})
 
 
-def gusts(effects: Effects, dt_s: float, seed: int) -> Gusts:
+def gusts(effects: Effects, dt_s: float, seed: int) -> GustComponents:
     """The effect turbulence: Dryden filters (MIL-F-8785C's forms) on JSBSim's noise, into its gust velocity.
 
     JSBSim's own turbulence takes its sigma and length from the height over sea level and a wind at 20 ft, and dies away
@@ -122,7 +122,7 @@ def gusts(effects: Effects, dt_s: float, seed: int) -> Gusts:
             _lag(name, seeds[1 + i]),
             text.state(f"gust/{name}-two", _second_lag(name)),
         ]
-    return Gusts((*components, *_world_gust(sigma, steady)), first)
+    return GustComponents((*components, *_world_gust(sigma, steady)), first)
 
 
 def _lag(name: str, seed: int) -> str:

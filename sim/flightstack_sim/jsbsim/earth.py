@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from flightstack.geodesy import PX4_SIH
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack_sim.geodesy import PX4_SIH
 from flightstack_sim.jsbsim.readings import F_DT, F_ORIGIN, F_RADII, F_TURN, FRAME
 
 LATITUDE_RAD: Final = math.radians(PX4_SIH.latitude_deg)
