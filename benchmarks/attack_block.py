@@ -1,4 +1,4 @@
-"""Attacks from one certified state, as tasks of a campaign: `campaigns/barrier.toml` and `campaigns/planted-*.toml`.
+"""Attacks from one certified state, as tasks of a campaign: `campaigns/barrier.toml` and `campaigns/planted-tilt.toml`.
 
 A block is one truth: a nominal flight learns and is certified, and from the moment the filter is engaged several
 adversaries fly 30 s each from that same state, each with other noise: known attacks first, random ones, then ones

@@ -24,10 +24,7 @@ from benchmarks.attack_worlds import TICK_MS, World
 from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.growing import GrowingCertifier
-from flightstack.barrier.knowledge import Knowledge
-from flightstack.barrier.premises import Premises
-from flightstack.barrier.records import AxisCertificate, Certificate
-from flightstack.barrier.search import Axis, Ledger
+from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli import files
 from flightstack.cli.barrier_score import FALLBACKS, SOLVED, GivenCertificate, WatchedCertifier
@@ -40,7 +37,7 @@ from flightstack.model import Limiter, Model
 from flightstack.predictor import Streams, predict
 from flightstack.seams import NoFilter
 from flightstack.stack import StackState
-from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord, changed
+from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -127,10 +124,7 @@ class AttackFlight:
     """One flight; `tick` is 4 ms of both ends."""
 
     def __init__(self, world: World, seed: int, *, given: Path | None = None, planted: str = "") -> None:
-        """`planted`: what is left out, to show that an attack finds it.
-
-        torque: the margin for torque, governor and line of the ledger; delay: all that the certificate knows of delays.
-        """
+        """`planted` torque: the torque margin is left out, governor and line of the ledger."""
         self.world = world
         setup = setup_of(world, seed, given)
         self.scenario = setup.flight.scenario
@@ -142,9 +136,7 @@ class AttackFlight:
         watched = setup.flight.protection.watched
         assert watched is not None, setup.flight.protection.words
         self.watched: WatchedCertifier = watched
-        self.held = Held(
-            told(watched._certifier, lambda config: _for(config, world, planted), planted == "delay"), before.model
-        )
+        self.held = Held(told(watched._certifier, lambda config: _for(config, world, planted)), before.model)
         watched._certifier = self.held
         adversary = Adversary(
             before.controller, self.seen, seed, before.model.thrust_range_n(limits), np.array(limits.rate_max_radps)
@@ -384,25 +376,14 @@ class Held:
         return state, ended
 
 
-class Hasty(OnlineCertifier):
-    """A certifier with a planted fault: for it, commands act at once, and nobody watches whether they do."""
-
-    def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
-        """As the certifier's own, without the delay."""
-        return super().axis_of(axis, knowledge, changed(learned, latency_s=1e-9))
-
-    def _premises(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Premises:
-        return dataclasses.replace(super()._premises(knowledge, axes), delay_s=(0.0, 1.0), jitter_s=1.0)
-
-
-def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig], hasty: bool = False) -> Any:
-    """The certifier with other constants; `hasty`: one that knows no delays."""
+def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -> Any:
+    """The certifier with other constants."""
     if isinstance(certifier, GrowingCertifier):
-        certifier._first = told(certifier._first, change, hasty)
+        certifier._first = told(certifier._first, change)
         return certifier
     if not isinstance(certifier, OnlineCertifier):
         return certifier
-    return (Hasty if hasty else OnlineCertifier)(
+    return OnlineCertifier(
         certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
         config=change(certifier.config), safe=certifier.safe,
     )  # fmt: skip
@@ -418,9 +399,6 @@ def _for(config: CertifierConfig, world: World, planted: str) -> CertifierConfig
         changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
     if planted == "torque":
         changes["governor"] = None
-    if planted == "delay":
-        changes["jitter_s"], changes["dt_s"] = 0.0, config.dt_s
-        changes["doubts"] = config.doubts._replace(delay_s=0.0)
     return dataclasses.replace(config, **changes)
 
 
