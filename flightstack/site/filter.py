@@ -172,10 +172,10 @@ class SiteFilter:
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         known = self._in_force(numbers)
         norm, status = d.decide(
-            known.known, self._site, d.Kept(state.memory, numbers, state.committed), state.origin_ned_m,
-            measurement.row, times,
-            d.Commands(sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
-            d.Buffers(self._scratch, self._way, row, self._rate),
+            *known.known, state.memory, numbers, state.committed,
+            self._site, state.origin_ned_m, measurement.row, times,
+            sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps,
+            self._scratch, self._way, row, self._rate,
         )  # fmt: skip
         self._watch(numbers)
         row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0
