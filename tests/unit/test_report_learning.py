@@ -47,7 +47,7 @@ def _row(topic: str, **values: Any) -> tuple[Any, ...]:
 
 
 def write_hover(path: Path, *, truth: bool = True, expected_z: float = HEAVY, rows: int = 2000) -> Log:
-    """Hover at 100 rows a second with 1.4 times the believed mass, first on the ground; measured with a noise of 0.5."""
+    """Hover at 100 rows a second with 1.4 times the believed mass, first on the ground; measured noise 0.5."""
     rng = np.random.default_rng(0)
     log = FlightLog.open(path, metadata={}, attachments=[Attachment("vehicle.toml", "", VEHICLE.encode())])
     norm = MODEL.norm_of(1.4 * MODEL.weight_n)
