@@ -23,10 +23,7 @@ from foxglove.messages import (
     LocationFix,
     Log,
     LogLevel,
-    PackedElementField,
-    PackedElementFieldNumericType,
     Point3,
-    PointCloud,
     Pose,
     PoseInFrame,
     PosesInFrame,
@@ -40,6 +37,7 @@ from foxglove.messages import (
 
 from flightstack.frames import frd_to_flu, ned_to_enu, q_ned_frd_to_enu_flu
 from flightstack.types import F64, TickRecord, Tuple3, Tuple4
+from flightstack_logs import outlines
 
 WORLD = "world"
 BODY = "body"
@@ -77,11 +75,6 @@ ENGAGED = 2.0
 """From this status on the barrier filter says what it does with the wanted acceleration."""
 _ARROW_M_PER_MPS2 = 0.1
 
-_XYZ = [
-    PackedElementField(name=name, offset=4 * k, type=PackedElementFieldNumericType.Float32)
-    for k, name in enumerate("xyz")
-]
-_EDGE_POINTS, _CIRCLE_POINTS, _DISC_POINTS = 41, 128, 16
 
 View = tuple[str, bytes]
 """A topic and the encoded message for it."""
@@ -231,7 +224,7 @@ class VehicleTrail:
                 corners = [Point3(x=x, y=y, z=z) for x, y, z in self._corners]
                 line = _line(stamp, "path", corners, _BLUE)
                 views.append(("/scene/path", SceneUpdate(entities=[line]).encode()))
-                views.append(("/outline/path", _cloud(stamp, WORLD, np.array(self._corners))))
+                views.append(("/outline/path", outlines.cloud(stamp, WORLD, np.array(self._corners))))
         return views
 
     def _add_point(self, t_us: int, pose: Pose, corner: Tuple3) -> None:
@@ -309,7 +302,7 @@ def views_of(t_us: int, shown: Shown) -> list[View]:
         return _certified_views(t_us, shown)
     stamp = timestamp(t_us)
     line = _line(stamp, "way", _points(shown.pos_ned_m), _ORANGE)
-    outline = ("/outline/way", _cloud(stamp, WORLD, ned_to_enu(shown.pos_ned_m)))
+    outline = ("/outline/way", outlines.cloud(stamp, WORLD, ned_to_enu(shown.pos_ned_m)))
     return [("/scene/way", SceneUpdate(entities=[line]).encode()), outline]
 
 
@@ -317,50 +310,13 @@ def _certified_views(t_us: int, region: SceneRegion) -> list[View]:
     """The positions that a certificate allows, inside the region that the scenario asks for."""
     stamp = timestamp(t_us)
     entity = _region(stamp, region, "certified", _CERTIFIED)
-    outline = ("/outline/certified", _cloud(stamp, WORLD, ned_to_enu(_outline(region))))
+    outline = ("/outline/certified", outlines.cloud(stamp, WORLD, _edges(region)))
     return [("/scene/region", SceneUpdate(entities=[entity]).encode()), outline]
 
 
-def _outline(region: SceneRegion) -> F64:
-    """(N, 3), NED, m: a region's boundary as points: a box's edges, an ellipsoid's three great circles."""
-    turns = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_POINTS, endpoint=False)
-    circle = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(_CIRCLE_POINTS)])
-    along = np.linspace(-1.0, 1.0, _EDGE_POINTS)
-    ends = [np.full(_EDGE_POINTS, end) for end in (-1.0, 1.0)]
-    lines = [np.column_stack([along, a, b]) for a in ends for b in ends] if region.shape == "box" else [circle]
-    unit = np.concatenate([np.roll(line, shift, axis=1) for shift in range(3) for line in lines])
-    outline: F64 = np.array(region.center_ned_m) + unit * np.array(region.half_size_m)
-    return outline
-
-
-def _spread(line: F64) -> F64:
-    """(N, 3): points on every leg of a line (n, 3)."""
-    share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None, None]
-    spread: F64 = np.reshape((1.0 - share) * line[:-1] + share * line[1:], (-1, 3))
-    return spread
-
-
-def _cloud(stamp: Timestamp, frame: str, points: F64) -> bytes:
-    """`points` (N, 3), in the axes of `frame` (ENU or FLU), for viewers that draw no SceneUpdate."""
-    data = points.astype("<f4")
-    cloud = PointCloud(
-        timestamp=stamp,
-        frame_id=frame,
-        pose=Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=_IDENTITY),
-        point_stride=data.itemsize * data.shape[1],
-        fields=_XYZ,
-        data=data.tobytes(),
-    )
-    return cloud.encode()
-
-
-def _outline_of_vehicle(scene: Scene) -> F64:
-    """(N, 3), FLU, m: the rotors' discs and the arms to them."""
-    turns = np.linspace(0.0, 2.0 * math.pi, _DISC_POINTS, endpoint=False)
-    disc = scene.rotor_radius_m * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(_DISC_POINTS)])
-    arm = np.linspace(0.0, 1.0, _DISC_POINTS)[:, None]
-    rotors = frd_to_flu(scene.rotor_position_frd_m)
-    return np.concatenate([part for rotor in rotors for part in (rotor + disc, arm * rotor)])
+def _edges(region: SceneRegion) -> F64:
+    """(N, 3), ENU, m."""
+    return ned_to_enu(outlines.of_region(region.shape, region.center_ned_m, region.half_size_m))
 
 
 def arrow_views(t_us: int, record: TickRecord) -> list[View]:
@@ -400,24 +356,33 @@ def _scene_views(t_us: int, scene: Scene) -> list[View]:
     """The messages of a scene: all of it in one, since a viewer that jumps in time asks for the last one only."""
     stamp = timestamp(t_us)
     entities = [_ground(stamp, scene.ground_down_m), _vehicle(stamp, scene, truth=False)]
-    views = [("/outline/vehicle", _cloud(stamp, BODY_TRUE if scene.truth else BODY, _outline_of_vehicle(scene)))]
+    views = [
+        (
+            "/outline/vehicle",
+            outlines.cloud(
+                stamp,
+                BODY_TRUE if scene.truth else BODY,
+                outlines.of_vehicle(scene.rotor_position_frd_m, scene.rotor_radius_m),
+            ),
+        )
+    ]
     if scene.truth:
         entities.append(_vehicle(stamp, scene, truth=True))
     if scene.region is not None:
         entities.append(_region(stamp, scene.region))
-        views.append(("/outline/region", _cloud(stamp, WORLD, ned_to_enu(_outline(scene.region)))))
+        views.append(("/outline/region", outlines.cloud(stamp, WORLD, _edges(scene.region))))
     if scene.site_ned_m:
         lines = enumerate(scene.site_ned_m)
         entities += [_line(stamp, f"site {k}", _points(line), _ORANGE) for k, line in lines]
-        cloud = np.concatenate([_spread(line) for line in scene.site_ned_m])
-        views.append(("/outline/site", _cloud(stamp, WORLD, ned_to_enu(cloud))))
+        cloud = np.concatenate([outlines.of_line(line) for line in scene.site_ned_m])
+        views.append(("/outline/site", outlines.cloud(stamp, WORLD, ned_to_enu(cloud))))
     if scene.reference_ned_m is not None:
         entities.append(_line(stamp, "reference", _points(scene.reference_ned_m), _RED))
         poses = [
             Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
             for x, y, z in ned_to_enu(scene.reference_ned_m).tolist()
         ]
-        views.append(("/outline/reference", _cloud(stamp, WORLD, ned_to_enu(scene.reference_ned_m))))
+        views.append(("/outline/reference", outlines.cloud(stamp, WORLD, ned_to_enu(scene.reference_ned_m))))
         views.append(("/reference/path", PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=poses).encode()))
     views.append(("/scene", SceneUpdate(entities=entities).encode()))
     return views
