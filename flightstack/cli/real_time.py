@@ -58,10 +58,8 @@ class RealTimeLoop:
         stall = watch.tick("receiving")
         companion, now_us = self.companion, monotonic_us()
         clock, counted = companion.view.clock, companion.state in _COUNTED
-        received_us, t_us = (
-            now_us,
-            self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate),
-        )
+        received_us = now_us
+        t_us = self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
         for data in self.transport.receive_all():
             self.log.mavlink("rx", t_us, data)
             companion.receive_datagram(data, now_us)

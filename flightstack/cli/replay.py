@@ -130,9 +130,10 @@ def _of_offboard(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight
         raise _unknown(log, error) from None
     prepared = prepare_flight(options)
     _answer_as(log, prepared)
-    step = log.tables["/step"]
-    columns = (step.t_us, step["received_us"], step["decided_us"])
-    steps = list(zip(*(column.tolist() for column in columns), strict=True))
+    times = log.tables["/step"].t_us.tolist()
+    steps = [
+        (t_us, *each) for t_us, each in zip(times, _rows(log, "/step", ("received_us", "decided_us")), strict=True)
+    ]
     return _Flight(prepared, lambda to: companion_of(Link(240, 191), options, prepared, to)[0], steps)
 
 
@@ -143,8 +144,16 @@ def _answer_as(log: Log, prepared: Prepared) -> None:
         return
     if table is None and any(text.startswith("filter: certificate ") for text in _texts(log)):
         raise InputError(f"log {log.path}: does not say when its certificates were ready; it is of another version")
-    rows = () if table is None else zip(*(table[name].tolist() for name in Served._fields), strict=True)
-    workshop.again(map(Served._make, rows))
+    workshop.again(map(Served._make, () if table is None else _rows(log, "/certifier", Served._fields)))
+
+
+def _rows(log: Log, topic: str, names: Sequence[str]) -> list[tuple[Any, ...]]:
+    """Columns of a table, row by row; InputError where it lacks one."""
+    try:
+        columns = [log.tables[topic][name].tolist() for name in names]
+    except KeyError as error:
+        raise _unknown(log, error) from None
+    return list(zip(*columns, strict=True))
 
 
 def _texts(log: Log) -> list[str]:
@@ -186,7 +195,8 @@ def _common(log: Log, settings: Mapping[str, str], folder: Path) -> dict[str, An
     """The options that all flights have, their files laid out in a folder; KeyError or ValueError where one lacks."""
     laid: dict[str, Path] = {}
     for item in log.attachments:
-        name = Path(item.name).name
+        if (name := Path(item.name).name) in ("", ".."):  # no file's name, and none of ours
+            continue
         laid[name] = folder / name
         laid[name].write_bytes(item.data)
     scenario, words = laid["scenario.toml"], settings["filter"]
@@ -261,8 +271,7 @@ def _dead_man(log: Log) -> Iterator[tuple[int, DeadManRecord, str]]:
     if table is None:
         return
     names = [name for name in DeadManRecord._fields if name in table.columns]
-    rows = zip(*(table[name].tolist() for name in names), strict=True)
-    for t_us, row, ended in zip(table.t_us.tolist(), rows, table["ended"].tolist(), strict=True):
+    for t_us, (ended, *row) in zip(table.t_us.tolist(), _rows(log, "/dead_man", ("ended", *names)), strict=True):
         report = NOBODY._replace(**dict(zip(names, row, strict=True)))
         yield t_us, report, "the dead-man's process has ended" if ended else ""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,14 +13,6 @@ from wrong_vehicles import WRONG
 from flightstack.cli import files
 from flightstack.cli import main as cli
 from flightstack.vehicle import vehicle_to_toml
-
-
-@pytest.fixture(autouse=True)
-def _own_signals() -> Iterator[None]:
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,7 @@ from flightstack.cli.replay import replay
 from flightstack.explore import ExploreConfig
 from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
+from flightstack_logs.topics import Attachment
 from flightstack_logs.writer import FlightLog
 
 
@@ -102,7 +103,7 @@ def test_a_tolerance_lets_small_differences_pass(hovered: Path, monkeypatch: pyt
     assert replay(hovered, tolerance=1e-9).differences == []
 
 
-def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path) -> None:
+def test_what_never_armed_and_what_is_no_such_flight_is_one_line(hovered: Path, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s,vel_n_mps,vel_e_mps,vel_d_mps\n0,0,0,0\n1,0,0,0\n")
     with pytest.raises(InputError, match="holds no flight"):
         replay(tmp_path / "a.csv")
@@ -111,6 +112,13 @@ def test_what_never_armed_and_what_is_no_such_flight_is_one_line(tmp_path: Path)
     log.close()
     with pytest.raises(InputError, match="nothing to replay"):
         replay(tmp_path / "b.mcap")
+    whole = read(hovered)
+    more = [*whole.attachments, Attachment("..", "", b"x"), Attachment("", "", b"x")]
+    log = FlightLog.open(tmp_path / "d.mcap", metadata=whole.metadata, attachments=more)
+    log.tick(tick_record(4000))
+    log.close()
+    with pytest.raises(InputError, match="has not kept all"):
+        replay(tmp_path / "d.mcap")
     for settings, text, why in (
         ({"pace": "realtime", "connect": "udpin:127.0.0.1:14540"}, "", "when each step was"),
         ({"pace": "realtime"}, "filter: certifies nothing more (its process has ended)", "was lost"),

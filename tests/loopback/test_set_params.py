@@ -74,14 +74,6 @@ class Bench:
             time.sleep(0.05)
 
 
-@pytest.fixture(autouse=True)
-def _own_signals() -> Iterator[None]:
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
-
-
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
     """Exit code and what went to stderr, in this process."""
     with pytest.raises(SystemExit) as stop:
