@@ -158,7 +158,7 @@ def test_coverage_held_out_check_gain_points_and_step_are_told(tmp_path: Path) -
     }  # fmt: skip
     text = Text(render_report(from_log(write_hover(tmp_path / "f.mcap"), {"gp": gp}))).text
     for said in (
-        "99.7 %", "x 99.0, y 100.0, z 99.99", "99.1 %", "3.1 sigma", "held 99.7 % of the noisy measurements",
+        "99.7 %", "x 99.0, y 100.0, z 99.99", "99.1 %", "3.1 sigma", "held 99.7 % of the windows",
         "then 99.5 %", "0.714", "of 15000 samples", "12 µs", "p99 30 µs",
     ):  # fmt: skip
         assert said in text, said

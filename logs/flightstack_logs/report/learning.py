@@ -213,6 +213,4 @@ def _conformal(learner: LearnerOutcome) -> KeyFigure:
     if checked is None:
         return KeyFigure(label, "–")
     within, kept = share(1.0 - checked.alpha), share(checked.coverage_heldout)
-    return KeyFigure(
-        label, f"{checked.quantile_sigma:.1f} sigma", f"held {within} of the noisy measurements, then {kept}"
-    )
+    return KeyFigure(label, f"{checked.quantile_sigma:.1f} sigma", f"held {within} of the windows, then {kept}")
