@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ _STILL = 0.05
 _SEGMENTS = 6
 _ALLOWED_SPREAD = 0.1
 """Share by which a coefficient of a good model may differ from segment to segment."""
+_STEADY_MPS2 = 0.005
+"""One standard deviation of a slow error of accelerometer or attitude: 3 to 8 mm/s^2 with the simulator's sensors."""
 _BAND_S = 0.5
 """Correlation that whitening may have left."""
 
@@ -138,10 +141,21 @@ def covariance_of(
     prior = np.concatenate([np.zeros(count) if known is None else known, 1.0 / size**2])
     covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
     told = state.point.nuisance_fitted
-    other, scale = state.point.nuisance[:, ~told], state.point.nuisance_size[~told]
+    steady = _steady(state.point.layout)
+    other = np.hstack([state.point.nuisance[:, ~told], steady])
+    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], _STEADY_MPS2)])
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
     shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)
+
+
+@lru_cache(maxsize=4)
+def _steady(layout: Layout) -> F64:
+    """(R, 3) whitened columns of a force that stays in the body: it only widens intervals."""
+    columns = [np.zeros((*ok.shape, 3)) for ok in layout.ok]
+    for each in columns:
+        each[:, range(3), range(3)] = 1.0
+    return layout.stack(columns)
 
 
 def _inverse(gram: F64) -> F64:
