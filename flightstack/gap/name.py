@@ -15,7 +15,15 @@ import numpy as np
 from scipy.special import chdtrc
 
 from flightstack.effect_specs import EFFECT_SPECS
-from flightstack.gap.classes import alternatives, beside_a_poor_model, in_classes, poorly_told, splitting_manoeuvre
+from flightstack.gap.classes import (
+    POORLY_TOLD,
+    alternatives,
+    beside_a_poor_model,
+    has_gyro,
+    in_classes,
+    poorly_told,
+    splitting_manoeuvre,
+)
 from flightstack.gap.compare import residual
 from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
@@ -49,6 +57,8 @@ _EVERYWHERE = ("constant_force", "steady_wind")
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 _ACTS_SHARE = 0.1
 """Of what can be explained in a group, the part from which an effect is taken to act there."""
+_LEAST_GAIN = 0.005
+"""Of the held-out gap, what a name that joins a poor model must explain: below, the page says 0 %."""
 _CI = 1.959964
 
 
@@ -96,7 +106,8 @@ class Naming:
         if more is None:
             return None
         judged = _judge(*more)
-        if len(judged.found) <= len(values):
+        new = [f for f in judged.found if f.name not in values]
+        if len(judged.found) <= len(values) or any(_is_thin(f) for f in new):
             return None
         kept = in_classes(judged.found, bench.flights)
         return Naming(
@@ -161,6 +172,11 @@ class Naming:
         )
 
 
+def _is_thin(found: Found) -> bool:
+    """Whether its evidence alone would not do for a name, or held-out data hold next to nothing of it."""
+    return found.delta_bic > -LEAST_EVIDENCE or found.holdout_gain < _LEAST_GAIN
+
+
 def _values(found: Sequence[Found]) -> dict[str, dict[str, float]]:
     return {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in found}
 
@@ -182,12 +198,13 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     where = locate(residuals, flights)
     if not any(m.any() for m in bench.fit):
         return Naming((), (), vehicle, Unexplained(False), where, {})
-    state = search(bench, vehicle)
+    state = search(bench, vehicle, () if has_gyro(flights) else POORLY_TOLD)
     best = _pruned(state)
     judged = _judge(state, best)
-    told = telling(bench, vehicle, judged.estimates)
+    rests = every_rest(bench, vehicle, judged.estimates)
+    told = telling(bench, judged.estimates, rests)
     seen = identify(state.point)
-    doubtful = {e for r in told.values() for e in _touched(state, judged, r)}
+    doubtful = {e for group in told for e in _touched(state, judged, rests, group)}
     left = unexplained(loud(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
     if sagging and drifts_better(state, judged.estimates, moved(state, judged.estimates)):
@@ -201,24 +218,33 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
     return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
-def _touched(state: SelectionState, judged: _Judged, r: Rest) -> set[str]:
+def _touched(state: SelectionState, judged: _Judged, rests: Mapping[str, Rest], group: str) -> set[str]:
     """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
 
-    An effect that changes from stretch to stretch is given less leave, and so is one that is the same everywhere where
-    something depends on the place.
+    An effect acts where it does most: a weight is not doubted for what is left of the side force.  One that changes
+    from stretch to stretch is given less leave, and so is one that is the same everywhere where something depends on
+    the place.
     """
-    made = judged.estimates
-    shifts = moved(state, made)
-    power: dict[str, float] = {}
-    for (effect, _), size, shift in zip(made.slots, r.by_column, shifts, strict=True):
-        power[effect] = power.get(effect, 0.0) + size * shift**2
+    r = rests[group]
+    power = {name: _power(state, judged.estimates, each) for name, each in rests.items()}
     explained = max(r.before - r.after, 0.0) + r.driven
     out = set()
-    for effect, mine in power.items():
+    for effect, mine in power[group].items():
         fickle = judged.constant.get(effect, 1.0) < _NOT_CONSTANT_P
         elsewhere = effect in _EVERYWHERE and "position" in r.drivers
-        if mine > _ACTS_SHARE * explained and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
+        most = max(each.get(effect, 0.0) for each in power.values())
+        acts = mine > _ACTS_SHARE * explained and (fickle or mine >= most)
+        if acts and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
             out.add(effect)
+    return out
+
+
+def _power(state: SelectionState, made: Estimates, r: Rest) -> dict[str, float]:
+    """What each effect brings to a group, mean square in units of the noise."""
+    out: dict[str, float] = {}
+    if r.by_column:
+        for (effect, _), size, shift in zip(made.slots, r.by_column, moved(state, made), strict=True):
+            out[effect] = out.get(effect, 0.0) + size * shift**2
     return out
 
 

@@ -14,7 +14,7 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap import gather, pooled
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
-from flightstack.gap.classes import confused_with
+from flightstack.gap.classes import confused_with, doubled
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
 from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
@@ -155,6 +155,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     and the naming's own estimates stand but for forces: torques answer what a rate loop does, forces don't.
     """
     on_progress(0.6, "refining")
+    named = _merged(named)
     if not named.found:
         moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
         return named, moved, _verdict(vehicle, named, moved)
@@ -173,10 +174,20 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     if not naming.found or not far_from_noise(gap):
         return naming, moved, gap
     named = _beside_a_poor_model(vehicle, named)
-    named = named.with_classes_of_a_poor_model()
+    named = _merged(named.with_classes_of_a_poor_model())
     forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
     named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
     return named, of, _verdict(vehicle, named, of)
+
+
+def _merged(named: Naming) -> Naming:
+    """The verdict with one name for each class: what the logs can't tell from a stronger name is its twin."""
+    gone = doubled(named.found)
+    return (
+        replace(named.without(gone, "these logs can't tell it from what is named"), unexplained=named.unexplained)
+        if gone
+        else named
+    )
 
 
 def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:

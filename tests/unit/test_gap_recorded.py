@@ -159,6 +159,19 @@ def test_a_clipped_propeller_is_named_with_its_class_and_nothing_beside(recorded
     assert set(found) <= {"rotor_fault", "com_offset"}
 
 
+def test_no_whole_propeller_is_named_weak_and_clipped_ones_agree_from_flight_to_flight(recorded: Path) -> None:
+    """Without a gyro a weak rotor and a shifted mass beside it stand for a yaw trim: 0.47 was named on a whole one."""
+    told = {}
+    for log in ("normal_E8_log03", "cut4mm_M3_E8_log00", "cut4mm_M3_E8_log01"):
+        found = analyse([recorded / "crazypad" / log], own("crazyflie-2.1")).found
+        told[log] = [each.parameters["effectiveness"] for each in found if each.name == "rotor_fault"]
+    assert told["normal_E8_log03"] == []
+    ((first,), (second,)) = (told[f"cut4mm_M3_E8_log0{k}"] for k in range(2))
+    assert 0.5 < first.estimate < 0.7
+    assert first.low <= second.high
+    assert second.low <= first.high
+
+
 def test_the_clipped_propeller_s_rotor_works_hardest(recorded: Path) -> None:
     """M3 sits rear left, the vehicle file's rotor 2: clipped, it alone takes more than before for the same weight."""
     flown = {

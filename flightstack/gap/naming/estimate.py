@@ -154,7 +154,8 @@ def _steady(layout: Layout) -> F64:
     """(R, 3) whitened columns of a force that stays in the body: it only widens intervals."""
     columns = [np.zeros((*ok.shape, 3)) for ok in layout.ok]
     for each in columns:
-        each[:, range(3), range(3)] = 1.0
+        axes = range(min(3, each.shape[1]))
+        each[:, axes, axes] = 1.0
     return layout.stack(columns)
 
 
