@@ -48,6 +48,8 @@ _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
 _EVERYWHERE = ("constant_force", "steady_wind")
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
+_LEAST_GAIN = 0.005
+"""Of the held-out gap, what a force that joins a poor model must explain: below, the page says 0 %."""
 _ACTS_SHARE = 0.1
 """Of what can be explained in a group, the part from which an effect is taken to act there."""
 
@@ -125,7 +127,8 @@ class Naming:
         if more is None:
             return None
         judged = judge(*more)
-        if len(judged.found) <= len(values):
+        mute = any(_is_mute(f) for f in judged.found if f.name not in values)
+        if len(judged.found) <= len(values) or mute:
             return None
         kept = in_classes(judged.found, bench.flights)
         return Naming(
@@ -202,6 +205,11 @@ class Naming:
             vehicle=made.vehicle,
             unexplained=left if kept else replace(left, fraction=1.0),
         )
+
+
+def _is_mute(found: Found) -> bool:
+    """Whether it is a force of which held-out data hold next to nothing."""
+    return EFFECT_SPECS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
 
 
 def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], float]) -> Found:
