@@ -17,6 +17,7 @@ from flightstack.estimate_observer import EstimateObserver
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
 from flightstack.imu_bias import ImuBias
 from flightstack.jit import njit
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, Tuple4
 
 _AGE_MAX_S = 0.05
@@ -112,7 +113,7 @@ def _predict(samples: F64, position_age: float, attitude_age: float, gyro_newer:
         out[10 + i] = rate
         turn[i] = 0.5 * (samples[4 + i] + rate) * span
     q = quat_multiply(samples[0:4], quat_from_rotation_vector(turn))
-    size = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    size = math.sqrt(q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z])
     for i in range(4):
         out[6 + i] = q[i] / size
         out[16 + i] = samples[19 + i]

@@ -34,6 +34,7 @@ from flightstack.barrier.response import (
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Model, thrust_to_norm
+from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement
 
 _MOST_US = 50_000
@@ -91,11 +92,11 @@ def _carry(
         return
     if not to_us - memory[RING, 0] <= _PAUSE_US:
         chain[C_ROTOR_LAG] = chain[C_RATE_LAG] = _NEVER_S  # rotors and rates go on as they are
-        memory[0, M_ROTORS] = thrust_to_norm(max(-row[15], 0.0) / gain, chain[C_SPECIFIC], chain[C_CURVE])
-    r, offset, state = quat_to_matrix(row[6:10]), np.empty(3), np.empty(STATE)
-    along = row[15] + gain * thrust_of(chain, memory[0, M_ROTORS])
+        memory[0, M_ROTORS] = thrust_to_norm(max(-row[FORCE_Z], 0.0) / gain, chain[C_SPECIFIC], chain[C_CURVE])
+    r, offset, state = quat_to_matrix(row[ATTITUDE : ATTITUDE + 4]), np.empty(3), np.empty(STATE)
+    along = row[FORCE_Z] + gain * thrust_of(chain, memory[0, M_ROTORS])
     for i in range(3):
-        offset[i] = r[i, 0] * row[13] + r[i, 1] * row[14] + r[i, 2] * along
+        offset[i] = r[i, 0] * row[FORCE_X] + r[i, 1] * row[FORCE_Y] + r[i, 2] * along
     offset[2] += STANDARD_GRAVITY_MPS2
     ahead(memory, chain, row, from_us, to_us, offset, gain, state)
     for i in range(13):
