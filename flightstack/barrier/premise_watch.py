@@ -28,6 +28,7 @@ from flightstack.barrier.assess import column_at
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
+from flightstack.rows import L_GAIN, L_RESIDUAL, VEL_D, VEL_E, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Tuple3
 
 NAMES = (
@@ -82,6 +83,10 @@ class Seen(NamedTuple):
     """Since the command before."""
 
 
+_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG = 6, 7, 15, 16, 17, 19
+"""Of a watch's numbers, after the speeds: what has a range takes two."""
+
+
 def watched(
     version: int, premises: Premises, down: F64 = _NO_TABLE, drag_per_s: Tuple3 = (0.0, 0.0, 0.0)
 ) -> WatchState:
@@ -130,25 +135,25 @@ def _gain_at_ends(p: F64, down: F64, row: F64, learned: F64, applied_mps2: float
 
     `row`: a Measurement's, `learned`: a Learned's.
     """
-    slope = learned[6]
+    slope = learned[L_GAIN]
     r = quat_to_matrix(row[6:10])
     up = r[2, 2]
     if down.shape[1] == 0 or up < _LEAST_UP:
         return slope  # type: ignore[no-any-return]
-    gain = column_at(down, 2, row[5])
+    gain = column_at(down, 2, row[VEL_D])
     apart = STANDARD_GRAVITY_MPS2 - up * applied_mps2
     for i in range(3):
-        along = r[0, i] * row[3] + r[1, i] * row[4] + r[2, i] * row[5]
-        apart += r[2, i] * (learned[9 + i] - p[19 + i] * along)
-    apart -= column_at(down, 1, row[5]) - gain * up * applied_mps2
+        along = r[0, i] * row[VEL_N] + r[1, i] * row[VEL_E] + r[2, i] * row[VEL_D]
+        apart += r[2, i] * (learned[L_RESIDUAL + i] - p[_DRAG + i] * along)
+    apart -= column_at(down, 1, row[VEL_D]) - gain * up * applied_mps2
     if math.isnan(apart):
         return slope  # type: ignore[no-any-return]
     worst = 0.0
-    for i in range(7, 9):
+    for i in range(_THRUST, _THRUST + 2):
         at = apart / up + (gain - slope) * (p[i] - applied_mps2)
         if abs(at) > abs(worst):
             worst = at
-    return gain - worst / p[8]  # type: ignore[no-any-return]
+    return gain - worst / p[_THRUST + 1]  # type: ignore[no-any-return]
 
 
 @njit
@@ -164,14 +169,14 @@ def _broken(
             return 1 + i
     r = quat_to_matrix(row[6:10])
     for i in range(2):
-        if not abs(r[i, 2]) <= p[6]:
+        if not abs(r[i, 2]) <= p[_LEAN]:
             return 4 + i
     for i, value in enumerate(ranged):
-        if value < p[7 + 2 * i] - 1e-9 or value > p[8 + 2 * i] + 1e-9:
+        if value < p[_THRUST + 2 * i] - 1e-9 or value > p[_THRUST + 1 + 2 * i] + 1e-9:
             return 6 + i
     for i in range(3):
-        if ages_s[i] > _LATE * _PERIODS_S[i] + p[15]:
+        if ages_s[i] > _LATE * _PERIODS_S[i] + p[_JITTER]:
             return 10
-    if interval_s > p[16] + _TICK_S:
+    if interval_s > p[_INTERVAL] + _TICK_S:
         return 11
-    return 12 if battery_v < p[17] or battery_v > p[18] else 0
+    return 12 if battery_v < p[_BATTERY] or battery_v > p[_BATTERY + 1] else 0

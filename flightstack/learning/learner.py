@@ -29,12 +29,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from flightstack.learning import sampler as s
-from flightstack.learning.learned_row import assemble, calibrated, weighed
+from flightstack.learning.learned_row import SLOPE, assemble, calibrated, weighed
 from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import INFLATION, Evidence, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
 from flightstack.model import Model
+from flightstack.rows import L_GAIN_SIGMA, L_SIGMA
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
 
 
@@ -229,7 +230,7 @@ class GpLearner:
             state.refused, state.changes, state.watch.surprise, state.fed_forward, state.usual_thrust, row,
         )  # fmt: skip
         gain = INFLATION * math.sqrt(state.gain_variance + state.vertical.excess[0])
-        row[18] = max(row[14], gain) / STANDARD_GRAVITY_MPS2
+        row[L_GAIN_SIGMA] = max(row[L_SIGMA + 2], gain) / STANDARD_GRAVITY_MPS2
         state.steps += 1
         return state, Learned(row)
 
@@ -295,7 +296,7 @@ class GpLearner:
         out[0, 2:3], out[1, 2:3] = state.vertical.gp.predict_along(query, rate)
         query[s.THRUST], query[s.GROUND], rate[s.GROUND] = 1.0, near, near_rate
         out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
-        out[:, 3] -= out[:, 2]
+        out[:, SLOPE] -= out[:, 2]
         state.forward_us = t_us
 
 
