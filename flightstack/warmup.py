@@ -70,7 +70,9 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
         streams.attitude(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         streams.position(now_us, tuple(place), tuple(setpoint.vel_ned_mps))
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
-    stack.tick(state, predict(streams, 10 * now_us), setpoint, 10 * now_us)
+    late = predict(streams, now_us)
+    assert late is not None
+    stack.tick(state, stack.carried(state, late, 10 * now_us), setpoint, 10 * now_us)
     return record
 
 
