@@ -62,8 +62,10 @@ def _followed(
         inside = inside and 0.0 <= command <= 1.0  # False for NaN
     if not (norm > _LEAST_NORM and abs(norm - recent) < _STEADY * norm and inside):
         return recent, sent, measured
-    a, b, c, d = motors[0], motors[1], motors[2], motors[3]
-    mean = 0.25 * (f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d))
+    squares = total = 0.0
+    for command in motors:
+        squares, total = squares + command * command, total + command
+    mean = 0.25 * (f * squares + (1.0 - f) * total)
     share = _share(dt_us / _TIME_CONSTANT_US)
     now = thrust_to_norm(mean * max_thrust, max_thrust, f)
     return recent, sent + share * (norm - sent), measured + share * (now - measured)

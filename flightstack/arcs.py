@@ -20,6 +20,8 @@ from flightstack.trajectory import Polynomial
 from flightstack.types import F64
 
 _POWERS = 8
+_START, _SPAN, _FIRST, _LAST, PLACE, _SPEED = range(6)
+_YAW = 3
 
 
 @njit
@@ -43,7 +45,7 @@ def fly_through(
     table = from_rest(0.0, spans, levels)
     if hold_up < 0.0 or hold_down < 0.0:
         return False, table
-    table[:, 4] += position_m - at(table, table[2, 0] + turn * turn_s)[0]
+    table[:, PLACE] += position_m - at(table, table[2, _START] + turn * turn_s)[0]
     return True, table
 
 
@@ -54,8 +56,8 @@ def from_rest(position_m: float, spans_s: F64, levels_mps2: F64) -> F64:
     t, p, v = 0.0, position_m, 0.0
     for i in range(len(spans_s)):
         span, first, step = spans_s[i], levels_mps2[i], levels_mps2[i + 1] - levels_mps2[i]
-        table[i, 0], table[i, 1], table[i, 2], table[i, 3] = t, span, first, first + step
-        table[i, 4], table[i, 5] = p, v
+        table[i, _START], table[i, _SPAN], table[i, _FIRST], table[i, _LAST] = t, span, first, first + step
+        table[i, PLACE], table[i, _SPEED] = p, v
         p += span * v + span * span * (0.5 * first + step / 7.0)
         v += span * (first + 0.5 * step)
         t += span
@@ -69,7 +71,7 @@ def at_rest(position_m: float, span_s: float) -> F64:
 
 def duration_s(table: F64) -> float:
     """Length of an arc."""
-    return float(table[-1, 0] + table[-1, 1])
+    return float(table[-1, _START] + table[-1, _SPAN])
 
 
 @njit
@@ -77,18 +79,18 @@ def at(table: F64, t: float) -> tuple[float, float, float]:
     """Position, velocity and acceleration at `t` seconds since the start; at rest before and after."""
     row = table[0]
     for i in range(table.shape[0]):
-        if table[i, 0] <= t:
+        if table[i, _START] <= t:
             row = table[i]
-    span = row[1]
-    s = min(max((t - row[0]) / span, 0.0), 1.0) if span > 0.0 else 1.0
-    step = row[3] - row[2]
+    span = row[_SPAN]
+    s = min(max((t - row[_START]) / span, 0.0), 1.0) if span > 0.0 else 1.0
+    step = row[_LAST] - row[_FIRST]
     cube = s * s * s
-    a = row[2] + step * cube * (10.0 - 15.0 * s + 6.0 * s * s)
-    v = row[5] + span * (row[2] * s + step * cube * s * (2.5 - 3.0 * s + s * s))
+    a = row[_FIRST] + step * cube * (10.0 - 15.0 * s + 6.0 * s * s)
+    v = row[_SPEED] + span * (row[_FIRST] * s + step * cube * s * (2.5 - 3.0 * s + s * s))
     p = (
-        row[4]
-        + span * row[5] * s
-        + span * span * (0.5 * row[2] * s * s + step * cube * s * s * (0.5 - 0.5 * s + s * s / 7.0))
+        row[PLACE]
+        + span * row[_SPEED] * s
+        + span * span * (0.5 * row[_FIRST] * s * s + step * cube * s * s * (0.5 - 0.5 * s + s * s / 7.0))
     )
     return p, v, a
 
@@ -103,7 +105,7 @@ def path(tables: Sequence[F64], axis: int, zero_ned_m: F64, yaw_rad: float) -> P
             if span <= 0.0:
                 continue
             coefficients = np.zeros((4, _POWERS))
-            coefficients[:3, 0], coefficients[3, 0] = zero_ned_m, yaw_rad
+            coefficients[:3, 0], coefficients[_YAW, 0] = zero_ned_m, yaw_rad
             step = span * span * (last - first)
             own = coefficients[axis]
             own[:3] += p, span * v, 0.5 * span * span * first

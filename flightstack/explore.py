@@ -156,7 +156,7 @@ class Explorer:
         ramp, push, speed = config.search.ramp_s[along], config.identify_mps2[along], config.identify_mps[along]
         _, there = arcs.fly_through(place, speed, push, push, 0.5 * ramp, ramp)
         _, again = arcs.fly_through(place, -speed, push, push, 0.5 * ramp, ramp)
-        rest, start = float(reference.pos_ned_m[axis] - state.centre_ned_m[axis]), float(there[0, 4])
+        rest, start = float(reference.pos_ned_m[axis] - state.centre_ned_m[axis]), float(there[0, arcs.PLACE])
         slow = max(2.0 * ramp, 4.0 * abs(start - rest))  # 0.2 m/s at most
         levels = (start - rest) / slow**2 * np.array([0.0, 1.0, -1.0, 0.0])
         to, back = (
@@ -224,10 +224,10 @@ class Explorer:
             visit = Visit(axis.axis, arcs.peak(arc)[1], error_at(axis, arcs.peak(arc)[1]))
             if sum(_in_vain(visit, before, self.config.better) for before in state.visits) >= self.config.repeats:
                 continue
-            way = transit(axis, rest, float(arc[0, 4]), self.config.search)
+            way = transit(axis, rest, float(arc[0, arcs.PLACE]), self.config.search)
             if way is None:
                 continue
-            before = arcs.at_rest(float(arc[0, 4]), 0.2)
+            before = arcs.at_rest(float(arc[0, arcs.PLACE]), 0.2)
             after = arcs.at_rest(arcs.at(arc, arcs.duration_s(arc))[0], self.config.settle_s)
             zero = reference.pos_ned_m.copy()  # the other axes stay where they rest
             zero[axis.axis] = state.centre_ned_m[axis.axis]

@@ -127,7 +127,7 @@ def to_flat(
     )
 
 
-_OUT = 17
+_OUT, _THRUST, _RATE, _ANGULAR = 17, 0, 2, 5
 """Flat result of the compiled map: thrust, its rate, body rates (3), angular accelerations (3), R (9, row by row)."""
 
 
@@ -196,16 +196,16 @@ def _to_body(
     else:
         z = _unit(t, size)
     extra = drag[2] - 0.5 * (drag[0] + drag[1])
-    out[0] = mass * size - extra * _dot(z[0], vel)
-    out[1] = mass * _dot(z[0], t[1]) - extra * (_dot(z[1], vel) + _dot(z[0], acc))
+    out[_THRUST] = mass * size - extra * _dot(z[0], vel)
+    out[_THRUST + 1] = mass * _dot(z[0], t[1]) - extra * (_dot(z[1], vel) + _dot(z[0], acc))
     x = _forward(z, yaw, yaw_rate, hint)
     y = _cross(z, x)
-    out[2] = -_dot(y[0], z[1])
-    out[3] = _dot(x[0], z[1])
-    out[4] = _dot(y[0], x[1])
-    out[5] = -_dot(y[1], z[1]) - _dot(y[0], z[2])
-    out[6] = _dot(x[1], z[1]) + _dot(x[0], z[2])
-    out[7] = _dot(y[1], x[1]) + _dot(y[0], x[2])
+    out[_RATE] = -_dot(y[0], z[1])
+    out[_RATE + 1] = _dot(x[0], z[1])
+    out[_RATE + 2] = _dot(y[0], x[1])
+    out[_ANGULAR] = -_dot(y[1], z[1]) - _dot(y[0], z[2])
+    out[_ANGULAR + 1] = _dot(x[1], z[1]) + _dot(x[0], z[2])
+    out[_ANGULAR + 2] = _dot(y[1], x[1]) + _dot(y[0], x[2])
     for i in range(3):
         out[8 + 3 * i] = x[0, i]
         out[9 + 3 * i] = y[0, i]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64
 
 
@@ -19,23 +20,23 @@ from flightstack.types import F64
 def quat_multiply(a: F64, b: F64) -> F64:
     """Hamilton product a ⊗ b; (4,), (4,) -> (4,)."""
     out = np.empty(4)
-    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
-    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
-    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
-    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    out[Q_W] = a[Q_W] * b[Q_W] - a[Q_X] * b[Q_X] - a[Q_Y] * b[Q_Y] - a[Q_Z] * b[Q_Z]
+    out[Q_X] = a[Q_W] * b[Q_X] + a[Q_X] * b[Q_W] + a[Q_Y] * b[Q_Z] - a[Q_Z] * b[Q_Y]
+    out[Q_Y] = a[Q_W] * b[Q_Y] - a[Q_X] * b[Q_Z] + a[Q_Y] * b[Q_W] + a[Q_Z] * b[Q_X]
+    out[Q_Z] = a[Q_W] * b[Q_Z] + a[Q_X] * b[Q_Y] - a[Q_Y] * b[Q_X] + a[Q_Z] * b[Q_W]
     return out
 
 
 @njit
 def quat_conjugate(q: F64) -> F64:
     """The inverse rotation of a unit quaternion; (4,) -> (4,)."""
-    return np.array([q[0], -q[1], -q[2], -q[3]])
+    return np.array([q[Q_W], -q[Q_X], -q[Q_Y], -q[Q_Z]])
 
 
 @njit
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrix R (3, 3) of a unit quaternion: v_world = R v_body; its columns are the body axes in the world."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+    w, x, y, z = q[Q_W], q[Q_X], q[Q_Y], q[Q_Z]
     r = np.empty((3, 3))
     r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
     r[0, 1] = 2.0 * (x * y - w * z)
@@ -55,27 +56,27 @@ def matrix_to_quat(r: F64) -> F64:
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     q = np.empty(4)
     if trace >= r[0, 0] and trace >= r[1, 1] and trace >= r[2, 2]:
-        q[0] = 1.0 + trace
-        q[1] = r[2, 1] - r[1, 2]
-        q[2] = r[0, 2] - r[2, 0]
-        q[3] = r[1, 0] - r[0, 1]
+        q[Q_W] = 1.0 + trace
+        q[Q_X] = r[2, 1] - r[1, 2]
+        q[Q_Y] = r[0, 2] - r[2, 0]
+        q[Q_Z] = r[1, 0] - r[0, 1]
     elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
-        q[0] = r[2, 1] - r[1, 2]
-        q[1] = 1.0 + 2.0 * r[0, 0] - trace
-        q[2] = r[1, 0] + r[0, 1]
-        q[3] = r[0, 2] + r[2, 0]
+        q[Q_W] = r[2, 1] - r[1, 2]
+        q[Q_X] = 1.0 + 2.0 * r[0, 0] - trace
+        q[Q_Y] = r[1, 0] + r[0, 1]
+        q[Q_Z] = r[0, 2] + r[2, 0]
     elif r[1, 1] >= r[2, 2]:
-        q[0] = r[0, 2] - r[2, 0]
-        q[1] = r[1, 0] + r[0, 1]
-        q[2] = 1.0 + 2.0 * r[1, 1] - trace
-        q[3] = r[2, 1] + r[1, 2]
+        q[Q_W] = r[0, 2] - r[2, 0]
+        q[Q_X] = r[1, 0] + r[0, 1]
+        q[Q_Y] = 1.0 + 2.0 * r[1, 1] - trace
+        q[Q_Z] = r[2, 1] + r[1, 2]
     else:
-        q[0] = r[1, 0] - r[0, 1]
-        q[1] = r[0, 2] + r[2, 0]
-        q[2] = r[2, 1] + r[1, 2]
-        q[3] = 1.0 + 2.0 * r[2, 2] - trace
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    if q[0] < 0.0:
+        q[Q_W] = r[1, 0] - r[0, 1]
+        q[Q_X] = r[0, 2] + r[2, 0]
+        q[Q_Y] = r[2, 1] + r[1, 2]
+        q[Q_Z] = 1.0 + 2.0 * r[2, 2] - trace
+    norm = math.sqrt(q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z])
+    if q[Q_W] < 0.0:
         norm = -norm
     return q / norm
 
@@ -83,13 +84,13 @@ def matrix_to_quat(r: F64) -> F64:
 @njit
 def rotate(q: F64, v: F64) -> F64:
     """Turn a body vector into the world: R(q) v; (4,), (3,) -> (3,)."""
-    tx = 2.0 * (q[2] * v[2] - q[3] * v[1])
-    ty = 2.0 * (q[3] * v[0] - q[1] * v[2])
-    tz = 2.0 * (q[1] * v[1] - q[2] * v[0])
+    tx = 2.0 * (q[Q_Y] * v[2] - q[Q_Z] * v[1])
+    ty = 2.0 * (q[Q_Z] * v[0] - q[Q_X] * v[2])
+    tz = 2.0 * (q[Q_X] * v[1] - q[Q_Y] * v[0])
     out = np.empty(3)
-    out[0] = v[0] + q[0] * tx + q[2] * tz - q[3] * ty
-    out[1] = v[1] + q[0] * ty + q[3] * tx - q[1] * tz
-    out[2] = v[2] + q[0] * tz + q[1] * ty - q[2] * tx
+    out[0] = v[0] + q[Q_W] * tx + q[Q_Y] * tz - q[Q_Z] * ty
+    out[1] = v[1] + q[Q_W] * ty + q[Q_Z] * tx - q[Q_X] * tz
+    out[2] = v[2] + q[Q_W] * tz + q[Q_X] * ty - q[Q_Y] * tx
     return out
 
 
@@ -106,10 +107,10 @@ def quat_from_rotation_vector(phi: F64) -> F64:
     half = 0.5 * angle
     s = 0.5 - angle * angle / 48.0 if angle < 1e-6 else math.sin(half) / angle
     out = np.empty(4)
-    out[0] = math.cos(half)
-    out[1] = s * phi[0]
-    out[2] = s * phi[1]
-    out[3] = s * phi[2]
+    out[Q_W] = math.cos(half)
+    out[Q_X] = s * phi[0]
+    out[Q_Y] = s * phi[1]
+    out[Q_Z] = s * phi[2]
     return out
 
 
@@ -120,17 +121,17 @@ def quat_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
     cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
     cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
     out = np.empty(4)
-    out[0] = cr * cp * cy + sr * sp * sy
-    out[1] = sr * cp * cy - cr * sp * sy
-    out[2] = cr * sp * cy + sr * cp * sy
-    out[3] = cr * cp * sy - sr * sp * cy
+    out[Q_W] = cr * cp * cy + sr * sp * sy
+    out[Q_X] = sr * cp * cy - cr * sp * sy
+    out[Q_Y] = cr * sp * cy + sr * cp * sy
+    out[Q_Z] = cr * cp * sy - sr * sp * cy
     return out
 
 
 @njit
 def euler_from_quat(q: F64) -> F64:
     """(roll, pitch, yaw) rad (3,), ZYX; pitch is clipped at +-90 degrees."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+    w, x, y, z = q[Q_W], q[Q_X], q[Q_Y], q[Q_Z]
     out = np.empty(3)
     out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     out[1] = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
@@ -156,5 +157,5 @@ _SQRT_HALF = math.sqrt(0.5)
 def q_ned_frd_to_enu_flu(q: F64) -> F64:
     """Attitude(s) (..., 4) for viewers: q_enu_ned ⊗ q_ned_frd ⊗ q_frd_flu, both fixed turns written out."""
     q = np.asarray(q, dtype=np.float64)
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    w, x, y, z = q[..., Q_W], q[..., Q_X], q[..., Q_Y], q[..., Q_Z]
     return _SQRT_HALF * np.stack([w + z, x + y, x - y, w - z], axis=-1)

@@ -78,6 +78,10 @@ class GovernorLimits(NamedTuple):
         return thrust_to_norm(self.margin, 1.0, undone), thrust_to_norm(1.0 - self.margin, 1.0, undone)
 
 
+_NORM = 3
+"""Of the memory, after the body rates."""
+
+
 class _Loop(NamedTuple):
     """The rate loop's constants for all lanes of the model, of a prediction of roll and pitch, of one of yaw; PX4's
     rate limits."""
@@ -182,17 +186,18 @@ def _govern(
     bounds: r_max, y_max, least and greatest collective command; ahead: sine and cosine of the heading.
     """
     state, target, coupling, out = memory[4:], buffers.target, buffers.coupling, buffers.out
+    r_max, y_max, least, greatest = bounds
     for axis in range(3):
         for m in range(MODELS):
             target[axis * MODELS + m] = memory[axis]
     for _ in range(steps):
         couple(state, loop.model, coupling)
-        step_lanes(state, loop.model, target, coupling, memory[3], LANES, 0.001)
+        step_lanes(state, loop.model, target, coupling, memory[_NORM], LANES, 0.001)
     changed = False
     for axis in range(3):
         out[axis] = rate[axis]
-    if bounds[0] < np.inf:
-        norm = min(max(norm, bounds[2]), bounds[3])
+    if r_max < np.inf:
+        norm = min(max(norm, least), greatest)
         for axis in range(3):
             most = loop.rate_max[axis]
             out[axis] = min(max(rate[axis], -most), most)
@@ -204,7 +209,7 @@ def _govern(
         _pack(state, 0, 2 * MODELS, work)
         _predict_tilt(work, loop.tilt, coupling, target, norm, present, torques)
         wanted = out[0] - present[0], out[1] - present[1]
-        change = _within(torques, wanted, ahead, bounds[0], False)
+        change = _within(torques, wanted, ahead, r_max, False)
         if change != wanted:
             out[0], out[1] = present[0] + change[0], present[1] + change[1]
         _pack(state, 2 * MODELS, 3 * MODELS, work)
@@ -213,13 +218,13 @@ def _govern(
             work[RATE * _YAW + j] = work[BODY * _YAW + j]
         _predict_yaw(work, loop.yaw, coupling[_TILT:], target, norm, present[2], torques)
         wanted = out[2] - present[2], 0.0
-        change = _within(torques, wanted, (1.0, 0.0), bounds[1], True)
+        change = _within(torques, wanted, (1.0, 0.0), y_max, True)
         if change != wanted:
             out[2] = present[2] + change[0]
         changed = out[0] != rate[0] or out[1] != rate[1] or out[2] != rate[2]
     for axis in range(3):
         memory[axis] = out[axis]
-    memory[3] = norm
+    memory[_NORM] = norm
     return norm, changed
 
 

@@ -26,6 +26,7 @@ import numpy as np
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Measurement
 
 _LEVEL_GAIN_PS = 4.0
@@ -37,6 +38,8 @@ _LEVEL_SINK_SHARE = 0.97
 _CARRIED_TIME_CONSTANT_US = 1_000_000
 
 OUTSIDE = "brake: outside the envelope"
+_THRUST_LEAST, _THRUST_MOST, _RATES, _RADIUS, _HEIGHT, _UPRIGHT, _MASS = 0, 1, 2, 5, 6, 7, 8
+"""Of the bounds."""
 _PASS, _CLIP, _COMMAND, _TILT, _ENVELOPE, _POSITION, _ATTITUDE = range(7)
 _NAMES = (
     "",
@@ -133,7 +136,7 @@ def _finite(values: F64) -> bool:
 def _outside(pos: F64, origin: F64, bounds: F64) -> bool:
     """Of the envelope; so is what is no number."""
     north, east, down = pos[0] - origin[0], pos[1] - origin[1], pos[2] - origin[2]
-    return not (north * north + east * east <= bounds[5] * bounds[5] and -down <= bounds[6])
+    return not (north * north + east * east <= bounds[_RADIUS] * bounds[_RADIUS] and -down <= bounds[_HEIGHT])
 
 
 @njit
@@ -147,26 +150,26 @@ def _judge(
     of the greatest tilt, mass.  `turned`: the command brakes outside the envelope already.
     """
     pos, vel, q, body_rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
-    carried = min(max(carried, bounds[0]), bounds[1])
-    norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    carried = min(max(carried, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
+    norm = q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z]
     if not (abs(norm - 1.0) < 1e-3 and _finite(body_rate)):
         return _ATTITUDE, carried
     still = np.zeros(3)
     if lost or not (_finite(pos) and _finite(vel)):
         _lean(q, still, bounds, out)
-        return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[0])
+        return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[_THRUST_LEAST])
     code = _PASS
     if not turned and _outside(pos, origin, bounds):
         code = _ENVELOPE
-    elif not quat_to_matrix(q)[2, 2] >= bounds[7]:
+    elif not quat_to_matrix(q)[2, 2] >= bounds[_UPRIGHT]:
         code = _TILT
     elif not (_finite(rate) and math.isfinite(thrust) and math.isfinite(thrust_norm)):
         code = _COMMAND
     if code != _PASS:
         cosine = _lean(q, vel, bounds, out)
-        wanted = carried + bounds[8] * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
-        return code, min(max(wanted / max(cosine, 0.5), bounds[0]), bounds[1])
-    clipped = min(max(thrust, bounds[0]), bounds[1])
+        wanted = carried + bounds[_MASS] * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
+        return code, min(max(wanted / max(cosine, 0.5), bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
+    clipped = min(max(thrust, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
     if clipped != thrust or not 0.0 <= thrust_norm <= 1.0:
         code = _CLIP
     for i in range(3):
@@ -192,7 +195,7 @@ def _lean(q: F64, vel: F64, bounds: F64, out: F64) -> float:
         size = math.sqrt(x * x + y * y)
         gain = _LEVEL_GAIN_PS / max(size, 1e-9)
         y = y if size > 1e-9 else 1e-9
-    out[0] = min(max(-gain * y, -bounds[2]), bounds[2])
-    out[1] = min(max(gain * x, -bounds[3]), bounds[3])
+    out[0] = min(max(-gain * y, -bounds[_RATES]), bounds[_RATES])
+    out[1] = min(max(gain * x, -bounds[_RATES + 1]), bounds[_RATES + 1])
     out[2] = 0.0
     return r[2, 2]  # type: ignore[no-any-return]

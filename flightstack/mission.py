@@ -155,7 +155,8 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     legs = [_Leg("takeoff", 0.0, climb.moved(start))]
     path = (run_up or run_up_of(scenario)).path
     track_start_s = ready_s if path is None else ready_s + path.duration_s
-    settled = hover((0.0, 0.0, float(above[2])), yaw_rad=float(above[3]))
+    _, _, down, yaw = above
+    settled = hover((0.0, 0.0, float(down)), yaw_rad=float(yaw))
     legs.append(_Leg("approach", climb_s, settled.moved(start)))
     if path is not None:
         legs.append(_Leg("approach", ready_s, path.moved(start)))

@@ -159,6 +159,9 @@ def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else value
 
 
+_MAX_THRUST, _CURVE = 5, 6
+
+
 def limiter_row(model: Model, limits: Limits) -> F64:
     """(7,) what `limit_command` needs: thrust range, rates (3), greatest thrust, curve factor."""
     curve = (model.max_thrust_n, model.thrust_model_factor)
@@ -171,7 +174,7 @@ def limit_command(thrust: float, rate: F64, constants: F64, out: F64) -> tuple[f
     for i in range(3):
         out[i] = _clip(rate[i], -constants[2 + i], constants[2 + i])
     limited = _clip(thrust, constants[0], constants[1])
-    return limited, thrust_to_norm(limited, constants[5], constants[6])
+    return limited, thrust_to_norm(limited, constants[_MAX_THRUST], constants[_CURVE])
 
 
 @njit

@@ -17,6 +17,7 @@ from flightstack.estimate_observer import EstimateObserver
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
 from flightstack.imu_bias import ImuBias
 from flightstack.jit import njit
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, Tuple4
 
 _AGE_MAX_S = 0.05
@@ -77,6 +78,12 @@ class Streams:
         return self.attitude_us >= 0 and self.position_us >= 0 and self.imu_us >= 0
 
 
+def sampled(streams: Streams, now_us: int, *, corrected: bool = True) -> Measurement | None:
+    """As `predict`, but to the newest sample only: what came after it the commands that were sent say (`under_way`)."""
+    newest_us = max(streams.position_us, streams.attitude_us, streams.imu_us)
+    return predict(streams, min(now_us, newest_us), corrected=corrected)
+
+
 def predict(streams: Streams, now_us: int, *, corrected: bool = True) -> Measurement | None:
     """The state at `now_us`, or None until every stream (but the motors') has been heard; ages are in the result.
 
@@ -106,7 +113,7 @@ def _predict(samples: F64, position_age: float, attitude_age: float, gyro_newer:
         out[10 + i] = rate
         turn[i] = 0.5 * (samples[4 + i] + rate) * span
     q = quat_multiply(samples[0:4], quat_from_rotation_vector(turn))
-    size = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    size = math.sqrt(q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z])
     for i in range(4):
         out[6 + i] = q[i] / size
         out[16 + i] = samples[19 + i]

@@ -44,6 +44,7 @@ from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.torque import within
 from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
+from flightstack.rows import ATTITUDE, F_INTERVENED, F_ITERATIONS, F_RESIDUAL, F_STATUS, F_THRUST, F_VERSION, F_WANTED
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 __all__ = ["CHANGED", "INFEASIBLE", "PASSED", "UNCERTIFIED", "UNSOLVED", "WAITING", "BarrierFilter", "FilterState"]
@@ -100,7 +101,7 @@ class BarrierFilter:
         state = self.init(still)
         remember(state.memory, 0.0, 0.5, still)
         level = np.zeros(20)
-        level[6] = 1.0
+        level[ATTITUDE] = 1.0
         assess(
             state.memory, state.packed, level, (0.0, 0.0, 0.0), still, (0.5, still, 0.5, still),
             (self._work, self._rows, self._low, self._high), row,
@@ -161,15 +162,15 @@ class BarrierFilter:
     ) -> tuple[FilterState, Command, Filtered]:
         """The safe command nearest to `command`; `sent` is the command of the tick before, as it went out."""
         row = _EMPTY.copy()
-        row[7], row[32] = 0.0, command.thrust_n
+        row[F_INTERVENED], row[F_THRUST] = 0.0, command.thrust_n
         certificate, packed, work = state.certificate, state.packed, self._work
         if certificate is None:
             remember(state.memory, float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps)
-            row[2] = UNCERTIFIED
+            row[F_STATUS] = UNCERTIFIED
             return state, command, Filtered(row)
         if state.handed_over:
             remember(state.memory, float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps)
-            row[2], row[6] = FALSIFIED, certificate.version
+            row[F_STATUS], row[F_VERSION] = FALSIFIED, certificate.version
             return state, command, Filtered(row)
         times_us = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         status = assess(
@@ -177,29 +178,32 @@ class BarrierFilter:
             (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
             (work, self._rows, self._low, self._high), row,
         )  # fmt: skip
-        row[2], row[4], row[6] = status, 0.0, certificate.version
-        if status == WAITING or not np.isfinite(row[8]):  # what is not a number is for the guard to judge
+        row[F_STATUS], row[F_ITERATIONS], row[F_VERSION] = status, 0.0, certificate.version
+        if status == WAITING or not np.isfinite(row[F_WANTED]):  # what is not a number is for the guard to judge
             return state, command, Filtered(row)
         u, rate = np.empty(3), command.rate_frd_radps.copy()
         rate[2] = _gently(float(rate[2]), float(measurement.row[_YAW_RATE]), self.limits.rate_max_radps[2])
         if status == CHANGED:
             solution = self._qp.solve(self._rows, self._low, self._high, row[8:11])
-            u, row[4], row[5] = solution.x, solution.iterations, solution.residual
+            u, row[F_ITERATIONS], row[F_RESIDUAL] = solution.x, solution.iterations, solution.residual
             if not solution.solved:
-                status = row[2] = UNSOLVED
-            elif max(abs(u[0] - row[8]), abs(u[1] - row[9]), abs(u[2] - row[10])) < _SAME_MPS2:
-                status = row[2] = PASSED
+                status = row[F_STATUS] = UNSOLVED
+            elif (
+                max(abs(u[0] - row[F_WANTED]), abs(u[1] - row[F_WANTED + 1]), abs(u[2] - row[F_WANTED + 2]))
+                < _SAME_MPS2
+            ):
+                status = row[F_STATUS] = PASSED
         if status == PASSED:
             if rate[2] == command.rate_frd_radps[2]:
                 return state, command, Filtered(row)
-            row[2], row[7] = CHANGED, 1.0
+            row[F_STATUS], row[F_INTERVENED] = CHANGED, 1.0
             return state, command._replace(rate_frd_radps=rate), Filtered(row)
         if status != CHANGED:
             fallback(row, u)
         norm = steer(packed, work, u, rate)
         safe, _ = self._limiter.limit(self.model.thrust_of(norm), rate, command.t_us)
         settle(packed, work, safe.thrust_norm, safe.rate_frd_radps, row)
-        row[7] = 1.0
+        row[F_INTERVENED] = 1.0
         return state, safe, Filtered(row)
 
 

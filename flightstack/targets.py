@@ -14,7 +14,7 @@ import numpy as np
 from flightstack import arcs
 from flightstack.barrier.condition import Reach, Setting, interval
 from flightstack.barrier.design import at_speed
-from flightstack.barrier.records import AxisCertificate
+from flightstack.barrier.records import N_ERROR_HIGH, N_ERROR_LOW, N_HIGH, N_LOW, AxisCertificate
 from flightstack.barrier.shapes import Barrier, gradient, piece_at, value
 from flightstack.jit import njit
 from flightstack.types import F64
@@ -178,6 +178,6 @@ def _reach(table: F64, v: float) -> Reach:
     nodes = table.shape[1]
     i = min(max(np.searchsorted(table[0], v) - 1, 0), nodes - 2)
     return Reach(
-        max(table[3, i], table[3, i + 1]), min(table[4, i], table[4, i + 1]),
-        max(table[5, i], table[5, i + 1]), max(table[6, i], table[6, i + 1]),
+        max(table[N_LOW, i], table[N_LOW, i + 1]), min(table[N_HIGH, i], table[N_HIGH, i + 1]),
+        max(table[N_ERROR_LOW, i], table[N_ERROR_LOW, i + 1]), max(table[N_ERROR_HIGH, i], table[N_ERROR_HIGH, i + 1]),
     )  # fmt: skip

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from flightstack.jit import njit
+from flightstack.rows import YAW, YAW_RATE
 from flightstack.types import F64, FlatOutput, Tuple3
 
 _ORDER = 8
@@ -184,20 +185,24 @@ def _basis(share: float, order: int) -> F64:
     return np.array([math.perm(n, order) * share ** (n - order) if n >= order else 0.0 for n in range(_ORDER)])
 
 
+_CENTRE, _AMPLITUDE, _RADPS, _PHASE = range(4)
+"""Of a Sinusoid's table."""
+
+
 @njit
 def _sinusoid(t: float, table: F64, yaw: float, row: F64) -> None:
     """`table` (4, 3) as in Sinusoid; `row` (17,) as in FlatOutput."""
     for i in range(3):
-        w = table[2, i]
-        angle = w * t + table[3, i]
-        s, c = table[1, i] * math.sin(angle), table[1, i] * math.cos(angle)
-        row[i] = table[0, i] + s
+        w = table[_RADPS, i]
+        angle = w * t + table[_PHASE, i]
+        s, c = table[_AMPLITUDE, i] * math.sin(angle), table[_AMPLITUDE, i] * math.cos(angle)
+        row[i] = table[_CENTRE, i] + s
         row[3 + i] = w * c
         row[6 + i] = -w * w * s
         row[9 + i] = -w * w * w * c
         row[12 + i] = w * w * w * w * s
-    row[15] = yaw
-    row[16] = 0.0
+    row[YAW] = yaw
+    row[YAW_RATE] = 0.0
 
 
 @njit
@@ -250,9 +255,10 @@ def nominal_step(
     c' = -K1 (r - r_ref) - K2 (v - v_ref) - K3 c, whose step is exact for errors held over `dt`.  `correction` (3,) is
     c, changed in place; `acc_out`, `jerk_out` (3,) receive a_d and jerk_d.  `reference`: position to jerk.
     """
+    place, speed, _, jerk = reference
     for i in range(3):
         p = pole[i]
-        drive = -p * p * p * (pos[i] - reference[0][i]) - 3.0 * p * p * (vel[i] - reference[1][i])
+        drive = -p * p * p * (pos[i] - place[i]) - 3.0 * p * p * (vel[i] - speed[i])
         keep = math.exp(-3.0 * p * dt)
         c = keep * correction[i] + (1.0 - keep) * drive / (3.0 * p)
         limit = correction_max[i]
@@ -262,4 +268,4 @@ def nominal_step(
             rate = 0.0
         correction[i] = c
         acc_out[i] = reference[2][i] + c
-        jerk_out[i] = reference[3][i] + rate
+        jerk_out[i] = jerk[i] + rate

@@ -19,6 +19,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack import rows
 from flightstack.errors import InputError as InputError
 
 F64 = NDArray[np.float64]
@@ -167,47 +168,47 @@ class Learned:
     """Unexplained acceleration at the reference, after gates and clips; thrust's own error is in `thrust_gain`."""
     jerk_ned_mps3 = Part(3, 6)
     """Its time derivative along the reference."""
-    thrust_gain = Element(6)
+    thrust_gain = Element(rows.L_GAIN)
     """Delivered over believed thrust per mass, 1 as believed; it scales every thrust that is asked for."""
-    confidence = Element(7)
+    confidence = Element(rows.L_CONFIDENCE)
     """1 where the bound (three sigma) is nothing, 0 from 0.1 g on and where nothing is used."""
-    stage = Element(8)
+    stage = Element(rows.L_STAGE)
     """-1 there is no learner, 0 nothing, 1 calculable, 2 valid, 3 used, 4 used but frozen."""
-    residual_frd_mps2 = Part(9, 12)
+    residual_frd_mps2 = Part(rows.L_RESIDUAL, rows.L_RESIDUAL + 3)
     """Expected residual at the measured state; NaN without a learner."""
-    sigma_frd_mps2 = Part(12, 15)
+    sigma_frd_mps2 = Part(rows.L_SIGMA, rows.L_SIGMA + 3)
     """Its calibrated standard deviation (three of them are the bound); NaN without a learner."""
-    target_frd_mps2 = Part(15, 18)
+    target_frd_mps2 = Part(rows.L_TARGET, rows.L_TARGET + 3)
     """The residual as measured at this tick; NaN where there was no fit sample."""
-    thrust_gain_sigma = Element(18)
+    thrust_gain_sigma = Element(rows.L_GAIN_SIGMA)
     """Standard deviation of the gain; at least the vertical bound's share of gravity."""
-    rate_residual_frd_radps = Part(19, 22)
+    rate_residual_frd_radps = Part(rows.L_RATE, rows.L_RATE + 3)
     """Expected body rates less those that the model of the rate loop says."""
-    rate_sigma_frd_radps = Part(22, 25)
-    applied_thrust_n = Element(25)
+    rate_sigma_frd_radps = Part(rows.L_RATE_SIGMA, rows.L_RATE_SIGMA + 3)
+    applied_thrust_n = Element(rows.L_APPLIED)
     """Thrust that acted by the model: after latency and the rotors' lag."""
-    latency_s = Element(26)
+    latency_s = Element(rows.L_LATENCY)
     """From sending a command to its first effect, as identified; NaN until it is evident."""
-    points = Element(27)
+    points = Element(rows.L_POINTS)
     """Points held."""
-    fed = Element(28)
+    fed = Element(rows.L_FED)
     """Samples taken so far."""
-    refused = Element(29)
+    refused = Element(rows.L_REFUSED)
     """Samples refused so far."""
-    changes = Element(30)
+    changes = Element(rows.L_CHANGES)
     """Sudden changes noticed so far."""
-    surprise = Element(31)
+    surprise = Element(rows.L_SURPRISE)
     """Largest recent error of prediction, in its own standard deviations."""
-    delay_s = Element(32)
+    delay_s = Element(rows.L_DELAY)
     """Delay of commands that the sample was made with: the latency, and before that is evident the file's."""
 
     @classmethod
     def nothing(cls) -> Learned:
         """Without a learner: the model as believed."""
-        row = np.zeros(33)
-        row[6], row[8] = 1.0, -1.0
-        row[9:25] = np.nan
-        row[31:] = np.nan
+        row = np.zeros(rows.LEARNED)
+        row[rows.L_GAIN], row[rows.L_STAGE] = 1.0, -1.0
+        row[rows.L_RESIDUAL : rows.L_APPLIED] = np.nan
+        row[rows.L_SURPRISE :] = np.nan
         return cls(row)
 
 
@@ -217,50 +218,50 @@ class Filtered:
 
     row: F64
     """(35,) the parts below in their order; axes are north, east, down."""
-    h = Element(0)
+    h = Element(rows.F_H)
     """Least barrier value of the predicted state: at least 0 inside the certified region."""
-    h_state = Element(1)
+    h_state = Element(rows.F_H_STATE)
     """The same at the measured position and velocity."""
-    status = Element(2)
+    status = Element(rows.F_STATUS)
     """-1 there is no filter, 0 nothing is certified, 1 not engaged yet, 2 passed, 3 changed, 4 fallback: infeasible,
     5 fallback: not solved, 6 the certificate was falsified and nothing is left to keep to: commands pass."""
-    margin_ps = Element(3)
+    margin_ps = Element(rows.F_MARGIN)
     """Least margin of the barrier condition at the acceleration that is sent, 1/s."""
-    iterations = Element(4)
+    iterations = Element(rows.F_ITERATIONS)
     """Of the QP's solver."""
-    residual = Element(5)
+    residual = Element(rows.F_RESIDUAL)
     """Largest violation of a row of the QP by its solution, m/s^2."""
-    version = Element(6)
+    version = Element(rows.F_VERSION)
     """Of the certificate."""
-    intervened = Element(7)
+    intervened = Element(rows.F_INTERVENED)
     """1 where the command was changed."""
-    wanted_acc_ned_mps2 = Part(8, 11)
+    wanted_acc_ned_mps2 = Part(rows.F_WANTED, rows.F_WANTED + 3)
     """What the controller's command steers towards."""
-    safe_acc_ned_mps2 = Part(11, 14)
+    safe_acc_ned_mps2 = Part(rows.F_SAFE, rows.F_SAFE + 3)
     """What the sent command steers towards."""
-    low_ned_mps2 = Part(14, 17)
+    low_ned_mps2 = Part(rows.F_LOW, rows.F_LOW + 3)
     """Least acceleration that the barriers allow."""
-    high_ned_mps2 = Part(17, 20)
-    margins_ned_ps = Part(20, 23)
+    high_ned_mps2 = Part(rows.F_HIGH, rows.F_HIGH + 3)
+    margins_ned_ps = Part(rows.F_MARGINS, rows.F_MARGINS + 3)
     """Margin of each axis' condition at its best command, 1/s."""
-    error_ned_m = Part(23, 26)
+    error_ned_m = Part(rows.F_ERROR, rows.F_ERROR + 3)
     """Predicted distance from the region's centre, as the barriers take it."""
-    rate_ned_mps = Part(26, 29)
+    rate_ned_mps = Part(rows.F_RATE, rows.F_RATE + 3)
     """Its rate."""
-    bound_ned_mps2 = Part(29, 32)
+    bound_ned_mps2 = Part(rows.F_BOUND, rows.F_BOUND + 3)
     """How far the acceleration may be off, as the certificate says."""
-    wanted_thrust_n = Element(32)
+    wanted_thrust_n = Element(rows.F_THRUST)
     """The thrust asked for before filtering."""
-    premise = Element(33)
+    premise = Element(rows.F_PREMISE)
     """Number of the certificate's premise that is broken at this tick (`barrier.premise_watch.NAMES`), 0 none."""
-    ended_by = Element(34)
+    ended_by = Element(rows.F_ENDED_BY)
     """Number of the premise whose breach ended the certificate: the flight is at rest, or on its way there; 0 none."""
 
     @classmethod
     def nothing(cls) -> Filtered:
         """Without a filter."""
-        row = np.full(35, np.nan)
-        row[2], row[7] = -1.0, 0.0
+        row = np.full(rows.FILTERED, np.nan)
+        row[rows.F_STATUS], row[rows.F_INTERVENED] = -1.0, 0.0
         return cls(row)
 
     @property

@@ -24,6 +24,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 SCHEMA = "flightstack.waypoints/1"
 _COLUMNS = ("north_m", "east_m", "down_m", "yaw_rad", "time_s")
 _SHORT = {"n": "north_m", "e": "east_m", "d": "down_m", "yaw": "yaw_rad", "time": "time_s"}
+_YAW = 3
 _MOST = 100
 _FARTHEST_M = 1000.0
 _LEAST_HEIGHT_M = 0.3
@@ -94,7 +95,7 @@ def check_waypoints(value: object, source: str, speed_mps: object, acceleration_
             number(part, f"{where}: {name}", -_FARTHEST_M, _FARTHEST_M)
             for part, name in zip(item, _COLUMNS, strict=False)
         ]
-        points.append((numbers[0], numbers[1], numbers[2], numbers[3] if len(numbers) > 3 else 0.0))
+        points.append((numbers[0], numbers[1], numbers[2], numbers[_YAW] if len(numbers) > _YAW else 0.0))
         if numbers[2] > -_LEAST_HEIGHT_M:
             raise InputError(f"{where}: down_m = {numbers[2]:g} is too low; it must be at most -{_LEAST_HEIGHT_M:g} m")
         if count > 1 and math.dist(points[-1][:3], points[-2][:3]) < 1e-3:
@@ -123,7 +124,7 @@ def waypoint_trajectory(waypoints: Waypoints, source: str, limits: Limits) -> Po
     by 1/k and acceleration by 1/k^2).
     """
     points = np.array(waypoints.points)
-    points[:, 3] = np.unwrap(points[:, 3])
+    points[:, _YAW] = np.unwrap(points[:, _YAW])
     if waypoints.times_s is not None:
         path = minimum_snap(points, np.array(waypoints.times_s))
     else:
@@ -146,7 +147,7 @@ def _spans(points: F64, waypoints: Waypoints) -> F64:
     cruise = distance / waypoints.speed_mps + ramp
     short = 2.0 * np.sqrt(distance / waypoints.acceleration_mps2)
     spans = np.where(distance > waypoints.speed_mps * ramp, cruise, short)
-    least: F64 = np.maximum(np.maximum(spans, np.abs(np.diff(points[:, 3]))), _LEAST_SPAN_S)
+    least: F64 = np.maximum(np.maximum(spans, np.abs(np.diff(points[:, _YAW]))), _LEAST_SPAN_S)
     return least
 
 

@@ -59,6 +59,8 @@ _MODE_COMMANDS = frozenset({_DO_SET_MODE, _ARM_DISARM, 16, 20, 21, 22, 192, 252}
 """Commands whose acceptance, to anybody else, means that he has taken the vehicle."""
 _HOLD = (1.0, 4.0, 3.0)
 _ARMED = 0x80
+_BASE_MODE, _TARGET_SYSTEM = 3, 4
+"""Fields of HEARTBEAT and of COMMAND_ACK."""
 _WATCHING, _ACTING, _HELD, _SILENT = range(4)
 
 
@@ -133,10 +135,10 @@ class DeadMan:
             elif number in (HEARTBEAT, CURRENT_MODE):
                 self._mode, self._mode_at_ns = int(fields[0]), now_ns
                 if number == HEARTBEAT:
-                    self._armed = bool(int(fields[3]) & _ARMED)
+                    self._armed = bool(int(fields[_BASE_MODE]) & _ARMED)
                 self.record = self.record._replace(mode=self._mode, mode_ns=now_ns)
             elif number == COMMAND_ACK and fields[0] in _MODE_COMMANDS and fields[1] == 0:
-                ours = int(fields[4]) in (0, companion.own_system)
+                ours = int(fields[_TARGET_SYSTEM]) in (0, companion.own_system)
                 self.record = self.record if ours else self.record._replace(touched=1)
 
     def _act(self, now_ns: int, companion: CompanionRecord) -> list[bytes]:

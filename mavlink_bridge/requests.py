@@ -125,6 +125,6 @@ class CommandQueue:
 
     def _transmit(self, request: Request) -> None:
         command, given = request
-        p = (*given, *(math.nan,) * (7 - len(given)))  # NaN: unset, as MAVSDK does
-        params = (p[0], p[1], p[2], p[3], p[4], p[5], p[6])
+        p1, p2, p3, p4, p5, p6, p7 = (*given, *(math.nan,) * (7 - len(given)))  # NaN: unset, as MAVSDK does
+        params = (p1, p2, p3, p4, p5, p6, p7)
         self._link.send(m.CommandLong(self._system, px4.COMPONENT_AUTOPILOT, int(command), 0, params))

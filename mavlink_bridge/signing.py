@@ -30,6 +30,10 @@ Stream = tuple[int, int, int]
 """System, component, link id."""
 
 
+_SENDER = slice(5, 7)
+"""System and component in a frame of MAVLink 2."""
+
+
 @final
 class SecretKey:
     """32 secret bytes that never show themselves."""
@@ -117,7 +121,7 @@ class Signer:
         if not compare_digest(self._key.hash_of(body, head), given):
             return "bad_signature"
         stamp = int.from_bytes(head[1:], "little")
-        stream = (body[5], body[6], head[0])
+        stream = (*body[_SENDER], head[0])
         last = self.seen.get(stream)
         if last is None:
             last = max(self._stamp_now(), self.next_stamp) - _NEW_STREAM_BEHIND - 1

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import http.client
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 HOST = "127.0.0.1"
 SPEED = 4
@@ -43,6 +47,31 @@ def free_tcp_pair() -> int:
                     return port
             except (OSError, OverflowError):
                 continue
+
+
+@contextmanager
+def watching(port: int) -> Iterator[list[dict[str, Any]]]:
+    """What the page of `--live=PORT` would show, as often as it can be had while inside."""
+    seen: list[dict[str, Any]] = []
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.03):
+            try:
+                connection = http.client.HTTPConnection(HOST, port + 1, timeout=2.0)
+                connection.request("GET", "/state")
+                seen.append(json.loads(connection.getresponse().read()))
+                connection.close()
+            except (OSError, http.client.HTTPException):
+                continue  # nobody is there yet, or any more
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield seen
+    finally:
+        over.set()
+        watcher.join(10.0)
 
 
 @contextmanager

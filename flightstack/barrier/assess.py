@@ -22,6 +22,7 @@ from flightstack.barrier.packed import (
     setting_of,
     table_of,
 )  # fmt: skip
+from flightstack.barrier.records import N_ERROR_HIGH, N_ERROR_LOW, N_HIGH, N_LOW
 from flightstack.barrier.response import (
     C_HOLD,
     C_LEAD_THRUST,
@@ -32,6 +33,7 @@ from flightstack.barrier.response import (
     M_GOOD_SINCE,
     M_MODE,
     M_STEP_US,
+    S_ROTORS,
     STATE,
     acceleration,
     ahead,
@@ -40,11 +42,12 @@ from flightstack.barrier.response import (
     lead,
     remember,
     thrust_of,
-)  # fmt: skip
+)
 from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.turning import Turn, paced, straight
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
+from flightstack.rows import F_H, F_H_STATE, F_MARGIN, F_THRUST, F_WANTED, RATE_X, RATE_Y, VEL_D
 from flightstack.types import F64
 
 ENGAGE_H = 0.05
@@ -56,6 +59,7 @@ ENGAGED, DOUBTFUL = 1.0, 2.0
 ROWS = 7
 """Of the QP: three intervals, two pairs of sides that bound the lean, roll and pitch rate."""
 WORK = 2 * STATE + 4
+_GAIN = 3
 """Numbers between the two halves of a tick: the state when thrust and when rates begin to act, acceleration without
 thrust (3), gain."""
 
@@ -73,9 +77,9 @@ def finite(values: F64) -> bool:
 def _turn(flat: F64, state: F64, offset: F64, axis: int) -> Turn:
     """One lateral axis' lean at the predicted state."""
     chain, r = flat[P_CHAIN:P_BOUNDS], quat_to_matrix(state[6:10])
-    force = offset[3] * chain[C_LEAD_THRUST]
-    rate = -(state[11] * r[axis, 0] - state[10] * r[axis, 1])
-    still = offset[axis] - offset[3] * thrust_of(chain, state[13]) * r[axis, 2]
+    force = offset[_GAIN] * chain[C_LEAD_THRUST]
+    rate = -(state[RATE_Y] * r[axis, 0] - state[RATE_X] * r[axis, 1])
+    still = offset[axis] - offset[_GAIN] * thrust_of(chain, state[S_ROTORS]) * r[axis, 2]
     return Turn(still, rate, force, chain[C_STEER], flat[P_TURNING], flat[P_TURNING + 1])
 
 
@@ -102,7 +106,7 @@ def column_at(table: F64, column: int, v: float) -> float:
 def _reach(table: F64, v: float) -> Reach:
     """`Authority.reach`."""
     i = _below(table, v)
-    return Reach(table[3, i], table[4, i], table[5, i], table[6, i])
+    return Reach(table[N_LOW, i], table[N_HIGH, i], table[N_ERROR_LOW, i], table[N_ERROR_HIGH, i])
 
 
 @njit
@@ -122,35 +126,35 @@ def assess(
     remember(memory, sent_us, sent_norm, sent_rate)
     step_s = (now_us - memory[0, M_STEP_US]) * 1e-6
     memory[0, M_STEP_US] = now_us
-    if not (finite(measured[:13]) and math.isfinite(norm + out[32]) and finite(rate)):
+    if not (finite(measured[:13]) and math.isfinite(norm + out[F_THRUST]) and finite(rate)):
         return UNSOLVED if memory[0, M_MODE] > 0.0 else WAITING
     chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
     chain[C_HOLD] = min(max(step_s, DT_RANGE_S[0]), DT_RANGE_S[1]) if step_s < np.inf else DT_RANGE_S[0]
     for i in range(3):
         offset[i] = column_at(table_of(flat, i), 1, measured[3 + i])
-    offset[3] = column_at(table_of(flat, 2), 2, measured[5])
+    offset[_GAIN] = column_at(table_of(flat, 2), 2, measured[VEL_D])
     follow_rotors(memory, chain, measured_us)
     thrust_us, rate_us = now_us + chain[C_THRUST_DELAY], now_us + chain[C_RATE_DELAY]
-    ahead(memory, chain, measured, measured_us, thrust_us, offset, offset[3], predicted[0])
+    ahead(memory, chain, measured, measured_us, thrust_us, offset, offset[_GAIN], predicted[0])
     if rate_us == thrust_us:
         for i in range(STATE):
             predicted[1, i] = predicted[0, i]
     else:
-        ahead(memory, chain, measured, measured_us, rate_us, offset, offset[3], predicted[1])
+        ahead(memory, chain, measured, measured_us, rate_us, offset, offset[_GAIN], predicted[1])
     feasible = _barriers(flat, predicted, measured, origin, offset, low, high, out)
     if not (finite(out[:2]) and finite(out[23:29])):
         return UNSOLVED if memory[0, M_MODE] > 0.0 else WAITING
     _accelerations(chain, predicted, offset, norm, rate, out[8:11])
     for i in range(3):
         out[11 + i] = out[8 + i]
-    out[3] = _least_margin(flat, out)
-    if not _engaged(memory, min(out[0], out[1]), now_us):
+    out[F_MARGIN] = _least_margin(flat, out)
+    if not _engaged(memory, min(out[F_H], out[F_H_STATE]), now_us):
         return WAITING
     _limit_rows(flat, predicted, offset, rate, rows, low, high, out[8:11])
     if not feasible or low[2] > high[2]:
         return INFEASIBLE
     for i in range(ROWS):
-        z = rows[i, 0] * out[8] + rows[i, 1] * out[9] + rows[i, 2] * out[10]
+        z = rows[i, 0] * out[F_WANTED] + rows[i, 1] * out[F_WANTED + 1] + rows[i, 2] * out[F_WANTED + 2]
         if not low[i] - 1e-9 <= z <= high[i] + 1e-9:
             return CHANGED
     return PASSED
@@ -177,11 +181,11 @@ def _barriers(
     """Each axis' barrier at the predicted and the measured state and the accelerations that it allows; whether every
     axis has one.  `offset` becomes that at the predicted speeds."""
     feasible = True
-    out[0] = out[1] = np.inf
+    out[F_H] = out[F_H_STATE] = np.inf
     response, chain = flat[P_RESPONSE:P_CHAIN].reshape(3, 3), flat[P_CHAIN:P_BOUNDS]
     for i in range(3):
         low[i], high[i] = -np.inf, np.inf
-        p, v = lead(chain, predicted[0 if i == 2 else 1], response, i, offset[i], offset[3])
+        p, v = lead(chain, predicted[0 if i == 2 else 1], response, i, offset[i], offset[_GAIN])
         centre = origin[i] + flat[P_CENTRE + i]
         e, seen = p - centre, measured[i] - centre
         out[23 + i], out[26 + i] = e, v
@@ -190,17 +194,17 @@ def _barriers(
         table, pieces = table_of(flat, i), pieces_of(flat, i)
         offset[i] = column_at(table, 1, v)
         if i == 2:
-            offset[3] = column_at(table, 2, v)
+            offset[_GAIN] = column_at(table, 2, v)
         reach, setting = _reach(table, v), setting_of(flat, i)
         for piece in pieces:
-            out[0] = min(out[0], piece_at(piece, e, v)[0] - setting.inner)
-            out[1] = min(out[1], piece_at(piece, seen, measured[3 + i])[0])
+            out[F_H] = min(out[F_H], piece_at(piece, e, v)[0] - setting.inner)
+            out[F_H_STATE] = min(out[F_H_STATE], piece_at(piece, seen, measured[3 + i])[0])
         if i < 2 and flat[P_TURNING] > 0.0:
             low[i], high[i], margin = paced(pieces, e, v, setting, reach, _turn(flat, predicted[1], offset, i))
         else:
             low[i], high[i], margin = interval(pieces, e, v, setting, reach)
         out[14 + i], out[17 + i], out[20 + i] = low[i], high[i], margin
-        out[29 + i] = max(reach[2], reach[3])
+        out[29 + i] = max(reach.error_low, reach.error_high)
         feasible = feasible and margin >= 0.0
     return feasible
 
@@ -217,10 +221,10 @@ def _apart(predicted: F64) -> bool:
 @njit
 def _accelerations(chain: F64, predicted: F64, offset: F64, norm: float, rate: F64, u: F64) -> None:
     """A command's accelerations: down from the state when thrust begins to act, sideways from that of the rates."""
-    acceleration(chain, predicted[0], offset, offset[3], norm, rate, u)
+    acceleration(chain, predicted[0], offset, offset[_GAIN], norm, rate, u)
     if _apart(predicted):
         down = u[2]
-        acceleration(chain, predicted[1], offset, offset[3], norm, rate, u)
+        acceleration(chain, predicted[1], offset, offset[_GAIN], norm, rate, u)
         u[2] = down
 
 
@@ -236,7 +240,7 @@ def _limit_rows(
     bounds give way to the accelerations nearest to an upright n that the barriers allow: lean never takes what position
     needs.
     """
-    chain, gain = flat[P_CHAIN:P_BOUNDS], offset[3]
+    chain, gain = flat[P_CHAIN:P_BOUNDS], offset[_GAIN]
     ends, still, edge, asked = np.empty(3), np.zeros(3), np.empty(2), np.empty(2)
     for i in range(ROWS):
         rows[i, 0] = rows[i, 1] = rows[i, 2] = 0.0
@@ -314,9 +318,9 @@ def fallback(out: F64, u: F64) -> None:
 def steer(flat: F64, work: F64, u: F64, rate: F64) -> float:
     """The command for u (3,): normalised thrust; roll and pitch rates into `rate` (3,), whose yaw rate stays."""
     chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
-    norm = command_for(chain, predicted[0], offset, offset[3], u, rate)
+    norm = command_for(chain, predicted[0], offset, offset[_GAIN], u, rate)
     if _apart(predicted):
-        command_for(chain, predicted[1], offset, offset[3], u, rate)
+        command_for(chain, predicted[1], offset, offset[_GAIN], u, rate)
     return norm
 
 
@@ -325,4 +329,4 @@ def settle(flat: F64, work: F64, norm: float, rate: F64, out: F64) -> None:
     """What the command really does, into the row: accelerations and the least margin."""
     chain, predicted, offset = flat[P_CHAIN:P_BOUNDS], work[: 2 * STATE].reshape(2, STATE), work[2 * STATE :]
     _accelerations(chain, predicted, offset, norm, rate, out[11:14])
-    out[3] = _least_margin(flat, out)
+    out[F_MARGIN] = _least_margin(flat, out)

@@ -32,7 +32,20 @@ from flightstack.barrier.design_search import (
     speeds,
 )  # fmt: skip
 from flightstack.barrier.records import Authority, Response
-from flightstack.barrier.shapes import ROW, Barrier, Quadratic, Stopping
+from flightstack.barrier.shapes import (
+    BRAKE,
+    CENTRE_E,
+    CENTRE_V,
+    LIMIT,
+    P11,
+    P12,
+    P22,
+    REACTION,
+    ROW,
+    Barrier,
+    Quadratic,
+    Stopping,
+)
 from flightstack.types import F64
 
 FAMILIES = ("quadratic", "centred", "mu", "stopping")
@@ -247,8 +260,8 @@ def _last(holds: Callable[[float], bool], low: float, high: float, halvings: int
 def _barrier(rows: F64, kind: int) -> Barrier:
     row = [float(number) for number in rows[0]]
     if kind == QUADRATIC:
-        return Quadratic(row[1], row[2], row[3], row[4], row[5])
-    return Stopping(-float(rows[1, 2]), row[2], row[3], row[4], float(rows[1, 4]))
+        return Quadratic(row[CENTRE_E], row[CENTRE_V], row[P11], row[P12], row[P22])
+    return Stopping(-float(rows[1, LIMIT]), row[LIMIT], row[REACTION], row[BRAKE], float(rows[1, BRAKE]))
 
 
 def _grid(family: str, safe: SafeSet) -> tuple[list[F64], F64]:

@@ -9,11 +9,30 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting, interval
-from flightstack.barrier.shapes import ROW
+from flightstack.barrier.shapes import (
+    BRAKE,
+    CENTRE_E,
+    CENTRE_V,
+    K_EE,
+    K_EV,
+    K_VV,
+    KIND,
+    LIMIT,
+    P11,
+    P12,
+    P22,
+    REACTION,
+    ROW,
+    SCALE,
+    SIGN,
+)
 from flightstack.jit import njit, njit_called
 from flightstack.types import F64
 
 QUADRATIC, STOPPING = 0, 1
+_LAST_RATIO = 3
+V_LOW, V_HIGH, U_LOW, U_HIGH, ERROR_LOW, ERROR_HIGH = range(6)
+"""Of a band (`cover.bands`)."""
 _SPEEDS = 48
 """Speeds at which the condition is tried."""
 _ACROSS = 6
@@ -30,26 +49,30 @@ def build(kind: int, x: F64, size: float, safe: F64, reaches: F64, rows: F64) ->
     centre / half width in e.  With c between -1 and 1 both tips move inwards.  stopping: x = reaction time (s), braking
     towards low / greatest there, edges / limit (high, low).
     """
-    u_low, u_high, v_most = reaches[:, 2].max(), reaches[:, 3].min(), max(-reaches[0, 0], reaches[-1, 1])
+    u_low, u_high, v_most = (
+        reaches[:, U_LOW].max(),
+        reaches[:, U_HIGH].min(),
+        max(-reaches[0, V_LOW], reaches[-1, V_HIGH]),
+    )
     if kind == QUADRATIC:
         half_e, half_v = x[2] * safe[0], size * v_most
         free = 1.0 - x[1] * x[1]
         if not (free >= 1e-3 and half_e > 0.0 and half_v > 0.0):
             return 0
         p11, p12, p22 = 1.0 / (half_e * half_e * free), x[1] / (half_e * half_v * free), 1.0 / (half_v * half_v * free)
-        rows[0, 0], rows[0, 1], rows[0, 2] = 0.0, x[3] * half_e, x[0] * x[1] * half_v
-        rows[0, 3], rows[0, 4], rows[0, 5] = p11, p12, p22
-        rows[0, 6], rows[0, 7], rows[0, 8] = 2.0 * p11, 2.0 * p12, 2.0 * p22
+        rows[0, KIND], rows[0, CENTRE_E], rows[0, CENTRE_V] = 0.0, x[_LAST_RATIO] * half_e, x[0] * x[1] * half_v
+        rows[0, P11], rows[0, P12], rows[0, P22] = p11, p12, p22
+        rows[0, K_EE], rows[0, K_EV], rows[0, K_VV] = 2.0 * p11, 2.0 * p12, 2.0 * p22
         return 1
     t, brake_high, brake_low = x[0], -size * u_low, x[1] * u_high
-    high, low = x[2] * safe[0] - 0.5 * brake_high * t * t, 0.5 * brake_low * t * t - x[3] * safe[0]
+    high, low = x[2] * safe[0] - 0.5 * brake_high * t * t, 0.5 * brake_low * t * t - x[_LAST_RATIO] * safe[0]
     if not (high - low >= 0.05 * safe[0] and t > 0.0 and brake_high > 0.0 and brake_low > 0.0):
         return 0
     scale = 0.5 * (high - low)
     rows[:2] = 0.0
     rows[0, :6] = np.array([1.0, 1.0, high, t, brake_high, scale])
     rows[1, :6] = np.array([1.0, -1.0, -low, t, brake_low, scale])
-    rows[0, 8], rows[1, 8] = 1.0 / (brake_high * scale), 1.0 / (brake_low * scale)
+    rows[0, K_VV], rows[1, K_VV] = 1.0 / (brake_high * scale), 1.0 / (brake_low * scale)
     return 2
 
 
@@ -59,17 +82,17 @@ def chord(rows: F64, v: float, level: float) -> tuple[float, float]:
     low, high = -np.inf, np.inf
     for i in range(rows.shape[0]):
         row = rows[i]
-        if row[0] == 0.0:
-            dv = v - row[2]
-            root = (row[4] * dv) ** 2 - row[3] * (row[5] * dv * dv - (1.0 - level))
+        if row[KIND] == 0.0:
+            dv = v - row[CENTRE_V]
+            root = (row[P12] * dv) ** 2 - row[P11] * (row[P22] * dv * dv - (1.0 - level))
             if root < 0.0:
                 return 1.0, 0.0
-            middle, half = row[1] - row[4] * dv / row[3], np.sqrt(root) / row[3]
+            middle, half = row[CENTRE_E] - row[P12] * dv / row[P11], np.sqrt(root) / row[P11]
             low, high = max(low, middle - half), min(high, middle + half)
         else:
-            toward = max(row[1] * v, -row[4] * row[3])
-            edge = row[2] - row[3] * toward - toward * toward / (2.0 * row[4]) - level * row[5]
-            if row[1] > 0.0:
+            toward = max(row[SIGN] * v, -row[BRAKE] * row[REACTION])
+            edge = row[LIMIT] - row[REACTION] * toward - toward * toward / (2.0 * row[BRAKE]) - level * row[SCALE]
+            if row[SIGN] > 0.0:
                 high = min(high, edge)
             else:
                 low = max(low, -edge)
@@ -80,11 +103,13 @@ def chord(rows: F64, v: float, level: float) -> tuple[float, float]:
 def speeds(rows: F64, level: float) -> tuple[float, float]:
     """Least and greatest v with h >= level."""
     row = rows[0]
-    if row[0] == 0.0:
-        half = np.sqrt((1.0 - level) * row[3] / (row[3] * row[5] - row[4] * row[4]))
-        return row[2] - half, row[2] + half
-    room = row[2] + rows[1, 2] - 2.0 * level * row[5]
-    return -_fastest(room, rows[1, 3], rows[1, 4], rows[0, 4]), _fastest(room, row[3], row[4], rows[1, 4])
+    if row[KIND] == 0.0:
+        half = np.sqrt((1.0 - level) * row[P11] / (row[P11] * row[P22] - row[P12] * row[P12]))
+        return row[CENTRE_V] - half, row[CENTRE_V] + half
+    room = row[LIMIT] + rows[1, LIMIT] - 2.0 * level * row[SCALE]
+    return -_fastest(room, rows[1, REACTION], rows[1, BRAKE], rows[0, BRAKE]), _fastest(
+        room, row[REACTION], row[BRAKE], rows[1, BRAKE]
+    )
 
 
 @njit
@@ -98,7 +123,7 @@ def _fastest(room: float, t: float, brake: float, other: float) -> float:
 def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
     """Whether commands exist on points of {h >= inner - eta}."""
     v_low, v_high = speeds(rows, setting.inner - setting.eta)
-    if not (v_low >= reaches[0, 0] and v_high <= reaches[-1, 1]):
+    if not (v_low >= reaches[0, V_LOW] and v_high <= reaches[-1, V_HIGH]):
         return False
     for i in range(_SPEEDS):
         v = 0.5 * (v_low + v_high) - 0.5 * (v_high - v_low) * np.cos(np.pi * (i + 0.02) / (_SPEEDS - 0.96))
@@ -106,13 +131,16 @@ def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
             return False
     for i in range(rows.shape[0]):  # where no command changes h at once: the tips of an ellipse, the ends of a way
         row = rows[i]
-        if row[0] == 0.0:
-            tip = row[4] * np.sqrt((1.0 + setting.eta - setting.inner) / (row[5] * (row[3] * row[5] - row[4] * row[4])))
+        if row[KIND] == 0.0:
+            tip = row[P12] * np.sqrt(
+                (1.0 + setting.eta - setting.inner) / (row[P22] * (row[P11] * row[P22] - row[P12] * row[P12]))
+            )
             if not (
-                _holds_at(rows, row[2] + tip, setting, reaches) and _holds_at(rows, row[2] - tip, setting, reaches)
+                _holds_at(rows, row[CENTRE_V] + tip, setting, reaches)
+                and _holds_at(rows, row[CENTRE_V] - tip, setting, reaches)
             ):
                 return False
-        elif not _holds_at(rows, -row[1] * row[4] * row[3], setting, reaches):
+        elif not _holds_at(rows, -row[SIGN] * row[BRAKE] * row[REACTION], setting, reaches):
             return False
     return True
 
@@ -121,9 +149,9 @@ def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
 def _holds_at(rows: F64, v: float, setting: Setting, reaches: F64) -> bool:
     """The same on points across the region at one speed."""
     k = 0
-    while k < reaches.shape[0] - 1 and v > reaches[k, 1]:
+    while k < reaches.shape[0] - 1 and v > reaches[k, V_HIGH]:
         k += 1
-    reach = Reach(reaches[k, 2], reaches[k, 3], reaches[k, 4], reaches[k, 5])
+    reach = Reach(reaches[k, U_LOW], reaches[k, U_HIGH], reaches[k, ERROR_LOW], reaches[k, ERROR_HIGH])
     e_low, e_high = chord(rows, v, setting.inner - setting.eta)
     if e_low > e_high:
         return True
@@ -137,7 +165,7 @@ def _holds_at(rows: F64, v: float, setting: Setting, reaches: F64) -> bool:
 @njit
 def within(rows: F64, safe: F64) -> bool:
     """Whether {h >= 0} lies in the safe set: exact for a quadratic, on points of its edge for the other family."""
-    if rows[0, 0] == 0.0:
+    if rows[0, KIND] == 0.0:
         return farthest(rows[0], safe) <= 1.0 + 1e-9
     v_low, v_high = speeds(rows, 0.0)
     for i in range(_SPEEDS + 1):
@@ -157,9 +185,9 @@ def farthest(row: F64, safe: F64) -> float:
     eigenvalues of L L^T and c_i the centre along their vectors (S. Boyd, L. Vandenberghe, "Convex Optimization", 2004,
     appendix B).
     """
-    det = row[3] * row[5] - row[4] * row[4]
-    q11, q12, q22 = row[5] / det / safe[0] ** 2, -row[4] / det / (safe[0] * safe[1]), row[3] / det / safe[1] ** 2
-    c_e, c_v = row[1] / safe[0], row[2] / safe[1]
+    det = row[P11] * row[P22] - row[P12] * row[P12]
+    q11, q12, q22 = row[P22] / det / safe[0] ** 2, -row[P12] / det / (safe[0] * safe[1]), row[P11] / det / safe[1] ** 2
+    c_e, c_v = row[CENTRE_E] / safe[0], row[CENTRE_V] / safe[1]
     middle, half = 0.5 * (q11 + q22), np.hypot(0.5 * (q11 - q22), q12)
     turn = 0.5 * np.arctan2(2.0 * q12, q11 - q22)
     one, two = middle + half, middle - half

@@ -22,6 +22,7 @@ from flightstack.barrier.records import AXES, AxisCertificate, Certificate
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Model
+from flightstack.rows import FORCE_X, FORCE_Y, FORCE_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Learned, Measurement
 
 HAND_OVER = "hand_over"
@@ -102,7 +103,7 @@ def _compare(
     error = np.zeros(3)
     for i in range(3):
         if tables[i].size:
-            measured = turn[i, 0] * row[13] + turn[i, 1] * row[14] + turn[i, 2] * row[15]
+            measured = turn[i, 0] * row[FORCE_X] + turn[i, 1] * row[FORCE_Y] + turn[i, 2] * row[FORCE_Z]
             if i == DOWN:
                 measured += STANDARD_GRAVITY_MPS2
             error[i] = measured - column_at(tables[i], 1, row[3 + i]) + gain * thrust_mps2 * turn[i, 2]

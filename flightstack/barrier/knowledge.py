@@ -84,7 +84,7 @@ from flightstack.barrier.queries import (
     statements,
 )  # fmt: skip
 from flightstack.barrier.records import Authority, Budget
-from flightstack.learning.sampler import V_X
+from flightstack.learning.sampler import THRUST, V_X
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -273,7 +273,7 @@ def _bend(request: Request, axis: int, nodes: F64) -> float:
         return 0.0
     x = np.zeros((3, 7))
     x[:, V_X + axis] = [nodes[0], 0.5 * (nodes[0] + nodes[1]), nodes[1]]
-    x[:, 5] = 1.0
+    x[:, THRUST] = 1.0
     weights = np.array([-0.5, 1.0, -0.5])
     variances = [
         float(weights @ p.process.kernel.matrix(x) @ weights) * float(p.process.colour.inflation.max()) ** 2
@@ -343,7 +343,7 @@ def _gain_doubt(request: Request) -> float:
     if request.learned is None:
         return doubt
     x = np.zeros((3, 7))
-    x[:, 5] = [0.0, 1.0, 2.0]
+    x[:, THRUST] = [0.0, 1.0, 2.0]
     none, one, two = request.learned.vertical.at(x)[
         1
     ].tolist()  # a variance is quadratic in thrust: its bend the slope's

@@ -31,7 +31,7 @@ from flightstack.barrier.initial import DOWN
 from flightstack.gp import Kernel, Matern, SquaredExponential
 from flightstack.gp.kernels import Product, Sum
 from flightstack.learning.learner import LearnerState, Learnt
-from flightstack.learning.sampler import GROUND, THRUST, D
+from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
 from flightstack.learning.store import INFLATION, Evidence, Store
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
@@ -252,7 +252,7 @@ class Accelerations:
         With upright thrust the down axis sees the vertical process alone, which saves half the work.
         """
         x = inputs(speed, thrust, near)
-        turn = turns(x[:, 3], x[:, 4])
+        turn = turns(x[:, AXIS_N], x[:, AXIS_E])
         along = turn[:, axis, :]
         mean = -thrust[:, axis] - np.einsum("mk,mjk,mj->m", along * self._drag_per_s, turn, speed)
         mean[:] += STANDARD_GRAVITY_MPS2 if axis == DOWN else 0.0
@@ -275,8 +275,8 @@ def inputs(speed: F64, thrust: F64, near: F64) -> F64:
     weights = size / STANDARD_GRAVITY_MPS2
     out = np.empty((len(thrust), D))
     out[:, 3:5] = thrust[:, :2] / size[:, None]
-    out[:, :3] = np.einsum("mji,mj->mi", turns(out[:, 3], out[:, 4]), speed)
-    out[:, 5], out[:, 6] = weights, weights * near
+    out[:, :3] = np.einsum("mji,mj->mi", turns(out[:, AXIS_N], out[:, AXIS_E]), speed)
+    out[:, THRUST], out[:, GROUND] = weights, weights * near
     return out
 
 

@@ -89,6 +89,10 @@ class Authority:
         )  # fmt: skip
 
 
+N_LOW, N_HIGH, N_ERROR_LOW, N_ERROR_HIGH = 3, 4, 5, 6
+"""Rows of `Authority.table`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Margin:
     """One line of the ledger."""

@@ -31,6 +31,7 @@ import numpy as np
 
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from flightstack.jit import njit
+from flightstack.rows import RATE_X, RATE_Y
 from flightstack.types import F64
 
 RING = 64
@@ -44,7 +45,7 @@ CHAIN = 11
     C_LEAD_THRUST, C_HOLD,
 ) = range(CHAIN)  # fmt: skip
 """k (m/s^2), f, range of w, tau (s), tau_r (s), delays of thrust and rates (whole us), T (s), F0 (m/s^2), hold (s)."""
-STATE = 14
+STATE, S_ROTORS = 14, 13
 """Numbers of a predicted state: position (3), velocity (3), attitude (4), body rates (3), rotor command w."""
 _STEP_US = 4000.0
 
@@ -136,7 +137,7 @@ def ahead(
     """
     for i in range(13):
         state[i] = measured[i]
-    state[13] = memory[0, M_ROTORS]
+    state[S_ROTORS] = memory[0, M_ROTORS]
     t = from_us
     while t < to_us:
         thrust_at = _acting(memory, t - chain[C_THRUST_DELAY])
@@ -152,7 +153,7 @@ def ahead(
 @njit
 def _advance(state: F64, chain: F64, norm: float, command: F64, span: float, offset: F64, gain: float) -> None:
     """One step of the chain with held commands; Simpson's rule for the motion."""
-    w, half = state[13], 0.5 * span
+    w, half = state[S_ROTORS], 0.5 * span
     rotor, rate = _left(half, chain[C_ROTOR_LAG]), _left(half, chain[C_RATE_LAG])
     w_mid = norm + rotor * (w - norm)
     w_end = norm + rotor * (w_mid - norm)
@@ -183,7 +184,7 @@ def _advance(state: F64, chain: F64, norm: float, command: F64, span: float, off
         a0, am, a1 = offset[k] - start * lean[0, k], offset[k] - middle * lean[1, k], offset[k] - end * lean[2, k]
         state[k] += span * (state[3 + k] + span / 6.0 * (a0 + 2.0 * am))
         state[3 + k] += span / 6.0 * (a0 + 4.0 * am + a1)
-    state[13] = w_end
+    state[S_ROTORS] = w_end
 
 
 @njit
@@ -193,10 +194,10 @@ def lead(chain: F64, state: F64, response: F64, axis: int, offset: float, gain: 
     c1, c2 = response[axis, 0], response[axis, 1]
     p, v = state[axis], state[3 + axis]
     if axis == 2:
-        return p + c1 * v, v + c1 * (offset - gain * lead_thrust(chain, state[13]) * r[2, 2])
+        return p + c1 * v, v + c1 * (offset - gain * lead_thrust(chain, state[S_ROTORS]) * r[2, 2])
     force = gain * chain[C_LEAD_THRUST]
     a = offset - force * r[axis, 2]
-    jerk = -force * (state[11] * r[axis, 0] - state[10] * r[axis, 1])
+    jerk = -force * (state[RATE_Y] * r[axis, 0] - state[RATE_X] * r[axis, 1])
     return p + c1 * v + c2 * a, v + c1 * a + c2 * jerk
 
 
@@ -205,7 +206,7 @@ def acceleration(chain: F64, state: F64, offset: F64, gain: float, norm: float, 
     """The commanded acceleration u (3,) of a command, as the barriers count it; the mean thrust F while it is held."""
     r = quat_to_matrix(state[6:10])
     lean, change = _mean_lean(chain, state, r)
-    span, w = chain[C_HOLD], state[13]
+    span, w = chain[C_HOLD], state[S_ROTORS]
     once = _share(span, chain[C_ROTOR_LAG])
     f, k = chain[C_CURVE], chain[C_SPECIFIC]
     force = _mean_thrust(chain, w, norm)
@@ -222,7 +223,7 @@ def command_for(chain: F64, state: F64, offset: F64, gain: float, u: F64, rate: 
     """The command that has the acceleration u: thrust within its range, roll and pitch rates into `rate` (3,)."""
     r = quat_to_matrix(state[6:10])
     lean, change = _mean_lean(chain, state, r)
-    w, f = state[13], chain[C_CURVE]
+    w, f = state[S_ROTORS], chain[C_CURVE]
     once = _share(chain[C_HOLD], chain[C_ROTOR_LAG])
     owed = (offset[2] - u[2]) / gain - chain[C_ROTOR_LAG] * lead_thrust(chain, w) * change
     constant = f * once * chain[C_NORM_HIGH] * w + owed / (max(lean[2], 0.1) * chain[C_SPECIFIC])
@@ -244,7 +245,7 @@ def _mean_lean(chain: F64, state: F64, r: F64) -> tuple[F64, float]:
     """The thrust axis in the middle of the hold (3,), and how fast its down part changes, 1/s."""
     lean, change = np.empty(3), 0.0
     for i in range(3):
-        change = state[11] * r[i, 0] - state[10] * r[i, 1]
+        change = state[RATE_Y] * r[i, 0] - state[RATE_X] * r[i, 1]
         lean[i] = r[i, 2] + 0.5 * chain[C_HOLD] * change
     return lean, change
 

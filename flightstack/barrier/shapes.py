@@ -25,7 +25,11 @@ from flightstack.types import F64, InputError
 
 ROW = 9
 """Numbers of a piece's row: kind, five parameters, and the bound of its curvature (ee, ev, vv), -H <= K."""
-K_EE, K_EV, K_VV = 6, 7, 8
+KIND, K_EE, K_EV, K_VV = 0, 6, 7, 8
+CENTRE_E, CENTRE_V, P11, P12, P22 = 1, 2, 3, 4, 5
+"""Of a quadratic's."""
+SIGN, LIMIT, REACTION, BRAKE, SCALE = 1, 2, 3, 4, 5
+"""Of a stopping piece's."""
 _QUADRATIC, _STOPPING = 0.0, 1.0
 
 
@@ -86,7 +90,7 @@ class Stopping:
         scale = 0.5 * (self.high_m - self.low_m)
         high = [_STOPPING, 1.0, self.high_m, self.reaction_s, self.brake_high_mps2, scale]
         low = [_STOPPING, -1.0, -self.low_m, self.reaction_s, self.brake_low_mps2, scale]
-        return np.array([[*row, 0.0, 0.0, 1.0 / (row[4] * scale)] for row in (high, low)])
+        return np.array([[*row, 0.0, 0.0, 1.0 / (row[BRAKE] * scale)] for row in (high, low)])
 
     @property
     def area_m2ps(self) -> float:
@@ -115,9 +119,9 @@ Barrier = Quadratic | Stopping
 
 def _edge(row: F64, v: F64) -> F64:
     """The greatest sign * e that one stopping piece allows at each v."""
-    toward = row[1] * v
-    slow = np.maximum(toward, -row[4] * row[3])
-    return np.asarray(row[2] - (row[3] * slow + slow * slow / (2.0 * row[4])))
+    toward = row[SIGN] * v
+    slow = np.maximum(toward, -row[BRAKE] * row[REACTION])
+    return np.asarray(row[LIMIT] - (row[REACTION] * slow + slow * slow / (2.0 * row[BRAKE])))
 
 
 def value(barrier: Barrier, e_m: float, v_mps: float) -> float:
@@ -145,11 +149,11 @@ def gradient(barrier: Barrier, e_m: float, v_mps: float) -> tuple[float, float]:
 @njit
 def piece_at(row: F64, e: float, v: float) -> tuple[float, float, float]:
     """Value and gradient (h, dh/de, dh/dv) of one piece."""
-    if row[0] == _QUADRATIC:
-        de, dv = e - row[1], v - row[2]
-        along_e, along_v = row[3] * de + row[4] * dv, row[4] * de + row[5] * dv
+    if row[KIND] == _QUADRATIC:
+        de, dv = e - row[CENTRE_E], v - row[CENTRE_V]
+        along_e, along_v = row[P11] * de + row[P12] * dv, row[P12] * de + row[P22] * dv
         return 1.0 - de * along_e - dv * along_v, -2.0 * along_e, -2.0 * along_v
-    toward = max(row[1] * v, -row[4] * row[3])
-    way = row[3] * toward + toward * toward / (2.0 * row[4])
-    slope = row[3] + toward / row[4]
-    return (row[2] - row[1] * e - way) / row[5], -row[1] / row[5], -row[1] * slope / row[5]
+    toward = max(row[SIGN] * v, -row[BRAKE] * row[REACTION])
+    way = row[REACTION] * toward + toward * toward / (2.0 * row[BRAKE])
+    slope = row[REACTION] + toward / row[BRAKE]
+    return (row[LIMIT] - row[SIGN] * e - way) / row[SCALE], -row[SIGN] / row[SCALE], -row[SIGN] * slope / row[SCALE]

@@ -144,7 +144,8 @@ def governor_terms(
             torque = chi * r_max + noise, chi_yaw * y_max + noise_yaw
         margin = min(float((tilt * torque[0] + turn * torque[1]).max()) + trim, 0.49)
         figures = chi, chi_yaw, noise, noise_yaw
-    lift, loss = loop.thrust_error((figures[0] * r_max + figures[2], figures[1] * y_max + figures[3]), trim)
+    chi, chi_yaw, noise, noise_yaw = figures
+    lift, loss = loop.thrust_error((chi * r_max + noise, chi_yaw * y_max + noise_yaw), trim)
     return GovernorTerms(
         r_max, y_max, margin, *figures, trim, scale * lift, scale * loss,
         loop.as_json(gyro_noise_radps_rthz, model), dict(loop.autopilot),
@@ -182,6 +183,10 @@ def within(limits: Limits, model: Model, terms: GovernorTerms | None) -> Limits:
         thrust_min_weights=max(limits.thrust_min_weights, model.thrust_of(low) / model.weight_n),
         thrust_max_weights=min(limits.thrust_max_weights, model.thrust_of(high) / model.weight_n),
     )
+
+
+_KP, _KI, _KD, _ALPHA, _LAG, _DAMPING, _SMOOTH_D, _SMOOTH_YAW, _B0, _B1, _B2, _A1, _A2 = range(13)
+"""Of `_Loop._constants`."""
 
 
 class _Loop:
@@ -297,28 +302,28 @@ def _kernels(c: F64, copies: F64, shares: F64) -> F64:
     for t in range(count):
         for a in range(count):
             for m in range(many):
-                lag = c[4] * shares[t], c[4] * copies[m, 1]
+                lag = c[_LAG] * shares[t], c[_LAG] * copies[m, 1]
                 left = (
                     math.exp(-_STEP_S / lag[0]) if lag[0] > 0.0 else 0.0,
                     math.exp(-_STEP_S / lag[1]) if lag[1] > 0.0 else 0.0,
                 )
-                gain = c[3] * shares[a], c[3] * copies[m, 0]
+                gain = c[_ALPHA] * shares[a], c[_ALPHA] * copies[m, 0]
                 z1 = z2 = rate = acc = integral = added = true = model = w_true = w_model = 0.0
                 for k in range(_STEPS):
                     x = w_true - w_model
-                    y = c[8] * x + z1
-                    z1 = c[9] * x - c[11] * y + z2
-                    z2 = c[10] * x - c[12] * y
-                    acc += c[6] * ((y - rate) / _STEP_S - acc)
+                    y = c[_B0] * x + z1
+                    z1 = c[_B1] * x - c[_A1] * y + z2
+                    z2 = c[_B2] * x - c[_A2] * y
+                    acc += c[_SMOOTH_D] * ((y - rate) / _STEP_S - acc)
                     rate = y
-                    added += c[7] * (-c[0] * y + integral - c[2] * acc - added)
-                    integral -= c[1] * y * _STEP_S
+                    added += c[_SMOOTH_YAW] * (-c[_KP] * y + integral - c[_KD] * acc - added)
+                    integral -= c[_KI] * y * _STEP_S
                     out[k, t, a, m] = added
                     pulse = 1.0 if k == 0 else 0.0
                     true = pulse + added + left[0] * (true - pulse - added)
                     model = pulse + left[1] * (model - pulse)
-                    w_true += _STEP_S * (gain[0] * true - c[5] * w_true)
-                    w_model += _STEP_S * (gain[1] * model - c[5] * w_model)
+                    w_true += _STEP_S * (gain[0] * true - c[_DAMPING] * w_true)
+                    w_model += _STEP_S * (gain[1] * model - c[_DAMPING] * w_model)
     return out
 
 
@@ -326,18 +331,18 @@ def _kernels(c: F64, copies: F64, shares: F64) -> F64:
 def _noise_answer(c: F64) -> F64:
     """(_STEPS,) torque after one gyro sample of 1 rad/s at rest."""
     out = np.zeros(_STEPS)
-    left = _left(c[4])
+    left = _left(c[_LAG])
     z1 = z2 = rate = acc = integral = torque = delivered = w = 0.0
     for k in range(_STEPS):
         x = w + (1.0 if k == 0 else 0.0)
-        y = c[8] * x + z1
-        z1 = c[9] * x - c[11] * y + z2
-        z2 = c[10] * x - c[12] * y
-        acc += c[6] * ((y - rate) / _STEP_S - acc)
+        y = c[_B0] * x + z1
+        z1 = c[_B1] * x - c[_A1] * y + z2
+        z2 = c[_B2] * x - c[_A2] * y
+        acc += c[_SMOOTH_D] * ((y - rate) / _STEP_S - acc)
         rate = y
-        torque += c[7] * (-c[0] * y + integral - c[2] * acc - torque)
-        integral -= c[1] * y * _STEP_S
+        torque += c[_SMOOTH_YAW] * (-c[_KP] * y + integral - c[_KD] * acc - torque)
+        integral -= c[_KI] * y * _STEP_S
         out[k] = torque
         delivered = torque + left * (delivered - torque)
-        w += _STEP_S * (c[3] * delivered - c[5] * w)
+        w += _STEP_S * (c[_ALPHA] * delivered - c[_DAMPING] * w)
     return out

@@ -29,7 +29,7 @@ from .condition import Condition, Piece
 from .confidence import check_confidence
 from .governor import check_governor
 from .intervals import F64, Interval
-from .ledger import check_ledger
+from .ledger import N_ERROR_LOW, N_HIGH, N_LOW, check_ledger
 from .log import FlightRecording
 from .premises import check_premises, estimate_of
 from .provenance import check_flight, check_keys
@@ -184,7 +184,7 @@ def _nodes(value: Any, name: str) -> F64:
     nodes = np.array(columns)
     if nodes.shape[1] < 2 or not np.all(np.diff(nodes[0]) > 0.0):
         raise Refused(f"{name}.authority.v_mps must increase, at least two nodes")
-    if not (np.all(nodes[5:] >= 0.0) and np.all(nodes[3] <= nodes[4])):
+    if not (np.all(nodes[N_ERROR_LOW:] >= 0.0) and np.all(nodes[N_LOW] <= nodes[N_HIGH])):
         raise Refused(f"{name}.authority: errors must be at least 0, u_low at most u_high")
     return nodes
 
@@ -209,9 +209,10 @@ def _condition(axis: dict[str, Any], where: str) -> tuple[Condition, tuple[float
         )
     setting = gamma, eta, rate, dt, off_m, inner, inside, off_mps
     if kind == "quadratic":
-        if not (p[2] > 0.0 and p[4] > 0.0 and (Interval(p[2]) * p[4] - Interval(p[3]) * p[3]).lo > 0.0):
+        e, v, p11, p12, p22 = p
+        if not (p11 > 0.0 and p22 > 0.0 and (Interval(p11) * p22 - Interval(p12) * p12).lo > 0.0):
             raise Refused(f"{where}.barrier: P is not positive definite, so the region is no ellipse")
-        return Condition([Piece(True, tuple(p))], *setting), (p[0], p[1])
+        return Condition([Piece(True, tuple(p))], *setting), (e, v)
     low, high, reaction, brake_high, brake_low = p
     if not (low < high and min(reaction, brake_high, brake_low) > 0.0):
         raise Refused(f"{where}.barrier: limits must be in order, reaction time and braking above 0")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .condition import SLACK, Condition
+from .condition import E_HIGH, E_LOW, SLACK, V_HIGH, V_LOW, Condition
 from .intervals import F64
 from .reading import Refused
 
@@ -22,6 +22,10 @@ _BOXES = 400_000
 _FIELDS = 5_000_000
 _AT_ONCE = 20_000
 """Boxes that are looked at in one go: some 100 MB."""
+
+
+_U, _Q = 4, 5
+"""Of a cell, after its box."""
 
 
 @dataclass
@@ -53,7 +57,10 @@ def _settle(condition: Condition, todo: Boxes, unit: tuple[float, float], name: 
         todo = todo.take(np.concatenate([_open(condition, todo, start) for start in range(0, len(todo.box), _AT_ONCE)]))
         for start in range(0, len(todo.box), _AT_ONCE):
             _refute(condition, todo.take(np.arange(start, min(start + _AT_ONCE, len(todo.box)))), name)
-        wide_e, wide_v = (todo.box[:, 1] - todo.box[:, 0]) / unit[0], (todo.box[:, 3] - todo.box[:, 2]) / unit[1]
+        wide_e, wide_v = (
+            (todo.box[:, E_HIGH] - todo.box[:, E_LOW]) / unit[0],
+            (todo.box[:, V_HIGH] - todo.box[:, V_LOW]) / unit[1],
+        )
         side = np.where(wide_e >= wide_v, 0, 2)
         at = np.arange(len(side))
         middle = 0.5 * (todo.box[at, side] + todo.box[at, side + 1])
@@ -100,10 +107,10 @@ def _claims(condition: Condition, cells: F64, nodes: F64) -> Boxes:
         boxes += [(e0, e1, a, b) for a, b in pairwise(edges)]
         owner += [i] * (len(edges) - 1)
     box, cell = np.array(boxes), np.array(owner)
-    band = np.where(box[:, 3] <= v[0], 0, np.searchsorted(v, box[:, 2], side="right"))
-    reach, u = bands[:, band], cells[cell, 4]
+    band = np.where(box[:, V_HIGH] <= v[0], 0, np.searchsorted(v, box[:, V_LOW], side="right"))
+    reach, u = bands[:, band], cells[cell, _U]
     barred = (band == 0) | (band == len(v)) | (u < reach[0] - SLACK) | (u > reach[1] + SLACK)
-    return Boxes(box, u, np.maximum(cells[cell, 5] - SLACK, 0.0), reach, barred, cell)
+    return Boxes(box, u, np.maximum(cells[cell, _Q] - SLACK, 0.0), reach, barred, cell)
 
 
 def _bands(nodes: F64) -> F64:
@@ -135,8 +142,8 @@ def _fields(condition: Condition, cells: F64) -> tuple[F64, int]:
     if len(e) * len(v) > _FIELDS:
         raise Refused(f"cells have {len(e)} times {len(v)} different edges, more than this checker looks at")
     count = np.zeros((len(e), len(v)), np.int32)
-    e0, e1 = np.searchsorted(e, cells[:, 0]), np.searchsorted(e, cells[:, 1])
-    v0, v1 = np.searchsorted(v, cells[:, 2]), np.searchsorted(v, cells[:, 3])
+    e0, e1 = np.searchsorted(e, cells[:, E_LOW]), np.searchsorted(e, cells[:, E_HIGH])
+    v0, v1 = np.searchsorted(v, cells[:, V_LOW]), np.searchsorted(v, cells[:, V_HIGH])
     for rows, columns, sign in ((e0, v0, 1), (e0, v1, -1), (e1, v0, -1), (e1, v1, 1)):
         np.add.at(count, (rows, columns), sign)
     np.cumsum(count, axis=0, out=count)
@@ -162,16 +169,18 @@ def _fields(condition: Condition, cells: F64) -> tuple[F64, int]:
 
 def check_cells(condition: Condition, cells: F64, nodes: F64, middle: tuple[float, float], name: str) -> str:
     """Proves the cells' claims and that they cover {h >= edge}; what was verified, in words."""
-    wrong = np.flatnonzero(~((cells[:, 0] < cells[:, 1]) & (cells[:, 2] < cells[:, 3]) & (cells[:, 5] >= 0.0)))
+    wrong = np.flatnonzero(
+        ~((cells[:, E_LOW] < cells[:, E_HIGH]) & (cells[:, V_LOW] < cells[:, V_HIGH]) & (cells[:, _Q] >= 0.0))
+    )
     if len(wrong):
         raise Refused(f"{name}: cell {wrong[0]}: edges must be in order and q at least 0")
-    unit, least = (float(np.ptp(cells[:, :2])), float(np.ptp(cells[:, 2:4]))), cells[:, 5].min()
+    unit, least = (float(np.ptp(cells[:, :2])), float(np.ptp(cells[:, 2:4]))), cells[:, _Q].min()
     looked = _settle(condition, _claims(condition, cells, nodes), unit, name)
     holes, fields = _fields(condition, cells)
     none, many = np.zeros(len(holes)), np.full(len(holes), True)
     at_least = [float(piece.at(*middle)[0].lo) for piece in condition.pieces]
-    inside = unit[0] > 0.0 and cells[:, 0].min() < middle[0] < cells[:, 1].max()
-    if not (min(at_least) > 0.0 and inside and cells[:, 2].min() < middle[1] < cells[:, 3].max()):
+    inside = unit[0] > 0.0 and cells[:, E_LOW].min() < middle[0] < cells[:, E_HIGH].max()
+    if not (min(at_least) > 0.0 and inside and cells[:, V_LOW].min() < middle[1] < cells[:, V_HIGH].max()):
         raise Refused(f"{name}: the cells do not reach the region's middle")
     gaps = Boxes(holes, none, none, np.zeros((4, len(holes))), many, np.full(len(holes), -1))
     _settle(condition, gaps, unit, name)

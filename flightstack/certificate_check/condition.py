@@ -37,6 +37,12 @@ NEAR_H = 0.05
 """Beyond it alpha has its steep line."""
 
 
+_SIGN, _LIMIT, _REACTION, _BRAKE, _SCALE = range(5)
+"""Of a stopping piece."""
+E_LOW, E_HIGH, V_LOW, V_HIGH = range(4)
+"""Of a box."""
+
+
 @dataclass
 class Piece:
     """One concave piece of h.  Quadratic: (ce, cv, p11, p12, p22); stopping: (sign, limit, reaction, brake, scale)."""
@@ -63,11 +69,11 @@ class Piece:
         if self.quadratic:
             kee, kev, kvv = (Interval(2.0 * number) for number in self.p[2:])
             return kee, kev, kvv
-        return Interval(0.0), Interval(0.0), Interval(1.0) / self.p[3] / self.p[4]
+        return Interval(0.0), Interval(0.0), Interval(1.0) / self.p[_BRAKE] / self.p[_SCALE]
 
     def kinks(self) -> list[float]:
         """Speeds at which the gradient has a bend (rounded: SLACK holds what that costs)."""
-        return [] if self.quadratic else [-self.p[0] * self.p[3] * self.p[2]]
+        return [] if self.quadratic else [-self.p[_SIGN] * self.p[_BRAKE] * self.p[_REACTION]]
 
     def highest(self, boxes: F64) -> F64:
         """(k,) h is at most this on each box: a tangent plane at the highest point (about) lies above it."""
@@ -79,7 +85,7 @@ class Piece:
                 e = np.clip(ce - p12 / p11 * (v - cv), e0, e1)
                 v = np.clip(cv - p12 / p22 * (e - ce), v0, v1)
         else:
-            e, v = (e0, v0) if self.p[0] > 0.0 else (e1, v1)
+            e, v = (e0, v0) if self.p[_SIGN] > 0.0 else (e1, v1)
         h, he, hv = self.at(e, v)
         plane: Interval = h + he * (Interval(e0, e1) - e) + hv * (Interval(v0, v1) - v)
         return plane.hi
@@ -111,7 +117,7 @@ class Condition:
             ce, _, p11, p12, p22 = first.p
             half = float(np.sqrt(p22 / (p11 * p22 - p12 * p12)))
             return ce - half, ce + half
-        ends = [piece.p[1] + 0.5 * piece.p[3] * piece.p[2] ** 2 for piece in self.pieces]
+        ends = [piece.p[_LIMIT] + 0.5 * piece.p[_BRAKE] * piece.p[_REACTION] ** 2 for piece in self.pieces]
         return -ends[1], ends[0]
 
     def fastest(self) -> float:
@@ -122,7 +128,7 @@ class Condition:
         """The same towards one limit."""
         other = self.pieces[1] if piece is self.pieces[0] else self.pieces[0]
         _, _, reaction, brake, _ = piece.p
-        way = self.pieces[0].p[1] + self.pieces[1].p[1] + 0.5 * other.p[3] * other.p[2] ** 2
+        way = self.pieces[0].p[_LIMIT] + self.pieces[1].p[_LIMIT] + 0.5 * other.p[_BRAKE] * other.p[_REACTION] ** 2
         return brake * (
             float(np.sqrt(reaction**2 + 2.0 * way / brake)) - reaction
         )  # way = reaction v + v^2 / (2 brake)
@@ -184,7 +190,7 @@ class Condition:
     def lowest(self, boxes: F64, u: F64, reach: F64) -> F64:
         """(k,) q of every piece is at least this where h >= edge in each box."""
         e, v = boxes[:, [0, 0, 1, 1]], boxes[:, [2, 3, 2, 3]]
-        wide_e, wide_v = Interval(boxes[:, 1]) - boxes[:, 0], Interval(boxes[:, 3]) - boxes[:, 2]
+        wide_e, wide_v = Interval(boxes[:, E_HIGH]) - boxes[:, E_LOW], Interval(boxes[:, V_HIGH]) - boxes[:, V_LOW]
         found = np.full(len(boxes), np.inf)
         for piece in self.pieces:
             best = np.full(len(boxes), -np.inf)

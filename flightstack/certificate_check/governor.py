@@ -45,6 +45,9 @@ _CLOSE, _NEAR = 0.01, 1e-9
 _DONE: dict[str, tuple[float, float, float, float]] = {}
 
 
+_FOUND = ("chi", "chi_yaw", "noise", "noise_yaw")
+
+
 def check_governor(value: Any, budget: Any, known: StatedKnowledge) -> str:
     """Verify the governor's terms against the budget and the knowledge; what was verified, in words."""
     if value is None:
@@ -72,12 +75,7 @@ def check_governor(value: Any, budget: Any, known: StatedKnowledge) -> str:
             f"{low:.6g} to {high:.6g}"
         )
     found = loop.doubt(margin)
-    for name, stated, least in (
-        ("chi", chi, found[0]),
-        ("chi_yaw", chi_yaw, found[1]),
-        ("noise", noise, found[2]),
-        ("noise_yaw", noise_yaw, found[3]),
-    ):
+    for name, stated, least in zip(_FOUND, (chi, chi_yaw, noise, noise_yaw), found, strict=True):
         _at_least(name, stated, least)
     return (
         f"governor: torque up to {r:.3g} (yaw {y:.3g}), true within {chi:.3g} times; no rotor saturates at commands of "

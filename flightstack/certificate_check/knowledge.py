@@ -52,6 +52,10 @@ _PROCESS = ("kernel", "noise_var", "inflation", "remainder_mps2", "excess", "x",
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
 
+_THRUST, _GROUND = 5, 6
+"""Of an input of a store, after velocity and axis."""
+
+
 @dataclass
 class Box:
     """The thrust that may be asked for: beta, down part (low, high), m/s^2."""
@@ -121,7 +125,7 @@ class StatedKnowledge:
             x = np.zeros((3, 7))
             step = (self.speeds[axis, 1] - self.speeds[axis, 0]) / (self.nodes - 1)
             x[:, axis] = self.speeds[axis, 0] + step * np.array([0.0, 0.5, 1.0])
-            x[:, 5] = 1.0
+            x[:, _THRUST] = 1.0
             weights = np.array([-0.5, 1.0, -0.5])
             grams = [float(store.inflation.max()) ** 2 * kernel(store.spec, x, x, "kernel") for store in self.stores]
             out.append(math.sqrt(max([0.0, *(float(weights @ gram @ weights) for gram in grams)])))
@@ -151,7 +155,7 @@ class StatedKnowledge:
         if not self.stores:
             return False
         x = np.zeros((2, 7))
-        x[:, 5], x[1, 6] = 1.0, near
+        x[:, _THRUST], x[1, _GROUND] = 1.0, near
         far, close = np.diag(kernel(self.stores[1].spec, x, x, "kernel"))
         return bool(close - far >= (0.5 * near * float(self.data["gravity_mps2"])) ** 2)
 

@@ -38,6 +38,8 @@ MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
     "estimate_error", "torque",
 )  # fmt: skip
+N_LOW, N_HIGH, N_ERROR_LOW = 3, 4, 5
+"""Rows of the authority's columns, with those of the errors last."""
 _DOUBTS = ("delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
 _AXES = ("north", "east", "down")
 _CLOSE = 1e-3
@@ -54,7 +56,7 @@ def check_ledger(
     response = numbers(axis["response"], ("c1_s", "c2_s2", "delay_s"), f"{name}.response")
     if min(response) < 0.0:
         raise Refused(f"{name}.response: lags and delay must be at least 0")
-    low, acc = float(nodes[5].max()), float(estimate[2])
+    low, acc = float(nodes[N_ERROR_LOW].max()), float(estimate[2])
     torque = torque_of(known, _AXES.index(name))
     if not abs(stated["torque"] - torque) <= _NEAR:
         raise Refused(f"{name}: margin torque = {stated['torque']:.9g} m/s^2, the governor's limits give {torque:.9g}")
@@ -120,7 +122,7 @@ def _sources(
     if min(late, share, rate_share, rotor) < 0.0:
         raise Refused("knowledge.doubts must be at least 0")
     c1, c2, delay = response
-    error, span = float(nodes[5:].max()) - acc, float((nodes[4] - nodes[3]).max())
+    error, span = float(nodes[5:].max()) - acc, float((nodes[N_HIGH] - nodes[N_LOW]).max())
     lag, turn = share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
     most, none = float(np.abs(nodes[3:5]).max()), (0.0, 0.0, 0.0)
     late += 0.0 if vertical else share * rotor
@@ -134,14 +136,14 @@ def _sources(
 
 def _claim(vertical: bool, response: list[float], nodes: F64, known: StatedKnowledge, acc: float) -> float:
     """How far v may be from what z keeps, m/s: acceleration that is not known, and thrust that is not the lead's."""
-    error, span = float(nodes[5:].max()) - acc, float((nodes[4] - nodes[3]).max())
+    error, span = float(nodes[5:].max()) - acc, float((nodes[N_HIGH] - nodes[N_LOW]).max())
     apart = max(known.box.high - known.lead, known.lead - known.box.low) / known.lead
     return response[0] * error + (0.0 if vertical else response[0] * 0.5 * span * apart)
 
 
 def _suprema(condition: Condition, nodes: F64, eta: float) -> dict[str, float]:
     """Greatest slopes of h, and of q without gamma h, on {h >= -eta} for all commands and accelerations."""
-    ends, error, dt = np.array([nodes[3].min(), nodes[4].max()]), float(nodes[5:].max()), condition.dt
+    ends, error, dt = np.array([nodes[N_LOW].min(), nodes[N_HIGH].max()]), float(nodes[5:].max()), condition.dt
     half, command, most = 0.5 * dt, float(np.abs(ends).max()), dict[str, float]()
     for piece in condition.pieces:
         kee, cross, kvv = (float(k.hi) for k in piece.curvature())
@@ -168,14 +170,14 @@ def _eta_together(
     worst = 0.0
     for piece in condition.pieces:
         v, he, hv = _edge(condition, piece, eta)
-        flow = np.maximum(*(np.abs(he * v + hv * a) for a in (nodes[3].min(), nodes[4].max())))
+        flow = np.maximum(*(np.abs(he * v + hv * a) for a in (nodes[N_LOW].min(), nodes[N_HIGH].max())))
         worst = max(worst, float((np.abs(he) * x + np.abs(hv) * y + t * flow).max()))
     return worst
 
 
 def _hardest(condition: Condition, nodes: F64) -> tuple[float, float, float]:
     """What q loses for each m and m/s of offset where braking is hardest, over |dh/dv| there; that; of both ways."""
-    low, high = float(nodes[3].min()), float(nodes[4].max())
+    low, high = float(nodes[N_LOW].min()), float(nodes[N_HIGH].max())
     lost = list[tuple[float, float, float]]()
     for piece in condition.pieces:
         kee, kev, kvv = (float(k.hi) for k in piece.curvature())

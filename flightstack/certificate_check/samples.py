@@ -161,7 +161,9 @@ class DerivedSamples:
 def samples(ticks: Ticks, believed: Believed, away_m: float) -> DerivedSamples:
     """All of them, by the module's rule, from `away_m` from the place of take-off on."""
     keep = np.isfinite(ticks.delay_s)
-    pos, vel, q, force = (ticks.tick[name][keep] for name in (*TICK[:3], TICK[4]))
+    pos, vel, q, force = (
+        ticks.tick[name][keep] for name in ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "specific_force_frd_mps2")
+    )
     now, delay = ticks.t_us[keep] * 1e-6, ticks.delay_s[keep]
     sent_s, sent = _sent(ticks, believed, keep)
     imu_s = now - ticks.tick["imu_age_us"][keep] * 1e-6

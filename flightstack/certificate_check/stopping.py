@@ -129,7 +129,7 @@ def _radius(loop: dict[str, float], is_across: bool) -> float:
     a[asked, asked] -= 1.0
     gain = loop["acc_ps"] if is_across else 1.0
     if is_across:
-        a[2, 3] = 1.0
+        a[2, asked] = 1.0
         a[asked, 2] = -gain
     a[asked, last] = -gain
     into[asked, 2:] = -loop["pos_ps3"], -loop["vel_ps2"]

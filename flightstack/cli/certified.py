@@ -161,7 +161,7 @@ def strict_claim(axis: AxisCertificate, limit_m: float, mu: float) -> Claim | No
     """
     bounds = of_authority(axis.authority)
     shapes = [crossed(limit_m, share * mu, share * mu) for share in _MORE_MU] if math.isfinite(mu) else []
-    known = [shape for shape in shapes if bounds.v_mps[0] <= shape.box[2] and shape.box[3] <= bounds.v_mps[-1]]
+    known = [each for each in shapes if bounds.v_mps[0] <= min(each.box[2:]) and max(each.box[2:]) <= bounds.v_mps[-1]]
     return Claim(known[0], axis.setting.gamma_ps, bounds) if known else None
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from flightstack.frames import quat_conjugate, quat_multiply
 from flightstack.model import Model, thrust_to_norm
+from flightstack.rows import YAW, YAW_RATE
 from flightstack.seams import Controller
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
@@ -70,7 +71,7 @@ def _towards(wish: ControlSetpoint, q_ned_frd: F64) -> F64:
 def reference_of(wish: ControlSetpoint, measurement: Measurement) -> FlatOutput:
     """What is to be followed: along what is not asked for, the vehicle's own state."""
     row = np.zeros(17)
-    row[:6], row[15] = measurement.row[:6], yaw_of(measurement.q_ned_frd)
+    row[:6], row[YAW] = measurement.row[:6], yaw_of(measurement.q_ned_frd)
     if wish.kind is not ControlKind.POSITION:
         return FlatOutput(row)
     for i in range(3):
@@ -78,13 +79,13 @@ def reference_of(wish: ControlSetpoint, measurement: Measurement) -> FlatOutput:
         row[i] = place if math.isfinite(place) else row[i]
         row[3 + i] = speed if math.isfinite(speed) else (0.0 if math.isfinite(place) else row[3 + i])
         row[6 + i] = push if math.isfinite(push) else 0.0
-    row[15] = wish.yaw_rad if math.isfinite(wish.yaw_rad) else row[15]
-    row[16] = wish.yaw_rate_radps if math.isfinite(wish.yaw_rate_radps) else 0.0
+    row[YAW] = wish.yaw_rad if math.isfinite(wish.yaw_rad) else row[YAW]
+    row[YAW_RATE] = wish.yaw_rate_radps if math.isfinite(wish.yaw_rate_radps) else 0.0
     return FlatOutput(row)
 
 
 def hold_of(place_ned_m: F64, yaw_rad: float) -> FlatOutput:
     """At rest at a place."""
     row = np.zeros(17)
-    row[:3], row[15] = place_ned_m, yaw_rad
+    row[:3], row[YAW] = place_ned_m, yaw_rad
     return FlatOutput(row)

@@ -31,6 +31,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 from flightstack_sim.warmup import warm_up
 from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
+from mavlink_bridge.px4 import describe_mode
 from mavlink_bridge.transport.clock import utc_us
 from mavlink_bridge.transport.udp import UdpSocket
 
@@ -134,6 +135,8 @@ class Instance:
     shell: Shell
     log: Recorder | None
     sent: list[int] = field(default_factory=lambda: [0, 0])
+    status: tuple[str, bool, bool] | None = None
+    """Mode, armed, landed, as the log has them last."""
 
     def tick(self) -> None:
         """Take what has come, simulate, send, record."""
@@ -143,6 +146,11 @@ class Instance:
             self.sent[index] += count
         if log is not None:
             log.truth(vehicle.t_us, vehicle.plant.truth())
+            commander = shell.server.commander.state
+            status = describe_mode(commander.mode.custom_mode), commander.armed, vehicle.landed
+            if status != self.status:
+                self.status = status
+                log.write("/vehicle/status", vehicle.t_us, status)
 
     def close(self) -> None:
         """Close its sockets and its log."""

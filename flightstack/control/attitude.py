@@ -22,10 +22,15 @@ from flightstack.flatness import _to_body
 from flightstack.frames import matrix_to_quat
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
+from flightstack.rows import YAW, YAW_RATE
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 PROPOSAL = 20
 """Numbers of a Proposal's row."""
+
+
+_P, _THRUST, _MASS, _DRAG, _TILT = range(5)
+"""Of `vehicle_rows`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +60,9 @@ def vehicle_rows(model: Model, limits: Limits, gains: AttitudeGains) -> list[tup
 @njit
 def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> F64:
     """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
-    drag = vehicle[3]
-    d = 0.5 * (drag[0] + drag[1]) / vehicle[2, 0]
-    low, high, slope = gain * vehicle[1, 1], gain * vehicle[1, 2], vehicle[4, 0]
+    drag = vehicle[_DRAG]
+    d = 0.5 * (drag[0] + drag[1]) / vehicle[_MASS, 0]
+    low, high, slope = gain * vehicle[_THRUST, 1], gain * vehicle[_THRUST, 2], vehicle[_TILT, 0]
     north = learned[0] - acc[0] - d * vel[0]
     east = learned[1] - acc[1] - d * vel[1]
     wanted = learned[2] - acc[2] - d * vel[2] + STANDARD_GRAVITY_MPS2
@@ -82,18 +87,18 @@ def follow(
     delivered over believed thrust; `q` (4,), `r` (3, 3), `rate` (3,): the present attitude and body rates.
     Into `out` (20,), a Proposal's row: thrust_ff, rate_ff, rate_fb, attitude_error.
     """
-    mass = vehicle[2, 0]
+    mass = vehicle[_MASS, 0]
     flat = np.empty(17)
     _to_body(
-        reference[3:6], acc, jerk, reference[12:15], reference[15], reference[16], learned[0:3], learned[3:6], q, mass,
-        vehicle[3], STANDARD_GRAVITY_MPS2, flat,
+        reference[3:6], acc, jerk, reference[12:15], reference[YAW], reference[YAW_RATE], learned[0:3], learned[3:6], q,
+        mass, vehicle[_DRAG], STANDARD_GRAVITY_MPS2, flat,
     )  # fmt: skip
     turn = np.empty((3, 3))  # desired body axes, seen from the present ones
     for i in range(3):
         for k in range(3):
             turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
     aligned = max(turn[2, 2], 0.0)
-    out[0] = aligned * (flat[0] + vehicle[2, 1] * flat[1]) / gain
+    out[0] = aligned * (flat[0] + vehicle[_MASS, 1] * flat[1]) / gain
     q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
     for i in range(3):
         out[8 + i] = 2.0 * q_error[1 + i]
@@ -101,8 +106,8 @@ def follow(
         for k in range(3):
             wanted += turn[i, k] * flat[2 + k]
             lead += turn[i, k] * flat[5 + k]
-        out[2 + i] = wanted + vehicle[2, 2] * lead
-        out[5 + i] = vehicle[0, i] * out[8 + i] + vehicle[1, 0] * (wanted - rate[i])
+        out[2 + i] = wanted + vehicle[_MASS, 2] * lead
+        out[5 + i] = vehicle[_P, i] * out[8 + i] + vehicle[_THRUST, 0] * (wanted - rate[i])
 
 
 @njit

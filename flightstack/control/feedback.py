@@ -31,8 +31,14 @@ from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reacha
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
+from flightstack.rows import L_CONFIDENCE, L_GAIN
 from flightstack.trajectory import NominalGains, nominal_step
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal
+
+_ALONG, _CONFIDENT = 2, 8
+"""Of `controller_rows`."""
+_RATE_FB = 5
+"""Of a Proposal's row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +135,8 @@ def control_step(
     """
     pos_d, vel_d, acc_d, jerk_d = reference[0:3], reference[3:6], reference[6:9], reference[9:12]
     pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
-    acc, jerk, vehicle, gain = out[11:14], out[14:17], constants[3:8], learned[6]
-    scale = 1.0 - (1.0 - constants[8, 0]) * learned[7]
+    acc, jerk, vehicle, gain = out[11:14], out[14:17], constants[3:8], learned[L_GAIN]
+    scale = 1.0 - (1.0 - constants[_CONFIDENT, 0]) * learned[L_CONFIDENCE]
     nominal_step(correction, scale * constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
     r = quat_to_matrix(q)
     follow(vehicle, reachable(acc, learned[0:3], vel_d, gain, vehicle), jerk, reference, learned, gain, q, r, rate, out)
@@ -138,13 +144,13 @@ def control_step(
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])
         along_d += r[i, 2] * (vel_d[i] - vel[i])
-    force = scale * scale * constants[2, 0] * along_p + scale * constants[2, 1] * along_d
+    force = scale * scale * constants[_ALONG, 0] * along_p + scale * constants[_ALONG, 1] * along_d
     out[1] = -vehicle[2, 0] * force / gain
     c, s = _heading(r)
     north, east = pos_d[0] - pos[0], pos_d[1] - pos[1]
-    kbar = constants[2, 2]
-    out[5] += kbar * (c * east - s * north)
-    out[6] -= kbar * (c * north + s * east)
+    kbar = constants[_ALONG, 2]
+    out[_RATE_FB] += kbar * (c * east - s * north)
+    out[_RATE_FB + 1] -= kbar * (c * north + s * east)
     return together(out)
 
 

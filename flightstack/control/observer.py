@@ -18,6 +18,7 @@ from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.learning.sampler import S_APPLIED, S_DELAY, S_LATENCY, S_OK, S_TARGET_FRD, SAMPLE, Sampler
 from flightstack.model import Model
+from flightstack.rows import L_APPLIED, L_DELAY, L_FED, L_LATENCY, L_STAGE
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
 
 FILTER = 7
@@ -105,7 +106,7 @@ class DisturbanceObserver:
         learned = Learned.nothing()
         _learn(self._cutoff, state.filter, state.sample, measurement.row, dt, learned.row)
         state.fed += int(state.sample[S_OK])
-        learned.row[28] = state.fed
+        learned.row[L_FED] = state.fed
         return state, learned
 
 
@@ -114,10 +115,10 @@ def _learn(cutoff: float, state: F64, sample: F64, measured: F64, dt: float, out
     """`observe` and write a Learned's row `out` (33,), which holds nothing learned."""
     observe(cutoff, state, sample, measured[6:10], dt)
     feed_forward(state, out)
-    out[8] = 3.0 if state[_BEGUN] != 0.0 else 0.0
+    out[L_STAGE] = 3.0 if state[_BEGUN] != 0.0 else 0.0
     r = quat_to_matrix(measured[6:10])
     for i in range(3):
         out[9 + i] = r[0, i] * state[0] + r[1, i] * state[1] + r[2, i] * state[2]
         if sample[S_OK] != 0.0:
             out[15 + i] = sample[S_TARGET_FRD + i]
-    out[25], out[26], out[32] = sample[S_APPLIED], sample[S_LATENCY], sample[S_DELAY]
+    out[L_APPLIED], out[L_LATENCY], out[L_DELAY] = sample[S_APPLIED], sample[S_LATENCY], sample[S_DELAY]

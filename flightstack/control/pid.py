@@ -23,6 +23,7 @@ from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reacha
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
+from flightstack.rows import L_GAIN
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Proposal
 
 CORRECTION_MAX_MPS2 = (5.0, 5.0, 6.0)
@@ -32,6 +33,10 @@ DT_MAX_S = 0.05
 MEMORY = 6
 """Numbers that the law remembers: integral (3) m/s^2 and filtered acceleration (3) m/s^2, NED."""
 _FILTER_RADPS = 2.0 * math.pi * 10.0
+
+
+_P, _D, _I, _MOST = range(4)
+"""Of `pid_constants`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,21 +128,21 @@ def pid_step(constants: F64, memory: F64, dt: float, reference: F64, measured: F
     filter_acceleration(r, measured[13:16], math.exp(-dt * _FILTER_RADPS), filtered)
     wanted = np.empty(3)
     for i in range(3):
-        p, d, limit = constants[0, i], constants[1, i], constants[3, i]
+        p, d, limit = constants[_P, i], constants[_D, i], constants[_MOST, i]
         error, drift = reference[i] - measured[i], reference[3 + i] - measured[3 + i]
         correction = p * error + d * drift + integral[i]
         wanted[i] = reference[6 + i] + correction
-        lead = p * drift + d * (reference[6 + i] - filtered[i]) + constants[2, i] * error
+        lead = p * drift + d * (reference[6 + i] - filtered[i]) + constants[_I, i] * error
         if abs(correction) >= limit:
             correction, lead = math.copysign(limit, correction), 0.0
         acc[i] = reference[6 + i] + correction
         jerk[i] = reference[9 + i] + lead
-    reached = reachable(acc, learned[0:3], reference[3:6], learned[6], vehicle)
+    reached = reachable(acc, learned[0:3], reference[3:6], learned[L_GAIN], vehicle)
     for i in range(3):
         error = reference[i] - measured[i]
         if error * (wanted[i] - reached[i]) <= 1e-9:  # more of it would only ask for what is cut off
-            more = integral[i] + constants[2, i] * error * dt
-            integral[i] = min(max(more, -constants[3, i]), constants[3, i])
+            more = integral[i] + constants[_I, i] * error * dt
+            integral[i] = min(max(more, -constants[_MOST, i]), constants[_MOST, i])
     out[1] = 0.0
-    follow(vehicle, reached, jerk, reference, learned, learned[6], q, r, rate, out)
+    follow(vehicle, reached, jerk, reference, learned, learned[L_GAIN], q, r, rate, out)
     return together(out)

@@ -26,9 +26,12 @@ from flightstack.control.pid import Remembered, filter_acceleration
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
+from flightstack.rows import L_GAIN
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Proposal
 
 _INTEGRAL, _FILTERED, _HOVER, _GROUND, _STAGE, _ACC_DOWN, _MEMORY = 0, 3, 6, 7, 8, 9, 10
+_P, _VEL_P, _I, _DAMPING, _HOVER_LAG = range(5)
+"""Of the constants."""
 _UNSEEN, _LOW, _AIRBORNE = 0.0, 1.0, 2.0
 _SPEED_MAX_MPS = (12.0, 12.0, 1.5)
 """MPC_XY_VEL_MAX, MPC_Z_VEL_MAX_DN."""
@@ -106,24 +109,24 @@ def _step(
     acc, jerk, integral, filtered = out[11:14], out[14:17], memory[0:3], memory[_FILTERED:_HOVER]
     r = quat_to_matrix(q)
     filter_acceleration(r, measured[13:16], math.exp(-dt * _FILTER_RADPS), filtered)
-    _hover_thrust(r, sent_n / vehicle[2, 0], measured, dt / (dt + constants[4, 0]), memory)
-    gain = learned[6] / memory[_HOVER]
+    _hover_thrust(r, sent_n / vehicle[2, 0], measured, dt / (dt + constants[_HOVER_LAG, 0]), memory)
+    gain = learned[L_GAIN] / memory[_HOVER]
     missing = np.empty(3)
     for i in range(3):
         least = -_CLIMB_MAX_MPS if i == 2 else -_SPEED_MAX_MPS[i]
-        push = min(max(constants[0, i] * (reference[i] - measured[i]), least), _SPEED_MAX_MPS[i])
+        push = min(max(constants[_P, i] * (reference[i] - measured[i]), least), _SPEED_MAX_MPS[i])
         missing[i] = reference[3 + i] + push - measured[3 + i]
-        damping = constants[3, i] * (reference[6 + i] - filtered[i])
-        acc[i] = reference[6 + i] + constants[1, i] * missing[i] + integral[i] + damping
+        damping = constants[_DAMPING, i] * (reference[6 + i] - filtered[i])
+        acc[i] = reference[6 + i] + constants[_VEL_P, i] * missing[i] + integral[i] + damping
         jerk[i] = reference[9 + i]
     reached = reachable(acc, learned[0:3], reference[3:6], gain, vehicle)
     for i in range(3):
         cut = acc[i] - reached[i]
         if i < 2:
-            missing[i] -= 2.0 / max(constants[1, i], 1e-3) * cut
+            missing[i] -= 2.0 / max(constants[_VEL_P, i], 1e-3) * cut
         elif missing[i] * cut > 1e-9:
             missing[i] = 0.0
-        integral[i] += constants[2, i] * missing[i] * dt
+        integral[i] += constants[_I, i] * missing[i] * dt
         integral[i] = min(max(integral[i], -STANDARD_GRAVITY_MPS2), STANDARD_GRAVITY_MPS2)
     memory[_ACC_DOWN] = acc[2]
     out[1] = 0.0

@@ -27,6 +27,7 @@ I64 = NDArray[np.int64]
 LINEAR, SQUARED_EXPONENTIAL, MATERN12, MATERN32, MATERN52 = 0, 1, 2, 3, 4
 MATERN = {0.5: MATERN12, 1.5: MATERN32, 2.5: MATERN52}
 WORK_ROWS = 6
+_POWER, _POWER_RATE, _VALUE, _VALUE_RATE, _SQUARE, _SQUARE_RATE = range(WORK_ROWS)
 """Rows of scratch that `row` needs."""
 
 
@@ -145,7 +146,7 @@ def row(
 
     `points` (D, >= n) holds a point a column; `work` (WORK_ROWS, >= n) is scratch; `out`, `out_rate` (>= n).
     """
-    value, value_rate = work[2], work[3]
+    value, value_rate = work[_VALUE], work[_VALUE_RATE]
     out[:n] = 0.0
     if rates:
         out_rate[:n] = 0.0
@@ -174,7 +175,7 @@ def _term(
     turned: bool = False,
 ) -> tuple[int, int]:
     """One term's values into work[2] and its rates into work[3]; where the next term begins in `ints`, `floats`."""
-    power, power_rate, value, value_rate = work[0], work[1], work[2], work[3]
+    power, power_rate, value, value_rate = work[_POWER], work[_POWER_RATE], work[_VALUE], work[_VALUE_RATE]
     value[:n] = floats[place]
     power[:n] = 0.0
     if rates:
@@ -190,14 +191,14 @@ def _term(
         elif ints[at] == LINEAR:
             _linear(points[ints[at + 2]], n, x[ints[at + 2]], rate[ints[at + 2]], value, value_rate, rates)
         else:
-            _distance(ints, at, floats, place, points, n, x, rate, work[4], work[5], rates)
+            _distance(ints, at, floats, place, points, n, x, rate, work[_SQUARE], work[_SQUARE_RATE], rates)
             _stationary(ints[at], n, work, rates)
             place += columns
             stationary = True
         at += 2 + columns
     if not stationary:  # exp(0) everywhere
         return at, place
-    _exponential(power, work[4], n)
+    _exponential(power, work[_SQUARE], n)
     if rates:
         for i in range(n):
             value_rate[i] = (value_rate[i] + value[i] * power_rate[i]) * power[i]
@@ -246,7 +247,14 @@ def _distance(
 @njit_vector
 def _stationary(code: int, n: int, work: F64, rates: bool) -> None:
     """Multiply the term by a function of the squared distance: its exponent into `power`, the rest into `value`."""
-    power, power_rate, value, value_rate, square, square_rate = work[0], work[1], work[2], work[3], work[4], work[5]
+    power, power_rate, value, value_rate, square, square_rate = (
+        work[_POWER],
+        work[_POWER_RATE],
+        work[_VALUE],
+        work[_VALUE_RATE],
+        work[_SQUARE],
+        work[_SQUARE_RATE],
+    )
     if code == SQUARED_EXPONENTIAL:
         for i in range(n):
             power[i] -= 0.5 * square[i]
@@ -289,7 +297,7 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it leaves the nearest whole nu
 _ROUND_BITS = 0x4338000000000000
 
 
-_SERIES = tuple(1.0 / math.factorial(i) for i in range(14))
+_E2, _E3, _E4, _E5, _E6, _E7, _E8, _E9, _E10, _E11, _E12, _E13 = (1.0 / math.factorial(i) for i in range(2, 14))
 
 
 @njit  # IEEE order: adding and taking away _ROUND must not cancel
@@ -304,18 +312,18 @@ def _exponential(power: F64, scratch: F64, n: int) -> None:
         shifted = p * _TO_POWER_OF_2 + _ROUND
         k = shifted - _ROUND
         r = (p - k * _LN2_HIGH) - k * _LN2_LOW
-        series = _SERIES[13]
-        series = series * r + _SERIES[12]
-        series = series * r + _SERIES[11]
-        series = series * r + _SERIES[10]
-        series = series * r + _SERIES[9]
-        series = series * r + _SERIES[8]
-        series = series * r + _SERIES[7]
-        series = series * r + _SERIES[6]
-        series = series * r + _SERIES[5]
-        series = series * r + _SERIES[4]
-        series = series * r + _SERIES[3]
-        series = series * r + _SERIES[2]
+        series = _E13
+        series = series * r + _E12
+        series = series * r + _E11
+        series = series * r + _E10
+        series = series * r + _E9
+        series = series * r + _E8
+        series = series * r + _E7
+        series = series * r + _E6
+        series = series * r + _E5
+        series = series * r + _E4
+        series = series * r + _E3
+        series = series * r + _E2
         power[i] = (series * r + 1.0) * r + 1.0
         scratch[i] = shifted
     bits = scratch.view(np.int64)
@@ -341,7 +349,7 @@ def _matrix(ints: I64, floats: F64, x: F64, points: F64, turned: bool, out: F64)
     n = points.shape[1]
     work = np.empty((WORK_ROWS, n))
     for i in range(len(x)):
-        row(ints, floats, points, n, x[i], x[i], work, out[i], work[1], False, turned)
+        row(ints, floats, points, n, x[i], x[i], work, out[i], work[_POWER_RATE], False, turned)
 
 
 @njit_called
@@ -355,8 +363,8 @@ def _gradient(ints: I64, floats: F64, x: F64, points: F64, weights: F64, out: F6
             start, first = at, place
             at, place = _term(ints, floats, at, place, points, n, x[i], x[i], work, False)
             for j in range(n):
-                work[3, j] = weights[i, j] * work[2, j]
-            out[first] += work[3].sum()
+                work[_VALUE_RATE, j] = weights[i, j] * work[_VALUE, j]
+            out[first] += work[_VALUE_RATE].sum()
             _term_gradient(ints, floats, start, first, points, n, x[i], work, out)
 
 
@@ -370,16 +378,16 @@ def _term_gradient(
     for _ in range(factors):
         columns = ints[at + 1]
         if ints[at] != LINEAR:
-            _distance(ints, at, floats, place, points, n, x, x, work[4], work[5], False)
+            _distance(ints, at, floats, place, points, n, x, x, work[_SQUARE], work[_SQUARE_RATE], False)
             for j in range(n):
                 part, slope = 1.0, -0.5
                 if ints[at] != SQUARED_EXPONENTIAL:
-                    part, slope, _ = _matern(ints[at], work[4, j])
-                work[4, j] = work[3, j] * slope / part
+                    part, slope, _ = _matern(ints[at], work[_SQUARE, j])
+                work[_SQUARE, j] = work[_VALUE_RATE, j] * slope / part
             for c in range(columns):
                 point, here, total = points[ints[at + 2 + c]], x[ints[at + 2 + c]], 0.0
                 for j in range(n):
-                    total += work[4, j] * (here - point[j]) ** 2
+                    total += work[_SQUARE, j] * (here - point[j]) ** 2
                 out[place + c] += floats[place + c] * total
             place += columns
         at += 2 + columns

@@ -14,7 +14,27 @@ import numpy as np
 from flightstack.jit import njit
 from flightstack.learning import sampler as s
 from flightstack.learning.store import INFLATION
+from flightstack.rows import (
+    L_APPLIED,
+    L_CHANGES,
+    L_CONFIDENCE,
+    L_DELAY,
+    L_FED,
+    L_GAIN,
+    L_LATENCY,
+    L_POINTS,
+    L_REFUSED,
+    L_RESIDUAL,
+    L_SIGMA,
+    L_STAGE,
+    L_SURPRISE,
+)
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+SLOPE = 3
+"""Of what a store says: the error of thrust itself."""
+_SURE, _JERK, _TILT, _HEADING = 3, 4, 5, 6
+"""Of the limits."""
 
 
 @njit
@@ -103,10 +123,10 @@ def assemble(
     tilt, later = np.empty((3, 3)), np.empty((3, 3))
     step = 1e-3
     # A gain beyond its range is cut; what that takes from the force at the present thrust is left to the constant part.
-    gain = min(max(1.0 - weight * forward[0, 3] / STANDARD_GRAVITY_MPS2, gain_least), gain_most)
-    row[6] = gain
+    gain = min(max(1.0 - weight * forward[0, SLOPE] / STANDARD_GRAVITY_MPS2, gain_least), gain_most)
+    row[L_GAIN] = gain
     if weight > 0.0:
-        cut = forward[0, 3] - (1.0 - gain) * STANDARD_GRAVITY_MPS2 / weight
+        cut = forward[0, SLOPE] - (1.0 - gain) * STANDARD_GRAVITY_MPS2 / weight
         forward[0, 2] += cut * sample[s.S_INPUT + s.THRUST]
     s.tilt_axes(query[0, s.AXIS_N], query[0, s.AXIS_E], tilt)
     s.tilt_axes(query[0, s.AXIS_N] + step * query[1, s.AXIS_N], query[0, s.AXIS_E] + step * query[1, s.AXIS_E], later)
@@ -119,26 +139,26 @@ def assemble(
         row[i] = weight * min(max(acc, -most), most)
         row[3 + i] = weight * rate if inside else 0.0
     c, sine = sample[s.S_HEADING], sample[s.S_HEADING + 1]
-    row[9] = c * expected[0] + sine * expected[1]
-    row[10] = c * expected[1] - sine * expected[0]
-    row[11] = expected[2]
+    row[L_RESIDUAL] = c * expected[0] + sine * expected[1]
+    row[L_RESIDUAL + 1] = c * expected[1] - sine * expected[0]
+    row[L_RESIDUAL + 2] = expected[2]
     told = np.empty(3)
-    _turned(expected, variance, limits[5], limits[6], told)
+    _turned(expected, variance, limits[_TILT], limits[_HEADING], told)
     _with_rotor_speed(expected, sample[s.S_INPUT + s.THRUST] / usual_thrust, told)
-    row[12] = math.sqrt(c * c * told[0] + sine * sine * told[1])
-    row[13] = math.sqrt(c * c * told[1] + sine * sine * told[0])
-    row[14] = math.sqrt(told[2])
+    row[L_SIGMA] = math.sqrt(c * c * told[0] + sine * sine * told[1])
+    row[L_SIGMA + 1] = math.sqrt(c * c * told[1] + sine * sine * told[0])
+    row[L_SIGMA + 2] = math.sqrt(told[2])
     for i in range(3):
         row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
-    row[25] = sample[s.S_APPLIED]
-    row[26], row[32] = sample[s.S_LATENCY], sample[s.S_DELAY]
+    row[L_APPLIED] = sample[s.S_APPLIED]
+    row[L_LATENCY], row[L_DELAY] = sample[s.S_LATENCY], sample[s.S_DELAY]
     sure = -1.0
     if not math.isnan(told[0] + told[1] + told[2]):
-        sure = 1.0 - 3.0 * math.sqrt(max(told[0], told[1], told[2])) / limits[3]
-    row[7] = weight * sure if sure > 0.0 else 0.0
-    row[8] = stage
+        sure = 1.0 - 3.0 * math.sqrt(max(told[0], told[1], told[2])) / limits[_SURE]
+    row[L_CONFIDENCE] = weight * sure if sure > 0.0 else 0.0
+    row[L_STAGE] = stage
     for i in range(3):
         row[19 + i] = rate_mean[i]
         row[22 + i] = rate_sigma[i]
-    row[27], row[28], row[29], row[30], row[31] = points, fed, refused, changes, surprise
-    relax(row, limits[4], fed_forward)
+    row[L_POINTS], row[L_FED], row[L_REFUSED], row[L_CHANGES], row[L_SURPRISE] = points, fed, refused, changes, surprise
+    relax(row, limits[_JERK], fed_forward)

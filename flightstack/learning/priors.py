@@ -61,7 +61,7 @@ def default_priors() -> Priors:
     lateral = Constant(1.0) + _drag(0.5, V_X, V_Y, V_Z) + _smooth(0.6)
     thrust = Linear((0.4 * _G) ** 2, THRUST) + Linear((1.0 * _G) ** 2, GROUND)
     lean = Linear(1.0, AXIS_N) + Linear(1.0, AXIS_E)
-    vertical = Constant(0.1**2) + lean + _drag(0.3, V_Z) + thrust + _smooth(0.12)
+    vertical = Constant(0.05**2) + lean + _drag(0.3, V_Z) + thrust + _smooth(0.12)
     rates = Constant(0.05**2) + SquaredExponential(0.1**2, (2.0, 2.0, 2.0), columns=(0, 1, 2))
     return Priors(StorePrior(lateral, 0.03**2), StorePrior(vertical, 0.045**2), StorePrior(rates, 0.02**2))
 

@@ -27,6 +27,7 @@ import numpy as np
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Model
+from flightstack.rows import VEL_D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement
 
 INPUTS = ("vel_x_mps", "vel_y_mps", "vel_z_mps", "thrust_axis_n", "thrust_axis_e", "thrust_weights", "ground_weights")
@@ -379,4 +380,4 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
     out[0, THRUST] = 0.0
     out[1, THRUST] = 0.0
     out[0, GROUND] = near
-    out[1, GROUND] = 2.0 * near * reference[5] / height if height > 0.5 * constants[_C_ROTOR_RADIUS] else 0.0
+    out[1, GROUND] = 2.0 * near * reference[VEL_D] / height if height > 0.5 * constants[_C_ROTOR_RADIUS] else 0.0

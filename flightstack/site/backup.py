@@ -12,10 +12,24 @@ import math
 
 import numpy as np
 
-from flightstack.barrier.response import C_NORM_HIGH, C_NORM_LOW, C_SPECIFIC, STATE, thrust_of
+from flightstack.barrier.response import C_CURVE, C_NORM_HIGH, C_NORM_LOW, C_SPECIFIC, S_ROTORS, STATE, thrust_of
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit, njit_called
 from flightstack.model import thrust_to_norm
+from flightstack.rows import (
+    ACC_D,
+    ACC_E,
+    ACC_N,
+    JERK_E,
+    JERK_N,
+    RATE_X,
+    RATE_Y,
+    VEL_D,
+    VEL_E,
+    VEL_N,
+    WAY_HALF,
+    WAY_RADIUS,
+)
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 STEP_S = 0.04
@@ -34,6 +48,7 @@ carries the weight, and jerk the weight times its rate of turning."""
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
 lean on the way, m/s^2; of thrust what is kept for the force, m/s^2."""
+_ASKED_N, _ASKED_E = 11, 12
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
@@ -49,28 +64,31 @@ def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
     or leans too far on the way.
     """
     x = start.copy()
-    speed = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
+    speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D])
     late = p[LATE_S] * speed
     dt = STEP_S / _SUBSTEPS
-    most = max(p[STEEPEST] * p[STEEPEST], x[6] * x[6] + x[7] * x[7])
+    most = max(p[STEEPEST] * p[STEEPEST], x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E])
     for k in range(STEPS):
         at_n, at_e, at_d = x[0], x[1], x[2]
         for i in range(ROW):
             points[k, i] = x[i]
         way[k, 0], way[k, 1], way[k, 2] = x[0], x[1], -x[2]
-        slow = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) < _STILL_MPS
-        still = slow and math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8]) < _STILL_MPS2
+        slow = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D]) < _STILL_MPS
+        still = slow and math.sqrt(x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E] + x[ACC_D] * x[ACC_D]) < _STILL_MPS2
         if still:
             for i in range(3, ROW):
                 points[k, i] = 0.0
-            way[k, 3], way[k, 4] = tube[STEPS - 1, 0] + late, tube[STEPS - 1, 1] + late
+            way[k, WAY_RADIUS], way[k, WAY_HALF] = tube[STEPS - 1, 0] + late, tube[STEPS - 1, 1] + late
             return k + 1
         for _ in range(_SUBSTEPS):
             _step(x, p, dt)
-        if x[6] * x[6] + x[7] * x[7] > most:
+        if x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E] > most:
             return 0
         across = math.sqrt((x[0] - at_n) ** 2 + (x[1] - at_e) ** 2)
-        way[k, 3], way[k, 4] = tube[k, 0] + late + 0.5 * across, tube[k, 1] + late + 0.5 * abs(x[2] - at_d)
+        way[k, WAY_RADIUS], way[k, WAY_HALF] = (
+            tube[k, 0] + late + 0.5 * across,
+            tube[k, 1] + late + 0.5 * abs(x[2] - at_d),
+        )
         way[k, 0], way[k, 1], way[k, 2] = 0.5 * (at_n + x[0]), 0.5 * (at_e + x[1]), -0.5 * (at_d + x[2])
     return 0
 
@@ -78,29 +96,31 @@ def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
 @njit
 def _step(x: F64, p: F64, dt: float) -> None:
     """A step of the way out, in place."""
-    speed = math.sqrt(x[3] * x[3] + x[4] * x[4])
+    speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E])
     brake = min(p[ACROSS] / max(speed, 1e-9), p[FADE])
     rate_lag = max(p[LEAD_S], dt)
-    jn, je = -brake * x[3] - x[6] - rate_lag * x[9], -brake * x[4] - x[7] - rate_lag * x[10]
+    jn, je = -brake * x[VEL_N] - x[ACC_N] - rate_lag * x[JERK_N], -brake * x[VEL_E] - x[ACC_E] - rate_lag * x[JERK_E]
     short = max(math.sqrt(jn * jn + je * je), 1e-9)
     turn = min(_LEAN_GAIN_PS * short, _STOPPABLE * math.sqrt(2.0 * p[SNAP] * short), p[JERK]) / short
     jn, je = turn * jn, turn * je
-    sn, se = _JERK_GAIN_PS * (jn - x[11]), _JERK_GAIN_PS * (je - x[12])
+    sn, se = _JERK_GAIN_PS * (jn - x[_ASKED_N]), _JERK_GAIN_PS * (je - x[_ASKED_E])
     size = math.sqrt(sn * sn + se * se)
     if size > p[SNAP]:
         sn, se = sn * p[SNAP] / size, se * p[SNAP] / size
-    x[11] += dt * sn
-    x[12] += dt * se
+    x[_ASKED_N] += dt * sn
+    x[_ASKED_E] += dt * se
     follows = 1.0 - math.exp(-dt / rate_lag)
     for i in range(2):
         x[9 + i] += follows * (x[11 + i] - x[9 + i])
-    most = p[UP] if x[5] > 0.0 else p[DOWN]
-    wanted = -x[5] * min(most / max(abs(x[5]), 1e-9), p[FADE_DOWN])
-    lift = math.sqrt(max(p[THRUST] * p[THRUST] - x[6] * x[6] - x[7] * x[7], 0.01 * p[THRUST] * p[THRUST]))
+    most = p[UP] if x[VEL_D] > 0.0 else p[DOWN]
+    wanted = -x[VEL_D] * min(most / max(abs(x[VEL_D]), 1e-9), p[FADE_DOWN])
+    lift = math.sqrt(
+        max(p[THRUST] * p[THRUST] - x[ACC_N] * x[ACC_N] - x[ACC_E] * x[ACC_E], 0.01 * p[THRUST] * p[THRUST])
+    )
     wanted = max(wanted, STANDARD_GRAVITY_MPS2 - lift + p[RESERVE])  # what leans does not lift, nor what meets force
-    down = min(max((wanted - x[8]) / p[LAG_DOWN], -p[JERK_DOWN]), p[JERK_DOWN])
-    steep = 1.0 + (x[6] * x[6] + x[7] * x[7]) / STANDARD_GRAVITY_MPS2**2  # tan of a lean that turns
-    lifted = max(STANDARD_GRAVITY_MPS2 - x[8], 0.0) / STANDARD_GRAVITY_MPS2
+    down = min(max((wanted - x[ACC_D]) / p[LAG_DOWN], -p[JERK_DOWN]), p[JERK_DOWN])
+    steep = 1.0 + (x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E]) / STANDARD_GRAVITY_MPS2**2  # tan of a lean that turns
+    lifted = max(STANDARD_GRAVITY_MPS2 - x[ACC_D], 0.0) / STANDARD_GRAVITY_MPS2
     for i in range(3):
         j, share = (down, 1.0) if i == 2 else (steep * x[9 + i], lifted)
         x[i] += dt * (x[3 + i] + dt * share * (0.5 * x[6 + i] + dt * j / 6.0))
@@ -117,11 +137,11 @@ def point_of(chain: F64, state: F64, offset: F64, gain: float, asked: F64, out: 
     r = quat_to_matrix(state[6:10])
     for i in range(3):
         out[i], out[3 + i] = state[i], state[3 + i]
-    out[8] = offset[2] - gain * thrust_of(chain, state[13]) * r[2, 2]
+    out[ACC_D] = offset[2] - gain * thrust_of(chain, state[S_ROTORS]) * r[2, 2]
     force = STANDARD_GRAVITY_MPS2 / max(r[2, 2], _LEAST_UPRIGHT)
     for i in range(2):
         out[6 + i] = offset[i] - force * r[i, 2]
-        out[9 + i] = -force * (state[11] * r[i, 0] - state[10] * r[i, 1])
+        out[9 + i] = -force * (state[RATE_Y] * r[i, 0] - state[RATE_X] * r[i, 1])
         out[11 + i] = -force * (asked[1] * r[i, 0] - asked[0] * r[i, 1])
 
 
@@ -142,26 +162,32 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
     here = np.empty(ROW)
     point_of(chain, state, offset, gain, state[10:13], here)
     r = quat_to_matrix(state[6:10])
-    lean_n = target[6] + (p[VEL_GAIN] * (target[3] - here[3]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
-    lean_e = target[7] + (p[VEL_GAIN] * (target[4] - here[4]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
+    lean_n = (
+        target[ACC_N]
+        + (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
+    )
+    lean_e = (
+        target[ACC_E]
+        + (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
+    )
     by_n, by_e = lean_n - offset[0], lean_e - offset[1]
     size = math.sqrt(by_n * by_n + by_e * by_e)
     if size > p[LEAN]:
         lean_n, lean_e = offset[0] + by_n * p[LEAN] / size, offset[1] + by_e * p[LEAN] / size
-    short_n, short_e = lean_n - here[6], lean_e - here[7]
+    short_n, short_e = lean_n - here[ACC_N], lean_e - here[ACC_E]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
     turn = min(p[ACC_GAIN] * short, math.sqrt(2.0 * p[SNAP] * short), 2.0 * p[JERK]) / short  # it can be stopped again
-    turn /= 1.0 + (here[6] * here[6] + here[7] * here[7]) / STANDARD_GRAVITY_MPS2**2
-    jn, je = target[11] + turn * short_n, target[12] + turn * short_e
+    turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
+    jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
     upright = max(r[2, 2], _LEAST_UPRIGHT)
     force = STANDARD_GRAVITY_MPS2 / upright
     north, east = -jn / force, -je / force
     rate[0] = (r[1, 0] * north - r[0, 0] * east) / upright
     rate[1] = (r[1, 1] * north - r[0, 1] * east) / upright
     rate[2] = 0.0
-    down = target[8] + p[VEL_DOWN] * (target[5] - here[5]) + p[POS_DOWN] * (target[2] - here[2])
+    down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
     wanted = (offset[2] - down) / (gain * upright)
-    norm = thrust_to_norm(max(wanted, 0.0), chain[C_SPECIFIC], chain[1])
+    norm = thrust_to_norm(max(wanted, 0.0), chain[C_SPECIFIC], chain[C_CURVE])
     return min(max(norm, chain[C_NORM_LOW]), chain[C_NORM_HIGH])  # type: ignore[no-any-return]
 
 

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit, njit_called
+from flightstack.rows import VEL_D, VEL_E, VEL_N, WAY_HALF, WAY_RADIUS
 from flightstack.site import approach, slide
 from flightstack.site.clearance import JUMP_CODE, clear_of
 from flightstack.types import F64
@@ -37,7 +38,7 @@ def _is_clear(site: F64, s: F64, to: F64, origin: F64, way: F64) -> tuple[bool, 
             way[k, i] = origin[i] + share * (to[i] - origin[i])
         way[k, 2] = -(origin[2] + share * (to[2] - origin[2]))
         spacing = 0.5 * length / count if count > 1 else 0.0
-        way[k, 3], way[k, 4] = s[slide.RADIUS] + spacing, s[slide.HALF] + spacing
+        way[k, WAY_RADIUS], way[k, WAY_HALF] = s[slide.RADIUS] + spacing, s[slide.HALF] + spacing
     clearance, edge = clear_of(site, way, count, 1.0)
     return clearance >= 0.0, edge
 
@@ -50,15 +51,15 @@ def _pushed(site: F64, s: F64, place: F64, rows: F64) -> int:
         count = slide.bounds(site, place, still, s, rows)
         worst, at = 1e-9, -1
         for i in range(count):
-            if rows[i, 3] > worst:
-                worst, at = rows[i, 3], i
+            if rows[i, slide.BOUND] > worst:
+                worst, at = rows[i, slide.BOUND], i
         if at < 0:
             break
         short = worst * s[slide.SLOW_S] / s[slide.GAMMA]
         for i in range(3):
             place[i] += rows[at, i] * short
         if short > most:
-            most, code = short, int(rows[at, 4])
+            most, code = short, int(rows[at, slide.CODE])
     return code
 
 
@@ -70,7 +71,7 @@ def _slowed(site: F64, s: F64, place: F64, v: F64, rows: F64) -> int:
     for _ in range(_SLOWED):
         for i in range(count):
             n, slow_s = rows[i], s[slide.SLOW_S]
-            room = max(-n[3] * slow_s / s[slide.GAMMA], 0.0)
+            room = max(-n[slide.BOUND] * slow_s / s[slide.GAMMA], 0.0)
             brake = s[slide.BRAKE] if n[2] == 0.0 else (s[slide.UP] if n[2] < 0.0 else s[slide.DOWN])
             allowed = brake * (math.sqrt(slow_s * slow_s + 2.0 * room / brake) - slow_s)
             over = -(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]) - allowed
@@ -78,7 +79,7 @@ def _slowed(site: F64, s: F64, place: F64, v: F64, rows: F64) -> int:
                 for k in range(3):
                     v[k] += over * n[k]
                 if over > most:
-                    most, code = over, int(n[4])
+                    most, code = over, int(n[slide.CODE])
     return code
 
 
@@ -115,7 +116,7 @@ def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F
     if n[BENT] == 0.0:
         n[EDGE] = edge
     n[BENT] = 1.0
-    fastest = math.sqrt(reference[3] ** 2 + reference[4] ** 2 + reference[5] ** 2) + _FASTER_MPS
+    fastest = math.sqrt(reference[VEL_N] ** 2 + reference[VEL_E] ** 2 + reference[VEL_D] ** 2) + _FASTER_MPS
     approach.towards(way_of, reference[:3], reference[3:6], fastest, dt, v)
     slowed = _slowed(site, s, place, v, rows)
     if slowed != -3:

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit, njit_called
+from flightstack.rows import WAY_HALF
 from flightstack.site.shape import Site
 from flightstack.types import F64
 
@@ -21,6 +22,8 @@ solids and chutes, radius of the chutes when they are open; then the
 chutes (2 each), the round solids (6 each: north, east, height of a sphere or NaN, radius, floor, ceiling), and the
 polygons (each: corners, floor, ceiling, inside-out, then 2 a corner).  The first polygon is the one to stay in."""
 _ROUND, _POLYGON = 6, 4
+_NORTH, _EAST, _TALL, _WIDE, _LOW, _HIGH = range(_ROUND)
+_BOTTOM, _TOP, _STAY = range(1, _POLYGON)
 FAR = 1e9
 FLOOR_CODE, CEILING_CODE, TILT_CODE, JUMP_CODE, ROUND_CODE = -1, -2, -4, -5, 1_000_000
 """What is nearest: an edge by its number over all polygons, floor, ceiling, or a round solid from ROUND_CODE on; or
@@ -148,15 +151,15 @@ def clear_of(site: F64, way: F64, count: int, most: float) -> tuple[float, int]:
 def _clear_of_round(solid: F64, way: F64, count: int, least: float, nearest: int, code: int) -> tuple[float, int]:
     for k in range(count):
         n, e, height, across, half = way[k]
-        flat = max(math.sqrt((n - solid[0]) ** 2 + (e - solid[1]) ** 2) - across, 0.0)
-        if math.isnan(solid[2]):
-            over = max(solid[4] - height - half, height - half - solid[5])
-            gap = max(flat - solid[3], over)
-            if flat - solid[3] > 0.0 and over > 0.0:
-                gap = math.sqrt((flat - solid[3]) ** 2 + over * over)
+        flat = max(math.sqrt((n - solid[_NORTH]) ** 2 + (e - solid[_EAST]) ** 2) - across, 0.0)
+        if math.isnan(solid[_TALL]):
+            over = max(solid[_LOW] - height - half, height - half - solid[_HIGH])
+            gap = max(flat - solid[_WIDE], over)
+            if flat - solid[_WIDE] > 0.0 and over > 0.0:
+                gap = math.sqrt((flat - solid[_WIDE]) ** 2 + over * over)
         else:
-            tall = max(abs(height - solid[2]) - half, 0.0)
-            gap = math.sqrt(flat * flat + tall * tall) - solid[3]
+            tall = max(abs(height - solid[_TALL]) - half, 0.0)
+            gap = math.sqrt(flat * flat + tall * tall) - solid[_WIDE]
         if gap < least:
             least, nearest = gap, code
             if least < 0.0:
@@ -170,21 +173,21 @@ def _clear_of_polygon(
     box: tuple[float, float, float, float],
 ) -> tuple[float, int]:  # fmt: skip
     """Of one polygon: to stay in, where its head says so, else to keep out of within its heights."""
-    stay = head[3] > 0.0
+    stay = head[_STAY] > 0.0
     if stay and not is_within(way[0, 0], way[0, 1], corners):
         return -FAR, first
-    edges = len(corners) // 2
+    edges, (from_n, from_e, far_n, far_e) = len(corners) // 2, box
     if not stay:  # far away: none of it counts
         low_n = low_e = np.inf
         high_n = high_e = -np.inf
         for i in range(edges):
             low_n, high_n = min(low_n, corners[2 * i]), max(high_n, corners[2 * i])
             low_e, high_e = min(low_e, corners[2 * i + 1]), max(high_e, corners[2 * i + 1])
-        apart = max(max(low_n - box[2], box[0] - high_n), max(low_e - box[3], box[1] - high_e))
+        apart = max(max(low_n - far_n, from_n - high_n), max(low_e - far_e, from_e - high_e))
         if apart > least:
             return least, nearest
-    middle_n, middle_e = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
-    reach = math.sqrt((box[2] - middle_n) ** 2 + (box[3] - middle_e) ** 2)
+    middle_n, middle_e = 0.5 * (from_n + far_n), 0.5 * (from_e + far_e)
+    reach = math.sqrt((far_n - middle_n) ** 2 + (far_e - middle_e) ** 2)
     for i in range(edges):
         pn, pe = nearest_on_edge(middle_n, middle_e, corners, i)
         apart = math.sqrt((pn - middle_n) ** 2 + (pe - middle_e) ** 2) - reach
@@ -192,7 +195,7 @@ def _clear_of_polygon(
             continue
         for k in range(count):
             n, e, height, across, half = way[k]
-            over = max(head[1] - height - half, height - half - head[2])
+            over = max(head[_BOTTOM] - height - half, height - half - head[_TOP])
             pn, pe = nearest_on_edge(n, e, corners, i)
             flat = math.sqrt((n - pn) ** 2 + (e - pe) ** 2) - across
             gap = max(flat, over)
@@ -202,7 +205,7 @@ def _clear_of_polygon(
                     return least, nearest
     if not stay:
         for k in range(count):
-            over = max(head[1] - way[k, 2] - way[k, 4], way[k, 2] - way[k, 4] - head[2])
+            over = max(head[_BOTTOM] - way[k, 2] - way[k, WAY_HALF], way[k, 2] - way[k, WAY_HALF] - head[_TOP])
             if over < least and is_within(way[k, 0], way[k, 1], corners):
                 return over, first
     return least, nearest

@@ -29,6 +29,7 @@ from flightstack.barrier.response import (
 )
 from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
+from flightstack.rows import FORCE_Z, RATE_X, RATE_Y
 from flightstack.site import slide
 from flightstack.site.backup import JERK, ROW, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
 from flightstack.site.clearance import CHUTE, FLOOR, OPEN, TILT_CODE, clear_of
@@ -133,7 +134,7 @@ def _observe(
         return
     n[READ_S] += dt
     share = min(max(dt / min(_READ_TIME_S, n[READ_S]), 0.0), 1.0)
-    n[GAIN] += share * (min(max(-measured[15] / force, bounds[0]), bounds[1]) - n[GAIN])
+    n[GAIN] += share * (min(max(-measured[FORCE_Z] / force, bounds[0]), bounds[1]) - n[GAIN])
     shown, r = rotate(measured[6:10], measured[13:16]), quat_to_matrix(measured[6:10])
     share = 1.0 - math.exp(-dt / OBSERVER_S)
     for i in range(3):
@@ -163,7 +164,7 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
         start[i] -= origin[i]
     r = quat_to_matrix(after[6:10])
     count = 0
-    if r[2, 2] + _TILT_AHEAD_S * (after[11] * r[2, 0] - after[10] * r[2, 1]) >= p[UPRIGHT]:
+    if r[2, 2] + _TILT_AHEAD_S * (after[RATE_Y] * r[2, 0] - after[RATE_X] * r[2, 1]) >= p[UPRIGHT]:
         count = roll(start, p, of.tube, buffers.scratch, buffers.way)
     if count == 0:
         n[EDGE] = TILT_CODE

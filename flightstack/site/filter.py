@@ -20,6 +20,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.response import CHAIN, new_memory, remember
 from flightstack.governor import GovernorLimits
 from flightstack.model import Limiter, Limits, Model
+from flightstack.rows import ATTITUDE, F_H, F_INTERVENED, F_STATUS, F_THRUST, F_VERSION, FORCE_Z
 from flightstack.site import bend as bending
 from flightstack.site import decide as d
 from flightstack.site import slide
@@ -99,7 +100,7 @@ class SiteFilter:
         still = np.zeros(3)
         state = self.init(still)
         level = np.zeros(20)
-        level[2], level[6], level[15] = -1.0, 1.0, -9.8
+        level[2], level[ATTITUDE], level[FORCE_Z] = -1.0, 1.0, -9.8
         t_us = 2 * _PAUSE_US
         measurement = Measurement(t_us, level, 0, 0, 0)
         command = Command(t_us, self.model.weight_n, self.model.hover_norm, still)
@@ -140,8 +141,8 @@ class SiteFilter:
         read of the vehicle stays."""
         numbers, seen = state.numbers, measurement.row
         numbers[d.COMMITTED], state.bent[:], state.memory[:] = 0.0, 0.0, new_memory()
-        if d.is_airborne(state.origin_ned_m[2] - seen[2], -seen[15]):
-            norm = self.model.norm_of(-seen[15] * self.model.mass_kg / numbers[d.GAIN])
+        if d.is_airborne(state.origin_ned_m[2] - seen[2], -seen[FORCE_Z]):
+            norm = self.model.norm_of(-seen[FORCE_Z] * self.model.mass_kg / numbers[d.GAIN])
             remember(state.memory, sent.t_us - 1.0, norm, seen[10:13])
 
     def _in_force(self, numbers: F64) -> _Known:
@@ -161,9 +162,9 @@ class SiteFilter:
     ) -> tuple[SiteState, Command, Filtered]:
         """The safe command nearest to `command`; `sent` is the command of the tick before, as it went out."""
         row, numbers = _EMPTY.copy(), state.numbers
-        row[7], row[32] = 0.0, command.thrust_n
+        row[F_INTERVENED], row[F_THRUST] = 0.0, command.thrust_n
         if not (np.isfinite(measurement.row[:16]).all() and np.isfinite(command.rate_frd_radps).all()):
-            row[2] = d.WAITING
+            row[F_STATUS] = d.WAITING
             return state, command, Filtered(row)
         if command.t_us - numbers[d.LAST_US] > _PAUSE_US:
             self._begin(state, measurement, sent)
@@ -178,9 +179,9 @@ class SiteFilter:
             self._scratch, self._way, row, self._rate,
         )  # fmt: skip
         self._watch(numbers)
-        row[0], row[2], row[6] = numbers[d.CLEARANCE], status, 0.0
+        row[F_H], row[F_STATUS], row[F_VERSION] = numbers[d.CLEARANCE], status, 0.0
         if status != d.CHANGED:
             return state, command, Filtered(row)
-        row[7] = 1.0
+        row[F_INTERVENED] = 1.0
         safe, _ = self._limiter.limit(self.model.thrust_of(norm), self._rate, command.t_us)
         return state, safe, Filtered(row)

@@ -18,8 +18,17 @@ import numpy as np
 
 from flightstack.jit import njit, njit_called
 from flightstack.site.clearance import (
+    _BOTTOM,
+    _EAST,
+    _HIGH,
+    _LOW,
+    _NORTH,
     _POLYGON,
     _ROUND,
+    _STAY,
+    _TALL,
+    _TOP,
+    _WIDE,
     CEILING,
     CEILING_CODE,
     CHUTES,
@@ -36,6 +45,8 @@ from flightstack.site.clearance import (
 from flightstack.types import F64
 
 MOST_ROWS = 48
+BOUND, CODE, WEIGHT = 3, 4, 5
+"""Of a row, after the normal."""
 RADIUS, HALF, SLOW_S, BRAKE, GAMMA, UP, DOWN, SOFT = range(8)
 """Of the parameters: radius across and half height kept, time and deceleration of the approach across, gamma, what
 slows a fall and a climb."""
@@ -58,8 +69,8 @@ def _row(rows: F64, count: int, code: int, normal: tuple[float, float, float], r
     if least < _NEVER_MPS2 or count >= MOST_ROWS:
         return count
     rows[count, 0], rows[count, 1], rows[count, 2] = normal
-    rows[count, 3] = min(least, 2.0 * brake)
-    rows[count, 4], rows[count, 5] = code, 0.0
+    rows[count, BOUND] = min(least, 2.0 * brake)
+    rows[count, CODE], rows[count, WEIGHT] = code, 0.0
     return count + 1
 
 
@@ -88,18 +99,18 @@ def bounds(site: F64, p: F64, v: F64, s: F64, rows: F64) -> int:
     at = HEAD + 2 * int(site[CHUTES])
     for i in range(int(site[ROUNDS])):
         solid, code = site[at : at + _ROUND], ROUND_CODE + i
-        n, e = p[0] - solid[0], p[1] - solid[1]
-        if not math.isnan(solid[2]):
-            tall = height - solid[2]
+        n, e = p[0] - solid[_NORTH], p[1] - solid[_EAST]
+        if not math.isnan(solid[_TALL]):
+            tall = height - solid[_TALL]
             size = max(math.sqrt(n * n + e * e + tall * tall), _ON_TOP)
             kept = s[RADIUS] * math.sqrt(n * n + e * e) / size + s[HALF] * abs(tall) / size
-            count = _row(rows, count, code, (n / size, e / size, -tall / size), size - solid[3] - kept, v, s)
+            count = _row(rows, count, code, (n / size, e / size, -tall / size), size - solid[_WIDE] - kept, v, s)
         else:
-            over = max(solid[4] - height, height - solid[5]) - s[HALF]
-            if over > math.sqrt(n * n + e * e) - solid[3] - s[RADIUS]:
-                count = _upright_row(rows, count, code, height > solid[5], over, v, s)
+            over = max(solid[_LOW] - height, height - solid[_HIGH]) - s[HALF]
+            if over > math.sqrt(n * n + e * e) - solid[_WIDE] - s[RADIUS]:
+                count = _upright_row(rows, count, code, height > solid[_HIGH], over, v, s)
             else:
-                count = _flat_row(rows, count, code, n, e, solid[3] + s[RADIUS], v, s)
+                count = _flat_row(rows, count, code, n, e, solid[_WIDE] + s[RADIUS], v, s)
         at += _ROUND
     first = 0
     for _ in range(int(site[POLYGONS])):
@@ -114,16 +125,16 @@ def bounds(site: F64, p: F64, v: F64, s: F64, rows: F64) -> int:
 @njit
 def _of_polygon(head: F64, corners: F64, first: int, p: F64, v: F64, s: F64, rows: F64, count: int) -> int:
     edges = len(corners) // 2
-    if head[3] == 0.0:
+    if head[_STAY] == 0.0:
         height = -p[2]
-        over = max(head[1] - height, height - head[2]) - s[HALF]
+        over = max(head[_BOTTOM] - height, height - head[_TOP]) - s[HALF]
         nearest = np.inf
         for i in range(edges):
             pn, pe = nearest_on_edge(p[0], p[1], corners, i)
             nearest = min(nearest, (p[0] - pn) ** 2 + (p[1] - pe) ** 2)
         flat = -math.sqrt(nearest) if is_within(p[0], p[1], corners) else math.sqrt(nearest)
         if over > flat - s[RADIUS]:
-            return _upright_row(rows, count, first, height > head[2], over, v, s)
+            return _upright_row(rows, count, first, height > head[_TOP], over, v, s)
         if flat < 0.0:
             return count
     for i in range(edges):
@@ -140,18 +151,18 @@ def nearest_within(rows: F64, count: int, u: F64) -> tuple[bool, int]:
         change = 0.0
         for i in range(count):
             n = rows[i]
-            short = n[3] - (n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
-            weight = max(n[5] + short, 0.0)
-            step = weight - n[5]
+            short = n[BOUND] - (n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
+            weight = max(n[WEIGHT] + short, 0.0)
+            step = weight - n[WEIGHT]
             if step != 0.0:
                 moved = True
                 for k in range(3):
                     u[k] += step * n[k]
-                n[5] = weight
+                n[WEIGHT] = weight
                 change = max(change, abs(step))
         if change < 1e-6:
             break
     for i in range(count):
-        if rows[i, 5] > most:
-            most, code = rows[i, 5], int(rows[i, 4])
+        if rows[i, WEIGHT] > most:
+            most, code = rows[i, WEIGHT], int(rows[i, CODE])
     return moved, code

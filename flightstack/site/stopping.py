@@ -33,6 +33,7 @@ from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.response import C_HOLD, CHAIN
 from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.model import Limits, Model
+from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
@@ -141,10 +142,10 @@ class StoppingCertificate:
     def stopping_way_m(self, speed_mps: float, gain_low: float = math.inf) -> float:
         """From level flight: how far the place of rest and all of its tube are, ahead."""
         start = np.zeros(b.ROW)
-        start[3] = speed_mps
+        start[VEL_N] = speed_mps
         points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
         count = b.roll(start, self.rows[self.row_of(gain_low)], self.tubes()[1], points, way)
-        return float(np.max(way[:count, 0] + way[:count, 3])) if count else math.inf
+        return float(np.max(way[:count, 0] + way[:count, WAY_RADIUS])) if count else math.inf
 
 
 def stopping(
@@ -248,7 +249,7 @@ def _slow_s(row: F64, tube: F64) -> float:
     slow = 0.0
     for speed in (0.5, 1.0, 2.0, 3.0, 5.0):
         start = np.zeros(b.ROW)
-        start[3] = speed
+        start[VEL_N] = speed
         count = b.roll(start, row, tube, points, way)
         if count:
             slow = max(slow, (points[count - 1, 0] - 0.5 * speed**2 / row[b.ACROSS]) / speed)

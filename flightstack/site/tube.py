@@ -36,6 +36,10 @@ _ACROSS_POLES = tuple(0.8 + 0.2 * k for k in range(11))
 _ALONG_POLES = tuple(0.75 + 0.25 * k for k in range(18))
 
 
+_THRUST, _SEEN, _SEEN_ALONG = 3, 4, 3
+"""Of a loop's state, after position, velocity and acceleration asked for: thrust, and what the observer saw."""
+
+
 class LoopBounds(NamedTuple):
     """Bounds of what moves a loop."""
 
@@ -74,8 +78,8 @@ def across(lag_s: float, doubts: LoopBounds) -> Tube:
         gains = Gains(3.0 * pole, 3.0 * pole**2, pole**3)
         matrix = np.zeros((5, 5))
         matrix[[0, 1, 2], [1, 2, 3]] = 1.0
-        matrix[3] = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, -gains.acc_ps]) / lag_s
-        matrix[4, 4] = -1.0 / OBSERVER_S
+        matrix[_THRUST] = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, -gains.acc_ps]) / lag_s
+        matrix[_SEEN, _SEEN] = -1.0 / OBSERVER_S
         demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
         found.append(_tube(gains, matrix, demand, doubts))
     return _best(found)
@@ -89,7 +93,7 @@ def along(lag_s: float, doubts: LoopBounds) -> Tube:
         matrix = np.zeros((4, 4))
         matrix[[0, 1], [1, 2]] = 1.0
         matrix[2] = np.array([-gains.pos_ps3, -gains.vel_ps2, -1.0, -1.0]) / lag_s
-        matrix[3, 3] = -1.0 / OBSERVER_S
+        matrix[_SEEN_ALONG, _SEEN_ALONG] = -1.0 / OBSERVER_S
         demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 1.0])
         found.append(_tube(gains, matrix, demand, doubts))
     return _best(found)

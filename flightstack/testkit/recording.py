@@ -48,7 +48,8 @@ class Recording:
         waiting = 0
         for truth in self._truths:
             while waiting < len(wire) and wire[waiting][1] <= truth.t_us:
-                log.mavlink(wire[waiting][0], wire[waiting][1], wire[waiting][3])
+                direction, t_us, _, data = wire[waiting]
+                log.mavlink(direction, t_us, data)
                 waiting += 1
             log.truth(truth.t_us, truth)
         for direction, t_us, _, data in wire[waiting:]:

@@ -124,10 +124,10 @@ def _proto_fields(schema: bytes, message_name: str) -> dict[int, _ProtoField]:
         for _, message in _parts(file, 4):
             if _one(message, 1).decode() != short:
                 continue
-            fields = {}
+            fields, number, kind = {}, 3, 5  # of FieldDescriptorProto
             for _, entry in _parts(message, 2):
                 numbers = {key: value for key, value in walk(entry) if isinstance(value, int)}
-                fields[numbers[3]] = _ProtoField(_one(entry, 1).decode(), numbers[5])
+                fields[numbers[number]] = _ProtoField(_one(entry, 1).decode(), numbers[kind])
             return fields
     raise ValueError(f"its schema does not describe {message_name}")
 

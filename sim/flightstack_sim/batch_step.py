@@ -31,6 +31,10 @@ from flightstack_sim.layout import (
     E_THRUST,
     EVALUATED,
     INTEGRATED,
+    M1,
+    M2,
+    M3,
+    M4,
     P_DT,
     P_GROUND,
     PARAMS,
@@ -59,6 +63,8 @@ _TARGET = _MEAN + EVALUATED * LANES
 _SPEEDS = _TARGET + 4 * LANES  # at the step's start, middle and end
 _NOW = _SPEEDS + 12 * LANES  # at this stage
 _AIR = _NOW + 4 * LANES  # wind (3) and the battery's thrust factor
+_FACTOR = 3
+_MIDDLE, _END = 4, 8  # of a step, among the speeds
 SCRATCH = _AIR + 4 * LANES
 _CLEARANCE_M = 0.1
 """More than a vehicle can accelerate towards the ground within a step of 10 ms."""
@@ -70,26 +76,28 @@ def _begin(scratch: F64) -> None:
     for i in range(LANES):
         p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
         goal, speeds, air = lane(scratch, _TARGET + i), lane(scratch, _SPEEDS + i), lane(scratch, _AIR + i)
-        target = (goal[0], goal[1], goal[2], goal[3])
+        target = (goal[M1], goal[M2], goal[M3], goal[M4])
         lagging = p[D_TAU] != 0.0
         start = (
-            row[S_U] if lagging else target[0],
-            row[S_U + 1] if lagging else target[1],
-            row[S_U + 2] if lagging else target[2],
-            row[S_U + 3] if lagging else target[3],
+            row[S_U] if lagging else target[M1],
+            row[S_U + 1] if lagging else target[M2],
+            row[S_U + 2] if lagging else target[M3],
+            row[S_U + M4] if lagging else target[M4],
         )
         end = rigid_body.lagged(target, start, p[D_LAG_FULL])
-        speeds[0], speeds[1], speeds[2], speeds[3] = rigid_body.rotor_speeds(p, start)
+        speeds[M1], speeds[M2], speeds[M3], speeds[M4] = rigid_body.rotor_speeds(p, start)
         middle = rigid_body.lagged(target, start, p[D_LAG_HALF])
-        speeds[4], speeds[5], speeds[6], speeds[7] = rigid_body.rotor_speeds(p, middle)
-        speeds[8], speeds[9], speeds[10], speeds[11] = rigid_body.rotor_speeds(p, end)
-        row[S_U] = rigid_body.standing(target[0], end[0])
-        row[S_U + 1] = rigid_body.standing(target[1], end[1])
-        row[S_U + 2] = rigid_body.standing(target[2], end[2])
-        row[S_U + 3] = rigid_body.standing(target[3], end[3])
+        speeds[_MIDDLE + M1], speeds[_MIDDLE + M2], speeds[_MIDDLE + M3], speeds[_MIDDLE + M4] = (
+            rigid_body.rotor_speeds(p, middle)
+        )
+        speeds[_END + M1], speeds[_END + M2], speeds[_END + M3], speeds[_END + M4] = rigid_body.rotor_speeds(p, end)
+        row[S_U] = rigid_body.standing(target[M1], end[M1])
+        row[S_U + 1] = rigid_body.standing(target[M2], end[M2])
+        row[S_U + 2] = rigid_body.standing(target[M3], end[M3])
+        row[S_U + M4] = rigid_body.standing(target[M4], end[M4])
         turbulence.advance(p, row)
         air[0], air[1], air[2] = rigid_body.air_velocity(p, row)
-        air[3] = battery_sag.factor(p, row[S_VOLTAGE])
+        air[_FACTOR] = battery_sag.factor(p, row[S_VOLTAGE])
 
 
 @njit
@@ -101,8 +109,8 @@ def _stage(scratch: F64, reach: float, weight: float) -> None:
         u, air = lane(scratch, _NOW + i), lane(scratch, _AIR + i)
         for j in range(INTEGRATED):
             y[j] = row[j] + reach * dy[j]
-        speeds, wind = (u[0], u[1], u[2], u[3]), (air[0], air[1], air[2])
-        rigid_body.evaluate(lane(scratch, _P + i), y, speeds, wind, air[3], dy)
+        speeds, wind = (u[M1], u[M2], u[M3], u[M4]), (air[0], air[1], air[2])
+        rigid_body.evaluate(lane(scratch, _P + i), y, speeds, wind, air[_FACTOR], dy)
         for j in range(E_THRUST):
             mean[j] += weight * dy[j]
 

@@ -171,8 +171,8 @@ def _position_target(view: View) -> tuple[int, list[float]]:
     if not control.armed or view.commander.landed:
         return 0x3F, [NAN, NAN, NAN, NAN, NAN, NAN, 0.0, 0.0, 100.0, view.heading_rad]
     values = control.guidance.position.setpoint.tolist()[:10]
-    mask = sum(1 << place for place, value in enumerate(values[:9]) if math.isnan(value))
-    return mask | (0 if math.isfinite(values[9]) else 0x400), values
+    mask = sum(1 << place for place, value in enumerate(values[:-1]) if math.isnan(value))
+    return mask | (0 if math.isfinite(values[-1]) else 0x400), values
 
 
 def position_target_local_ned(view: View) -> m.PositionTargetLocalNed | None:

@@ -50,6 +50,8 @@ _CUSTOM: Final = 1
 _GLOBAL_FRAMES: Final = (0, 3, FRAME_GLOBAL_INT, 6, 11)
 """Above the sea, above home, both once more with integers, above the terrain."""
 _INT32_MAX: Final = 2**31 - 1
+_YAW, _ALTITUDE = 3, 6
+"""Among a command's parameters."""
 _FAR_M: Final = 1e5
 _FASTEST_MPS: Final = 20.0
 
@@ -165,7 +167,7 @@ def _arm(context: Context, params: Params) -> None:
 
 
 def _take_off(context: Context, params: Params) -> None:
-    context.requests.append(FlyRequest(context.sender, Cmd.NAV_TAKEOFF, params[6]))
+    context.requests.append(FlyRequest(context.sender, Cmd.NAV_TAKEOFF, params[_ALTITUDE]))
 
 
 def _terminate(context: Context, params: Params) -> Result | None:
@@ -215,7 +217,7 @@ def _reposition(context: Context, params: Params) -> Result | None:
         return Result.ACCEPTED
     if params[0] > 0.0:  # False where it is unset
         context.view.navigator.cruise_mps = min(params[0], _FASTEST_MPS)
-    yaw = math.remainder(params[3], 2.0 * math.pi) if math.isfinite(params[3]) else math.nan
+    yaw = math.remainder(params[_YAW], 2.0 * math.pi) if math.isfinite(params[_YAW]) else math.nan
     changes = bool(_integer(params[1]) & 1) and _integer(params[1]) > 0
     context.requests.append(GoRequest(context.sender, Cmd.DO_REPOSITION, Goal(place, yaw), changes))
     return None

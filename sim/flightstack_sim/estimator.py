@@ -32,6 +32,7 @@ import numpy as np
 
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
 from flightstack.jit import njit
+from flightstack.rows import ATTITUDE, Q_W, Q_X, Q_Y, Q_Z, RATE_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError, Tuple3, Tuple4
 from flightstack_sim.grade import EstimateGrade, Grade
 
@@ -154,7 +155,7 @@ class EstimatorModel:
         self.noise = np.empty((_BLOCK, 9))
         self._next = _BLOCK
         self.state = np.zeros(13)
-        self.state[6] = 1.0
+        self.state[ATTITUDE] = 1.0
         self.accuracy = EstimatorAccuracy(
             math.hypot(*grade.pos_std_m[:2], *grade.pos_bias_std_m[:2]),
             math.hypot(grade.pos_std_m[2], grade.pos_bias_std_m[2]),
@@ -205,13 +206,13 @@ def estimate(
     if model[_LAGS, _HAS_KALMAN] != 0.0:
         _kalman_errors(vel, rotate(q, accel_noise), model, out)
     measured = quat_multiply(quat_multiply(q, tilt), quat_from_rotation_vector(error[6:9]))
-    norm = math.sqrt(measured[0] ** 2 + measured[1] ** 2 + measured[2] ** 2 + measured[3] ** 2)
+    norm = math.sqrt(measured[Q_W] ** 2 + measured[Q_X] ** 2 + measured[Q_Y] ** 2 + measured[Q_Z] ** 2)
     for i in range(4):
         out[6 + i] = measured[i] / norm
     turned = rotate(out[6:10], accel)
     for i in range(3):
         out[10 + i] = turned[i]
-    out[12] += STANDARD_GRAVITY_MPS2
+    out[RATE_Z] += STANDARD_GRAVITY_MPS2
 
 
 @njit

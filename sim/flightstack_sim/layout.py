@@ -16,6 +16,9 @@ from flightstack.effect_specs import slot as _slot
 Vec = tuple[float, float, float]
 """Three floats in compiled code: they stay in registers, where an array would be allocated."""
 
+M1, M2, M3, M4 = range(4)
+"""The motors, in PX4's order."""
+
 # --- parameters: the vehicle as its file has it
 P_MASS = 0  # kg
 P_INERTIA = 1  # 3, kg m^2

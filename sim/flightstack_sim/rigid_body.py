@@ -46,6 +46,10 @@ from flightstack_sim.layout import (
     E_NORMAL,
     E_THRUST,
     INTEGRATED,
+    M1,
+    M2,
+    M3,
+    M4,
     P_DT,
     P_MAX_SPEED,
     P_MAX_THRUST,
@@ -107,10 +111,10 @@ def _rotors(p: F64, y: F64, speeds: Quad, sag: float, air: Vec, down: Vec, out: 
     """Force (N) and torque (N m) of the four rotors, FRD; `speeds` are shares of the greatest."""
     height = -y[S_POS + 2]
     rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
-    f1, t1, h1 = _rotor(p, 0, height, speeds[0], sag, air, rate, down, out)
-    f2, t2, h2 = _rotor(p, 1, height, speeds[1], sag, air, rate, down, out)
-    f3, t3, h3 = _rotor(p, 2, height, speeds[2], sag, air, rate, down, out)
-    f4, t4, h4 = _rotor(p, 3, height, speeds[3], sag, air, rate, down, out)
+    f1, t1, h1 = _rotor(p, 0, height, speeds[M1], sag, air, rate, down, out)
+    f2, t2, h2 = _rotor(p, 1, height, speeds[M2], sag, air, rate, down, out)
+    f3, t3, h3 = _rotor(p, 2, height, speeds[M3], sag, air, rate, down, out)
+    f4, t4, h4 = _rotor(p, 3, height, speeds[M4], sag, air, rate, down, out)
     turn = rotor_gyroscopic.torque(h1 + h2 + h3 + h4, rate[0], rate[1])
     force = (f1[0] + f2[0] + f3[0] + f4[0], f1[1] + f2[1] + f3[1] + f4[1], f1[2] + f2[2] + f3[2] + f4[2])
     torque = (
@@ -126,10 +130,10 @@ def rotor_speeds(p: F64, u: Quad) -> Quad:
     """Speeds of the four rotors as shares of the greatest, after the static curve: their squares are the thrusts'."""
     f = p[D_FACTOR]
     return (
-        math.sqrt(thrust_curve.share(u[0], f)),
-        math.sqrt(thrust_curve.share(u[1], f)),
-        math.sqrt(thrust_curve.share(u[2], f)),
-        math.sqrt(thrust_curve.share(u[3], f)),
+        math.sqrt(thrust_curve.share(u[M1], f)),
+        math.sqrt(thrust_curve.share(u[M2], f)),
+        math.sqrt(thrust_curve.share(u[M3], f)),
+        math.sqrt(thrust_curve.share(u[M4], f)),
     )
 
 
@@ -225,10 +229,10 @@ def air_velocity(p: F64, row: F64) -> Vec:
 def lagged(target: Quad, now: Quad, left: float) -> Quad:
     """Motors on their way to `target` when this share of the distance is left."""
     return (
-        target[0] + (now[0] - target[0]) * left,
-        target[1] + (now[1] - target[1]) * left,
-        target[2] + (now[2] - target[2]) * left,
-        target[3] + (now[3] - target[3]) * left,
+        target[M1] + (now[M1] - target[M1]) * left,
+        target[M2] + (now[M2] - target[M2]) * left,
+        target[M3] + (now[M3] - target[M3]) * left,
+        target[M4] + (now[M4] - target[M4]) * left,
     )
 
 

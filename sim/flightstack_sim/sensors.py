@@ -22,6 +22,7 @@ from operator import add
 import numpy as np
 
 from flightstack.jit import njit
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64, Tuple3
 from flightstack_sim.estimator import EstimatorModel, EstimatorOutput, estimate, joint
 from flightstack_sim.grade import Grade, KalmanGrade
@@ -216,7 +217,7 @@ class Sensors:
 
 def _to_body(q: list[float], v: Tuple3) -> Tuple3:
     """R(q)^T v in plain floats, which are faster than arrays for one vector."""
-    w, x, y, z = q[0], -q[1], -q[2], -q[3]
+    w, x, y, z = q[Q_W], -q[Q_X], -q[Q_Y], -q[Q_Z]
     tx, ty, tz = 2.0 * (y * v[2] - z * v[1]), 2.0 * (z * v[0] - x * v[2]), 2.0 * (x * v[1] - y * v[0])
     return (
         v[0] + w * tx + y * tz - z * ty,

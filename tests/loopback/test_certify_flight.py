@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,19 +20,31 @@ from flightstack.cli.main import main
 from flightstack.explore import ExploreConfig
 from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
+from tests.simulator import free_tcp_pair, watching
 
 SHORT = ExploreConfig(axes=(2,), rounds_max=3)
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[CertifyResult, Log]:
-    """One exploration of three rounds."""
-    out = tmp_path_factory.mktemp("certify")
-    result = certify(
-        FlyOptions(scenario="paper-barrier", seed=21, duration_s=60.0, out=out), stop_requested=lambda: "", config=SHORT
-    )
+def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[CertifyResult, list[dict[str, Any]]]:
+    """One exploration of three rounds, and what the live page showed of it."""
+    out, port = tmp_path_factory.mktemp("certify"), free_tcp_pair()
+    options = FlyOptions(scenario="paper-barrier", seed=21, duration_s=60.0, out=out, live=port)
+    with watching(port) as seen:
+        return certify(options, stop_requested=lambda: "", config=SHORT), seen
+
+
+@pytest.fixture(scope="module")
+def flown(watched: tuple[CertifyResult, list[dict[str, Any]]]) -> tuple[CertifyResult, Log]:
+    result, _ = watched
     assert result.flight.log is not None
     return result, read(result.flight.log)
+
+
+def test_it_is_watched_while_it_grows(watched: tuple[CertifyResult, list[dict[str, Any]]]) -> None:
+    _, seen = watched
+    assert any(state["scene"].get("certified") for state in seen)
+    assert any(state["now"].get("h") is not None for state in seen)
 
 
 def test_it_really_flew_and_was_filtered_and_fed(flown: tuple[CertifyResult, Log]) -> None:

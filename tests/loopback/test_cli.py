@@ -26,6 +26,7 @@ from flightstack.cli import main as cli
 from flightstack.cli.controllers import CONTROLLERS
 from flightstack_logs.info import info
 from flightstack_logs.reader import read
+from tests.simulator import free_tcp_pair, watching
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -328,13 +329,17 @@ def assert_one_clock(path: Path, result: dict[str, Any], sim_started_s: float) -
     assert log.metadata["clock"]["utc"] == "wall clock"
 
 
-def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
+def test_two_processes_fly_a_scenario_and_are_watched(tmp_path: Path) -> None:
     started_s = time.time()
-    sim, port = _start_sim(tmp_path)
+    pages = free_tcp_pair(), free_tcp_pair()
+    sim, port = _start_sim(tmp_path, f"--live={pages[0]}")
     try:
         arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
-        flight = _start("offboard", "--connect", f"udpin:127.0.0.1:{port}", *arguments, cwd=tmp_path)
-        _, errors = flight.communicate(timeout=120)
+        with watching(pages[0]) as simulated, watching(pages[1]) as flown:
+            flight = _start(
+                "offboard", "--connect", f"udpin:127.0.0.1:{port}", f"--live={pages[1]}", *arguments, cwd=tmp_path
+            )
+            _, errors = flight.communicate(timeout=120)
         assert flight.returncode in (0, 1), errors  # 1: a busy machine may fail the scenario's own accuracy check
         result = json.loads((tmp_path / "r.json").read_text())
         assert result["completed"], result["reason"]
@@ -348,6 +353,9 @@ def test_two_processes_fly_a_scenario(tmp_path: Path) -> None:
         assert log.complete
         assert -log.tables["/vehicle/local_position"]["pos_ned_m"][:, 2].min() > 1.0
         assert_one_clock(tmp_path / "flight.mcap", result, sim_started_s=started_s)
+        for states, position in ((simulated, "true_ned_m"), (flown, "pos_ned_m")):
+            assert "OFFBOARD" in {state["now"].get("mode") for state in states}
+            assert max(-state["now"][position][2] for state in states if position in state["now"]) > 1.0
     finally:
         sim.send_signal(signal.SIGINT)
         sim.communicate(timeout=20)

@@ -2,47 +2,27 @@
 
 from __future__ import annotations
 
-import http.client
-import json
 import socket
-import threading
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from flightstack.cli.main import _with_ports, main
 from flightstack_logs.reader import read
-from tests.simulator import HOST, free_tcp_pair
-
-
-def watch(port: int, seen: list[dict[str, Any]], over: threading.Event) -> None:
-    """What the page would show, as often as it can be had."""
-    while not over.is_set():
-        try:
-            connection = http.client.HTTPConnection(HOST, port + 1, timeout=2.0)
-            connection.request("GET", "/state")
-            seen.append(json.loads(connection.getresponse().read()))
-            connection.close()
-        except OSError:
-            time.sleep(0.01)
+from tests.simulator import HOST, free_tcp_pair, watching
 
 
 def test_a_flight_is_watched_while_it_is_flown_and_its_log_is_as_ever(tmp_path: Path) -> None:
-    port, seen, over = free_tcp_pair(), list[dict[str, Any]](), threading.Event()
-    watcher = threading.Thread(target=watch, args=(port, seen, over))
-    watcher.start()
+    port = free_tcp_pair()
     logs = []
-    for name, more in (("a", ["--live", str(port)]), ("b", [])):
-        log = tmp_path / f"{name}.mcap"
-        flight = ["fly", "hover", "--duration", "1", "--no-learning", "--out", str(tmp_path), "--log", str(log)]
-        with pytest.raises(SystemExit) as ended:
-            main([*flight, *more])
-        assert ended.value.code == 0
-        over.set()
-        logs.append(log.read_bytes())
-    watcher.join(10.0)
+    with watching(port) as seen:
+        for name, more in (("a", ["--live", str(port)]), ("b", [])):
+            log = tmp_path / f"{name}.mcap"
+            flight = ["fly", "hover", "--duration", "1", "--no-learning", "--out", str(tmp_path), "--log", str(log)]
+            with pytest.raises(SystemExit) as ended:
+                main([*flight, *more])
+            assert ended.value.code == 0
+            logs.append(log.read_bytes())
     assert logs[0] == logs[1]
     assert {"takeoff", "track", "land"} & {state["now"].get("phase") for state in seen}
     assert any(state["path"] and state["scene"].get("region", True) for state in seen)

@@ -94,11 +94,12 @@ def _events(
 
 
 def _push(shares: Sequence[float], duration_s: float, most_n: float) -> tuple[float, float, float, float, float]:
-    begin_s = shares[0] * duration_s
-    lasts_s = _SHORTEST_S * (_LONGEST_S / _SHORTEST_S) ** shares[1]
-    azimuth, up = 2.0 * math.pi * shares[3], 2.0 * shares[4] - 1.0
+    begin, lasts, strength, turn, upward = shares
+    begin_s = begin * duration_s
+    lasts_s = _SHORTEST_S * (_LONGEST_S / _SHORTEST_S) ** lasts
+    azimuth, up = 2.0 * math.pi * turn, 2.0 * upward - 1.0
     flat = math.sqrt(1.0 - up * up)
-    strength_n = most_n * shares[2]
+    strength_n = most_n * strength
     return (
         begin_s, lasts_s, strength_n * flat * math.cos(azimuth), strength_n * flat * math.sin(azimuth),
         -strength_n * up,

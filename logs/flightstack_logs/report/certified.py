@@ -180,11 +180,11 @@ def _cover(axis: AxisCertificate) -> str:
     line = outline(axis.barrier)
     every = np.concatenate([line, cells[:, [0, 2]], cells[:, [1, 3]]])
     plot = Plot(padded(every[:, 0]), padded(every[:, 1]), ("e (m)", "v (m/s)"), f"Cells of {AXES[axis.axis]}")
-    margin = shown[:, 5]
+    margin = shown[:, -1]
     share = 0.15 + 0.75 * np.clip(margin / max(float(margin.max()), 1e-9), 0.0, 1.0)
     plot.boxes(shown[:, :4], share, "cell")
     plot.line(line, "last", closed=True)
-    least = f"least margin {float(cells[:, 5].min()):.3g} 1/s"
+    least = f"least margin {float(cells[:, -1].min()):.3g} 1/s"
     return f'{plot.svg()}<p class="hint">Darker: more margin, up to {float(margin.max()):.2f} 1/s; {least}.</p>'
 
 

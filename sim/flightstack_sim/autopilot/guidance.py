@@ -12,10 +12,11 @@ import math
 import numpy as np
 
 from flightstack.frames import euler_from_quat, quat_from_euler
+from flightstack.rows import ACC_E, ACC_N, VEL_D, VEL_E, VEL_N
 from flightstack.types import F64
 from flightstack_sim.autopilot.land_detector import LandDetector
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.position_control import PositionControl
+from flightstack_sim.autopilot.position_control import SP_YAW, PositionControl
 from flightstack_sim.autopilot.setpoint import HOLDING_KINDS, OFF, ControlKind, ControlSetpoint
 
 _WANTS_UP_M = 0.05
@@ -145,12 +146,12 @@ class Guidance:
             else:  # a way of its own: what follows it begins where the vehicle is
                 self._start_reference(state, moving=True)
         if setpoint.kind is ControlKind.LAND:
-            target[2], target[5] = math.nan, self._landing_speed(-float(state[2]))
+            target[2], target[VEL_D] = math.nan, self._landing_speed(-float(state[2]))
         if not math.isnan(setpoint.yaw_rad):
             self._yaw_rad = setpoint.yaw_rad
         elif not math.isnan(setpoint.yaw_rate_radps):
             self._yaw_rad += setpoint.yaw_rate_radps * self._dt_s
-        target[9] = self._yaw_rad
+        target[SP_YAW] = self._yaw_rad
 
     def _start_reference(self, state: F64, *, moving: bool) -> None:
         north, east, _, v_north, v_east = state[:5].tolist()
@@ -174,8 +175,8 @@ class Guidance:
         share = 1.0 if change <= most else most / change
         v_north, v_east = v_north + share * dv_n, v_east + share * dv_e
         self._reference = (north + v_north * self._dt_s, east + v_east * self._dt_s, v_north, v_east)
-        target[0], target[1], target[3], target[4] = self._reference
-        target[6], target[7] = share * dv_n / self._dt_s, share * dv_e / self._dt_s
+        target[0], target[1], target[VEL_N], target[VEL_E] = self._reference
+        target[ACC_N], target[ACC_E] = share * dv_n / self._dt_s, share * dv_e / self._dt_s
 
     def _landing_speed(self, height_m: float) -> float:
         fast = max(self._limits[ControlKind.LAND][2], self._land_speed)

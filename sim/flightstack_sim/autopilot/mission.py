@@ -33,6 +33,10 @@ _MOST_NEWS: Final = 10
 """Items told as reached in one go: jumps must not fill the link either."""
 
 
+_YAW: Final = 3
+"""Among an item's parameters."""
+
+
 class MissionFlight:
     """One vehicle's mission.  `reached` is the last item that was done, -1: none."""
 
@@ -233,5 +237,6 @@ class MissionFlight:
         if item.x or item.y:
             north, east = self._frame.to_local(item.x, item.y)
         down_m = pos_ned_m[2] if item.command in _LANDS else self._down_m(item, pos_ned_m)
-        yaw = math.remainder(math.radians(item.params[3]), 2.0 * math.pi) if math.isfinite(item.params[3]) else NAN
+        yaw_deg = item.params[_YAW]
+        yaw = math.remainder(math.radians(yaw_deg), 2.0 * math.pi) if math.isfinite(yaw_deg) else NAN
         return ControlSetpoint(ControlKind.GOTO, pos_ned_m=(north, east, down_m), yaw_rad=yaw)

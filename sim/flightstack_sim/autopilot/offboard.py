@@ -11,6 +11,7 @@ import math
 from typing import Final
 
 from flightstack.geodesy import LocalFrame
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import Tuple3, Tuple4
 from flightstack_sim.autopilot.setpoint import NAN, ControlKind, ControlSetpoint
 from mavlink_bridge.messages import SetAttitudeTarget, SetPositionTargetGlobalInt, SetPositionTargetLocalNed
@@ -85,7 +86,7 @@ def _unit(q: Tuple4) -> Tuple4 | None:
     norm = math.sqrt(sum(min(abs(c), 1e9) ** 2 for c in q))
     if not _NO_ROTATION < norm < 1e6:  # False for NaN too
         return None
-    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+    return q[Q_W] / norm, q[Q_X] / norm, q[Q_Y] / norm, q[Q_Z] / norm
 
 
 def from_position_target(message: SetPositionTargetLocalNed, yaw_rad: float) -> ControlSetpoint | None:

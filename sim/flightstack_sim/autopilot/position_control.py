@@ -19,6 +19,7 @@ import numpy as np
 from flightstack.frames import quat_from_euler
 from flightstack.jit import njit
 from flightstack.rate_loop import first_order_alpha
+from flightstack.rows import VEL_D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_sim.autopilot.params import Params
 
@@ -29,6 +30,10 @@ _CONFIG_SIZE = 18
 _INTEGRAL, _VEL_LAST, _VEL_DOT, _STARTED, _VEL_SP, _ACC_SP, _HOVER_LAST = 0, 3, 6, 9, 10, 13, 16
 _STATE_SIZE = 17
 _G = STANDARD_GRAVITY_MPS2
+
+
+SP_YAW, _TILT_MAX = 9, 3
+"""Of the setpoint, after position, velocity and acceleration; of the limits."""
 
 
 class PositionControl:
@@ -112,7 +117,7 @@ def position_step(x: F64, sp: F64, limits: F64, c: F64, s: F64, q_out: F64, thru
         if not math.isnan(s[_VEL_SP + i]):
             error = s[_VEL_SP + i] - x[3 + i]
             acc[i] += c[_P + i] * error + s[_INTEGRAL + i] - c[_D + i] * s[_VEL_DOT + i]
-    _thrust_and_attitude(x, acc, sp[9], limits[3], c, s, q_out, thrust_out)
+    _thrust_and_attitude(x, acc, sp[SP_YAW], limits[_TILT_MAX], c, s, q_out, thrust_out)
 
 
 @njit
@@ -150,7 +155,7 @@ def _thrust_and_attitude(
     up = min(up, math.sqrt(c[_THR_MAX] ** 2 - kept**2))
     across = min(across, math.sqrt(max(c[_THR_MAX] ** 2 - up * up, 0.0)), up * math.tan(tilt_max))
     if not math.isnan(s[_VEL_SP + 2]):
-        error = s[_VEL_SP + 2] - x[5]
+        error = s[_VEL_SP + 2] - x[VEL_D]
         saturated = (up < up_free and error < 0.0) or (up > up_free and error > 0.0)
         if not saturated:
             s[_INTEGRAL + 2] += c[_I + 2] * error * c[_DT]
