@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack.applied import Applied
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
+from flightstack.barrier.premise_watch import Seen, WatchState, interrupted, is_inside, watch, watched
 from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.governor import Governor, GovernorState
@@ -105,7 +105,10 @@ class Stack:
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
         control = self.controller.init(measurement.t_us)
-        return state._replace(control=control, sent=sent, measurement=measurement, carried_n=weight)
+        return state._replace(
+            control=control, sent=sent, measurement=measurement, carried_n=weight, filtered=_UNFILTERED,
+            watch=interrupted(state.watch),
+        )  # fmt: skip
 
     def carried(self, state: StackState | None, measurement: Measurement, now_us: int) -> Measurement:
         """A state as of its newest sample, at `now_us`; before each tick.  No stack's state: nothing was sent."""
@@ -132,7 +135,7 @@ class Stack:
                 safe = self.filter.adopt(safe, certificate)
                 premises = _watched(certificate, self.model)
             if premises.version >= 0 and before.status >= _ENGAGED:
-                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6)
+                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6, is_inside(before))
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)

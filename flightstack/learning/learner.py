@@ -205,8 +205,11 @@ class GpLearner:
         """Learn from this measurement; say what is known now."""
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
-        if state.window is not None and _TURN_OF.get(state.steps % _GAIN_EVERY) == state.window.turn:
+        turn = _TURN_OF.get(state.steps % _GAIN_EVERY)
+        if state.window is not None and turn == state.window.turn:
             _take_turn(state, state.window)
+        elif turn in (0, 1):
+            (state.vertical if turn else state.lateral).carry_on()
         self._expect(state, both=state.steps == 0)
         fit = state.weigh(config.residual_max_mps2)
         if fit:

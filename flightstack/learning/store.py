@@ -52,6 +52,8 @@ _OUTLIER_KEPT = 1.0 - 1.0 / 200.0
 """Share of an outlier's variance that is left a window later."""
 _NOISE_FACTOR = 1.5
 _NOISE_EVERY = 50
+_CARRIED = 4
+"""Points that a tick takes over."""
 _FEW = 30
 """Points with which rebuilding costs nothing."""
 _NOISE_LEAST = 1e-4
@@ -97,12 +99,44 @@ class Evidence:
         return self
 
 
+class _Successor:
+    """A store's points with another noise: taken over some at a time, and what came and went meanwhile after them."""
+
+    __slots__ = ("_done", "_moves", "_x", "_y", "gp")
+
+    def __init__(self, before: RecursiveGP, noise_var: float) -> None:
+        self.gp = RecursiveGP(
+            before.kernel, noise_var, input_dim=before.input_dim, output_dim=before.output_dim,
+            capacity=before.capacity,
+        )  # fmt: skip
+        self._x, self._y, self._done = before.x, before.y, 0
+        self._moves: list[tuple[int, F64, F64, bool]] = []
+
+    def note(self, dropped: int, x: F64, y: F64, taken: bool) -> None:
+        """The store let a point go (-1: none), and took another or refused it."""
+        self._moves.append((dropped, x.copy(), y.copy(), taken))
+
+    def carry_on(self) -> bool:
+        """Some points more; whether all are here, at the store's own indices."""
+        end = min(self._done + _CARRIED, len(self._x))
+        for i in range(self._done, end):
+            self.gp.add(self._x[i], self._y[i])
+        self._done = end
+        while end == len(self._x) and self._moves:  # a window brings one, and there are ticks enough between two
+            dropped, x, y, taken = self._moves.pop(0)
+            if dropped >= 0:
+                self.gp.remove(dropped)
+            if taken:
+                self.gp.add(x, y)
+        return end == len(self._x)
+
+
 class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans", "_values", "_wanted",
-        "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
+        "_age", "_block", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans", "_successor",
+        "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -128,6 +162,7 @@ class Store:
         self._age = np.zeros(capacity, dtype=np.int64)
         self._next = 0
         self._heard = -_NOISE_EVERY
+        self._successor: _Successor | None = None
         self._wanted = 0
         self._fresh: list[tuple[F64, F64, Span]] = []
         self._places, self._values = np.zeros((_POOL, inputs)), np.zeros((_POOL, outputs))
@@ -159,21 +194,26 @@ class Store:
     def hear(self, noise_var: float) -> None:
         """Take over a window's noise as measured, where it is far from what the points were taken with.
 
-        Never below 1e-4 of the prior's variance, where the recursion would lose digits.  Rebuilding costs a
-        factorisation, so a store with many points does it rarely.
+        Never below 1e-4 of the prior's variance, where the recursion would lose digits.  That costs a factorisation, so
+        a store with many points does it rarely, and some points at a time (`carry_on`).
         """
         noise_var = max(noise_var, _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[: self.gp.input_dim]))
         ratio = noise_var / self.gp.noise_var
         few = len(self.gp) < _FEW
-        if 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or (not few and self._next < self._heard + _NOISE_EVERY):
+        known = 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or self._successor is not None
+        if known or (not few and self._next < self._heard + _NOISE_EVERY):
             return
         self._heard = self._next
-        before = self.gp
-        self.gp = RecursiveGP(
-            before.kernel, noise_var, input_dim=before.input_dim, output_dim=self.outputs, capacity=before.capacity
-        )
-        if len(before):
-            self.gp.add(before.x, before.y)
+        self._successor = _Successor(self.gp, noise_var)
+        if few:
+            while self._successor is not None:
+                self.carry_on()
+
+    def carry_on(self) -> None:
+        """A few points more with the noise as measured; once all have it, it counts."""
+        successor = self._successor
+        if successor is not None and successor.carry_on():
+            self.gp, self._successor = successor.gp, None
 
     def take(self, x: F64, y: F64, span_us: Span = (0, 0)) -> None:
         """A new point of a window between two stamps: test the prediction with it, then learn it."""
@@ -182,6 +222,7 @@ class Store:
             if len(self._fresh) < self._wanted:
                 return
             self._wanted = 0
+            self._successor = None
             self.gp.clear()
             self._pooled = 0
             self._levels[_OUTLIER] = 0.0
@@ -201,9 +242,11 @@ class Store:
         return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values, spans)
 
     def _add(self, x: F64, y: F64, span_us: Span) -> None:
-        if len(self.gp) >= self.gp.capacity:
-            self._drop(x)
-        if self.gp.add(x, y):
+        dropped = self._drop(x) if len(self.gp) >= self.gp.capacity else -1
+        taken = bool(self.gp.add(x, y))
+        if self._successor is not None:
+            self._successor.note(dropped, x, y, taken)
+        if taken:
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
             self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
@@ -218,11 +261,12 @@ class Store:
         for held in (self._places, self._values, self._spans):
             held[: self._pooled] = held[kept]
 
-    def _drop(self, query: F64) -> None:
+    def _drop(self, query: F64) -> int:
         held = len(self.gp)
         index = least_relevant(self.gp, query) if self.relevance == "kernel" else int(np.argmin(self._age[:held]))
         self.gp.remove(index)
         self._age[index] = self._age[held - 1]  # the last point moved into the slot
+        return index
 
 
 @njit
