@@ -8,7 +8,7 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
+.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -18,6 +18,7 @@ help:
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
+	@echo "make bench-log    what logs cost: in a tick, live, to read ten minutes: docs/logs.md"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
 	@echo "make crosscheck   the native and the JSBSim plant on the same commands and flights: the tables of docs/physics.md"
 	@echo "make paper        every figure and number of the paper beside ours, into runs/paper (a quarter of an hour)"
@@ -92,6 +93,9 @@ bench-flight: $(BIN)/.installed
 
 bench-gap: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_timing
+
+bench-log: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.log
 
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py

@@ -34,7 +34,7 @@ from flightstack.guard import Guard
 from flightstack.jit import njit
 from flightstack.mission import plan
 from flightstack.model import Limiter, Model
-from flightstack.predictor import Streams, predict
+from flightstack.predictor import Streams, sampled
 from flightstack.seams import NoFilter
 from flightstack.stack import StackState
 from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord
@@ -161,7 +161,7 @@ class AttackFlight:
         places, first = [], None
         for _ in range(_REST_TICKS + int(self.world.down_ms)):
             self._advance()
-            if (seen := self._measured()) is not None:
+            if (seen := self._measured(None)) is not None:
                 first = seen
                 places.append(seen.pos_ned_m.copy())
         assert first is not None
@@ -173,13 +173,13 @@ class AttackFlight:
         self.record: TickRecord | None = None
         self.ended = ""
 
-    def _measured(self) -> Measurement | None:
+    def _measured(self, state: StackState | None) -> Measurement | None:
         """As a companion hands it to the stack."""
-        measured = predict(self._streams, self.t_us)
-        if measured is None or self._refiner is None:
-            return measured
-        refined: Measurement = self._refiner.refine(measured)
-        return refined
+        measured = sampled(self._streams, self.t_us, corrected=self._refiner is None)
+        if measured is None:
+            return None
+        measured = measured if self._refiner is None else self._refiner.refine(measured)
+        return self.stack.carried(state, measured, self.t_us)
 
     @property
     def t_us(self) -> int:
@@ -216,7 +216,7 @@ class AttackFlight:
         record = None
         if self._count % self.world.period_ticks == 0:
             reference = self.mission.reference(1e-6 * (now_us - self.start_us))
-            measured = self._measured()
+            measured = self._measured(self.state)
             self.state, command, record = self.stack.tick(self.state, measured, reference, now_us)
             rates = (
                 float(command.rate_frd_radps[0]),

@@ -28,9 +28,10 @@ from flightstack.frames import quat_to_matrix
 from flightstack.guard import Guard
 from flightstack.mission import plan
 from flightstack.model import Limiter
-from flightstack.predictor import Streams, predict
+from flightstack.predictor import Streams, sampled
 from flightstack.site.decide import KEPT, OFF, PASSED
 from flightstack.site.stopping import stopping
+from flightstack.stack import StackState
 from flightstack.state_observer import StateObserver
 from flightstack.trajectory import hover
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
@@ -195,7 +196,7 @@ class FenceFlight:
         places, first = [], None
         for _ in range(_REST_TICKS + int(self.world.down_ms)):
             self._advance()
-            if (seen := self._measured()) is not None:
+            if (seen := self._measured(None)) is not None:
                 first = seen
                 places.append(seen.pos_ned_m.copy())
         assert first is not None
@@ -205,9 +206,12 @@ class FenceFlight:
         self.state = self.stack.init(first, self.origin)
         self.start_us = self.vehicle.t_us
 
-    def _measured(self) -> Measurement | None:
-        measured = predict(self._streams, self.vehicle.t_us, corrected=self._refiner is None)
-        return measured if measured is None or self._refiner is None else self._refiner.refine(measured)
+    def _measured(self, state: StackState | None) -> Measurement | None:
+        measured = sampled(self._streams, self.vehicle.t_us, corrected=self._refiner is None)
+        if measured is None:
+            return None
+        measured = measured if self._refiner is None else self._refiner.refine(measured)
+        return self.stack.carried(state, measured, self.vehicle.t_us)
 
     def _advance(self) -> None:
         """4 ms of the vehicle; its samples at PX4's rates."""
@@ -289,7 +293,9 @@ class FenceFlight:
         return out
 
     def _tick(self, time_s: float, now_us: int) -> TickRecord:
-        self.state, command, record = self.stack.tick(self.state, self._measured(), self._reference(time_s), now_us)
+        self.state, command, record = self.stack.tick(
+            self.state, self._measured(self.state), self._reference(time_s), now_us
+        )
         p, q, r = command.rate_frd_radps.tolist()
         self._up.send(ControlSetpoint(ControlKind.RATE, (p, q, r), command.thrust_norm), now_us)
         return record

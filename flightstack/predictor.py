@@ -78,6 +78,12 @@ class Streams:
         return self.attitude_us >= 0 and self.position_us >= 0 and self.imu_us >= 0
 
 
+def sampled(streams: Streams, now_us: int, *, corrected: bool = True) -> Measurement | None:
+    """As `predict`, but to the newest sample only: what came after it the commands that were sent say (`under_way`)."""
+    newest_us = max(streams.position_us, streams.attitude_us, streams.imu_us)
+    return predict(streams, min(now_us, newest_us), corrected=corrected)
+
+
 def predict(streams: Streams, now_us: int, *, corrected: bool = True) -> Measurement | None:
     """The state at `now_us`, or None until every stream (but the motors') has been heard; ages are in the result.
 

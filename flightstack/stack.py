@@ -1,7 +1,8 @@
 """The whole flight stack in order: learn -> certify -> control -> limit -> filter -> guard, and a record of why.
 
 One pure function, `Stack.tick`: no clock, no socket, no hidden state, the same for a real vehicle and a simulated one.
-Before it the streams are predicted to `now_us` (`flightstack.predictor`), after it the command goes to the link.
+Before it the streams are predicted to their newest sample (`flightstack.predictor`) and carried on to `now_us` by what
+was sent (`Stack.carried`), after it the command goes to the link.
 In flight nothing raises: what goes wrong ends as the guard's fallback, named in the record.
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from flightstack.applied import Applied
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.premise_watch import Seen, WatchState, watch, watched
+from flightstack.barrier.premise_watch import Seen, WatchState, interrupted, is_inside, watch, watched
 from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.governor import Governor, GovernorState
@@ -22,6 +23,7 @@ from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.model import Limiter, Limits, Model
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.under_way import UnderWay
 
 
 class StackState(NamedTuple):
@@ -46,12 +48,18 @@ class StackState(NamedTuple):
     """The rate loop as modelled; None: there is no governor."""
     watch: WatchState = WatchState()
     """Of the premises of the certificate in force."""
+    learned: Learned = Learned.nothing()
+    """What the learner said last."""
+    under_way: F64 | None = None
+    """Commands sent of late; None: none yet.  Written in place."""
 
 
 class Stack:
     """The flight stack of one believed vehicle; final, holds only constants."""
 
-    __slots__ = ("certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model")
+    __slots__ = (
+        "certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model", "under_way",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -74,6 +82,7 @@ class Stack:
         self.governor = governor
         self.guard = Guard(model, self.limits)
         self.limiter = Limiter(model, self.limits)
+        self.under_way = UnderWay(model)
 
     def init(self, measurement: Measurement, origin_ned_m: F64 | None = None) -> StackState:
         """State at the start: nothing is corrected, learned or carried beyond the weight.
@@ -88,7 +97,7 @@ class Stack:
         certifier = self.certifier.init()
         return StackState(
             control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight,
-            governor=None if self.governor is None else self.governor.init(),
+            governor=None if self.governor is None else self.governor.init(), under_way=self.under_way.init(),
         )  # fmt: skip
 
     def resume(self, state: StackState, measurement: Measurement) -> StackState:
@@ -96,7 +105,18 @@ class Stack:
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
         control = self.controller.init(measurement.t_us)
-        return state._replace(control=control, sent=sent, measurement=measurement, carried_n=weight)
+        return state._replace(
+            control=control, sent=sent, measurement=measurement, carried_n=weight, filtered=_UNFILTERED,
+            watch=interrupted(state.watch),
+        )  # fmt: skip
+
+    def carried(self, state: StackState | None, measurement: Measurement, now_us: int) -> Measurement:
+        """A state as of its newest sample, at `now_us`; before each tick.  No stack's state: nothing was sent."""
+        if state is None or state.under_way is None:
+            none = Command(measurement.t_us, 0.0, math.nan, np.zeros(3))
+            return self.under_way.carry(self.under_way.init(), measurement, none, _NOT_LEARNING, now_us)
+        sent = state.applied.of(state.sent)
+        return self.under_way.carry(state.under_way, measurement, sent, state.learned, now_us)
 
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
@@ -104,7 +124,7 @@ class Stack:
         """One step: the next state, the command to send and the record.  `measurement` None: nothing was heard yet."""
         seen = measurement or state.measurement
         usable = not stale(measurement, self.limits)
-        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing, premises = state
+        control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing, premises, *_ = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
         filtered, turned = _UNFILTERED, False
         if usable:
@@ -115,7 +135,7 @@ class Stack:
                 safe = self.filter.adopt(safe, certificate)
                 premises = _watched(certificate, self.model)
             if premises.version >= 0 and before.status >= _ENGAGED:
-                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6)
+                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6, is_inside(before))
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
@@ -133,8 +153,9 @@ class Stack:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
         after = StackState(
-            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises
-        )
+            control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises,
+            learned if usable else state.learned, state.under_way,
+        )  # fmt: skip
         return after, command, record
 
     def _govern(

@@ -8,6 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.estimate_bounds import BENCH
+from flightstack.barrier.initial import DOWN
+from flightstack.barrier.premise_watch import watched
+from flightstack.barrier.premises import ANY_BATTERY_V, Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
 from flightstack.barrier.shapes import Quadratic
 from flightstack.consistency import EstimateWatch
@@ -26,6 +30,10 @@ _FILTER_TICKS = 400
 _FAR_M = 30.0
 """A step away that no barrier allows: the filter's fallback is compiled too."""
 _STATISTICS = ErrorStatistics("mocap", (0.005,) * 3, 0.2, (0.0,) * 3, (0.02,) * 3, 0.2, (0.03,) * 3, 1.0, (0.01,) * 3)
+
+_WIDE = (-100.0, 100.0)
+_PREMISES = Premises("", "", BENCH, (_WIDE,) * 3, 1.0, _WIDE, _WIDE, _WIDE, _WIDE, 1.0, 1.0, ANY_BATTERY_V)
+"""Nothing breaks them, so that the watch looks at all of them in every tick."""
 
 
 def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
@@ -50,7 +58,11 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     ticks = _TICKS
     if stack.filter.enabled:
         ticks = _FILTER_TICKS
-        state = state._replace(filter=stack.filter.adopt(state.filter, _certificate(setpoint.pos_ned_m)))
+        held = _certificate(setpoint.pos_ned_m)
+        state = state._replace(
+            filter=stack.filter.adopt(state.filter, held),
+            watch=watched(held.version, _PREMISES, held.axes[DOWN].authority.table),
+        )
     for left in range(ticks, 0, -1):
         place = setpoint.pos_ned_m + (_FAR_M if left == 2 else 0.0)
         state, _, record = stack.tick(state, predict(streams, now_us), setpoint, now_us)
@@ -58,7 +70,9 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
         streams.attitude(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         streams.position(now_us, tuple(place), tuple(setpoint.vel_ned_mps))
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
-    stack.tick(state, predict(streams, 10 * now_us), setpoint, 10 * now_us)
+    late = predict(streams, now_us)
+    assert late is not None
+    stack.tick(state, stack.carried(state, late, 10 * now_us), setpoint, 10 * now_us)
     return record
 
 

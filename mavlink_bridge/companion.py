@@ -14,7 +14,7 @@ import numpy as np
 from flightstack.barrier.premise_watch import NAMES
 from flightstack.guard import stale
 from flightstack.mission import Mission, plan, run_up_of
-from flightstack.predictor import predict
+from flightstack.predictor import sampled
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack, StackState
 from flightstack.state_observer import StateObserver
@@ -229,11 +229,12 @@ class Companion:
         """The state of the vehicle and of the mission at this step."""
         now, t_us = self._now, self._t_us
         self.last_t_us = t_us
-        self._measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
-        if self._measurement is not None:
-            self._measurement.battery_v = self.view.battery_v
-        if self._measurement is not None and self._refiner is not None:
-            self._measurement = self._refiner.refine(self._measurement)
+        measured = sampled(self.view.streams, t_us, corrected=self._refiner is None)
+        if measured is not None:
+            measured.battery_v = self.view.battery_v
+            measured = measured if self._refiner is None else self._refiner.refine(measured)
+            measured = self._stack.carried(self._stack_state, measured, t_us)
+        self._measurement = measured
         if self._measurement is not None and self.view.on_ground and not self.view.armed:
             self._rested = min(self._rested + 1, _REST_TICKS)
             self._rest_ned_m += (self._measurement.pos_ned_m - self._rest_ned_m) / self._rested

@@ -60,6 +60,10 @@ _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
 _LEAST_HOVER_MPS2 = 1.0
 """What a vehicle out of hand has taught of its hover may be below zero."""
+_LATE_TICKS, _MOST_TICKS = 3, 5
+"""A loop that was late once is certified for commands that far apart at least, and no further apart than that."""
+_ROUNDED_S = 0.0005
+"""What an interval may be longer without being late."""
 _HOVER_OFF = 1.05
 """The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
@@ -87,7 +91,7 @@ class CertifierConfig:
     """The same sideways.  The steeper, the faster the filter turns thrust round, which the governor's torque bounds;
     the gentler, the earlier it holds back what is flown well inside."""
     dt_s: float = 0.004
-    """Longest time between two commands."""
+    """Longest time between two commands of a loop that is never late; of one that was, see `apart`."""
     delta: float = 0.05
     nodes: int = 8
     slice_only: bool = False
@@ -139,6 +143,9 @@ class CertifierState:
     turn: int = 0
     """Of the thrusts."""
     flown: FlownPath = field(default_factory=FlownPath)
+    seen_us: int = -1
+    apart_s: float = 0.0
+    """Longest time between two ticks so far."""
 
 
 class Elsewhere(Protocol):
@@ -195,6 +202,17 @@ class OnlineCertifier:
             elsewhere=self.elsewhere,
         )  # fmt: skip
 
+    def apart(self, apart_s: float) -> OnlineCertifier:
+        """The same for commands as far apart as ticks were: in whole ticks, within what a region can bear."""
+        dt_s = self.config.dt_s
+        if apart_s <= dt_s + _ROUNDED_S:
+            return self
+        ticks = min(max(math.ceil((apart_s - _ROUNDED_S) / dt_s), _LATE_TICKS), _MOST_TICKS)
+        return OnlineCertifier(
+            self.model, self.limits, self.region, initial=self.initial, config=replace(self.config, dt_s=ticks * dt_s),
+            safe=self.safe, elsewhere=self.elsewhere,
+        )  # fmt: skip
+
     def here(self) -> OnlineCertifier:
         """The same that does the work itself."""
         return OnlineCertifier(
@@ -212,14 +230,17 @@ class OnlineCertifier:
         """A piece of the work; a certificate where one is ready and fits."""
         if state.origin_ned_m is None:
             state.origin_ned_m = measurement.pos_ned_m.copy()
+        elif measurement.t_us > state.seen_us:
+            state.apart_s = max(state.apart_s, 1e-6 * (measurement.t_us - state.seen_us))
+        state.seen_us = measurement.t_us
         if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
         state.flown.take(measurement, self.region, state.origin_ned_m)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            there = self.elsewhere
-            state.work = there.work(self, learner, learned, state) if there else self.work(learner, learned, state)
+            there, paced = self.elsewhere, self.apart(state.apart_s)
+            state.work = there.work(paced, learner, learned, state) if there else paced.work(learner, learned, state)
         if state.work is None:
             return state, None
         ready = next(state.work, None)
@@ -284,6 +305,8 @@ class OnlineCertifier:
         before_h = state.flown.least(held, state.origin_ned_m)
         if flown_h < min(self.config.spared_h, before_h):
             return False
+        if ready.axes[0].setting.dt_s > held.axes[0].setting.dt_s:  # the loop was later since
+            return True
         if self.config.spared_h > -math.inf and flown_h > before_h + _SPARED_MORE:
             return True
         if area > self.config.growth * state.area:

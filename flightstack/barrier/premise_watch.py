@@ -5,6 +5,11 @@ and counted; breach for BREACH_S, what holds in between paid back at a quarter o
 vehicle is brought to rest, through the filter, where it is (`WatchState.rest`), and stays there; the flight ends.
 Another certificate, with premises of its own, begins anew.
 
+**Lapses.**  A command or a message that came late is over when it is over: the proof begins anew at every command, from
+any state inside.  Such a lapse is told and counted, and ends the certificate where at the tick after it the vehicle is
+not inside with the h that the filter engages at (then braking is all that is left), or where lapses add up to
+LAPSED_S: of an interval what is beyond the certificate's, of late messages the ticks.  Nothing is promised meanwhile.
+
 Stream ages are compared with one and a half of each stream's periods and the certificate's jitter; of the rest each is
 compared with its own range (`premises`).  What the estimate is off by cannot be seen here: its bound is scored against
 the truth in simulation.
@@ -24,19 +29,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.barrier.assess import column_at
+from flightstack.barrier.assess import CHANGED, ENGAGE_H, PASSED, column_at
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.rows import L_GAIN, L_RESIDUAL, VEL_D, VEL_E, VEL_N
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, Tuple3
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement, Tuple3
 
 NAMES = (
     "", "speed north", "speed east", "speed down", "lean north", "lean east", "thrust", "applied thrust",
     "thrust gain", "delay", "link", "command interval", "battery",
 )  # fmt: skip
 """Premises by their number; 0: none is broken."""
+_LATE_LINK, _LATE_COMMAND = 10, 11
+_LAPSES = _LATE_LINK, _LATE_COMMAND
 BREACH_S = 0.02
+LAPSED_S = 0.1
+"""In all, what holds in between paid back likewise: a loop or a link that is often late is not what was certified."""
 _PAID_BACK = 0.25
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""
@@ -63,7 +72,9 @@ class WatchState(NamedTuple):
     down: F64 = _NO_TABLE
     """(7, n) what it says of acceleration along down (`Authority.table`); empty where it says nothing."""
     broken_s: float = 0.0
-    """How long premises were broken of late."""
+    """How long premises were broken of late, but for lapses."""
+    lapsed_s: float = 0.0
+    """How long lapses were of late."""
     broken: int = 0
     """Number of the premise that is broken at this tick."""
     ended: int = 0
@@ -81,10 +92,17 @@ class Seen(NamedTuple):
     """Thrust by the motors' word over thrust sent."""
     interval_s: float
     """Since the command before."""
+    is_inside: bool = True
+    """At the tick before the filter found the vehicle inside with the h that it engages at."""
 
 
 _LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG = 6, 7, 15, 16, 17, 19
 """Of a watch's numbers, after the speeds: what has a range takes two."""
+
+
+def is_inside(filtered: Filtered) -> bool:
+    """Whether the filter found the vehicle inside with the h that it engages at, and a command that keeps it there."""
+    return filtered.status in (PASSED, CHANGED) and min(filtered.h, filtered.h_state) >= ENGAGE_H
 
 
 def watched(
@@ -104,6 +122,11 @@ def watched(
     return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), down)
 
 
+def interrupted(state: WatchState) -> WatchState:
+    """After somebody else flew: a lapse, whose length says nothing of this loop."""
+    return state._replace(broken=_LATE_COMMAND) if state.version >= 0 else state
+
+
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:
     """One tick with an engaged filter."""
     ages_s = np.array([measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us]) * 1e-6
@@ -117,10 +140,26 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     ranged = seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s
     broken = _broken(state.numbers, measurement.row, ages_s, ranged, seen.interval_s, measurement.battery_v)
     span_s = min(max(seen.interval_s, 0.0), _GAP_MAX_S)
-    broken_s = state.broken_s + span_s if broken else max(state.broken_s - _PAID_BACK * span_s, 0.0)
-    if state.ended or broken_s < BREACH_S:
-        return state._replace(broken=broken, broken_s=broken_s)
-    return state._replace(broken=broken, broken_s=broken_s, ended=broken, rest=_rest(measurement, yaw_rad))
+    lapse = broken in _LAPSES
+    broken_s = _summed(state.broken_s, span_s if broken and not lapse else 0.0, span_s)
+    lapsed_s = _summed(state.lapsed_s, _lapse_s(broken, seen.interval_s, float(state.numbers[_INTERVAL])), span_s)
+    after = state._replace(broken=broken, broken_s=broken_s, lapsed_s=lapsed_s)
+    strayed = state.broken in _LAPSES and not seen.is_inside
+    if state.ended or not (broken_s >= BREACH_S or lapsed_s >= LAPSED_S or strayed):
+        return after
+    return after._replace(ended=state.broken if strayed else broken, rest=_rest(measurement, yaw_rad))
+
+
+def _summed(before_s: float, more_s: float, span_s: float) -> float:
+    """Breaches add up, what holds is paid back."""
+    return before_s + more_s if more_s > 0.0 else max(before_s - _PAID_BACK * span_s, 0.0)
+
+
+def _lapse_s(broken: int, interval_s: float, certified_s: float) -> float:
+    """How long a lapse was in which nothing was promised."""
+    if broken == _LATE_COMMAND:
+        return interval_s - certified_s
+    return min(interval_s, certified_s) if broken == _LATE_LINK else 0.0
 
 
 def _rest(measurement: Measurement, yaw_rad: float) -> FlatOutput:
@@ -176,7 +215,7 @@ def _broken(
             return 6 + i
     for i in range(3):
         if ages_s[i] > _LATE * _PERIODS_S[i] + p[_JITTER]:
-            return 10
+            return _LATE_LINK
     if interval_s > p[_INTERVAL] + _TICK_S:
-        return 11
+        return _LATE_COMMAND
     return 12 if battery_v < p[_BATTERY] or battery_v > p[_BATTERY + 1] else 0

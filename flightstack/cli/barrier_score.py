@@ -47,6 +47,10 @@ State = Sequence[float] | F64
 """Six numbers: position relative to the start, velocity."""
 
 
+_GAP_S = 0.1
+"""Between two ticks: in a longer one somebody else flew."""
+
+
 class SiteSummary(Protocol):
     """The score of a site."""
 
@@ -319,7 +323,7 @@ class FilterScore:
         if not climbing:
             self._ticks += 1
             self._solved += protecting
-        if protecting and self._protecting:
+        if protecting and self._protecting and flight_s - self.spans[-1][1] <= _GAP_S:
             self.spans[-1] = (self.spans[-1][0], flight_s)
         elif protecting:
             self.spans.append((flight_s, flight_s))

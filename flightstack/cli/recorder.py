@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from flightstack.barrier.certifier import Elsewhere
+from flightstack.barrier.premise_watch import NAMES
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
@@ -40,6 +41,7 @@ _ZERO = (0.0, 0.0, 0.0)
 _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
 _STAGE_PERIOD_US = 100_000
+_PREMISE_PERIOD_US = 1_000_000
 _ESTIMATE_PERIOD_US = 40_000
 _WAY_PERIOD_US = 500_000
 _JUDGED_FROM_US = 5_000_000
@@ -88,20 +90,24 @@ class LearnerEvents:
 class FilterEvents:
     """Tells what the barrier filter came to: engaged, its first change, each fallback and its end, each certificate.
 
-    A status that comes and goes is told at most every 0.1 s, changes of the command only once: they are in /filter.
+    A status that comes and goes is told at most every 0.1 s, a premise that is broken every second, changes of the
+    command only once: they are in /filter.
     """
 
     def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
         self._tell = tell
         self._status = _UNENGAGED
         self._changed = False
-        self._due_us = 0
+        self._due_us = self._premise_due_us = 0
 
     def on_filtered(self, t_us: int, filtered: Filtered) -> None:
         """What the filter did at one tick."""
         status = filtered.status
         if status < 0.0:
             return
+        if filtered.premise > 0.0 and t_us >= self._premise_due_us:
+            self._premise_due_us = t_us + _PREMISE_PERIOD_US
+            self._say(t_us, f"premise broken: {NAMES[int(filtered.premise)]} (h {filtered.h:.3f})")
         if filtered.intervened == 1.0 and not self._changed and status < _FALLBACK:
             self._changed = True
             self._say(t_us, f"first change: wanted {_vector(filtered.wanted_acc_ned_mps2)}, sent "

@@ -20,7 +20,7 @@ import numpy as np
 from flightstack.cli.shield_controller import Relay, hold_of, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
 from flightstack.geodesy import LocalFrame
-from flightstack.predictor import predict
+from flightstack.predictor import predict, sampled
 from flightstack.site.decide import PASSED
 from flightstack.site.filter import gain_of
 from flightstack.stack import Stack, StackState
@@ -247,7 +247,8 @@ class ShieldRouter:
         self.score.governed += self.record.governed
 
     def _measured(self, t_us: int) -> Measurement | None:
-        measurement = predict(self.view.streams, t_us, corrected=self._refiner is None)
-        if measurement is None or self._refiner is None:
-            return measurement
-        return self._refiner.refine(measurement)
+        measurement = sampled(self.view.streams, t_us, corrected=self._refiner is None)
+        if measurement is None:
+            return None
+        measurement = measurement if self._refiner is None else self._refiner.refine(measurement)
+        return self._stack.carried(self._state, measurement, t_us)

@@ -1,8 +1,9 @@
 """The learner of the flight stack: recursive Gaussian processes on what the model leaves unexplained.
 
 Each tick: a sample (`sampler`), its error of prediction (`watch`), a step of the window that it belongs to; each full
-window is one point of each store (`store`).  Then two predictions: at the measured state (the bound), and at the
-reference (what the controller feeds forward, with its time derivative and the thrust's own gain).
+window is one point of each store (`store`), taken in the ticks after it, one store a tick.  Then two predictions: at
+the measured state (the bound), and at the reference (what the controller feeds forward, with its time derivative and
+the thrust's own gain).
 
 | stage        | condition                                                                                    |
 | ------------ | -------------------------------------------------------------------------------------------- |
@@ -75,6 +76,8 @@ class LearnerConfig:
 _FORWARD_EVERY = 4
 _GAIN_EVERY = 64
 """Steps between two looks at the gain's own variance; the first of them is none in which something else is due."""
+_TURN_OF = {step: (None, 2, 0, 1)[step % _FORWARD_EVERY] for step in range(2, _GAIN_EVERY)}
+"""Which store may take a point at which of so many steps: where nothing else is due, and just before its prediction."""
 _RECOVERY_US = 1_000_000
 """After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
 _USUAL_TICKS = 2500
@@ -91,6 +94,19 @@ class Learnt(NamedTuple):
         return self
 
 
+class FullWindow(NamedTuple):
+    """A window on its way into the stores."""
+
+    mean: F64
+    """Of its samples: inputs, targets, rate inputs, rate targets."""
+    noise_var: F64
+    """(3,) of the mean target, tilt axes."""
+    span_us: tuple[int, int]
+    """Stamps of its first and last sample."""
+    turn: int = 0
+    """Which store takes it next: lateral, vertical, rates."""
+
+
 class LearnerState:
     """What a learner remembers; changed in place by its steps."""
 
@@ -98,6 +114,7 @@ class LearnerState:
         "began_us", "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
         "forward", "forward_us", "gain_variance", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
         "rates", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance", "vertical", "watch",
+        "window",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -112,6 +129,7 @@ class LearnerState:
         self.rates = store(config.priors.rates, 3, 3, config.rate_floor_radps)
         self.memory = memory
         self.watch = Watch(config.window_ticks, config.alarm_sigmas)
+        self.window: FullWindow | None = None
         self.sample = np.zeros(s.SAMPLE)
         self.query = np.zeros((2, s.D))
         self.fed_forward = np.zeros(6)
@@ -187,6 +205,11 @@ class GpLearner:
         """Learn from this measurement; say what is known now."""
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
+        turn = _TURN_OF.get(state.steps % _GAIN_EVERY)
+        if state.window is not None and turn == state.window.turn:
+            _take_turn(state, state.window)
+        elif turn in (0, 1):
+            (state.vertical if turn else state.lateral).carry_on()
         self._expect(state, both=state.steps == 0)
         fit = state.weigh(config.residual_max_mps2)
         if fit:
@@ -223,10 +246,7 @@ class GpLearner:
             state.expected[2:], state.posterior[1] = state.vertical.expect(x)
 
     def _learn(self, state: LearnerState, expected: F64, allowed: F64, t_us: int) -> bool:
-        """A fit sample: into the window, against the alarm, and with a full window into the stores.
-
-        True where prediction or bound are other ones now.
-        """
+        """A fit sample: into the window, against the alarm.  True where a change is noticed: the bound is wider now."""
         state.fit_us = t_us
         state.fed += 1
         thrust = float(state.sample[s.S_INPUT + s.THRUST])
@@ -245,21 +265,14 @@ class GpLearner:
                 state.changes, state.changed_us = state.changes + 1, t_us
                 state.vertical.renew(error[2:], self.config.renew_points)
                 watch.reset()
-        if watch.full:
-            mean, noise = watch.take(), watch.noise_var
-            state.lateral.hear(max(noise[0], noise[1]))
-            state.vertical.hear(noise[2])
-            x, y = mean[: s.D], mean[s.D : s.D + 3]
-            span_us = state.began_us, t_us
-            state.lateral.take(x, y[:2], span_us)
-            state.vertical.take(x, y[2:], span_us)
-            state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
-            rates = sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3]
-            state.rate_mean, spread = state.rates.expect(rates)
-            state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
-            self._expect(state, both=True)
+        if state.changes > changes:
+            state.window = None  # of samples from before
             return True
-        return state.changes > changes
+        if watch.full:
+            while state.window is not None:  # windows so short that there are too few ticks between them
+                _take_turn(state, state.window)
+            state.window = FullWindow(watch.take(), watch.noise_var, (state.began_us, t_us))
+        return False
 
     def _stage(self, state: LearnerState, t_us: int, fit: bool) -> tuple[int, float]:
         """Stage by the table above, and the share of what is learned that is fed forward."""
@@ -288,6 +301,23 @@ class GpLearner:
         out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
         out[:, SLOPE] -= out[:, 2]
         state.forward_us = t_us
+
+
+def _take_turn(state: LearnerState, window: FullWindow) -> None:
+    """Let one store take a full window: an exchange of points costs what a tick can spare once."""
+    mean, noise, span_us, turn = window
+    x, y = mean[: s.D], mean[s.D : s.D + 3]
+    if turn == 0:
+        state.lateral.hear(max(noise[0], noise[1]))
+        state.lateral.take(x, y[:2], span_us)
+    elif turn == 1:
+        state.vertical.hear(noise[2])
+        state.vertical.take(x, y[2:], span_us)
+    else:
+        state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
+        state.rate_mean, spread = state.rates.expect(state.sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3])
+        state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
+    state.window = window._replace(turn=turn + 1) if turn < 2 else None
 
 
 def _look_at_gain(state: LearnerState) -> None:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
+from flightstack.jit import njit
 from flightstack.learning.priors import StorePrior
 from flightstack.types import F64
 
@@ -51,6 +52,8 @@ _OUTLIER_KEPT = 1.0 - 1.0 / 200.0
 """Share of an outlier's variance that is left a window later."""
 _NOISE_FACTOR = 1.5
 _NOISE_EVERY = 50
+_CARRIED = 4
+"""Points that a tick takes over."""
 _FEW = 30
 """Points with which rebuilding costs nothing."""
 _NOISE_LEAST = 1e-4
@@ -59,6 +62,7 @@ _POOL = 2000
 _THINNED, _KEPT = 1500, 500
 _BOUND_SIGMAS = 3.0
 _ORIGIN = np.zeros(16)
+_FAST, _SLOW, _OUTLIER, _CALM, _EXCESS, _LEVELS = range(6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,11 +99,43 @@ class Evidence:
         return self
 
 
+class _Successor:
+    """A store's points with another noise: taken over some at a time, and what came and went meanwhile after them."""
+
+    __slots__ = ("_done", "_moves", "_x", "_y", "gp")
+
+    def __init__(self, before: RecursiveGP, noise_var: float) -> None:
+        self.gp = RecursiveGP(
+            before.kernel, noise_var, input_dim=before.input_dim, output_dim=before.output_dim,
+            capacity=before.capacity,
+        )  # fmt: skip
+        self._x, self._y, self._done = before.x, before.y, 0
+        self._moves: list[tuple[int, F64, F64, bool]] = []
+
+    def note(self, dropped: int, x: F64, y: F64, taken: bool) -> None:
+        """The store let a point go (-1: none), and took another or refused it."""
+        self._moves.append((dropped, x.copy(), y.copy(), taken))
+
+    def carry_on(self) -> bool:
+        """Some points more; whether all are here, at the store's own indices."""
+        end = min(self._done + _CARRIED, len(self._x))
+        for i in range(self._done, end):
+            self.gp.add(self._x[i], self._y[i])
+        self._done = end
+        while end == len(self._x) and self._moves:  # a window brings one, and there are ticks enough between two
+            dropped, x, y, taken = self._moves.pop(0)
+            if dropped >= 0:
+                self.gp.remove(dropped)
+            if taken:
+                self.gp.add(x, y)
+        return end == len(self._x)
+
+
 class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_fast", "_fresh", "_heard", "_next", "_outlier", "_places", "_pooled", "_slow", "_spans",
+        "_age", "_block", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans", "_successor",
         "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
@@ -116,18 +152,19 @@ class Store:
         self.outputs, self.relevance = outputs, relevance
         self.gp = RecursiveGP(prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity)
         self.floor = floor * floor
-        self.excess = np.full(outputs, self.floor)
-        self._fast, self._slow, self._outlier = (np.zeros(outputs) for _ in range(3))
+        self._levels = np.zeros((_LEVELS, outputs))
+        self.excess, self.calm_excess = self._levels[_EXCESS], self._levels[_CALM]
+        """Variance beyond the posterior's; and without what single errors have widened: what a sudden change must be
+        compared with, for the first window that it falls into widens the bound by as much."""
+        self._levels[_CALM:] = self.floor
         self._block = np.zeros(outputs + 2)
         """Sums of the present block: errors, posterior variance, windows."""
         self._age = np.zeros(capacity, dtype=np.int64)
         self._next = 0
         self._heard = -_NOISE_EVERY
+        self._successor: _Successor | None = None
         self._wanted = 0
         self._fresh: list[tuple[F64, F64, Span]] = []
-        self.calm_excess = self.excess.copy()
-        """The same without what single errors have widened: what a sudden change must be compared with, for the first
-        window that it falls into widens the bound by as much."""
         self._places, self._values = np.zeros((_POOL, inputs)), np.zeros((_POOL, outputs))
         self._spans = np.zeros((_POOL, 2), np.int64)
         self._pooled = 0
@@ -157,21 +194,26 @@ class Store:
     def hear(self, noise_var: float) -> None:
         """Take over a window's noise as measured, where it is far from what the points were taken with.
 
-        Never below 1e-4 of the prior's variance, where the recursion would lose digits.  Rebuilding costs a
-        factorisation, so a store with many points does it rarely.
+        Never below 1e-4 of the prior's variance, where the recursion would lose digits.  That costs a factorisation, so
+        a store with many points does it rarely, and some points at a time (`carry_on`).
         """
         noise_var = max(noise_var, _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[: self.gp.input_dim]))
         ratio = noise_var / self.gp.noise_var
         few = len(self.gp) < _FEW
-        if 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or (not few and self._next < self._heard + _NOISE_EVERY):
+        known = 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or self._successor is not None
+        if known or (not few and self._next < self._heard + _NOISE_EVERY):
             return
         self._heard = self._next
-        before = self.gp
-        self.gp = RecursiveGP(
-            before.kernel, noise_var, input_dim=before.input_dim, output_dim=self.outputs, capacity=before.capacity
-        )
-        if len(before):
-            self.gp.add(before.x, before.y)
+        self._successor = _Successor(self.gp, noise_var)
+        if few:
+            while self._successor is not None:
+                self.carry_on()
+
+    def carry_on(self) -> None:
+        """A few points more with the noise as measured; once all have it, it counts."""
+        successor = self._successor
+        if successor is not None and successor.carry_on():
+            self.gp, self._successor = successor.gp, None
 
     def take(self, x: F64, y: F64, span_us: Span = (0, 0)) -> None:
         """A new point of a window between two stamps: test the prediction with it, then learn it."""
@@ -180,16 +222,17 @@ class Store:
             if len(self._fresh) < self._wanted:
                 return
             self._wanted = 0
+            self._successor = None
             self.gp.clear()
             self._pooled = 0
-            self._outlier[:] = 0.0
+            self._levels[_OUTLIER] = 0.0
             self.excess[:] = self.calm_excess
             for point in self._fresh:
                 self._add(*point)
             return
         if len(self.gp):
             mean, variance = self.expect(x)
-            self._calibrate(y - mean, variance)
+            _calibrate(y - mean, variance, self.gp.noise_var, self.floor, self._levels, self._block)
         self._add(x, y, span_us)
 
     def evidence(self) -> Evidence:
@@ -199,9 +242,11 @@ class Store:
         return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values, spans)
 
     def _add(self, x: F64, y: F64, span_us: Span) -> None:
-        if len(self.gp) >= self.gp.capacity:
-            self._drop(x)
-        if self.gp.add(x, y):
+        dropped = self._drop(x) if len(self.gp) >= self.gp.capacity else -1
+        taken = bool(self.gp.add(x, y))
+        if self._successor is not None:
+            self._successor.note(dropped, x, y, taken)
+        if taken:
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
             self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
@@ -216,39 +261,41 @@ class Store:
         for held in (self._places, self._values, self._spans):
             held[: self._pooled] = held[kept]
 
-    def _calibrate(self, error: F64, variance: float) -> None:
-        """The rule of the header; in `calm_excess` without single errors beyond the bound, which may be a change."""
-        noise = self.gp.noise_var
-        known = variance + noise
-        fast_noise, slow_noise = noise * math.sqrt(2.0 / (2 * _MEMORY_WINDOWS)), noise / _BLOCK
-        slow_noise *= math.sqrt(2.0 / (2 * _MEMORY_BLOCKS))
-        squared = error * error
-        most = _BOUND_SIGMAS**2 * (known + self.calm_excess)
-        self._fast += (np.minimum(squared, most) - known - self._fast) / _MEMORY_WINDOWS
-        self._calibrate_block(error, variance)
-        np.maximum(self._fast - _NOISE_SIGMAS * fast_noise, self._slow - _NOISE_SIGMAS * slow_noise, out=most)
-        np.maximum(most, self.floor, out=self.calm_excess)
-        self._outlier *= _OUTLIER_KEPT
-        beyond = (squared - _OUTLIER_SIGMAS**2 * noise) / _BOUND_SIGMAS**2 - variance
-        np.maximum(self._outlier, np.where(beyond > self.excess, beyond, 0.0), out=self._outlier)
-        np.maximum(self.calm_excess, self._outlier, out=self.excess)
-
-    def _calibrate_block(self, error: F64, variance: float) -> None:
-        """One more window of the block; a full one tells what is slow."""
-        block = self._block
-        block[: self.outputs] += error
-        block[-2] += variance
-        block[-1] += 1.0
-        if block[-1] < _BLOCK:
-            return
-        known = block[-2] / _BLOCK + self.gp.noise_var / _BLOCK
-        squared = (block[: self.outputs] / _BLOCK) ** 2
-        most = _BOUND_SIGMAS**2 * (known + self.calm_excess)
-        self._slow += (np.minimum(squared, most) - known - self._slow) / _MEMORY_BLOCKS
-        block[:] = 0.0
-
-    def _drop(self, query: F64) -> None:
+    def _drop(self, query: F64) -> int:
         held = len(self.gp)
         index = least_relevant(self.gp, query) if self.relevance == "kernel" else int(np.argmin(self._age[:held]))
         self.gp.remove(index)
         self._age[index] = self._age[held - 1]  # the last point moved into the slot
+        return index
+
+
+@njit
+def _calibrate(error: F64, variance: float, noise: float, floor: float, levels: F64, block: F64) -> None:
+    """The rule of the header on one more window, into `levels` (5, P) and the present `block` (P + 2).
+
+    In the calm level without single errors beyond the bound, which may be a change.
+    """
+    outputs = error.shape[0]
+    fast_noise = noise * math.sqrt(2.0 / (2 * _MEMORY_WINDOWS))
+    slow_noise = noise / _BLOCK * math.sqrt(2.0 / (2 * _MEMORY_BLOCKS))
+    block[outputs] += variance
+    block[outputs + 1] += 1.0
+    full = block[outputs + 1] >= _BLOCK
+    slowly = block[outputs] / _BLOCK + noise / _BLOCK
+    for i in range(outputs):
+        squared, known = error[i] * error[i], variance + noise
+        most = _BOUND_SIGMAS**2 * (known + levels[_CALM, i])
+        levels[_FAST, i] += (min(squared, most) - known - levels[_FAST, i]) / _MEMORY_WINDOWS
+        block[i] += error[i]
+        if full:
+            most = _BOUND_SIGMAS**2 * (slowly + levels[_CALM, i])
+            mean = block[i] / _BLOCK
+            levels[_SLOW, i] += (min(mean * mean, most) - slowly - levels[_SLOW, i]) / _MEMORY_BLOCKS
+        told = max(levels[_FAST, i] - _NOISE_SIGMAS * fast_noise, levels[_SLOW, i] - _NOISE_SIGMAS * slow_noise)
+        levels[_CALM, i] = max(told, floor)
+        beyond = (squared - _OUTLIER_SIGMAS**2 * noise) / _BOUND_SIGMAS**2 - variance
+        levels[_OUTLIER, i] *= _OUTLIER_KEPT
+        levels[_OUTLIER, i] = max(levels[_OUTLIER, i], beyond if beyond > levels[_EXCESS, i] else 0.0)
+        levels[_EXCESS, i] = max(levels[_CALM, i], levels[_OUTLIER, i])
+    if full:
+        block[:] = 0.0

@@ -211,6 +211,9 @@ class Hover:
             learned = self.tick()
         return learned
 
+    def points(self) -> tuple[int, ...]:
+        return tuple(len(store.gp) for store in (self.state.lateral, self.state.vertical, self.state.rates))
+
 
 def test_the_stages_follow_each_other() -> None:
     hover, stages = Hover(), []
@@ -251,7 +254,24 @@ def test_a_tick_between_two_samples_costs_no_window() -> None:
             learned = hover.tick()
     assert learned.fed == before.fed + 585
     assert learned.refused == before.refused
+    for _ in range(4):  # the last window is in the lateral store by then
+        hover.tick()
     assert len(hover.state.lateral.gp) == points + 585 // 15
+
+
+def test_a_window_enters_one_store_a_tick_in_which_nothing_else_is_due() -> None:
+    """An exchange of points costs as much as a prediction: three of them and a look ahead in one tick are too many."""
+    hover = Hover()
+    hover.run(400)
+    entered = []
+    for _ in range(300):
+        step, before = hover.state.steps, hover.points()
+        hover.tick()
+        grown = sum(hover.points()) - sum(before)
+        entered += [grown] if grown else []
+        assert not grown or (step % 4 and step % 64 != 1)
+    assert set(entered) == {1}
+    assert len(entered) in range(3 * 20 - 2, 3 * 20 + 3)
 
 
 def test_far_from_all_data_the_bound_is_the_priors() -> None:
@@ -293,7 +313,7 @@ def test_the_kernels_relevance_keeps_the_neighbourhood_of_now() -> None:
     config = LearnerConfig(capacity=20, relevance="kernel")
     hover = Hover(config)
     hover.run(600)
-    for _ in range(150):
+    for _ in range(154):  # ten windows, and the tick in which the last is taken
         hover.tick(vel_ned_mps=np.array([6.0, 0.0, 0.0]))
     assert np.sum(hover.state.lateral.gp.x[:, 0] > 3.0) >= 10
     assert len(hover.state.lateral.gp) == 20

@@ -107,3 +107,45 @@ def test_an_empty_pool_gives_no_points() -> None:
     x, y = store.evidence().certificate_set(10)
     assert x.shape == (0, 2)
     assert y.shape == (0, 1)
+
+
+def test_another_noise_is_taken_over_some_points_at_a_time_while_windows_come_and_go() -> None:
+    """Against the exact posterior (NumPy) of the points held, which are those of a store that heard nothing."""
+    store, deaf = filled(), filled()
+    store.hear(0.04)
+    fresh = np.random.default_rng(7).uniform(-1.0, 1.0, (3, 2))
+    for turn in range(10):  # 40 points, 4 in each turn
+        assert store.gp.noise_var == 0.01
+        if turn % 4 == 0:
+            for each in (store, deaf):
+                each.take(fresh[turn // 4], np.array([0.3]))
+        store.carry_on()
+    assert store.gp.noise_var == 0.04
+    for each in (store, deaf):  # goes on as before: the oldest leaves
+        each.take(np.array([0.5, 0.5]), np.array([0.1]))
+    np.testing.assert_array_equal(store.gp.x, deaf.gp.x)
+    np.testing.assert_array_equal(store.gp.y, deaf.gp.y)
+    x, query = store.gp.x, np.array([5.5, 0.1])
+
+    def k(a: F64, b: F64) -> F64:
+        return np.exp(-0.5 * ((a[:, None] - b[None]) ** 2).sum(axis=2))
+
+    weights = np.linalg.solve(k(x, x) + 0.04 * np.eye(len(x)), k(x, query[None]))[:, 0]
+    mean, variance = store.gp.predict(query)
+    np.testing.assert_allclose(mean, weights @ store.gp.y, atol=1e-9)
+    np.testing.assert_allclose(variance, 1.0 - weights @ k(x, query[None])[:, 0], atol=1e-9)
+
+
+def test_a_change_noticed_meanwhile_leaves_the_old_points_behind() -> None:
+    store = filled()
+    store.hear(0.04)
+    store.carry_on()
+    store.renew(np.array([3.0]), points=2)
+    for _ in range(2):
+        store.take(np.array([1.0, 0.0]), np.array([4.0]))
+    for _ in range(20):
+        store.carry_on()
+    assert len(store.gp) == 2
+    store.hear(0.04)  # few points: at once
+    assert store.gp.noise_var == 0.04
+    assert len(store.gp) == 2

@@ -1,4 +1,7 @@
-"""Every premise that a flight can see: noticed at the first tick of breach, ended after 20 ms of it, never before."""
+"""Every premise that a flight can see: noticed at the first tick of breach, ended after 20 ms of it, never before.
+
+What comes late (commands, messages) ends a certificate where the vehicle was not inside afterwards, or after 0.1 s.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ import pytest
 from measured import measured as measured_at
 
 from flightstack.barrier.estimate_bounds import BENCH, does_not_fit, estimate_bounds
-from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, watch, watched
+from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, is_inside, watch, watched
 from flightstack.barrier.premises import Premises
 from flightstack.cli.sensors import error_statistics
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.region import Region
-from flightstack.types import Command, Learned, Measurement, changed
+from flightstack.types import Command, Filtered, Learned, Measurement, changed
 from flightstack_sim.grade import load_grade
 
 MASS_KG = 1.2
@@ -71,10 +74,6 @@ BREACHES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("applied thrust", {}, {"applied_ratio": 0.93}),
     ("thrust gain", {}, {"thrust_gain": 0.55}),
     ("delay", {}, {"latency_s": 0.03}),
-    ("link", {"position_age_us": 20_000}, {}),
-    ("link", {"attitude_age_us": 10_000}, {}),
-    ("link", {"imu_age_us": 9_000}, {}),
-    ("command interval", {}, {"interval_s": 0.008}),
     ("battery", {"battery_v": 13.2}, {}),
 ]
 
@@ -98,9 +97,66 @@ def test_a_breach_is_told_at_once_and_ends_the_certificate_after_20_ms(
     assert NAMES[state.ended] == name, "what ended it does not come back by itself"
 
 
-def test_one_long_gap_between_commands_is_a_breach_of_its_own_length() -> None:
-    state = run(1, watched(1, PREMISES), measured(), seen(interval_s=0.03))
+LAPSES: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
+    ("link", {"position_age_us": 20_000}, {}, 25),
+    ("link", {"attitude_age_us": 10_000}, {}, 25),
+    ("link", {"imu_age_us": 9_000}, {}, 25),
+    ("command interval", {}, {"interval_s": 0.009}, 20),
+]
+"""Name, what is late, and after how many such ticks 0.1 s of it are reached: of an interval what is beyond 4 ms."""
+
+
+@pytest.mark.parametrize(("name", "measurement", "tick", "ticks"), LAPSES)
+def test_what_comes_late_is_told_at_once_and_ends_the_certificate_after_a_tenth_of_a_second(
+    name: str, measurement: dict[str, Any], tick: dict[str, Any], ticks: int
+) -> None:
+    late, when = measured(**measurement), seen(**tick)
+    state = run(1, watched(1, PREMISES), late, when)
+    assert NAMES[state.broken] == name
+    state = run(ticks - 2, state, late, when)
+    assert not state.ended
+    state = run(2, state, late, when)  # a sum of so many floating-point numbers may be a hair below
+    assert NAMES[state.ended] == name
+    assert state.rest is not None
+
+
+@pytest.mark.parametrize("interval_s", [0.013, 0.03, 0.1])
+def test_one_late_command_ends_nothing_where_the_vehicle_is_inside_at_the_next_tick(interval_s: float) -> None:
+    state = run(1, watched(1, PREMISES), measured(), seen(interval_s=interval_s))
+    assert (NAMES[state.broken], state.ended) == ("command interval", 0)
+    inside, outside = run(1, state, measured(), seen()), run(1, state, measured(), seen(is_inside=False))
+    assert (inside.broken, inside.ended, inside.rest) == (0, 0, None)
+    assert NAMES[outside.ended] == "command interval"
+    assert outside.rest is not None
+
+
+def test_a_gap_so_long_that_nothing_was_promised_for_a_tenth_of_a_second_ends_it_at_once() -> None:
+    assert NAMES[run(1, watched(1, PREMISES), measured(), seen(interval_s=0.105)).ended] == "command interval"
+
+
+def test_outside_where_nothing_was_late_is_for_the_filter_to_judge() -> None:
+    assert not run(50, watched(1, PREMISES), measured(), seen(is_inside=False)).ended
+
+
+def test_late_ticks_are_paid_back_by_a_quarter_of_the_time_between() -> None:
+    state, late = watched(1, PREMISES), seen(interval_s=0.008)
+    for _ in range(200):  # 4 ms beyond, four ticks that give back 1 ms each
+        state = run(4, run(1, state, measured(), late), measured(), seen())
+    assert not state.ended
+    for _ in range(200):
+        state = run(3, run(1, state, measured(), late), measured(), seen())
     assert NAMES[state.ended] == "command interval"
+
+
+@pytest.mark.parametrize(
+    ("status", "h", "h_state", "inside"),
+    [(2.0, 0.1, 0.05, True), (3.0, 0.05, 0.3, True), (2.0, 0.049, 0.3, False), (2.0, 0.3, 0.049, False),
+     (4.0, 0.3, 0.3, False), (5.0, 0.3, 0.3, False), (1.0, 0.3, 0.3, False), (2.0, math.nan, 0.3, False)],
+)  # fmt: skip
+def test_inside_is_where_the_filter_engages_and_has_a_command(
+    status: float, h: float, h_state: float, inside: bool
+) -> None:
+    assert is_inside(changed(Filtered.nothing(), status=status, h=h, h_state=h_state)) is inside
 
 
 def test_single_ticks_now_and_then_end_nothing() -> None:

@@ -1,0 +1,106 @@
+"""The state at this tick from the newest sample, over what the link is late, with the commands that were under way.
+
+A sample that is D late says nothing of what the commands did that acted meanwhile: thrust that is switched over its
+whole range moves velocity by 0.1 m/s in 20 ms.  From the sample on the vehicle is taken to answer the commands sent as
+its file says: thrust after delay and rotors' lag, times the learned gain; roll and pitch rates after delay and the rate
+loop's lag; the rest of the force as the accelerometer measured it, fixed in the world (`barrier.response`).  Where
+others give the commands force and rates stay as they were measured.
+
+What is left of this is in a certificate's ledger (`barrier.margins`, delay): commands that act later than believed
+move the state along its motion, and the model's error acts over the whole of the delay.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flightstack.barrier.response import (
+    C_CURVE,
+    C_RATE_DELAY,
+    C_RATE_LAG,
+    C_ROTOR_LAG,
+    C_SPECIFIC,
+    C_THRUST_DELAY,
+    CHAIN,
+    M_ROTORS,
+    RING,
+    STATE,
+    ahead,
+    follow_rotors,
+    new_memory,
+    remember,
+    thrust_of,
+)
+from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit
+from flightstack.model import Model, thrust_to_norm
+from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement
+
+_MOST_US = 50_000
+"""Over more than this nothing is carried: the ages tell the guard."""
+_PAUSE_US = 100_000.0
+"""After a longer pause others give the commands."""
+_NEVER_S = 1e9
+
+
+class UnderWay:
+    """For one believed vehicle; final, holds only constants.  The memory (`init`) is changed in place."""
+
+    __slots__ = ("_chain", "_delay_s")
+
+    def __init__(self, model: Model) -> None:
+        self._chain = np.zeros(CHAIN)
+        self._chain[C_SPECIFIC], self._chain[C_CURVE] = model.max_thrust_n / model.mass_kg, model.thrust_model_factor
+        self._chain[C_ROTOR_LAG], self._chain[C_RATE_LAG] = model.motor_lag_s, model.rate_lag_s
+        self._delay_s = model.transport_delay_s
+
+    def init(self) -> F64:
+        """Nothing was sent."""
+        return new_memory()
+
+    def carry(self, memory: F64, measurement: Measurement, sent: Command, learned: Learned, now_us: int) -> Measurement:
+        """The state at `now_us`; `sent`: the newest command, as it was applied."""
+        late_us = now_us - measurement.t_us
+        delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s
+        row = measurement.row.copy()
+        times_us = (float(measurement.t_us), float(measurement.t_us + min(max(late_us, 0), _MOST_US)))
+        _carry(
+            memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
+            (float(sent.t_us), sent.thrust_norm), sent.rate_frd_radps, row,
+        )  # fmt: skip
+        if late_us <= 0:
+            return measurement
+        return Measurement(
+            now_us, row, measurement.position_age_us + late_us, measurement.attitude_age_us + late_us,
+            measurement.imu_age_us + late_us, measurement.battery_v,
+        )  # fmt: skip
+
+
+@njit
+def _carry(
+    memory: F64, constants: F64, delay_us: float, gain: float, times_us: tuple[float, float],
+    sent: tuple[float, float], rate: F64, row: F64,
+) -> None:  # fmt: skip
+    """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second."""
+    from_us, to_us = times_us
+    remember(memory, sent[0], sent[1], rate)
+    chain = constants.copy()
+    chain[C_THRUST_DELAY] = chain[C_RATE_DELAY] = delay_us
+    follow_rotors(memory, chain, from_us)
+    if not to_us > from_us:
+        return
+    if not to_us - memory[RING, 0] <= _PAUSE_US:
+        chain[C_ROTOR_LAG] = chain[C_RATE_LAG] = _NEVER_S  # rotors and rates go on as they are
+        memory[0, M_ROTORS] = thrust_to_norm(max(-row[FORCE_Z], 0.0) / gain, chain[C_SPECIFIC], chain[C_CURVE])
+    r, offset, state = quat_to_matrix(row[ATTITUDE : ATTITUDE + 4]), np.empty(3), np.empty(STATE)
+    along = row[FORCE_Z] + gain * thrust_of(chain, memory[0, M_ROTORS])
+    for i in range(3):
+        offset[i] = r[i, 0] * row[FORCE_X] + r[i, 1] * row[FORCE_Y] + r[i, 2] * along
+    offset[2] += STANDARD_GRAVITY_MPS2
+    ahead(memory, chain, row, from_us, to_us, offset, gain, state)
+    for i in range(13):
+        row[i] = state[i]
+
+
+__all__ = ["UnderWay"]
