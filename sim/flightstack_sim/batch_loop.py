@@ -35,7 +35,7 @@ _across = across_lanes(_loops, {})
 
 
 @njit_called
-def _rates(block: F64, state: F64, first: int, scratch: F64) -> None:
+def _rates(block: F64, scratch: F64) -> None:
     """A block's rate loops, from the states' rates to the states' commands."""
     for j in range(3 * LANES):
         block[_GYRO + j] = scratch[ROW_AT + S_RATE * LANES + j]
@@ -43,7 +43,7 @@ def _rates(block: F64, state: F64, first: int, scratch: F64) -> None:
     for i in range(LANES):
         motors = motors_of(lane(block, i))
         for j in range(4):
-            state[S_COMMAND + j, first + i] = motors[j]
+            scratch[ROW_AT + (S_COMMAND + j) * LANES + i] = motors[j]
 
 
 @njit_called
@@ -75,7 +75,7 @@ def fly_blocks(
     `steps`: `compiled_steps`.
     """
     params, state, normals, loops, corrections = fleet
-    scratch = scratch_block()
+    scratch = scratch_block(state.shape[0])
     last = distances.shape[0] - 1
     for at in range(vehicles[0], vehicles[1], LANES):
         load(params, state, at, scratch)
@@ -90,6 +90,6 @@ def fly_blocks(
                 if at + i <= last:
                     distances[which, k] = off
             for step in range(STEPS):
-                _rates(block, state, at, scratch)
-                step_block(steps, params, state, at, normals, STEPS * (k - ticks[0]) + step, scratch)
+                _rates(block, scratch)
+                step_block(steps, at, normals, STEPS * (k - ticks[0]) + step, scratch)
         store(state, at, scratch)
