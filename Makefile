@@ -8,13 +8,14 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
+.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
 	@echo "make test         set up, then format, lint, types, import rules and tests"
 	@echo "make format       rewrite the sources in the house format"
 	@echo "make campaign     64 flights from one file, some five minutes: docs/campaigns.md"
+	@echo "make bench        what every part costs, as multiples of a reference kernel: docs/benchmarks.md (CHECK=1 compares)"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
@@ -85,6 +86,9 @@ format: $(BIN)/.installed-dev
 
 campaign: $(BIN)/.installed-campaign
 	$(BIN)/flightstack campaign campaigns/small.toml --out runs/campaign-small-$$(date +%Y%m%d-%H%M%S)
+
+bench: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.bench $(if $(CHECK),--check)
 
 bench-plant: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/plant.py

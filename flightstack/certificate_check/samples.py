@@ -50,6 +50,8 @@ class Believed:
     radius_m: float
     frame: dict[str, Any]
     """Where rotors stand and what they turn: as `governor.vehicle` names it."""
+    file: dict[str, Any]
+    """Its tables."""
 
     @classmethod
     def of(cls, file: dict[str, Any]) -> Believed:
@@ -78,7 +80,9 @@ class Believed:
                         float(i) * float(effects.get("inertia", {}).get(f"scale_{axis}", 1.0))
                         for i, axis in zip(body["inertia_kgm2"], "xyz", strict=True)
                     ],
+                    "damping_nms": [effects.get("angular_damping", {}).get(f"k_{axis}_nms", 0.0) for axis in "xyz"],
                 },
+                file,
             )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None
