@@ -125,7 +125,7 @@ def _fixed_point(
     flat, r = np.empty(_FLAT), np.empty((3, 3))
     for _ in range(_ITERATIONS_MAX):
         _to_body(
-            point[3:6], point[6:9], point[9:12], point[12:15], point[15], point[16], d, jerk, hint, model[0],
+            (point[3:6], point[6:9], point[9:12], point[12:15]), (point[15], point[16]), (d, jerk), hint, model[0],
             model[3:6], STANDARD_GRAVITY_MPS2, flat,
         )  # fmt: skip
         for i in range(9):

@@ -85,7 +85,7 @@ class EstimateWatch:
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION."""
-        _attitude(self._row, float(t_us), *q_ned_frd, *rate_frd_radps)
+        _attitude(self._row, float(t_us), q_ned_frd, rate_frd_radps)
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED."""
@@ -168,11 +168,12 @@ def _imu(row: F64, t_us: float, fx: float, fy: float, fz: float, p: float, q: fl
 
 
 @njit
-def _attitude(row: F64, t_us: float, w: float, x: float, y: float, z: float, p: float, q: float, r: float) -> None:
+def _attitude(row: F64, t_us: float, q_ned_frd: Tuple4, rate: Tuple3) -> None:
     dt = (t_us - row[_ATTITUDE_US]) * 1e-6
     if dt <= 0.0:
         return
     row[_ATTITUDE_US] = t_us
+    (w, x, y, z), (p, q, r) = q_ned_frd, rate
     turned, lain = _put(row, _ATTITUDE_RATE, p, q, r), _put(row, _Q + 1, x, y, z)
     if turned or lain or w != row[_Q] or row[_ATTITUDE_CHANGED_US] < 0.0:
         row[_ATTITUDE_CHANGED_US] = t_us

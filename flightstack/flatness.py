@@ -78,10 +78,11 @@ def to_body(
     """
     out = np.empty(_OUT)
     _to_body(
-        point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4, point.yaw_rad,
-        point.yaw_rate_radps, np.asarray(learned_acc_ned_mps2, dtype=np.float64),
-        np.asarray(learned_jerk_ned_mps3, dtype=np.float64), np.asarray(hint_q_ned_frd, dtype=np.float64),
-        mass_kg, np.asarray(drag_kgps, dtype=np.float64), gravity_mps2, out,
+        (point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4),
+        (float(point.yaw_rad), float(point.yaw_rate_radps)),
+        (np.asarray(learned_acc_ned_mps2, dtype=np.float64), np.asarray(learned_jerk_ned_mps3, dtype=np.float64)),
+        np.asarray(hint_q_ned_frd, dtype=np.float64), mass_kg, np.asarray(drag_kgps, dtype=np.float64), gravity_mps2,
+        out,
     )  # fmt: skip
     return BodyMotion(
         thrust_n=float(out[0]),
@@ -93,27 +94,24 @@ def to_body(
 
 
 def to_flat(
-    q_ned_frd: F64,
-    rate_frd_radps: F64,
-    thrust_n: float,
+    motion: BodyMotion,
     *,
     mass_kg: float,
-    thrust_rate_nps: float = 0.0,
     vel_ned_mps: F64 = _ZERO3,
     drag_kgps: Tuple3 = _NO_DRAG,
     learned_acc_ned_mps2: F64 = _ZERO3,
     learned_jerk_ned_mps3: F64 = _ZERO3,
-    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
 ) -> FlatMotion:
-    """Acceleration, jerk, yaw and yaw rate of a vehicle with this attitude (4,), rates (3,) and thrust: the way back.
+    """Acceleration, jerk, yaw and yaw rate of a vehicle with this attitude, rates and thrust: the way back.
 
     Exact for any drag table (it uses the full R D R^T).
     """
-    r = quat_to_matrix(np.asarray(q_ned_frd, dtype=np.float64))
-    wx, wy, wz = (float(value) for value in rate_frd_radps)
+    thrust_n, thrust_rate_nps = motion.thrust_n, motion.thrust_rate_nps
+    r = quat_to_matrix(np.asarray(motion.q_ned_frd, dtype=np.float64))
+    wx, wy, wz = (float(value) for value in motion.rate_frd_radps)
     turn = r @ np.array([[0.0, -wz, wy], [wz, 0.0, -wx], [-wy, wx, 0.0]])
     drag = np.diag(drag_kgps)
-    down = np.array([0.0, 0.0, gravity_mps2])
+    down = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
     acc = down + learned_acc_ned_mps2 - (thrust_n * r[:, 2] + r @ drag @ r.T @ vel_ned_mps) / mass_kg
     drag_rate = (turn @ drag @ r.T + r @ drag @ turn.T) @ vel_ned_mps + r @ drag @ r.T @ acc
     jerk = learned_jerk_ned_mps3 - (thrust_rate_nps * r[:, 2] + thrust_n * turn[:, 2] + drag_rate) / mass_kg
@@ -176,10 +174,14 @@ def _unit(v: F64, size: float) -> F64:
 
 @njit
 def _to_body(
-    vel: F64, acc: F64, jerk: F64, snap: F64, yaw: float, yaw_rate: float, learned: F64, learned_rate: F64,
+    motion: tuple[F64, F64, F64, F64], heading: tuple[float, float], unexplained: tuple[F64, F64],
     hint_q: F64, mass: float, drag: F64, gravity: float, out: F64,
 ) -> None:  # fmt: skip
-    """The map of the module's header; `out` (17,) as _OUT says."""
+    """The map of the module's header; `out` (17,) as _OUT says.
+
+    motion: velocity to snap; heading: yaw and its rate; unexplained: acceleration and jerk.
+    """
+    (vel, acc, jerk, snap), (yaw, yaw_rate), (learned, learned_rate) = motion, heading, unexplained
     hint = quat_to_matrix(hint_q)
     d = 0.5 * (drag[0] + drag[1]) / mass
     t = np.empty((3, 3))

@@ -116,8 +116,8 @@ class Guard:
             code, thrust = _ATTITUDE, min(max(carried, float(self._bounds[0])), float(self._bounds[1]))
         else:
             code, thrust = _judge(
-                command.thrust_n, command.thrust_norm, command.rate_frd_radps, measurement.row, origin_ned_m, carried,
-                self._bounds, lost != "", turned, rate,
+                (float(command.thrust_n), float(command.thrust_norm)), command.rate_frd_radps, measurement.row,
+                origin_ned_m, float(carried), self._bounds, (lost != "", turned), rate,
             )  # fmt: skip
         if code == _PASS:
             return command, OUTSIDE if turned else ""
@@ -141,14 +141,16 @@ def _outside(pos: F64, origin: F64, bounds: F64) -> bool:
 
 @njit
 def _judge(
-    thrust: float, thrust_norm: float, rate: F64, measured: F64, origin: F64, carried: float, bounds: F64, lost: bool,
-    turned: bool, out: F64,
+    thrusts: tuple[float, float], rate: F64, measured: F64, origin: F64, carried: float, bounds: F64,
+    found: tuple[bool, bool], out: F64,
 ) -> tuple[int, float]:  # fmt: skip
     """What is wrong (the worst first) and the thrust for it; body rates in `out` (3,).
 
     `measured` (20,): a Measurement's row.  `bounds` (9,): least and greatest thrust, rates (3), radius, height, cosine
-    of the greatest tilt, mass.  `turned`: the command brakes outside the envelope already.
+    of the greatest tilt, mass.  `thrusts`: N and normalised; `found`: position is lost; the
+    command brakes outside the envelope already.
     """
+    (thrust, thrust_norm), (lost, turned) = thrusts, found
     pos, vel, q, body_rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     carried = min(max(carried, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
     norm = q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z]

@@ -1,6 +1,6 @@
 """The controller's model: what the believed vehicle file says, as far as a point mass with a thrust axis can say it.
 
-Mass, total thrust, the command-to-thrust curve, lags and linear drag; every other effect of the file is listed in
+Mass, total thrust, the command-to-thrust curve, lags and drag; every other effect of the file is listed in
 `left_to_learner`: the model does not know it, and nothing pretends that it does.
 
 Thrust.  PX4 passes the collective thrust of a body-rate setpoint straight to the motors, so the normalised command u
@@ -30,7 +30,17 @@ MC_RATE_D = 0.003
 _LEAST_THRUST_TO_WEIGHT = 1.1
 _RATE_LAG_RANGE_S = (0.01, 0.15)
 _EXPRESSED = frozenset(
-    {"payload", "thrust_scale", "thrust_curve", "motor_lag", "transport_delay", "linear_drag", "inertia"}
+    {
+        "payload",
+        "thrust_scale",
+        "thrust_curve",
+        "motor_lag",
+        "transport_delay",
+        "linear_drag",
+        "rotor_drag",
+        "induced_inflow",
+        "inertia",
+    }
 )
 
 
@@ -79,7 +89,7 @@ class Model:
     transport_delay_s: float
     """How late a command begins to act."""
     drag_kgps: Tuple3
-    """Linear drag along the body axes: force = -D v_body."""
+    """Drag along the body axes, force = -D v_body: the frame's, and the rotors' at the speed at which they hover."""
     rotor_radius_m: float
     """Scale of height for what a rotor does near the ground."""
     left_to_learner: tuple[str, ...]
@@ -91,7 +101,6 @@ class Model:
         effects = vehicle.effects
         scale = effects.get("thrust_scale", {}).get("scale", 1.0)
         factor = effects.get("thrust_curve", {}).get("thrust_model_factor", vehicle.rotors.thrust_model_factor)
-        drag = effects.get("linear_drag", {})
         max_thrust = vehicle.max_total_thrust_n * scale
         if max_thrust < _LEAST_THRUST_TO_WEIGHT * vehicle.weight_n:
             raise InputError(
@@ -106,7 +115,7 @@ class Model:
             motor_lag_s=effects.get("motor_lag", {}).get("time_constant_s", vehicle.rotors.time_constant_s),
             rate_lag_s=_rate_lag_s(vehicle, 0.25 * max_thrust * (2.0 * factor * hover_norm + 1.0 - factor)),
             transport_delay_s=effects.get("transport_delay", {}).get("delay_s", 0.0),
-            drag_kgps=(drag.get("d_x_kgps", 0.0), drag.get("d_y_kgps", 0.0), drag.get("d_z_kgps", 0.0)),
+            drag_kgps=_drag_kgps(vehicle, max_thrust),
             rotor_radius_m=vehicle.rotors.radius_m,
             left_to_learner=tuple(name for name in effects if name not in _EXPRESSED),
         )
@@ -184,6 +193,16 @@ def thrust_to_norm(thrust_n: float, max_thrust_n: float, thrust_model_factor: fl
     linear = 1.0 - thrust_model_factor
     denominator = linear + math.sqrt(linear * linear + 4.0 * thrust_model_factor * share)
     return 2.0 * share / denominator if denominator > 0.0 else 0.0
+
+
+def _drag_kgps(vehicle: Vehicle, max_thrust_n: float) -> Tuple3:
+    """Linear drag, rotor drag and induced inflow: the latter two go with the rotors' speed, here that of hover."""
+    effects = vehicle.effects
+    hover_radps = vehicle.rotors.max_speed_radps * math.sqrt(vehicle.weight_n / max_thrust_n)
+    across = 4.0 * hover_radps * effects.get("rotor_drag", {}).get("k_d_kg_per_rad", 0.0)
+    along = 4.0 * hover_radps * effects.get("induced_inflow", {}).get("k_z_kg_per_rad", 0.0)
+    x, y, z = (effects.get("linear_drag", {}).get(f"d_{axis}_kgps", 0.0) for axis in "xyz")
+    return x + across, y + across, z + along
 
 
 def _rate_lag_s(vehicle: Vehicle, thrust_per_command_n: float) -> float:

@@ -244,7 +244,7 @@ class NominalGains:
 
 @njit
 def nominal_step(
-    correction: F64, pole: F64, correction_max: F64, reference: tuple[F64, F64, F64, F64], pos: F64, vel: F64,
+    correction: F64, pole: F64, correction_max: F64, reference: tuple[F64, F64, F64, F64], present: tuple[F64, F64],
     dt: float, acc_out: F64, jerk_out: F64,
 ) -> None:  # fmt: skip
     """One step of the paper's pole-placement nominal, Section V.A, per axis:
@@ -253,9 +253,10 @@ def nominal_step(
 
     r, v are the vehicle's (estimated), a is the nominal's own: the integral of jerk_d.  Written for c = a - a_ref,
     c' = -K1 (r - r_ref) - K2 (v - v_ref) - K3 c, whose step is exact for errors held over `dt`.  `correction` (3,) is
-    c, changed in place; `acc_out`, `jerk_out` (3,) receive a_d and jerk_d.  `reference`: position to jerk.
+    c, changed in place; `acc_out`, `jerk_out` (3,) receive a_d and jerk_d.  `reference`: position to jerk;
+    `present`: position and velocity.
     """
-    place, speed, _, jerk = reference
+    (place, speed, _, jerk), (pos, vel) = reference, present
     for i in range(3):
         p = pole[i]
         drive = -p * p * p * (pos[i] - place[i]) - 3.0 * p * p * (vel[i] - speed[i])

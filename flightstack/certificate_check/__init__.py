@@ -24,6 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from . import floors, knowledge
+from .autopilot import check_gyro
 from .cells import check_cells
 from .condition import Condition, Piece
 from .confidence import check_confidence
@@ -120,6 +121,7 @@ def _check(text: str, lines: list[str], log: BinaryIO | FlightRecording | None, 
     tables = knowledge.tables(known)
     lines.append(check_premises(data["premises"], axes, data["budget"], known, tables[knowledge.DOWN]))
     lines.append(check_governor(data["governor"], data["budget"], known))
+    check_gyro(data["governor"]["vehicle"]["gyro_noise_radps_rthz"], sensors)
     for name, axis in zip(names, axes, strict=True):
         condition, middle = _condition(axis, name)
         floors.check_hold(condition.dt)

@@ -1,7 +1,8 @@
 """What ties a certificate to a flight: all that its bounds rest on, derived anew from the log and the vehicle file.
 
-    file        the vehicle's SHA-256, drag, rotors, mass, inertia and lag; the log's SHA-256 over its ticks
-                (`samples`); the seal of the certificate that the log itself ends with
+    file        the vehicle's SHA-256, drag, rotors, mass, inertia, damping and lag, its autopilot's gains and limits
+                and the rate loop's lag (`autopilot`); the log's SHA-256 over its ticks (`samples`); the seal of the
+                certificate that the log itself ends with
     points      each x and y is the mean of the samples of its own window, to 1e-9; no two windows overlap
     noise       stated with the windows' own colour (`confidence`), at least the lower limit of what all windows show
     windows     all windows from the first that is named on, not only those chosen, miss mean -+ 3 sigma no more often
@@ -25,6 +26,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from .autopilot import check_autopilot
 from .confidence import check_colour
 from .gaussian import posterior
 from .intervals import F64
@@ -83,6 +85,7 @@ def check_flight(
     recording = log if isinstance(log, FlightRecording) else read_log(log, WANTED)
     believed = _vehicle(named, known, recording, vehicle)
     _check_frame(data["governor"]["vehicle"], known.data["doubts"], believed)
+    check_autopilot(data["governor"], data["axes"], believed.file)
     ticks = Ticks.of(recording, named["from_us"], named["until_us"])
     if hashlib.sha256(ticks.bytes()).hexdigest() != named["log_sha256"]:
         raise Refused("provenance.log_sha256 is not the hash of this log's ticks")

@@ -50,6 +50,8 @@ class Believed:
     radius_m: float
     frame: dict[str, Any]
     """Where rotors stand and what they turn: as `governor.vehicle` names it."""
+    file: dict[str, Any]
+    """Its tables."""
 
     @classmethod
     def of(cls, file: dict[str, Any]) -> Believed:
@@ -58,12 +60,18 @@ class Believed:
             body, rotors = _plain(file["body"]), _plain(file["rotors"])
             effects = {name: _plain(values) for name, values in file.get("effects", {}).items()}
             drag = effects.get("linear_drag", {})
+            mass_kg = float(body["mass_kg"] + effects.get("payload", {}).get("mass_kg", 0.0))
+            max_thrust_n = float(4.0 * rotors["max_thrust_n"] * effects.get("thrust_scale", {}).get("scale", 1.0))
+            turning = 4.0 * float(rotors["max_speed_radps"]) * np.sqrt(mass_kg * G / max_thrust_n)  # of all, in hover
+            k_d = effects.get("rotor_drag", {}).get("k_d_kg_per_rad", 0.0)
+            k_z = effects.get("induced_inflow", {}).get("k_z_kg_per_rad", 0.0)
             return cls(
-                float(body["mass_kg"] + effects.get("payload", {}).get("mass_kg", 0.0)),
-                float(4.0 * rotors["max_thrust_n"] * effects.get("thrust_scale", {}).get("scale", 1.0)),
+                mass_kg,
+                max_thrust_n,
                 float(effects.get("thrust_curve", {}).get("thrust_model_factor", rotors["thrust_model_factor"])),
                 max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
-                np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"]),
+                np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"])
+                + turning * np.array([k_d, k_d, k_z]),
                 float(rotors["radius_m"]),
                 {
                     "position_m": rotors["position_m"],
@@ -72,7 +80,9 @@ class Believed:
                         float(i) * float(effects.get("inertia", {}).get(f"scale_{axis}", 1.0))
                         for i, axis in zip(body["inertia_kgm2"], "xyz", strict=True)
                     ],
+                    "damping_nms": [effects.get("angular_damping", {}).get(f"k_{axis}_nms", 0.0) for axis in "xyz"],
                 },
+                file,
             )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise Unreadable("vehicle: is no vehicle file") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -21,6 +22,7 @@ from flightstack.cli.options import (
     SiteOption,
     TruthOption,
     VehicleOption,
+    asks,
 )
 from flightstack.errors import InputError
 
@@ -30,56 +32,44 @@ if TYPE_CHECKING:
     from flightstack.cli.flight import FlyOptions
 
 
-def certify(
-    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier",
+class _Certify:
+    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier"
     as_published: Annotated[
         bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
-    ] = False,
-    vehicle: VehicleOption = None,
-    plant: PlantOption = PlantName.native,
-    truth: TruthOption = None,
-    sensors: SensorsOption = None,
-    site: SiteOption = None,
-    seed: SeedOption = 0,
-    duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None,
-    out: OutOption = None,
-    log_wire: LogWireOption = False,
-    live: LiveOption = None,
+    ] = False
+    vehicle: VehicleOption = None
+    plant: PlantOption = PlantName.native
+    truth: TruthOption = None
+    sensors: SensorsOption = None
+    site: SiteOption = None
+    seed: SeedOption = 0
+    duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None
+    out: OutOption = None
+    log_wire: LogWireOption = False
+    live: LiveOption = None
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
-    ] = None,
+    ] = None
     log: Annotated[
         Path | None, typer.Option("--log", help="With --check: derive the file anew from this log of its flight.")
-    ] = None,
-    json: JsonOption = None,
-) -> None:
+    ] = None
+    json: JsonOption = None
+
+
+@asks(_Certify)
+def certify(given: SimpleNamespace) -> None:
     """Learn the largest certified region in flight, or check a certificate."""
     from flightstack.cli.flight import FlyOptions
 
+    asked = dict(vars(given))
+    check, log, json, asked["duration_s"] = (asked.pop(name) for name in ("check", "log", "json", "duration"))
     if check is not None:
-        _check(check, log, vehicle, json)
+        _check(check, log, given.vehicle, json)
     if log is not None:
         raise InputError("--log belongs to --check: the log of a new flight lies in --out")
-    if site is not None and scenario == "paper-barrier":
-        scenario = "figure8"
-    options = FlyOptions(
-        scenario=scenario,
-        as_published=as_published,
-        vehicle=vehicle,
-        plant=plant.value,
-        truth=truth,
-        sensors=sensors.value if sensors else None,
-        site=site,
-        seed=seed,
-        duration_s=duration,
-        out=out,
-        log_wire=log_wire,
-        live=live,
-    )
-    if site is not None:
-        _certify_site(options, json)
-    else:
-        _explore(options, json)
+    if given.site is not None and given.scenario == "paper-barrier":
+        asked["scenario"] = "figure8"
+    (_explore if given.site is None else _certify_site)(FlyOptions(**asked), json)
 
 
 def _check(file: Path, log: Path | None, vehicle: str | None, json: Path | None) -> NoReturn:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
@@ -42,6 +41,7 @@ from flightstack.cli.options import (
     UnprotectedOption,
     VehicleOption,
     WaypointsArgument,
+    asks,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names
 
@@ -55,39 +55,32 @@ class FlightCommand(TyperCommand):
             formatter.write_dl(list(CONTROLLER_WORDS.items()))
 
 
-def _flight_options(
-    vehicle: VehicleOption = None,
-    duration: DurationOption = None,
-    controller: ControllerOption = "flatness",
-    no_learning: NoLearningOption = False,
-    learned: LearnedOption = None,
-    no_filter: NoFilterOption = False,
-    as_published: AsPublishedOption = False,
-    certificate: CertificateOption = None,
-    site: SiteOption = None,
-    unprotected_ok: UnprotectedOption = False,
-    log: LogOption = None,
-    log_wire: LogWireOption = False,
-    live: LiveOption = None,
-    out: OutOption = None,
-) -> dict[str, Any]:
-    """The options that every verb that flies has, as `FlightOptions` names them."""
-    return {
-        "vehicle": vehicle,
-        "duration_s": duration,
-        "controller": controller,
-        "learning": not no_learning,
-        "learned": learned,
-        "filtering": not no_filter,
-        "as_published": as_published,
-        "certificate": certificate,
-        "site": site,
-        "unprotected_ok": unprotected_ok,
-        "log": log,
-        "log_wire": log_wire,
-        "live": live,
-        "out": out,
-    }
+class _Flight:
+    """The options that every verb that flies has."""
+
+    vehicle: VehicleOption = None
+    duration: DurationOption = None
+    controller: ControllerOption = "flatness"
+    no_learning: NoLearningOption = False
+    learned: LearnedOption = None
+    no_filter: NoFilterOption = False
+    as_published: AsPublishedOption = False
+    certificate: CertificateOption = None
+    site: SiteOption = None
+    unprotected_ok: UnprotectedOption = False
+    log: LogOption = None
+    log_wire: LogWireOption = False
+    live: LiveOption = None
+    out: OutOption = None
+    json: JsonOption = None
+
+
+def _asked(given: SimpleNamespace) -> dict[str, Any]:
+    """What a verb was given, as `FlightOptions` and those of the verbs name it."""
+    asked = dict(vars(given))
+    del asked["json"]
+    unlearned, unfiltered, asked["duration_s"] = (asked.pop(key) for key in ("no_learning", "no_filter", "duration"))
+    return asked | {"learning": not unlearned, "filtering": not unfiltered}
 
 
 def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None) -> None:
@@ -111,92 +104,56 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
         raise typer.Exit(BAD_INPUT if result.link_too_slow else FAILED)
 
 
-def flies(verb: Callable[..., tuple[Callable[..., Any], Any]]) -> Callable[..., None]:
-    """Make a function that gives (what flies, its options) a verb, whose options `_flight_options` join as `common`."""
-    own = inspect.signature(verb, eval_str=True).parameters
-    shared = inspect.signature(_flight_options, eval_str=True).parameters
-    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=JsonOption)
-    offered = [option for name, option in own.items() if name != "common"] + [*shared.values(), json]
-
-    @wraps(verb)
-    def run(**given: Any) -> None:
-        json_file = given.pop("json")
-        require_names(given["scenario"], given["controller"], given["vehicle"], given.get("truth"))
-        common = _flight_options(**{name: given.pop(name) for name in shared})
-        _finish_flight(*verb(**given, common=common), json_file)
-
-    run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
-    run.__annotations__ = {option.name: option.annotation for option in offered}
-    return run
+class _Fly:
+    scenario: ScenarioArgument = "paper-tracking"
+    waypoints: WaypointsArgument = None
+    realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False
+    plant: PlantOption = PlantName.native
+    sensors: SensorsOption = None
+    truth: TruthOption = None
+    seed: SeedOption = 0
+    fault: FaultOption = None
+    px4_hil: PhysicsForPx4Option = False
+    hil_port: HilPortOption = 4_560
 
 
-@flies
-def fly(
-    scenario: ScenarioArgument = "paper-tracking",
-    waypoints: WaypointsArgument = None,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False,
-    plant: PlantOption = PlantName.native,
-    sensors: SensorsOption = None,
-    truth: TruthOption = None,
-    seed: SeedOption = 0,
-    fault: FaultOption = None,
-    px4_hil: PhysicsForPx4Option = False,
-    hil_port: HilPortOption = 4_560,
-    *,
-    common: dict[str, Any],
-) -> tuple[Callable[..., Any], Any]:
+@asks(_Fly, _Flight)
+def fly(given: SimpleNamespace) -> None:
     """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
+    require_names(given.scenario, given.controller, given.vehicle, given.truth)
     from flightstack.cli.flight import FlyOptions
     from flightstack.cli.flight import fly as run
     from flightstack.cli.hil_flight import fly_behind_px4
 
-    return fly_behind_px4 if px4_hil else run, FlyOptions(
-        scenario=scenario,
-        waypoints=waypoints,
-        truth=truth,
-        sensors=sensors.value if sensors else None,
-        seed=seed,
-        plant=plant.value,
-        realtime=realtime or px4_hil,
-        fault=fault,
-        hil_port=hil_port,
-        **common,
-    )
+    asked = _asked(given)
+    hil = asked.pop("px4_hil")
+    options = FlyOptions(**asked | {"realtime": given.realtime or hil})
+    _finish_flight(fly_behind_px4 if hil else run, options, given.json)
 
 
-@flies
-def offboard(
-    connect: Annotated[str, typer.Option(help="udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE:BAUD.")],
-    scenario: Annotated[str, typer.Option(help="A shipped scenario, a .toml file, or `waypoints`.")] = "hover",
-    waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None,
-    arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False,
-    believe_file: BelieveFileOption = False,
-    set_params: SetParamsOption = None,
-    sensors: SensorsOption = None,
-    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0,
-    signing_key: SigningKeyOption = None,
+class _Offboard:
+    connect: Annotated[str, typer.Option(help="udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE:BAUD.")]
+    scenario: Annotated[str, typer.Option(help="A shipped scenario, a .toml file, or `waypoints`.")] = "hover"
+    waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None
+    arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False
+    believe_file: BelieveFileOption = False
+    set_params: SetParamsOption = None
+    sensors: SensorsOption = None
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0
+    signing_key: SigningKeyOption = None
     no_dead_man: Annotated[
         bool, typer.Option("--no-dead-man", help="Nobody answers the companion's silence: COM_OF_LOSS_T <= 0.5 s.")
-    ] = False,
-    *,
-    common: dict[str, Any],
-) -> tuple[Callable[..., Any], Any]:
+    ] = False
+
+
+@asks(_Offboard, _Flight)
+def offboard(given: SimpleNamespace) -> None:
     """Fly a scenario on a PX4: a real one, or `flightstack sim` in another process."""
+    require_names(given.scenario, given.controller, given.vehicle, None)
     from flightstack.cli.offboard import OffboardOptions
     from flightstack.cli.offboard import offboard as run
 
-    return run, OffboardOptions(
-        connect=connect,
-        scenario=scenario,
-        waypoints=waypoints,
-        arm=arm,
-        dry_run=dry_run,
-        believe_file=believe_file,
-        set_params=set_params,
-        sensors=sensors.value if sensors else None,
-        heartbeat_timeout_s=timeout,
-        signing_key=signing_key,
-        dead_man=not no_dead_man,
-        **common,
-    )
+    asked = _asked(given)
+    options = OffboardOptions(heartbeat_timeout_s=asked.pop("timeout"), dead_man=not asked.pop("no_dead_man"), **asked)
+    _finish_flight(run, options, given.json)

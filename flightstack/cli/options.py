@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from enum import StrEnum
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from types import SimpleNamespace
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -86,3 +90,28 @@ FaultOption = Annotated[
         help="Inject faults: NAME[:VALUE][@SECONDS after take-off][+DURATION], several with commas.", metavar="NAME"
     ),
 ]
+
+
+def asks(*offers: type) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
+    """Make a function of one namespace a verb that has the options of these classes, in their order.
+
+    An annotation is an option, its value the default; one that has none must be given.  Enumerations come as text.
+    """
+    none = inspect.Parameter.empty
+    offered = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=vars(offer).get(name, none), annotation=hint)
+        for offer in offers
+        for name, hint in get_type_hints(offer, include_extras=True).items()
+    ]
+
+    def verb_of(function: Callable[[Any], None]) -> Callable[..., None]:
+        @wraps(function)
+        def run(**given: Any) -> None:
+            plain = {name: value.value if isinstance(value, StrEnum) else value for name, value in given.items()}
+            function(SimpleNamespace(**plain))
+
+        run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
+        run.__annotations__ = {option.name: option.annotation for option in offered}
+        return run
+
+    return verb_of

@@ -16,7 +16,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority
@@ -199,10 +200,10 @@ def _in_site(
 SOUND = "sound"
 _SPARED_H = 0.08
 """Where a path keeps so much h, few of its commands are changed."""
-_THRUSTS = (Thrust(), Thrust(most_hovers=1.6, lateral_mps2=2.0), Thrust(lateral_mps2=2.0), Thrust(most_hovers=1.6))
+_THRUSTS = (Thrust(), Thrust(most_hovers=1.6, lateral_mps2=2.0), Thrust(lateral_mps2=2.0), Thrust(0.75, 1.3))
 """All thrust that there is or no more than 1.6 hovers: for a light vehicle lag and delay of all of it cost more than it
 gives, and nothing would ever close.  More to either side bends a path less; where bounds are wide upwards only less of
-it closes."""
+it closes.  Of 0.75 to 1.3 hovers both ways have as much: with long delays or holds, 0.85 leaves too little down."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"

@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -24,6 +25,7 @@ from flightstack.cli.options import (
     PlantOption,
     SeedOption,
     SensorGrade,
+    asks,
 )
 
 if TYPE_CHECKING:
@@ -36,54 +38,54 @@ def _end_at_once() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def sim(
-    vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")
-    ] = None,
-    plant: PlantOption = PlantName.native,
+class _Sim:
+    vehicle: Annotated[str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")] = (
+        None
+    )
+    plant: PlantOption = PlantName.native
     sensors: Annotated[
         SensorGrade | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
-    ] = None,
-    seed: SeedOption = 0,
-    port: Annotated[
-        int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")
-    ] = 14_540,
-    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550,
+    ] = None
+    seed: SeedOption = 0
+    port: Annotated[int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")] = (
+        14_540
+    )
+    gcs_port: Annotated[int, typer.Option(min=1, max=65_535, help="Where the ground station's link sends.")] = 14_550
     bind: Annotated[
         str, typer.Option(help="Address of this machine that the links are bound to; 0.0.0.0: all.", metavar="ADDR")
-    ] = "127.0.0.1",
+    ] = "127.0.0.1"
     home: Annotated[
         str | None,
         typer.Option(help="Where the vehicle stands: degrees, metres above the sea.", metavar="LAT,LON,ALT,HEADING"),
-    ] = None,
+    ] = None
     instances: Annotated[
         int, typer.Option(min=1, max=100, help="So many vehicles, with PX4's ports and system ids.")
-    ] = 1,
-    sysid: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id of the (first) vehicle.")] = 1,
-    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0,
-    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None,
-    fault: FaultOption = None,
-    px4_hil: PhysicsForPx4Option = False,
-    hil_port: HilPortOption = 4_560,
+    ] = 1
+    sysid: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id of the (first) vehicle.")] = 1
+    speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0
+    duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None
+    fault: FaultOption = None
+    px4_hil: PhysicsForPx4Option = False
+    hil_port: HilPortOption = 4_560
     log: Annotated[
         Path | None,
         typer.Option("--log", help="Record the truth in this log (.mcap); several vehicles: NAME-1.mcap, ..."),
-    ] = None,
-    log_wire: LogWireOption = False,
-    live: LiveOption = None,
-    json: JsonOption = None,
-) -> None:
+    ] = None
+    log_wire: LogWireOption = False
+    live: LiveOption = None
+    json: JsonOption = None
+
+
+@asks(_Sim)
+def sim(given: SimpleNamespace) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
     interrupts = Interrupts(always=(signal.SIGINT,))  # nothing flies that would have to land: also in the background
     interrupts.at_once = True
     from flightstack.cli.simulate import SimOptions, parse_home
 
-    grade = sensors.value if sensors else None
-    options = SimOptions(
-        vehicle, grade, seed, port, gcs_port, speed, duration, plant.value, fault, hil_port, log,
-        bind, parse_home(home), instances, sysid, log_wire, live,
-    )  # fmt: skip
-    _run(options, interrupts, px4_hil, json)
+    asked = dict(vars(given))
+    px4_hil, json, asked["duration_s"] = (asked.pop(name) for name in ("px4_hil", "json", "duration"))
+    _run(SimOptions(**asked | {"home": parse_home(given.home)}), interrupts, px4_hil, json)
 
 
 def _run(options: SimOptions, interrupts: Interrupts, px4_hil: bool, json: Path | None) -> None:

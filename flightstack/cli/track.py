@@ -8,25 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.barrier.records import Certificate
 from flightstack.calibration import true_residual_frd_mps2
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, SimulatedFlight, warm_up_all
 from flightstack.model import Model
 from flightstack.types import F64, Learned, TickRecord
-from flightstack_logs import scene as viewer
-from flightstack_logs.topics import Attachment
 from flightstack_sim.plant import Truth
 from mavlink_bridge.pace import undisturbed
 
 
 class Tape:
-    """A flight's log that keeps the last tick and the last truth."""
+    """A flight's log (`Recorder`) that keeps the last tick and the last truth."""
 
     failed: str | None = None
-
-    def __init__(self) -> None:
-        self.record: TickRecord | None = None
-        self.last_truth: Truth | None = None
+    record: TickRecord | None = None
+    last_truth: Truth | None = None
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack."""
@@ -37,32 +32,10 @@ class Tape:
         assert isinstance(truth, Truth)
         self.last_truth = truth
 
-    def write(self, topic: str, t_us: int, record: object) -> None:
-        """Not kept."""
+    def _not_kept(self, *call: object, **named: object) -> None:
+        pass
 
-    def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
-        """Not kept."""
-
-    def event(self, t_us: int, name: str, text: str, severity: str = "info") -> None:
-        """Not kept."""
-
-    def statustext(self, t_us: int, severity: int, text: str) -> None:
-        """Not kept."""
-
-    def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
-        """Not kept."""
-
-    def scene(self, t_us: int, view: viewer.Shown) -> None:
-        """Not kept."""
-
-    def certificate(self, t_us: int, certificate: Certificate) -> None:
-        """Not kept."""
-
-    def result(self, attachment: Attachment) -> None:
-        """Not kept."""
-
-    def close(self) -> None:
-        """Nothing to finish."""
+    write = mavlink = event = statustext = location = scene = certificate = result = close = _not_kept
 
 
 @dataclass(slots=True)

@@ -18,7 +18,8 @@ from contextlib import suppress
 from multiprocessing import get_context
 from typing import NamedTuple
 
-from flightstack.barrier.certifier import CertifierState, OnlineCertifier, compile_all
+from flightstack.barrier.certifier import OnlineCertifier, compile_all
+from flightstack.barrier.certifier_config import CertifierState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.search import Ratios
 from flightstack.learning.learner import LearnerState, Learnt

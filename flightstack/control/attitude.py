@@ -79,19 +79,20 @@ def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> F6
 
 @njit
 def follow(
-    vehicle: F64, acc: F64, jerk: F64, reference: F64, learned: F64, gain: float, q: F64, r: F64, rate: F64, out: F64
-) -> None:
+    vehicle: F64, acc: F64, jerk: F64, reference: F64, learned: F64, gain: float, present: tuple[F64, F64, F64],
+    out: F64,
+) -> None:  # fmt: skip
     """Feed-forward and attitude feedback for `acc`, `jerk` (3,) and the reference's velocity, snap and yaw.
 
     `vehicle` (5, 3) of `vehicle_rows`; `reference` (17,) and `learned` (33,): rows of FlatOutput and Learned; `gain`:
-    delivered over believed thrust; `q` (4,), `r` (3, 3), `rate` (3,): the present attitude and body rates.
+    delivered over believed thrust; `present`: attitude (4,) and (3, 3), body rates (3,).
     Into `out` (20,), a Proposal's row: thrust_ff, rate_ff, rate_fb, attitude_error.
     """
-    mass = vehicle[_MASS, 0]
+    mass, (q, r, rate) = vehicle[_MASS, 0], present
     flat = np.empty(17)
     _to_body(
-        reference[3:6], acc, jerk, reference[12:15], reference[YAW], reference[YAW_RATE], learned[0:3], learned[3:6], q,
-        mass, vehicle[_DRAG], STANDARD_GRAVITY_MPS2, flat,
+        (reference[3:6], acc, jerk, reference[12:15]), (reference[YAW], reference[YAW_RATE]),
+        (learned[0:3], learned[3:6]), q, mass, vehicle[_DRAG], STANDARD_GRAVITY_MPS2, flat,
     )  # fmt: skip
     turn = np.empty((3, 3))  # desired body axes, seen from the present ones
     for i in range(3):

@@ -137,9 +137,11 @@ def control_step(
     pos, vel, q, rate = measured[0:3], measured[3:6], measured[6:10], measured[10:13]
     acc, jerk, vehicle, gain = out[11:14], out[14:17], constants[3:8], learned[L_GAIN]
     scale = 1.0 - (1.0 - constants[_CONFIDENT, 0]) * learned[L_CONFIDENCE]
-    nominal_step(correction, scale * constants[0], constants[1], (pos_d, vel_d, acc_d, jerk_d), pos, vel, dt, acc, jerk)
+    wanted = pos_d, vel_d, acc_d, jerk_d
+    nominal_step(correction, scale * constants[0], constants[1], wanted, (pos, vel), dt, acc, jerk)
     r = quat_to_matrix(q)
-    follow(vehicle, reachable(acc, learned[0:3], vel_d, gain, vehicle), jerk, reference, learned, gain, q, r, rate, out)
+    reached = reachable(acc, learned[0:3], vel_d, gain, vehicle)
+    follow(vehicle, reached, jerk, reference, learned, gain, (q, r, rate), out)
     along_p = along_d = 0.0
     for i in range(3):
         along_p += r[i, 2] * (pos_d[i] - pos[i])

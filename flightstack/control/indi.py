@@ -37,13 +37,13 @@ class IndiState(NamedTuple):
 class IndiController:
     """The law above for one model; final, holds only constants."""
 
-    __slots__ = ("_constants", "_cutoff", "_sampler")
+    __slots__ = ("_constants", "_sampler")
 
     def __init__(
         self, model: Model, limits: Limits, attitude: AttitudeGains, gains: PidGains, increments: ObserverGains
     ) -> None:
-        self._constants = pid_constants(model, limits, attitude, gains)
-        self._cutoff = increments.cutoff_radps
+        law = pid_constants(model, limits, attitude, gains)
+        self._constants = np.vstack([law, np.full((1, 3), increments.cutoff_radps)])
         self._sampler = Sampler(model)
 
     def init(self, now_us: int) -> IndiState:
@@ -62,19 +62,17 @@ class IndiController:
         row, memory, sample = np.empty(PROPOSAL), state.law.row.copy(), np.empty(SAMPLE)
         self._sampler.step(state.sampled, measurement, sent, sample)
         dt = state.law.seconds_until(now_us)
-        thrust = _step(
-            self._constants, self._cutoff, memory, sample, dt, reference.row, measurement.row, learned.row, row
-        )
+        thrust = _step(self._constants, memory, sample, dt, reference.row, measurement.row, learned.row, row)
         return IndiState(Remembered(memory, now_us), state.sampled), Proposal(thrust, row)
 
 
 @njit
 def _step(
-    constants: F64, cutoff: float, memory: F64, sample: F64, dt: float, reference: F64, measured: F64, learned: F64,
+    constants: F64, memory: F64, sample: F64, dt: float, reference: F64, measured: F64, learned: F64,
     out: F64,
 ) -> float:  # fmt: skip
     """Filter step, then the PD law with its estimate known; `memory` (MEMORY + FILTER,) in place."""
     known = learned.copy()
-    observe(cutoff, memory[MEMORY:], sample, measured[6:10], dt)
+    observe(constants[-1, 0], memory[MEMORY:], sample, measured[6:10], dt)
     feed_forward(memory[MEMORY:], known)
     return pid_step(constants, memory[0:MEMORY], dt, reference, measured, known, out)

@@ -144,5 +144,5 @@ def pid_step(constants: F64, memory: F64, dt: float, reference: F64, measured: F
             more = integral[i] + constants[_I, i] * error * dt
             integral[i] = min(max(more, -constants[_MOST, i]), constants[_MOST, i])
     out[1] = 0.0
-    follow(vehicle, reached, jerk, reference, learned, learned[L_GAIN], q, r, rate, out)
+    follow(vehicle, reached, jerk, reference, learned, learned[L_GAIN], (q, r, rate), out)
     return together(out)

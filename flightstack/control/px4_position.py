@@ -130,7 +130,7 @@ def _step(
         integral[i] = min(max(integral[i], -STANDARD_GRAVITY_MPS2), STANDARD_GRAVITY_MPS2)
     memory[_ACC_DOWN] = acc[2]
     out[1] = 0.0
-    follow(vehicle, reached, jerk, reference, learned, gain, q, r, rate, out)
+    follow(vehicle, reached, jerk, reference, learned, gain, (q, r, rate), out)
     return together(out)
 
 

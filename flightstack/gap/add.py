@@ -1,7 +1,8 @@
 """The corrected vehicle in use: the file that flies, what the companion's model takes from it, and what is left.
 
 The simulator flies every effect of the file.  The companion's model is a point mass with a thrust axis
-(`flightstack.model`): it takes mass, thrust, curve, lag, delay and linear drag; the rest is its learner's.
+(`flightstack.model`): it takes mass, thrust, curve, lag, delay and drag (that of rotors as it is in
+hover); the rest is its learner's.
 """
 
 from __future__ import annotations

@@ -18,11 +18,13 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap import pooled
 from flightstack.gap.classes import splitting_manoeuvre
 from flightstack.gap.gusts import Gusts, as_found, gusts
+from flightstack.gap.held import far_from_noise
 from flightstack.gap.name import Naming
+from flightstack.gap.naming.estimate import CI
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Estimate, Found, Gap, Unexplained
 from flightstack.gap.simulate import Knob, knobs, value, with_value
-from flightstack.gap.verdict import gap_of, is_open
+from flightstack.gap.verdict import ONE_STEP, gap_of, is_open
 from flightstack.vehicle import Vehicle
 
 _LEAST_P = 1e-3
@@ -32,12 +34,13 @@ _MAY_BE_P = 0.05
 _MEANS = ("constant_force",)
 """What the mean of gusts may be taken for; a wind is looked for in its place."""
 _WIND = "steady_wind"
-_CI = 1.959964
 
 
 def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
     """Turbulence where it explains what is left of the force, and the names that hold beside it."""
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
+        return naming, gap
+    if far_from_noise(gap, ONE_STEP[1:]):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
     back = [f for f in naming.proposed if f.name not in {*held, *_MEANS, _WIND} and _is_force(f)]
@@ -114,7 +117,7 @@ def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[K
     for k, knob in enumerate(turned):
         if knob.effect == found.name:
             now = value(naming.vehicle, knob.effect, knob.parameter) + float(blown.beside[k])
-            reach = _CI * float(np.sqrt(blown.covariance[k, k]))
+            reach = CI * float(np.sqrt(blown.covariance[k, k]))
             before = value(vehicle, knob.effect, knob.parameter)
             parameters[knob.parameter] = Estimate(before, now, now - reach, now + reach)
     moved = with_value(naming.vehicle, found.name, {p: e.estimate for p, e in parameters.items()})

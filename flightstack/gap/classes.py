@@ -15,10 +15,13 @@ from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.search import ALIKE, Fit, SelectionState, fit_subset, members
 from flightstack.gap.records import Found, Samples
 from flightstack.gap.track import track
+from flightstack.types import STANDARD_GRAVITY_MPS2
 
 _ALIKE_SHARE = 0.002
 """Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
+_HELD_UP = 0.5
+"""Share of a named payload's weight from which a force against it is no force."""
 
 
 def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ...]:
@@ -49,7 +52,7 @@ def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ..
     return tuple(sorted(found, key=lambda name: found[name]))
 
 
-_POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"), ("payload", "thrust_scale"))
+POORLY_TOLD = (("motor_lag", "transport_delay"), ("rotor_fault", "com_offset"), ("payload", "thrust_scale"))
 """How late rotors are in all shows, which part of it is lag is a matter of the response's shape; a weak rotor and a
 shifted mass both tip a hovering vehicle, what tells them apart is yaw and how the tipping changes with thrust; a
 mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
@@ -57,12 +60,12 @@ mass and a thrust scale differ in the torques only.  It takes a gyro, and a mode
 
 def poorly_told(effects: Collection[str]) -> set[str]:
     """What beside a poor model can't be told from one of these."""
-    return {e for pair in _POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
+    return {e for pair in POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
 
 
 def beside_a_poor_model(found: Found) -> Found:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
-    for effects in _POORLY_TOLD:
+    for effects in POORLY_TOLD:
         if found.name in effects:
             twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
             return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
@@ -76,10 +79,34 @@ def confused_with(gone: Collection[Found]) -> set[str]:
     return {twin for f in gone for twin in f.indistinguishable_from}.union(*groups) - names
 
 
+def has_gyro(flights: Sequence[Samples]) -> bool:
+    """Whether any of the flights has one: without it what is poorly told is one class."""
+    return any("rate_frd_radps" not in track(s).missing for s in flights)
+
+
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
     """The named effects of these flights: without a gyro their classes are those of a poor model."""
-    gyro = any("rate_frd_radps" not in track(s).missing for s in flights)
-    return found if gyro else tuple(beside_a_poor_model(f) for f in found)
+    return found if has_gyro(flights) else tuple(beside_a_poor_model(f) for f in found)
+
+
+def doubled(found: Sequence[Found]) -> tuple[str, ...]:
+    """Named effects (strongest first) that the logs can't tell from a stronger one that is named too.
+
+    A force that holds up more than half of what a named payload weighs (or pulls down what is missing of it) is none
+    either: both together are thrust that answers commands less than it should, round the same mean.
+    """
+    gone = [
+        weaker.name
+        for k, weaker in enumerate(found)
+        for other in found[:k]
+        if weaker.name in other.indistinguishable_from and other.name in weaker.indistinguishable_from
+    ]
+    of = {f.name: f.parameters for f in found}
+    if {"payload", "constant_force"} <= of.keys():
+        weight_n = STANDARD_GRAVITY_MPS2 * of["payload"]["mass_kg"].estimate
+        down_n = of["constant_force"]["down_n"].estimate
+        gone += ["constant_force"] if -down_n * np.sign(weight_n) > _HELD_UP * abs(weight_n) else []
+    return tuple(dict.fromkeys(gone))
 
 
 def splitting_manoeuvre(effects: tuple[str, ...]) -> str:

@@ -46,6 +46,7 @@ def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence
         checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
         takes=takes,
         learner=learner,
+        across=tuple(a for a in naming.across if not a.same or a.effect in {f.name for f in naming.found}),
     )
 
 

@@ -17,12 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap.compare import residual
 from flightstack.gap.naming.candidates import at_end
+from flightstack.gap.naming.estimate import FICKLE_P
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Found, Gap
 from flightstack.gap.simulate import with_value
+from flightstack.gap.verdict import ONE_STEP
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -34,8 +35,6 @@ _LEAST = 0.5
 """Slope below which less than nothing of the effect's own share is closed."""
 _NOT_NOISE = 0.9
 """Share of what a model leaves, in mean square, that is not the noise floor's: from there it lacks something."""
-_FICKLE_P = 1e-4 / len(EFFECT_SPECS)
-"""Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
 _LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
 """What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
 
@@ -105,9 +104,9 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def far_from_noise(gap: Gap) -> bool:
-    """Whether what the model leaves of force or torque is hardly the sensors' noise any more."""
-    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in ("one_step_mps2", "one_step_radps2")]
+def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP) -> bool:
+    """Whether what the model leaves of force or torque (or of one of them) is hardly the sensors' noise any more."""
+    pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in figures]
     known = [(now, least) for now, least in pairs if now is not None and least is not None]
     return any(least**2 < (1.0 - _NOT_NOISE) * now**2 for now, least in known)
 
@@ -119,7 +118,7 @@ def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, fl
     of its being the same), and a wind that blows up or down more than along: no steady wind goes through the ground.
     """
     ends = on_edge(believed, found)
-    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < _FICKLE_P or _upright(f))
+    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or _upright(f))
 
 
 def _upright(found: Found) -> bool:

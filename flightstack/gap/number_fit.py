@@ -24,7 +24,7 @@ from flightstack.gap.name import name
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of, linearise
-from flightstack.gap.naming.estimate import covariance_of, without_nuisance
+from flightstack.gap.naming.estimate import CI, covariance_of, without_nuisance
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.ranged import STANDS_FOR
 from flightstack.gap.naming.search import SelectionState, bounded_step, pressed_beyond
@@ -34,7 +34,6 @@ from flightstack.gap.simulate import Knob, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
-_CI = 1.959964
 _STEP = 1e-3
 """Of a number's range, by which its column is taken."""
 _ROUNDS = 3
@@ -295,7 +294,7 @@ class _Fit:
         correlation = self._covariance / np.maximum(np.outer(sigma, sigma), 1e-300)
         found = []
         for k, number in enumerate(self._numbers):
-            low, high = max(values[k] - _CI * sigma[k], number.low), min(values[k] + _CI * sigma[k], number.high)
+            low, high = max(values[k] - CI * sigma[k], number.low), min(values[k] + CI * sigma[k], number.high)
             like = tuple(o.name for j, o in enumerate(self._numbers) if j != k and abs(correlation[k, j]) > _ALIKE)
             tells = sigma[k] < _TOLD * self._prior[k]
             if not tells:
@@ -320,9 +319,9 @@ class _Fit:
             ratio = values[number.name] / own
             if mass.name in place:
                 gradient[place[mass.name]] -= ratio / own
-            half = _CI * math.sqrt(max(float(gradient @ self._covariance @ gradient), 0.0))
+            half = CI * math.sqrt(max(float(gradient @ self._covariance @ gradient), 0.0))
             per_kg[number.name] = (ratio, ratio - half, ratio + half)
         spread = 0.0
         if not known and mass.name in place:
-            spread = _CI * math.sqrt(self._covariance[place[mass.name], place[mass.name]]) / own
+            spread = CI * math.sqrt(self._covariance[place[mass.name], place[mass.name]]) / own
         return ScaleClass(tuple(n.name for n in every), known, spread, per_kg)

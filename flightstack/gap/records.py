@@ -172,6 +172,21 @@ class Estimate:
     estimate: float
     low: float
     high: float
+    told: bool = True
+    """False where the logs can't tell it: it stays what the file has, and the interval is all that is plausible."""
+
+
+@dataclass(frozen=True, slots=True)
+class Across:
+    """One parameter of a named effect, flight by flight."""
+
+    effect: str
+    parameter: str
+    p_value: float
+    """Of its being the same in each, small differences allowed."""
+    same: bool
+    flights: tuple[tuple[str, Estimate], ...]
+    """Log and what it says alone."""
 
 
 @dataclass(frozen=True, slots=True)

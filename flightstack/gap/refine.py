@@ -18,7 +18,7 @@ kinematic columns know them better.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,20 +88,21 @@ def refine(
     flights: Sequence[Samples],
     masks: Sequence[NDArray[np.bool_]],
     effects: Sequence[str],
+    fixed: Collection[tuple[str, str]] = (),
 ) -> Refined | None:
     """Refine the parameters of these effects of `vehicle`, starting at its values.
 
-    `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from.  Without a physical
-    effect it is found when the commands acted.  None where there is nothing to refine by: no windows, or an effect
-    that no flight can show; and where the refined vehicle predicts a single step worse than the one it began with, as
-    it may with a structure that is wrong.
+    `believed`: before anything was named; `masks`: (N,) for each flight, samples to learn from; `fixed`: parameters
+    that stay.  Without a physical effect it is found when the commands acted.  None where there is nothing to refine
+    by: no windows, or an effect that no flight can show; and where the refined vehicle predicts a single step worse
+    than the one it began with, as it may with a structure that is wrong.
     """
     unknowns = [
         (effect, p.name)
         for effect in effects
         if EFFECT_SPECS[effect].kind != "sensor" and effect != "turbulence"
         for p in EFFECT_SPECS[effect].params
-        if not p.integer and not math.isnan(value(vehicle, effect, p.name))
+        if not p.integer and not math.isnan(value(vehicle, effect, p.name)) and (effect, p.name) not in fixed
     ]
     problem = _Problem(vehicle, unknowns, flights, masks)
     if problem.count <= len(unknowns) + 2:

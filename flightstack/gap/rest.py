@@ -26,12 +26,12 @@ _LOUD_SHARE = 0.5
 """Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
 
 
-def telling(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
+def telling(bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, Rest]) -> dict[str, Rest]:
     """Groups of channels whose rest depends on something, strongly enough to matter."""
     slow = _slow_noise(bench, made.vehicle)
     return {
         group: r
-        for group, r in every_rest(bench, start, made).items()
+        for group, r in rests_of.items()
         if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
     }
 
@@ -44,7 +44,8 @@ def loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> dic
 
 def beside_names(bench: SimulatorBench, start: Vehicle, made: Estimates) -> Unexplained:
     """The rest beside a poor model's names: on what it depends; that there is one is known."""
-    return replace(unexplained(loud(bench, start, telling(bench, start, made))), significant=True)
+    told = telling(bench, made, every_rest(bench, start, made))
+    return replace(unexplained(loud(bench, start, told)), significant=True)
 
 
 def unexplained(told: Mapping[str, Rest]) -> Unexplained:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from flightstack.gap.records import Estimate, Figures, Found, Gap, Rejected, Unexplained, Where
+from flightstack.gap.records import Across, Estimate, Figures, Found, Gap, Rejected, Unexplained, Where
 from flightstack.gap.report import GapReport
 from flightstack.vehicle import Vehicle
 
@@ -27,6 +27,11 @@ class GapResult:
     rejected: tuple[Rejected, ...]
     corrected: Vehicle
     report: GapReport
+
+    @property
+    def across(self) -> tuple[Across, ...]:
+        """Of several flights: what each says alone."""
+        return self.report.across
 
     @property
     def sentence(self) -> str:
@@ -54,6 +59,7 @@ def as_json(result: GapResult) -> dict[str, Any]:
             "depends_on": list(result.unexplained.depends_on),
             "fraction": _known(result.unexplained.fraction),
         },
+        "flights": [_across(row) for row in result.across],
         "rejected": [_rejected(row) for row in result.rejected],
         "data": [_log(log) for log in result.report.logs],
     }
@@ -84,11 +90,25 @@ def _found(found: Found) -> dict[str, Any]:
     }
 
 
+def _across(row: Across) -> dict[str, Any]:
+    values = [
+        {"log": log, "estimate": _known(e.estimate), "ci95": [_known(e.low), _known(e.high)]} for log, e in row.flights
+    ]
+    return {
+        "effect": row.effect,
+        "parameter": row.parameter,
+        "same": row.same,
+        "p_value": _known(row.p_value),
+        "values": values,
+    }
+
+
 def _estimate(value: Estimate) -> dict[str, Any]:
     return {
         "before": _known(value.before),
         "estimate": _known(value.estimate),
         "ci95": [_known(value.low), _known(value.high)],
+        "told": value.told,
     }
 
 

@@ -12,12 +12,14 @@ from pathlib import Path
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap import gather, pooled
+from flightstack.gap.across import Told, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
-from flightstack.gap.classes import confused_with
+from flightstack.gap.classes import confused_with, doubled
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
 from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
+from flightstack.gap.naming.estimate import fills
 from flightstack.gap.pooled import Split
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Found, Gap, Samples
@@ -58,6 +60,7 @@ def analyse(
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout)
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
+    naming, of, gap = _same_in_each(vehicle, naming, of, gap)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
         naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
         gap = _verdict(vehicle, naming, of)
@@ -137,15 +140,58 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str]
     used = [k for k, mask in enumerate(of.fit) if mask.any()]
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
-    refined = refine(vehicle, naming.vehicle, flights, masks, names)
+    refined = refine(vehicle, naming.vehicle, flights, masks, names, _fixed(naming))
     if refined is None:
         return naming, of
+    told = refined.parameters
+    hidden = [(e, p) for e, own in told.items() for p, x in own.items() if fills(vehicle, (e, p), x.low, x.high)]
+    if hidden:
+        return _refined(vehicle, naming.without_telling(hidden), of, effects)
     found = tuple(
         replace(each, parameters={**each.parameters, **refined.parameters.get(each.name, {})}) for each in naming.found
     )
     late = dict(zip(used, refined.late_s, strict=True))
     moved = tuple(replace(s, command_late_s=late.get(k, s.command_late_s)) for k, s in enumerate(of.flights))
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
+
+
+def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Split, Gap]:
+    """Names that are not the same in each of several flights are taken back, clearest first, the others fitted anew.
+
+    With several flights, or far from the noise, intervals reach as far as flights and their stretches differ.
+    """
+    while len(of.flights) > 1 and naming.found:
+        refined = _to_refine(naming, gap)
+        naming = naming.in_each_flight([_alone(vehicle, naming, s, refined) for s in of.flights])
+        gone = [name for name in differing(naming.across) if name in {f.name for f in naming.found}]
+        if not gone:
+            break
+        naming = naming.without(gone[:1], "is not the same in each flight")
+        forces = _to_refine(naming, gap)
+        naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
+        gap = _verdict(vehicle, naming, of)
+    if len(of.flights) > 1 or far_from_noise(gap):
+        naming = naming.as_wide_as_it_varies()
+    return naming, of, gap
+
+
+def _to_refine(naming: Naming, gap: Gap) -> list[str]:
+    """Far from the noise only forces are: torques answer what a rate loop does, forces don't."""
+    return [f.name for f in naming.found if not far_from_noise(gap) or EFFECT_SPECS[f.name].kind == "force"]
+
+
+def _alone(vehicle: Vehicle, naming: Naming, samples: Samples, effects: Sequence[str]) -> Told:
+    """What one flight says of these effects by output error."""
+    if not effects:
+        return {}
+    refined = refine(vehicle, naming.vehicle, [samples], [samples.valid], effects, _fixed(naming))
+    if refined is None:
+        return {}
+    return {(effect, p): e for effect, own in refined.parameters.items() for p, e in own.items()}
+
+
+def _fixed(naming: Naming) -> set[tuple[str, str]]:
+    return {(f.name, p) for f in naming.found for p, e in f.parameters.items() if not e.told}
 
 
 def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
@@ -155,6 +201,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     and the naming's own estimates stand but for forces: torques answer what a rate loop does, forces don't.
     """
     on_progress(0.6, "refining")
+    named = _merged(named)
     if not named.found:
         moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
         return named, moved, _verdict(vehicle, named, moved)
@@ -173,10 +220,20 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     if not naming.found or not far_from_noise(gap):
         return naming, moved, gap
     named = _beside_a_poor_model(vehicle, named)
-    named = named.with_classes_of_a_poor_model()
-    forces = [f.name for f in named.found if EFFECT_SPECS[f.name].kind == "force"]
+    named = _merged(named.with_classes_of_a_poor_model())
+    forces = _to_refine(named, gap)
     named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
     return named, of, _verdict(vehicle, named, of)
+
+
+def _merged(named: Naming) -> Naming:
+    """The verdict with one name for each class: what the logs can't tell from a stronger name is its twin."""
+    gone = doubled(named.found)
+    return (
+        replace(named.without(gone, "these logs can't tell it from what is named"), unexplained=named.unexplained)
+        if gone
+        else named
+    )
 
 
 def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:

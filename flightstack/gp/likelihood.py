@@ -21,6 +21,7 @@ from flightstack.types import F64, InputError
 Bounds = Sequence[tuple[float, float]]
 _DEFAULT_RANGE = 1e3
 """Without bounds every hyper-parameter may change by this factor either way."""
+_ITERATIONS = 200
 _HOPELESS = 1e25
 """What the search is told where the matrix can't be factored."""
 
@@ -72,7 +73,6 @@ def fit(
     restarts: int = 4,
     bounds: Bounds | None = None,
     fit_noise: bool = True,
-    max_iterations: int = 200,
 ) -> FitResult:
     """The hyper-parameters of largest marginal likelihood for x (N, D), y (N, P) or (N,), by L-BFGS-B in log space.
 
@@ -98,9 +98,7 @@ def fit(
     best, best_theta, converged = objective(start)[0], start, False
     draws = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (restarts, len(start)))
     for theta in [start, *draws]:
-        found = minimize(
-            objective, theta, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": max_iterations}
-        )
+        found = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": _ITERATIONS})
         if found.fun < best:
             best, best_theta, converged = float(found.fun), found.x, bool(found.success)
     free = limits[:, 0] < limits[:, 1]

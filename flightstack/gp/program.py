@@ -130,51 +130,35 @@ def prior(ints: I64, floats: F64, x: F64) -> float:
 
 @njit_called
 def row(
-    ints: I64,
-    floats: F64,
-    points: F64,
-    n: int,
-    x: F64,
-    rate: F64,
-    work: F64,
-    out: F64,
-    out_rate: F64,
-    rates: bool,
-    turned: bool = False,
-) -> None:
-    """Covariances of the query x (D,) with n points, and with `rates` their time derivatives along `rate` (D,).
+    kernel: tuple[I64, F64], points: F64, n: int, query: tuple[F64, F64], work: F64, out: tuple[F64, F64],
+    rates: bool, turned: bool = False,
+) -> None:  # fmt: skip
+    """Covariances of a query with n points, and with `rates` their time derivatives.
 
-    `points` (D, >= n) holds a point a column; `work` (WORK_ROWS, >= n) is scratch; `out`, `out_rate` (>= n).
+    kernel: `ints` and `floats`; query: x (D,) and its time derivative; `points` (D, >= n) holds a point a column;
+    `work` (WORK_ROWS, >= n) is scratch; out: covariances and derivatives, (>= n) each.
     """
-    value, value_rate = work[_VALUE], work[_VALUE_RATE]
-    out[:n] = 0.0
+    value, value_rate, (found, found_rate) = work[_VALUE], work[_VALUE_RATE], out
+    found[:n] = 0.0
     if rates:
-        out_rate[:n] = 0.0
-    at, place = 1, 0
-    for _ in range(ints[0]):
-        at, place = _term(ints, floats, at, place, points, n, x, rate, work, rates, turned)
+        found_rate[:n] = 0.0
+    place = 1, 0
+    for _ in range(kernel[0][0]):
+        place = _term(kernel, place, points, n, query, work, rates, turned)
         for i in range(n):
-            out[i] += value[i]
+            found[i] += value[i]
         if rates:
             for i in range(n):
-                out_rate[i] += value_rate[i]
+                found_rate[i] += value_rate[i]
 
 
 @njit_vector
 def _term(
-    ints: I64,
-    floats: F64,
-    at: int,
-    place: int,
-    points: F64,
-    n: int,
-    x: F64,
-    rate: F64,
-    work: F64,
-    rates: bool,
-    turned: bool = False,
-) -> tuple[int, int]:
-    """One term's values into work[2] and its rates into work[3]; where the next term begins in `ints`, `floats`."""
+    kernel: tuple[I64, F64], begins: tuple[int, int], points: F64, n: int, query: tuple[F64, F64], work: F64,
+    rates: bool, turned: bool = False,
+) -> tuple[int, int]:  # fmt: skip
+    """One term's values into work[_VALUE] and its rates beside it; where the next term begins in `ints`, `floats`."""
+    (ints, floats), (at, place), (x, rate) = kernel, begins, query
     power, power_rate, value, value_rate = work[_POWER], work[_POWER_RATE], work[_VALUE], work[_VALUE_RATE]
     value[:n] = floats[place]
     power[:n] = 0.0
@@ -191,7 +175,7 @@ def _term(
         elif ints[at] == LINEAR:
             _linear(points[ints[at + 2]], n, x[ints[at + 2]], rate[ints[at + 2]], value, value_rate, rates)
         else:
-            _distance(ints, at, floats, place, points, n, x, rate, work[_SQUARE], work[_SQUARE_RATE], rates)
+            _distance(kernel, (at, place), points, n, query, work[_SQUARE], work[_SQUARE_RATE], rates)
             _stationary(ints[at], n, work, rates)
             place += columns
             stationary = True
@@ -226,10 +210,11 @@ def _linear_turned(point: F64, n: int, x: float, value: F64) -> None:
 
 @njit_vector
 def _distance(
-    ints: I64, at: int, floats: F64, place: int, points: F64, n: int, x: F64, rate: F64, square: F64, square_rate: F64,
-    rates: bool,
+    kernel: tuple[I64, F64], begins: tuple[int, int], points: F64, n: int, query: tuple[F64, F64], square: F64,
+    square_rate: F64, rates: bool,
 ) -> None:  # fmt: skip
     """Squared scaled distances of the query to the points, and their time derivatives."""
+    (ints, floats), (at, place), (x, rate) = kernel, begins, query
     square[:n] = 0.0
     if rates:
         square_rate[:n] = 0.0
@@ -349,36 +334,37 @@ def _matrix(ints: I64, floats: F64, x: F64, points: F64, turned: bool, out: F64)
     n = points.shape[1]
     work = np.empty((WORK_ROWS, n))
     for i in range(len(x)):
-        row(ints, floats, points, n, x[i], x[i], work, out[i], work[_POWER_RATE], False, turned)
+        row((ints, floats), points, n, (x[i], x[i]), work, (out[i], work[_POWER_RATE]), False, turned)
 
 
 @njit_called
 def _gradient(ints: I64, floats: F64, x: F64, points: F64, weights: F64, out: F64) -> None:
     """out[f] += sum over i, j of weights[i, j] d k(x_i, x_j) / d log floats[f]; x (N, D), points its transpose."""
-    n = len(x)
+    n, kernel = len(x), (ints, floats)
     work = np.empty((WORK_ROWS, n))
     for i in range(n):
-        at, place = 1, 0
+        place = 1, 0
         for _ in range(ints[0]):
-            start, first = at, place
-            at, place = _term(ints, floats, at, place, points, n, x[i], x[i], work, False)
+            first = place
+            place = _term(kernel, first, points, n, (x[i], x[i]), work, False)
             for j in range(n):
                 work[_VALUE_RATE, j] = weights[i, j] * work[_VALUE, j]
-            out[first] += work[_VALUE_RATE].sum()
-            _term_gradient(ints, floats, start, first, points, n, x[i], work, out)
+            out[first[1]] += work[_VALUE_RATE].sum()
+            _term_gradient(kernel, first, points, n, x[i], work, out)
 
 
 @njit
 def _term_gradient(
-    ints: I64, floats: F64, at: int, place: int, points: F64, n: int, x: F64, work: F64, out: F64
+    kernel: tuple[I64, F64], begins: tuple[int, int], points: F64, n: int, x: F64, work: F64, out: F64
 ) -> None:
-    """One term's share of `_gradient` for the weights; work[3] is the term's value times the outer weight."""
+    """One term's share of `_gradient` for the weights; the value's rate is the value times the outer weight."""
+    (ints, floats), (at, place) = kernel, begins
     factors = ints[at]
     at, place = at + 1, place + 1
     for _ in range(factors):
         columns = ints[at + 1]
         if ints[at] != LINEAR:
-            _distance(ints, at, floats, place, points, n, x, x, work[_SQUARE], work[_SQUARE_RATE], False)
+            _distance(kernel, (at, place), points, n, (x, x), work[_SQUARE], work[_SQUARE_RATE], False)
             for j in range(n):
                 part, slope = 1.0, -0.5
                 if ints[at] != SQUARED_EXPONENTIAL:

@@ -54,7 +54,7 @@ def _invert(squares: F64, rows: F64, state: I64, real: F64, jitter: float) -> bo
     squares[:] = 0.0
     for i in range(size):
         query = np.ascontiguousarray(points[:, i])
-        program.row(ints, floats, points, size, query, query, work, k, k, False)
+        program.row((ints, floats), points, size, (query, query), work, (k, k), False)
         k[i] += store.noise_at(real, rows[store.PRIOR, i]) + jitter
         k[size:] = 0.0
         write_column(gram, whole, i, k)

@@ -65,7 +65,7 @@ def predict_along(rows: F64, state: I64, real: F64) -> bool:
     ints, floats, points = store.kernel_of(rows, state, real)
     query, rate = real[store.QUERY : store.QUERY + d], real[store.QUERY + d : store.QUERY + 2 * d]
     work = rows[store.WORK : store.WORK + program.WORK_ROWS]
-    program.row(ints, floats, points, size, query, rate, work, rows[store.UNUSED], rows[store.RATE], True)
+    program.row((ints, floats), points, size, (query, rate), work, (rows[store.UNUSED], rows[store.RATE]), True)
     mean = store.QUERY + 3 * d + state[store.OUTPUTS]
     first, outputs = store.POINTS + d + state[store.OUTPUTS], state[store.OUTPUTS]
     for p in range(outputs):
@@ -196,7 +196,7 @@ def _multiply_query(squares: F64, rows: F64, state: I64, real: F64) -> None:
     ints, floats, points = store.kernel_of(rows, state, real)
     query, size = real[store.QUERY : store.QUERY + d], store.whole_blocks(state[store.HIGH])
     work = rows[store.WORK : store.WORK + program.WORK_ROWS]
-    program.row(ints, floats, points, size, query, query, work, rows[store.K], rows[store.K], False)
+    program.row((ints, floats), points, size, (query, query), work, (rows[store.K], rows[store.K]), False)
     if state[store.PENDING]:
         store.blank_pending(rows, state)
         update_multiply(squares[store.INVERSE], size, rows, rows[store.K], rows[store.PRODUCT])
@@ -249,7 +249,7 @@ def least_covariant(rows: F64, state: I64, real: F64) -> int:
     ints, floats, points = store.kernel_of(rows, state, real)
     query, k = real[store.QUERY : store.QUERY + state[store.INPUTS]], rows[store.UNUSED]
     work = rows[store.WORK : store.WORK + program.WORK_ROWS]
-    program.row(ints, floats, points, state[store.HIGH], query, query, work, k, k, False)
+    program.row((ints, floats), points, state[store.HIGH], (query, query), work, (k, k), False)
     entered = state[store.ORDER + state[store.CAPACITY] :]
     best = 0
     for i in range(1, state[store.COUNT]):

@@ -88,12 +88,12 @@ def carried(forward: F64, dt_s: float, out: F64) -> None:
 
 @njit
 def weighed(
-    sample: F64, most: float, posterior: F64, lateral: F64, vertical: F64, variance: F64, calm_lateral: F64,
-    calm_vertical: F64, calm_variance: F64,
+    sample: F64, most: float, posterior: F64, excess: tuple[F64, F64], variance: F64, calm: tuple[F64, F64],
+    calm_variance: F64,
 ) -> bool:  # fmt: skip
     """As `LearnerState.weigh` says."""
-    calibrated(posterior, lateral, vertical, variance)
-    calibrated(posterior, calm_lateral, calm_vertical, calm_variance)
+    calibrated(posterior, excess[0], excess[1], variance)
+    calibrated(posterior, calm[0], calm[1], calm_variance)
     return fits(sample, most)
 
 

@@ -171,8 +171,8 @@ class LearnerState:
         """Both calibrated variances for this posterior; whether the sample may be learned from (`fits`)."""
         lateral, vertical = self.lateral, self.vertical
         return weighed(
-            self.sample, most, self.posterior, lateral.excess, vertical.excess, self.variance, lateral.calm_excess,
-            vertical.calm_excess, self.calm_variance,
+            self.sample, most, self.posterior, (lateral.excess, vertical.excess), self.variance,
+            (lateral.calm_excess, vertical.calm_excess), self.calm_variance,
         )  # fmt: skip
 
 

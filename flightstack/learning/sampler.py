@@ -121,8 +121,8 @@ class Sampler:
     def step(self, memory: F64, measurement: Measurement, sent: Command, out: F64) -> None:
         """One sample into `out` (SAMPLE,): OK is 0 where it is not fit to learn from."""
         _sample(
-            self._constants, memory, measurement.row, sent.rate_frd_radps, sent.t_us * 1e-6, sent.thrust_norm,
-            measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6, out,
+            self._constants, memory, measurement.row, sent.rate_frd_radps, float(sent.thrust_norm),
+            (sent.t_us * 1e-6, measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6), out,
         )  # fmt: skip
 
     def at_reference(self, memory: F64, reference: FlatOutput, learned: F64, out: F64) -> None:
@@ -259,10 +259,11 @@ def _remember(memory: F64, t_sent: float, norm: float, rate: F64) -> None:
 
 @njit
 def _sample(
-    constants: F64, memory: F64, measured: F64, sent_rate: F64, t_sent: float, norm: float, now: float, imu_age: float,
+    constants: F64, memory: F64, measured: F64, sent_rate: F64, norm: float, times_s: tuple[float, float, float],
     out: F64,
 ) -> None:  # fmt: skip
     """`measured` (20,): a Measurement's row; the rest as in `Sampler.step`."""
+    t_sent, now, imu_age = times_s
     out[:] = 0.0
     finite = math.isfinite(norm)
     for i in range(16):

@@ -179,14 +179,11 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
 
 @njit_called
 def decide(
-    vehicle: F64, rows: F64, soft: F64, tubes: F64, memory: F64, numbers: F64, committed: F64, site: F64, origin: F64,
-    measured: F64, times_us: tuple[float, float, float], sent_norm: float, sent_rate: F64, wanted_norm: float,
-    wanted_rate: F64, scratch: F64, way: F64, out: F64, rate: F64,
+    known: tuple[F64, F64, F64, F64], kept: tuple[F64, F64, F64], site: F64, origin: F64, measured: F64,
+    times_us: tuple[float, float, float], commands: tuple[float, F64, float, F64], buffers: tuple[F64, F64, F64, F64],
 ) -> tuple[float, int]:  # fmt: skip
-    """`_decide`; flat, for a named tuple that crosses into compiled code costs as much as a third of the tick."""
-    known, kept = Known(vehicle, rows, soft, tubes), Kept(memory, numbers, committed)
-    commands, buffers = Commands(sent_norm, sent_rate, wanted_norm, wanted_rate), Buffers(scratch, way, out, rate)
-    return _decide(known, site, kept, origin, measured, times_us, commands, buffers)
+    """`_decide`; plain tuples, for a named one that crosses into compiled code costs as much as a third of the tick."""
+    return _decide(Known(*known), site, Kept(*kept), origin, measured, times_us, Commands(*commands), Buffers(*buffers))
 
 
 @njit

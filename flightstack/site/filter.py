@@ -58,7 +58,8 @@ def gain_of(state: object) -> float:
 class _Known(NamedTuple):
     """One certificate's numbers, as compiled code takes them."""
 
-    known: d.Known
+    known: tuple[F64, F64, F64, F64]
+    """`decide.Known`, plain."""
     far: F64
     """`slide` parameters of a reference."""
     most_mps2: float
@@ -72,7 +73,7 @@ class _Known(NamedTuple):
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
         far, doubts = made.soft[0].copy(), made.doubts[0]
         far[slide.RADIUS] = made.kept_m
-        return cls(d.Known(vehicle, made.rows, made.soft, made.tubes()), far, doubts.force_mps2 + doubts.rest_mps2)
+        return cls((vehicle, made.rows, made.soft, made.tubes()), far, doubts.force_mps2 + doubts.rest_mps2)
 
 
 class SiteFilter:
@@ -173,10 +174,9 @@ class SiteFilter:
         times = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
         known = self._in_force(numbers)
         norm, status = d.decide(
-            *known.known, state.memory, numbers, state.committed,
-            self._site, state.origin_ned_m, measurement.row, times,
-            sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps,
-            self._scratch, self._way, row, self._rate,
+            known.known, (state.memory, numbers, state.committed), self._site, state.origin_ned_m, measurement.row,
+            times, (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
+            (self._scratch, self._way, row, self._rate),
         )  # fmt: skip
         self._watch(numbers)
         row[F_H], row[F_STATUS], row[F_VERSION] = numbers[d.CLEARANCE], status, 0.0

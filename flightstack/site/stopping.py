@@ -30,7 +30,6 @@ import numpy as np
 
 from flightstack.autopilot import torque_per_slope
 from flightstack.barrier.estimate_bounds import EstimateBounds
-from flightstack.barrier.response import C_HOLD, CHAIN
 from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.model import Limits, Model
 from flightstack.rows import VEL_N, WAY_RADIUS
@@ -158,7 +157,7 @@ def stopping(
     """
     prior = prior or Prior()
     limits = within(limits, model, governor)
-    low_n, high_n = model.thrust_range_n(limits)
+    high_n = model.thrust_range_n(limits)[1]
     force = prior.force_g * G
     hardest = _ACROSS_MOST_CALM if prior.force_g <= _CALM_G else _ACROSS_MOST
     lean = math.atan((hardest + force) / G)
@@ -182,37 +181,12 @@ def stopping(
     tubes = across(lag_across, doubts[0]), along(lag_along, doubts[1])
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    slope = torque_per_slope(vehicle)[:2].min() * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else None
-    alpha = float(torque_per_slope(vehicle)[:2].min()) if slope is None else float(slope)
-    snap = _SNAP_SHARE * governor.roll_pitch_max * alpha * G
     high = high_n / model.mass_kg
-    rows, soft = [], []
-    for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
-        a, up, lean_most = _authority(gain * high, force, hardest, limits)
-        gains, down = tubes[0].gains, tubes[1].gains
-        rows.append([
-            a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
-            down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
-            math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
-            told * _OVER * force,
-        ])  # fmt: skip
-        soft.append([
-            tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
-            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * _DOWN,
-        ])  # fmt: skip
-    steer = 1.0 / _STEER_PS
-    chain = np.zeros(CHAIN)
-    chain[:] = [
-        model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
-        model.motor_lag_s, model.rate_lag_s, round(1e6 * model.transport_delay_s),
-        round(1e6 * model.transport_delay_s), steer, G, 0.004,
-    ]  # fmt: skip
-    chain[C_HOLD] = 0.004
-    response = np.array([
-        [steer, steer * model.rate_lag_s, 0.0], [steer, steer * model.rate_lag_s, 0.0], [model.motor_lag_s, 0.0, 0.0],
-    ])  # fmt: skip
+    snap = _SNAP_SHARE * governor.roll_pitch_max * _alpha(vehicle, model) * G
+    rows, soft = _rows(prior, high, hardest, limits, tubes, snap, lag_across, told)
+    chain, response = _answer(model, limits)
     made = StoppingCertificate(
-        prior, ledger, *tubes, first, np.array(rows), np.array(soft), chain, response, governor,
+        prior, ledger, *tubes, first, rows, soft, chain, response, governor,
         told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high,
     )  # fmt: skip
     if gain_low * high < (1.0 + prior.force_g) * G:
@@ -223,6 +197,47 @@ def stopping(
     for row, each in zip(made.rows, made.soft, strict=True):
         each[slide.SLOW_S] = _slow_s(row, made.tubes()[1]) + _SMOOTH_LATE_S
     return made
+
+
+def _alpha(vehicle: Vehicle, model: Model) -> float:
+    """Angular acceleration of roll and pitch at full torque, rad/s^2, the lesser of both."""
+    alpha = float(torque_per_slope(vehicle)[:2].min())
+    return alpha * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else alpha
+
+
+def _rows(
+    prior: Prior, high: float, hardest: float, limits: Limits, tubes: tuple[Tube, Tube], snap: float, lag_across: float,
+    told: float,
+) -> tuple[F64, F64]:  # fmt: skip
+    """`backup` and `slide` parameters for each gain of the prior, the least first; `high`: the most thrust, m/s^2."""
+    rows, soft, force = [], [], prior.force_g * G
+    gain_low, gain_high = prior.gain
+    gains, down = tubes[0].gains, tubes[1].gains
+    for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
+        a, up, lean_most = _authority(gain * high, force, hardest, limits)
+        rows.append([
+            a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
+            math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
+            told * _OVER * force,
+        ])  # fmt: skip
+        soft.append([
+            tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
+            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * _DOWN,
+        ])  # fmt: skip
+    return np.array(rows), np.array(soft)
+
+
+def _answer(model: Model, limits: Limits) -> tuple[F64, F64]:
+    """How the vehicle answers: `response.CHAIN` numbers, and (3, 3) of `response.lead`."""
+    low_n, high_n = model.thrust_range_n(limits)
+    steer, delay_us = 1.0 / _STEER_PS, round(1e6 * model.transport_delay_s)
+    chain = np.array([
+        model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
+        model.motor_lag_s, model.rate_lag_s, delay_us, delay_us, steer, G, 0.004,
+    ])  # fmt: skip
+    lateral = [steer, steer * model.rate_lag_s, 0.0]
+    return chain, np.array([lateral, lateral, [model.motor_lag_s, 0.0, 0.0]])
 
 
 def _seen(ledger: tuple[Line, ...], way: int, told: float) -> tuple[float, float]:

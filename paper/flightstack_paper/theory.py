@@ -178,4 +178,4 @@ def _at(
     pos = np.array(_REGION.centre_ned_m) + np.array(aside_m) + np.array([0.0, 0.0, e_m])
     vel = np.array(aside_mps) + np.array([0.0, 0.0, v_mps])
     level = np.array([1.0, 0.0, 0.0, 0.0])
-    return Measurement.of(0, pos, vel, level, np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0)
+    return Measurement(0, np.concatenate([pos, vel, level, np.zeros(6), np.full(4, np.nan)]), 0, 0, 0)

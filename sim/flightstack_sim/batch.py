@@ -166,7 +166,7 @@ class BatchPlant(VehicleBatch):
 
 
 def _acts_in_the_loop(vehicle: Vehicle) -> bool:
-    return vehicle.battery is not None or any(name in vehicle.effects for name in NAMES_IN_THE_LOOP)
+    return any(name in vehicle.effects for name in NAMES_IN_THE_LOOP)
 
 
 def _by_field(rows: F64) -> F64:

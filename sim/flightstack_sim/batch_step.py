@@ -1,9 +1,10 @@
 """The plant's step for many vehicles: `rigid_body.step_row` over blocks of LANES vehicles, laid out by field.
 
-A block's parameters and states lie together in one scratch array that stays in the processor's first cache for all
-steps of a call.  There are two versions of the code: with every effect, and the rigid body with its rotors' lag for
-batches in which none acts; neither asks in flight which effects there are.  While a vehicle of a block is near the
-ground (a branch that its neighbours share) the whole block steps through `step_row` itself.
+A block's parameters and states, past commands included, lie together in one scratch array that stays in the
+processor's first cache for all steps of a call.  There are two versions of the code: with every effect, and the rigid
+body with its rotors' lag and its battery for batches in which none acts; neither asks in flight which effects there
+are.  While a vehicle of a block is near the ground (a branch that its neighbours share) the whole block steps through
+`step_row` itself.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from flightstack.jit import njit, njit_called, njit_free
 from flightstack.types import F64
 from flightstack_sim import rigid_body
 from flightstack_sim.battery import discharge
-from flightstack_sim.effects import battery_sag, slung_load, transport_delay, turbulence
+from flightstack_sim.effects import battery_sag, slung_load, turbulence
 from flightstack_sim.lanes import LANES, across_lanes, call, compiled_at, lane, vectorised
 from flightstack_sim.layout import (
+    D_DELAY_STEPS,
     D_GROUND_LEVEL,
     D_GROUND_REACH,
     D_LAG_FULL,
@@ -55,8 +57,7 @@ from flightstack_sim.layout import (
 from flightstack_sim.rigid_body import step_row
 
 # where each field begins in a block's scratch
-_P, ROW_AT = 0, PARAMS * LANES
-_Y = ROW_AT + S_RING * LANES
+_P, _Y = 0, PARAMS * LANES
 _DY = _Y + EVALUATED * LANES
 _MEAN = _DY + EVALUATED * LANES
 _TARGET = _MEAN + EVALUATED * LANES
@@ -65,7 +66,9 @@ _NOW = _SPEEDS + 12 * LANES  # at this stage
 _AIR = _NOW + 4 * LANES  # wind (3) and the battery's thrust factor
 _FACTOR = 3
 _MIDDLE, _END = 4, 8  # of a step, among the speeds
-SCRATCH = _AIR + 4 * LANES
+ROW_AT = _AIR + 4 * LANES  # the state's fields, the ring of past commands last
+SCRATCH = ROW_AT + S_RING * LANES
+"""What a step in the air touches; the ring follows."""
 _CLEARANCE_M = 0.1
 """More than a vehicle can accelerate towards the ground within a step of 10 ms."""
 
@@ -171,11 +174,10 @@ _NO_EFFECT = {
     "angular_damping": {"torque": vectorised(lambda p, rate: (0.0, 0.0, 0.0))},
     "constant_force": {"force": vectorised(lambda p: (0.0, 0.0, 0.0))},
     "slung_load": {"pull": vectorised(lambda p, y, force, dy: (0.0, 0.0, 0.0)), "constrain": _NOTHING},
-    "battery": {"discharge": _NOTHING},
 }  # fmt: skip
 _every_effect = across_lanes(advance_block, _IN_THE_AIR)
 _no_effect = across_lanes(advance_block, _NO_EFFECT)
-NAMES_IN_THE_LOOP = (*(name for name in _NO_EFFECT if name not in ("ground", "battery")), "transport_delay")
+NAMES_IN_THE_LOOP = (*(name for name in _NO_EFFECT if name != "ground"), "transport_delay")
 """The effects that the step itself computes; the others only change the parameters that it begins with."""
 
 
@@ -195,17 +197,18 @@ def _step_alone(params: Any, state: Any, fields: int) -> None:
 def compiled_steps(effects: bool) -> tuple[int, int]:
     """Addresses of the step of a block and of the step of one vehicle's rows.
 
-    `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle, or any has a battery.
+    `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle.
     """
     return compiled_at(_step_with_effects if effects else _step_without), compiled_at(_step_alone)
 
 
 @njit
-def scratch_block() -> F64:
-    """A scratch that begins where a cache line does."""
-    raw = np.zeros(SCRATCH + LANES)
+def scratch_block(fields: int) -> F64:
+    """A scratch for states of so many fields that begins where a cache line does."""
+    size = ROW_AT + fields * LANES
+    raw = np.zeros(size + LANES)
     begin = (-raw.ctypes.data // 8) % LANES
-    return raw[begin : begin + SCRATCH]
+    return raw[begin : begin + size]
 
 
 @njit
@@ -214,18 +217,17 @@ def load(params: F64, state: F64, first: int, scratch: F64) -> None:
     own = params[first // LANES]
     for j in range(PARAMS * LANES):
         scratch[_P + j] = own[j]
-    for j in range(S_RING):
+    for j in range(state.shape[0]):
         for i in range(LANES):
             scratch[ROW_AT + j * LANES + i] = state[j, first + i]
 
 
 @njit
 def store(state: F64, first: int, scratch: F64) -> None:
-    """Bring its states back, but for the inputs of a step and the ring, which stay where they are."""
-    for j in range(S_CURSOR):
-        if j < S_COMMAND or j >= S_FORCE:
-            for i in range(LANES):
-                state[j, first + i] = scratch[ROW_AT + j * LANES + i]
+    """Bring its states back."""
+    for j in range(state.shape[0]):
+        for i in range(LANES):
+            state[j, first + i] = scratch[ROW_AT + j * LANES + i]
 
 
 @njit
@@ -240,38 +242,59 @@ def _near_ground(scratch: F64) -> bool:
 
 
 @njit_called
-def _each_alone(steps: tuple[int, int], params: F64, state: F64, first: int) -> None:
-    """`step_row` of each vehicle of a block; commands and normals are in the state."""
-    own, p, row = params[first // LANES], np.empty(PARAMS), np.empty(state.shape[0])
+def _each_alone(step: int, scratch: F64) -> None:
+    """`step_row`, at this address, of each vehicle of a block; commands and normals are in its state."""
+    fields = (scratch.shape[0] - ROW_AT) // LANES
+    p, row = np.empty(PARAMS), np.empty(fields)
     for i in range(LANES):
         for j in range(PARAMS):
-            p[j] = own[j * LANES + i]
-        for j in range(row.shape[0]):
-            row[j] = state[j, first + i]
-        call(steps[1], p, row, row.shape[0])
-        for j in range(row.shape[0]):
-            state[j, first + i] = row[j]
+            p[j] = scratch[_P + j * LANES + i]
+        for j in range(fields):
+            row[j] = scratch[ROW_AT + j * LANES + i]
+        call(step, p, row, fields)
+        for j in range(fields):
+            scratch[ROW_AT + j * LANES + i] = row[j]
 
 
 @njit_called
-def step_block(steps: tuple[int, int], params: F64, state: F64, first: int, normals: F64, k: int, scratch: F64) -> None:
+def _delay(scratch: F64) -> None:
+    """New commands into the ring and the targets that act now: `transport_delay` for all lanes, whose cursor is one."""
+    entries = (scratch.shape[0] - SCRATCH) // (4 * LANES)
+    cursor = int(scratch[ROW_AT + S_CURSOR * LANES]) + 1
+    if cursor >= entries:
+        cursor = 0
+    at, ring = SCRATCH + 4 * LANES * cursor, scratch[SCRATCH:]
+    for i in range(LANES):
+        scratch[ROW_AT + S_CURSOR * LANES + i] = cursor
+    for j in range(4 * LANES):
+        command = min(max(scratch[ROW_AT + S_COMMAND * LANES + j], 0.0), 1.0)
+        command = command if command == command else 0.0
+        scratch[ROW_AT + S_COMMAND * LANES + j] = scratch[at + j] = scratch[_TARGET + j] = command
+    for i in range(LANES):
+        steps = scratch[_P + D_DELAY_STEPS * LANES + i]
+        if steps == 0.0:
+            continue
+        whole = int(steps)
+        fraction = steps - whole
+        newer = cursor - whole + (entries if cursor < whole else 0)
+        older = newer - 1 if newer > 0 else entries - 1
+        for j in range(4):
+            new, old = ring[(4 * newer + j) * LANES + i], ring[(4 * older + j) * LANES + i]
+            scratch[_TARGET + j * LANES + i] = (1.0 - fraction) * new + fraction * old
+
+
+@njit_called
+def step_block(steps: tuple[int, int], first: int, normals: F64, k: int, scratch: F64) -> None:
     """One step of a loaded block with the commands in its state and the k-th of `normals` (N, steps, 5)."""
-    gusty, last = normals.shape[1] > 0, normals.shape[0] - 1
-    if gusty:
+    if normals.shape[1] > 0:
+        last = normals.shape[0] - 1
         for i in range(LANES):
             for j in range(turbulence.NORMALS):
-                drawn = normals[min(first + i, last), k, j]
-                state[S_NORMALS + j, first + i] = scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = drawn
+                scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = normals[min(first + i, last), k, j]
     if _near_ground(scratch):
-        store(state, first, scratch)
-        _each_alone(steps, params, state, first)
-        load(params, state, first, scratch)
+        _each_alone(steps[1], scratch)
         return
-    for i in range(LANES):
-        column, p = state[:, first + i], lane(scratch, _P + i)
-        transport_delay.push(column)
-        for j in range(4):
-            scratch[_TARGET + j * LANES + i] = transport_delay.delayed(p, column, j)
+    _delay(scratch)
     call(steps[0], scratch, scratch, 0)
 
 
@@ -284,9 +307,9 @@ def run_blocks(
     `steps`: `compiled_steps`; params (N / LANES, PARAMS * LANES), state (S_RING + ring, N); normals (vehicles, steps or
     0, 5).
     """
-    scratch = scratch_block()
+    scratch = scratch_block(state.shape[0])
     for at in range(first, last, LANES):
         load(params, state, at, scratch)
         for k in range(count):
-            step_block(steps, params, state, at, normals, k, scratch)
+            step_block(steps, at, normals, k, scratch)
         store(state, at, scratch)

@@ -167,10 +167,8 @@ class EstimatorModel:
     def step(self, pos_ned_m: F64, vel_ned_mps: F64, q_ned_frd: F64, misalignment_q: F64, accel_frd_mps2: F64) -> None:
         """Next sample of the errors on top of the truth -> `state`; `accel` is the measured specific force."""
         row = self.noise_row()
-        estimate(
-            pos_ned_m, vel_ned_mps, q_ned_frd, misalignment_q, accel_frd_mps2, _ZERO, self.noise, row, self.model,
-            self.state,
-        )  # fmt: skip
+        model = self.noise, row, self.model, self.state
+        estimate((pos_ned_m, vel_ned_mps, q_ned_frd, misalignment_q), (accel_frd_mps2, _ZERO), model)
         self.used()
 
     def jump_north(self, distance_m: float) -> None:
@@ -190,13 +188,13 @@ class EstimatorModel:
 
 
 @njit
-def estimate(
-    pos: F64, vel: F64, q: F64, tilt: F64, accel: F64, accel_noise: F64, noise: F64, row: int, model: F64, out: F64
-) -> None:  # fmt: skip
-    """One sample of one vehicle: the errors in `model` move on, truth and errors give `out` (13,).
+def estimate(true: tuple[F64, F64, F64, F64], felt: tuple[F64, F64], estimator: tuple[F64, int, F64, F64]) -> None:
+    """One sample of one vehicle: the errors in the model move on, truth and errors give the state (13,).
 
-    `accel_noise` (3,): what of `accel` is noise, which a Kalman filter integrates.
+    true: position, velocity, attitude, misalignment; felt: the accelerometer's mean and what of it is noise, which a
+    Kalman filter integrates; estimator: noise, its row, model, state.
     """
+    (pos, vel, q, tilt), (accel, accel_noise), (noise, row, model, out) = true, felt, estimator
     error = model[_ERROR]
     for i in range(9):
         error[i] = model[_DECAY, i] * error[i] + model[_DRIVE, i] * noise[row, i]

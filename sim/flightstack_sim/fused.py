@@ -36,22 +36,11 @@ class FusedRun:
             count = min(steps, len(normals)) if len(normals) else steps
             estimator = sensors.estimator
             _run(
-                count,
-                rate.row,
-                plant.params_row,
-                plant.state_row,
-                normals,
-                plant.gyro_bias_frd_radps,
-                plant.accel_bias_frd_mps2,
-                plant.misalignment_q,
-                sensors.noise,
-                sensors.noise_row(),
-                sensors.imu,
-                estimator.noise,
-                estimator.noise_row(),
-                estimator.model,
-                estimator.state,
-            )
+                count, rate.row, plant.params_row, plant.state_row, normals,
+                (plant.gyro_bias_frd_radps, plant.accel_bias_frd_mps2, plant.misalignment_q),
+                (sensors.noise, sensors.noise_row(), sensors.imu),
+                (estimator.noise, estimator.noise_row(), estimator.model, estimator.state),
+            )  # fmt: skip
             plant.t_us += count * plant.dt_us
             sensors.sampled(plant, count)
             steps -= count
@@ -59,22 +48,14 @@ class FusedRun:
 
 @njit
 def _run(
-    steps: int,
-    loop: F64,
-    params: F64,
-    row: F64,
-    normals: F64,
-    gyro_bias: F64,
-    accel_bias: F64,
-    misalignment: F64,
-    noise: F64,
-    noise_row: int,
-    imu: F64,
-    estimator_noise: F64,
-    estimator_row: int,
-    model: F64,
-    estimate: F64,
-) -> None:
+    steps: int, loop: F64, params: F64, row: F64, normals: F64, errors: tuple[F64, F64, F64],
+    sensors: tuple[F64, int, F64], estimator: tuple[F64, int, F64, F64],
+) -> None:  # fmt: skip
+    noise, noise_row, imu = sensors
+    true = (
+        row[S_RATE : S_RATE + 3], row[S_FORCE : S_FORCE + 3], row[S_POS : S_POS + 3], row[S_VEL : S_VEL + 3],
+        row[S_Q : S_Q + 4],
+    )  # fmt: skip
     work, motors = np.empty((3, EVALUATED)), motors_of(loop)
     for k in range(steps):
         rate_step(imu[GYRO : GYRO + 3], loop)
@@ -84,20 +65,4 @@ def _run(
             for i in range(turbulence.NORMALS):
                 row[S_NORMALS + i] = normals[k, 0, i]
         step_row(params, row, work)
-        sense(
-            row[S_RATE : S_RATE + 3],
-            row[S_FORCE : S_FORCE + 3],
-            row[S_POS : S_POS + 3],
-            row[S_VEL : S_VEL + 3],
-            row[S_Q : S_Q + 4],
-            gyro_bias,
-            accel_bias,
-            misalignment,
-            noise,
-            noise_row + k,
-            imu,
-            estimator_noise,
-            estimator_row,
-            model,
-            estimate,
-        )
+        sense(true, errors, (noise, noise_row + k, imu), estimator)

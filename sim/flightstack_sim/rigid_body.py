@@ -85,11 +85,11 @@ def _rotor_thrust(p: F64, rotor: int, curve_n: float, sag: float, hub_air: Vec, 
 
 @njit
 def _rotor(
-    p: F64, i: int, height: float, speed: float, sag: float, air: Vec, rate: Vec, down: Vec, out: F64
+    p: F64, i: int, height: float, speed: float, sag: float, motion: tuple[Vec, Vec, Vec], out: F64
 ) -> tuple[Vec, Vec, float]:
     """Force (N), torque (N m), both FRD, and angular momentum (N m s) of one rotor; its thrust goes to `out`."""
     ax, ay, az = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1], p[D_ARM + 3 * i + 2]
-    wx, wy, wz = rate
+    air, (wx, wy, wz), down = motion
     hub_air = (air[0] + wy * az - wz * ay, air[1] + wz * ax - wx * az, air[2] + wx * ay - wy * ax)
     hub_height = height - (down[0] * ax + down[1] * ay + down[2] * az)
     thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * speed * speed, sag, hub_air, hub_height)
@@ -111,10 +111,11 @@ def _rotors(p: F64, y: F64, speeds: Quad, sag: float, air: Vec, down: Vec, out: 
     """Force (N) and torque (N m) of the four rotors, FRD; `speeds` are shares of the greatest."""
     height = -y[S_POS + 2]
     rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
-    f1, t1, h1 = _rotor(p, 0, height, speeds[M1], sag, air, rate, down, out)
-    f2, t2, h2 = _rotor(p, 1, height, speeds[M2], sag, air, rate, down, out)
-    f3, t3, h3 = _rotor(p, 2, height, speeds[M3], sag, air, rate, down, out)
-    f4, t4, h4 = _rotor(p, 3, height, speeds[M4], sag, air, rate, down, out)
+    motion = air, rate, down
+    f1, t1, h1 = _rotor(p, 0, height, speeds[M1], sag, motion, out)
+    f2, t2, h2 = _rotor(p, 1, height, speeds[M2], sag, motion, out)
+    f3, t3, h3 = _rotor(p, 2, height, speeds[M3], sag, motion, out)
+    f4, t4, h4 = _rotor(p, 3, height, speeds[M4], sag, motion, out)
     turn = rotor_gyroscopic.torque(h1 + h2 + h3 + h4, rate[0], rate[1])
     force = (f1[0] + f2[0] + f3[0] + f4[0], f1[1] + f2[1] + f3[1] + f4[1], f1[2] + f2[2] + f3[2] + f4[2])
     torque = (

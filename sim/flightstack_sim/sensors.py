@@ -112,21 +112,10 @@ class Sensors:
         """Sample the plant's present state; call once a millisecond."""
         estimator = self.estimator
         sense(
-            plant.rate_frd_radps,
-            plant.specific_force_frd_mps2,
-            plant.pos_ned_m,
-            plant.vel_ned_mps,
-            plant.q_ned_frd,
-            plant.gyro_bias_frd_radps,
-            plant.accel_bias_frd_mps2,
-            plant.misalignment_q,
-            self.noise,
-            self.noise_row(),
-            self.imu,
-            estimator.noise,
-            estimator.noise_row(),
-            estimator.model,
-            estimator.state,
+            (plant.rate_frd_radps, plant.specific_force_frd_mps2, plant.pos_ned_m, plant.vel_ned_mps, plant.q_ned_frd),
+            (plant.gyro_bias_frd_radps, plant.accel_bias_frd_mps2, plant.misalignment_q),
+            (self.noise, self.noise_row(), self.imu),
+            (estimator.noise, estimator.noise_row(), estimator.model, estimator.state),
         )
         self.sampled(plant, 1)
 
@@ -248,23 +237,15 @@ class _BiasEstimate:
 
 @njit
 def sense(
-    rate: F64,
-    force: F64,
-    pos: F64,
-    vel: F64,
-    q: F64,
-    gyro_bias: F64,
-    accel_bias: F64,
-    misalignment: F64,
-    noise: F64,
-    row: int,
-    imu: F64,
-    estimator_noise: F64,
-    estimator_row: int,
-    model: F64,
-    state: F64,
-) -> None:
-    """One millisecond of sensors: an IMU sample, and with every fourth the means and the next estimate."""
+    true: tuple[F64, F64, F64, F64, F64], errors: tuple[F64, F64, F64], sensors: tuple[F64, int, F64],
+    estimator: tuple[F64, int, F64, F64],
+) -> None:  # fmt: skip
+    """One millisecond of sensors: an IMU sample, and with every fourth the means and the next estimate.
+
+    true: body rates, specific force, position, velocity, attitude; errors: biases of gyro and accelerometer,
+    misalignment; sensors: noise, its row, the IMU's numbers; estimator: noise, its row, model, state.
+    """
+    (rate, force, pos, vel, q), (gyro_bias, accel_bias, misalignment), (noise, row, imu) = true, errors, sensors
     for i in range(3):
         imu[GYRO + i] = rate[i] + gyro_bias[i] + noise[row, i]
         imu[_ACCEL + i] = force[i] + accel_bias[i] + noise[row, 3 + i]
@@ -287,4 +268,4 @@ def sense(
             imu[_RAW_ACCEL + i] = imu[_MEAN_ACCEL + i]
             imu[_MEAN_ACCEL + i] -= imu[_BIAS + i]
         mean_accel, accel_noise = imu[_MEAN_ACCEL : _MEAN_ACCEL + 3], imu[_LAST_NOISE + 3 : _LAST_NOISE + 6]
-        estimate(pos, vel, q, misalignment, mean_accel, accel_noise, estimator_noise, estimator_row, model, state)
+        estimate((pos, vel, q, misalignment), (mean_accel, accel_noise), estimator)

@@ -299,6 +299,57 @@ def test_a_governor_of_another_vehicle_is_refused(flown: Flown, key: str, share:
         checker._check_frame(stated | {key: (share * np.array(stated[key])).tolist()}, doubts, believed)
     with pytest.raises(Refused, match="rotor_lag_s"):
         checker._check_frame(stated, doubts | {"rotor_lag_s": 0.0}, believed)
+    with pytest.raises(Refused, match="damping_nms"):
+        checker._check_frame(stated | {"damping_nms": [1e-3, 1e-3, 1e-3]}, doubts, believed)
+
+
+@pytest.mark.parametrize("name", ["quad-x", "px4-sihsim-quadx", "f450"])
+@pytest.mark.parametrize(
+    "effects",
+    [{}, {"motor_lag": {"time_constant_s": 0.06}}, {"payload": {"mass_kg": 0.3}, "inertia": {"scale_x": 1.3}}],
+    ids=["plain", "slow", "heavy"],
+)
+def test_an_autopilot_that_the_file_does_not_mean_is_refused(name: str, effects: dict[str, Any]) -> None:
+    """Gentler gains, wider limits, a rate loop that answers at once: torque and turning count on them;
+    the maker's own figures are the oracle of those that are accepted."""
+    from flightstack.autopilot import autopilot_of
+    from flightstack.certificate_check.autopilot import check_autopilot
+    from flightstack.certificate_check.reading import Refused
+    from flightstack.cli.files import load_vehicle
+    from flightstack.model import Model
+    from flightstack.vehicle import vehicle_to_toml, with_effects
+
+    vehicle = with_effects(load_vehicle(name)[0], effects)
+    file, gains, lag_s = (
+        tomllib.loads(vehicle_to_toml(vehicle)),
+        autopilot_of(vehicle),
+        Model.from_vehicle(vehicle).rate_lag_s,
+    )
+    north = {"axis": "north", "response": {"c1_s": 0.15, "c2_s2": 0.15 * lag_s}}
+    check_autopilot({"autopilot": gains}, [north], file)
+    for key, value in gains.items():
+        with pytest.raises(Refused, match=key):
+            check_autopilot({"autopilot": gains | {key: 0.8 * value + 0.011}}, [north], file)
+    north["response"] = {"c1_s": 0.15, "c2_s2": 0.14 * lag_s}
+    with pytest.raises(Refused, match="c2_s2"):
+        check_autopilot({"autopilot": gains}, [north], file)
+
+
+def test_a_gyro_without_noise_is_refused_from_the_file_alone(flown: Flown) -> None:
+    from flightstack.certificate_check.autopilot import check_gyro
+    from flightstack.certificate_check.reading import Refused
+    from flightstack_sim.grade import load_grade
+
+    for grade in ("mocap", "gps", "px4-sih", "px4-sih-ekf"):
+        density = load_grade(grade).imu.gyro_noise_radps_rthz
+        check_gyro(density, grade)
+        with pytest.raises(Refused, match="gyro_noise"):
+            check_gyro((density[0], 0.9 * density[1], density[2]), grade)
+    data = json.loads(flown.text)
+    data["governor"]["vehicle"]["gyro_noise_radps_rthz"] = [0.0, 0.0, 0.0]  # stated noise may be more than its source
+    verdict = check(resealed(data))
+    assert not verdict.valid
+    assert "gyro_noise" in verdict.lines[-1]
 
 
 def test_a_log_whose_rates_do_not_turn_it_is_refused(flown: Flown) -> None:

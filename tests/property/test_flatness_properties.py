@@ -40,8 +40,8 @@ def test_there_and_back_gives_acceleration_jerk_yaw_and_yaw_rate(
     assume(thrust_axis[2] > 0.5)  # upright: nothing is left to the hint
     body = to_body(flat, mass_kg=mass, drag_kgps=drag, learned_acc_ned_mps2=learned, learned_jerk_ned_mps3=learned_rate)
     back = to_flat(
-        body.q_ned_frd, body.rate_frd_radps, body.thrust_n, mass_kg=mass, thrust_rate_nps=body.thrust_rate_nps,
-        vel_ned_mps=flat.vel_ned_mps, drag_kgps=drag, learned_acc_ned_mps2=learned, learned_jerk_ned_mps3=learned_rate,
+        body, mass_kg=mass, vel_ned_mps=flat.vel_ned_mps, drag_kgps=drag, learned_acc_ned_mps2=learned,
+        learned_jerk_ned_mps3=learned_rate,
     )  # fmt: skip
     assume(abs(quat_to_matrix(body.q_ned_frd)[2, 0]) < 0.999)
     np.testing.assert_allclose(back.acc_ned_mps2, flat.acc_ned_mps2, atol=1e-9)

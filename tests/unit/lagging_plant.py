@@ -6,6 +6,7 @@ import math
 from collections import deque
 
 import numpy as np
+from measured import measured
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
@@ -62,9 +63,7 @@ class Plant:
         return np.array([0.0, 0.0, G]) + self.push - force * quat_to_matrix(self.q)[:, 2]
 
     def measurement(self) -> Measurement:
-        return Measurement.of(
-            self.t_us, self.pos, self.vel, self.q, self.rate, np.zeros(3), np.full(4, np.nan), 0, 0, 0
-        )
+        return measured(self.t_us, self.pos, self.vel, self.q, self.rate, np.zeros(3), np.full(4, np.nan), 0, 0, 0)
 
 
 def authority(low: float, high: float, error: float, offset: float = 0.0, gain: float = 0.0) -> Authority:

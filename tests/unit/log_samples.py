@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from measured import measured
 
-from flightstack.types import Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.types import Command, FlatOutput, Learned, Proposal, TickRecord
 from flightstack_logs.topics import Field, Kind, Topic
 
 
@@ -55,7 +56,7 @@ def tick_record(t_us: int, pos_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.
     rng = np.random.default_rng(t_us)
     three = [rng.normal(size=3) for _ in range(16)]
     reference = FlatOutput.of(three[0], three[1], three[2], three[3], three[4], 0.1, 0.2)
-    measurement = Measurement.of(
+    measurement = measured(
         t_us, np.array(pos_ned_m), three[5], np.array([1.0, 0.0, 0.0, 0.0]), three[6], three[7], rng.uniform(size=4),
         4000, 8000, 0,
     )  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from companions import MODEL
+from measured import measured
 
 from flightstack.applied import Applied
 from flightstack.seams import NoLearner
@@ -103,7 +104,7 @@ def test_the_learner_is_given_what_was_applied(reported: bool) -> None:
         motors = np.full(4, math.nan)
         if reported and commands:
             motors = _motors(commands[-1].thrust_norm, 1.25)
-        measurement = Measurement.of(
+        measurement = measured(
             now_us, place.pos_ned_m, zero, np.array([1.0, 0.0, 0.0, 0.0]), zero, np.array([0.0, 0.0, -9.80665]), motors,
             4000, 4000, 4000,
         )  # fmt: skip

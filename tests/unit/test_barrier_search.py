@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from barriers import h
+from measured import measured
 
 from flightstack.barrier.condition import Setting, interval
 from flightstack.barrier.design import SafeSet
@@ -83,7 +84,7 @@ REGION = Region("axes", (0.0, 0.0, -1.5), (2.0, 1.5, 1.0), (1.8, 1.8, 0.9))
 
 
 def at(t_s: float, north_m: float, north_mps: float) -> Measurement:
-    return Measurement.of(
+    return measured(
         int(1e6 * t_s), np.array([north_m, 0.0, -1.5]), np.array([north_mps, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]),
         np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0,
     )  # fmt: skip

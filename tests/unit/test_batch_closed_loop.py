@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured import measured
 
 from flightstack.control.feedback import FlatnessController
 from flightstack.errors import InputError
 from flightstack.model import Limiter, Limits, Model
 from flightstack.trajectory import sinusoid
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
+from flightstack.types import F64, Command, FlatOutput, Learned
 from flightstack.vehicle import Vehicle, parse_vehicle, scaled, with_effects
 from flightstack_sim.autopilot.flight_control import airframe_params
 from flightstack_sim.autopilot.rate_control import RateControl
@@ -52,7 +53,7 @@ def _alone(truth: Vehicle, seed: int, reference: F64) -> NativePlant:
     rates, state = RateControl(believed, airframe_params(believed)), controller.init(0)
     sent, nothing = Command(0, 0.0, 0.0, np.zeros(3)), Learned.nothing()
     for row in reference:
-        seen = Measurement.of(
+        seen = measured(
             plant.t_us, plant.pos_ned_m, plant.vel_ned_mps, plant.q_ned_frd, plant.rate_frd_radps, np.zeros(3),
             np.zeros(4), 0, 0, 0,
         )  # fmt: skip

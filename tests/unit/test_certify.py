@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_certificates import axis_of, certificate_of
+from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from flightstack.barrier import viability
@@ -58,7 +59,7 @@ def test_the_worst_speed_of_the_region_counts() -> None:
 
 def _record(mission: Mission, t_s: float) -> TickRecord:
     reference = mission.reference(t_s)
-    still = Measurement.of(
+    still = measured(
         round(1e6 * t_s), reference.pos_ned_m, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3),
         np.full(4, np.nan), 0, 0, 0,
     )  # fmt: skip

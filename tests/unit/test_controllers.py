@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measured import measured as measured_at
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
@@ -37,7 +38,7 @@ G = 9.80665
 def seen(t_us: int = 0, **changes: object) -> Measurement:
     """Hovering at POINT."""
     still = np.zeros(3)
-    at = Measurement.of(
+    at = measured_at(
         t_us, POINT.pos_ned_m, still, np.array([1.0, 0.0, 0.0, 0.0]), still, np.array([0.0, 0.0, -G]), np.zeros(4),
         0, 0, 0,
     )  # fmt: skip

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from flightstack.flatness import to_body, to_flat
+from flightstack.flatness import BodyMotion, to_body, to_flat
 from flightstack.frames import euler_from_quat, quat_from_euler, quat_to_matrix
 from flightstack.trajectory import sinusoid
 from flightstack.types import F64, FlatOutput
@@ -138,6 +138,7 @@ def test_free_fall_asks_for_no_thrust_no_rotation_and_the_present_thrust_axis() 
 
 
 def test_the_way_back_reads_yaw_and_its_rate_from_a_turning_body() -> None:
-    flat = to_flat(quat_from_euler(0.1, 0.2, 1.5), np.array([0.0, 0.0, 0.5]), 9.0, mass_kg=1.0)
+    turning = BodyMotion(9.0, 0.0, quat_from_euler(0.1, 0.2, 1.5), np.array([0.0, 0.0, 0.5]), np.zeros(3))
+    flat = to_flat(turning, mass_kg=1.0)
     assert flat.yaw_rad == pytest.approx(1.5)
     assert flat.yaw_rate_radps == pytest.approx(0.5 * math.cos(0.1) / math.cos(0.2))

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
-from flightstack.gap.classes import confused_with, poorly_told
+from flightstack.gap.classes import confused_with, doubled, poorly_told
 from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
 from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.design import linearise
@@ -87,6 +87,27 @@ def test_no_steady_wind_goes_through_the_ground(down_mps: float, proxy: bool) ->
     blows = {name: Estimate(0.0, x, x, x) for name, x in air_mps.items()}
     wind = Found("steady_wind", blows, -50.0, 0.1, 1e-9)
     assert proxies(quad(), [wind, found("payload")], {}) == (("steady_wind",) if proxy else ())
+
+
+@pytest.mark.parametrize(("mass_kg", "down_n", "gone"), [(0.47, -3.4, True), (0.47, 3.4, False), (-0.2, 1.5, True)])
+def test_a_force_that_holds_up_what_was_named_as_weight_is_none(mass_kg: float, down_n: float, gone: bool) -> None:
+    """Seen on a 50 Hz log: noise on commands looks like a weight of 4.6 N and a force of 3.4 N that holds it up."""
+    values = {"north_n": 0.0, "east_n": 0.0, "down_n": down_n}
+    force = {p: Estimate(0.0, x, x - 0.1, x + 0.1) for p, x in values.items()}
+    weight = {"mass_kg": Estimate(0.0, mass_kg, mass_kg - 0.1, mass_kg + 0.1)}
+    names = [Found("payload", weight, -50.0, 0.1, 1e-9), Found("constant_force", force, -50.0, 0.1, 1e-9)]
+    assert doubled(names) == (("constant_force",) if gone else ())
+    assert doubled(names[1:]) == ()
+
+
+def test_of_two_names_that_are_each_other_s_twin_the_stronger_stays() -> None:
+    fault, shift = found("payload"), found("rotor_drag")
+    twins = [
+        replace(fault, indistinguishable_from=("rotor_drag",)),
+        replace(shift, indistinguishable_from=("payload",)),
+    ]
+    assert doubled(twins) == ("rotor_drag",)
+    assert doubled([twins[0], shift]) == ()
 
 
 def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model() -> None:

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap import pooled
+from flightstack.gap.name import name
+from tests import gap_flights
 from tests.gap_hidden import flights, named
 from tests.unit.test_gap_name_vehicle import KINDS, check_found
 
 
 @pytest.mark.parametrize(
-    "effect", [name for name, spec in EFFECT_SPECS.items() if spec.kind not in KINDS and name != "turbulence"]
+    "effect", [each for each, spec in EFFECT_SPECS.items() if spec.kind not in KINDS and each != "turbulence"]
 )
 def test_a_hidden_effect_is_found(effect: str) -> None:
     check_found(effect)
@@ -36,3 +39,15 @@ def test_a_jet_of_air_in_one_place_is_unexplained_and_depends_on_the_position() 
     assert verdict.found == ()
     assert verdict.unexplained.significant
     assert "position" in verdict.unexplained.depends_on
+
+
+def test_a_steady_forces_interval_knows_of_the_sensors_own_slow_errors() -> None:
+    """An accelerometer that is off by some mm/s^2 for the whole flight looks like a force; missed by 3 before."""
+    force = {"north_n": 0.3, "east_n": -0.4, "down_n": 0.2}
+    truth = gap_flights.hidden(gap_flights.quad(), {"constant_force": force})
+    flown = gap_flights.fly(truth, gap_flights.quad(), gap_flights.wander(seed=2), seconds=30.0, seed=2)
+    of = pooled.split([gap_flights.as_samples(flown)], [])
+    (found,) = name(gap_flights.quad(), of.flights, of.fit, of.holdout).found
+    assert found.name == "constant_force"
+    off = [abs(e.estimate - force[p]) / (0.5 * (e.high - e.low)) for p, e in found.parameters.items()]
+    assert max(off) < 1.5  # three standard errors

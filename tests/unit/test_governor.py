@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured import measured
 from shipped import load_vehicle
 
 from flightstack.barrier.torque import governor_terms
@@ -15,7 +16,7 @@ from flightstack.guard import Guard
 from flightstack.model import Limits, Model
 from flightstack.seams import NoFilter
 from flightstack.stack import Stack
-from flightstack.types import F64, Command, FlatOutput, Measurement
+from flightstack.types import F64, Command, FlatOutput
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
@@ -149,7 +150,7 @@ def test_the_guards_brake_is_governed_too() -> None:
     model, limits = Model.from_vehicle(QUAD), Limits()
     tilt = math.radians(150.0)
     q = np.array([math.cos(0.5 * tilt), math.sin(0.5 * tilt), 0.0, 0.0])
-    seen = Measurement.of(4000, np.zeros(3), np.zeros(3), q, np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0)
+    seen = measured(4000, np.zeros(3), np.zeros(3), q, np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0)
     rest = FlatOutput.of(*([np.zeros(3)] * 5))
     brake, name = Guard(model, limits).check(Command(4000, 10.0, 0.6, np.zeros(3)), seen, np.zeros(3), 10.0, 4000)
     assert name == "brake: tilt"

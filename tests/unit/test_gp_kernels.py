@@ -77,7 +77,7 @@ def test_the_rate_along_a_motion_is_the_slope_of_the_covariance(
     flat, points, step = kernel.program(4), np.ascontiguousarray(X.T), 1e-6
     x, rate = np.array([0.3, -0.2, 0.9, -1.1]), np.array([1.0, -2.0, 0.5, 3.0])
     work, value, slope = np.empty((program.WORK_ROWS, len(X))), np.empty(len(X)), np.empty(len(X))
-    program.row(flat.ints, flat.floats, points, len(X), x, rate, work, value, slope, True)
+    program.row((flat.ints, flat.floats), points, len(X), (x, rate), work, (value, slope), True)
     ahead, behind = oracle((x + step * rate)[None], X)[0], oracle((x - step * rate)[None], X)[0]
     np.testing.assert_allclose(value, oracle(x[None], X)[0], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-6, atol=1e-8)
@@ -101,7 +101,7 @@ def test_a_motion_through_a_held_point_has_finite_rates() -> None:
     for nu in (0.5, 1.5, 2.5):
         flat, points = Matern(nu, 1.0, 1.0).program(4), np.ascontiguousarray(X.T)
         work, value, slope = np.empty((program.WORK_ROWS, len(X))), np.empty(len(X)), np.empty(len(X))
-        program.row(flat.ints, flat.floats, points, len(X), X[4], np.ones(4), work, value, slope, True)
+        program.row((flat.ints, flat.floats), points, len(X), (X[4], np.ones(4)), work, (value, slope), True)
         assert value[4] == 1.0
         assert slope[4] == 0.0
         assert np.isfinite(slope).all()

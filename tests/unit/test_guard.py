@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from measured import measured
 from scipy.spatial.transform import Rotation
 from shipped import load_vehicle
 
@@ -22,7 +23,7 @@ LIMITS = Limits(radius_m=10.0, height_m=8.0)
 GUARD = Guard(MODEL, LIMITS)
 LOW, HIGH = MODEL.thrust_range_n(LIMITS)
 ORIGIN = np.zeros(3)
-GOOD = Measurement.of(
+GOOD = measured(
     t_us=1000, pos_ned_m=np.array([1.0, 1.0, -2.0]), vel_ned_mps=np.zeros(3), q_ned_frd=quat_from_euler(0.1, 0.0, 0.5),
     rate_frd_radps=np.zeros(3), specific_force_frd_mps2=np.zeros(3), motor_command=np.full(4, math.nan),
     position_age_us=4000, attitude_age_us=4000, imu_age_us=4000,
@@ -56,7 +57,7 @@ AGES = st.integers(-(10**12), 10**12)
     st.one_of(
         st.none(),
         st.builds(
-            Measurement.of, AGES, ANY3, ANY3, QUATERNION, ANY3, ANY3, arrays(np.float64, 4, elements=ANY),
+            measured, AGES, ANY3, ANY3, QUATERNION, ANY3, ANY3, arrays(np.float64, 4, elements=ANY),
             *[st.one_of(AGES, st.integers(0, 10_000))] * 3,
         ),
     ),

@@ -7,6 +7,7 @@ import functools
 
 import numpy as np
 import pytest
+from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from flightstack.cli.closed_loop import ClosedLoopFlight, fly
@@ -179,7 +180,7 @@ def test_held_by_a_hand_and_let_go_it_recovers() -> None:
 def measurement(t_us: int, force_frd: F64, pos: F64, age_us: int = 0) -> Measurement:
     zero = np.zeros(3)
     upright = np.array([1.0, 0.0, 0.0, 0.0])
-    return Measurement.of(t_us, pos, zero, upright, zero, force_frd, np.full(4, np.nan), 0, 0, age_us)
+    return measured(t_us, pos, zero, upright, zero, force_frd, np.full(4, np.nan), 0, 0, age_us)
 
 
 class Hover:

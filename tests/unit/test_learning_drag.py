@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measured import measured as measured_at
 from scipy.spatial.transform import Rotation
 from shipped import load_vehicle
 
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Model
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement
+from flightstack.types import F64, Command, FlatOutput, Learned
 
 G = 9.80665
 BELIEVED_PER_S = 1.0
@@ -59,7 +60,7 @@ def flown(drag_per_s: float, gain: float, seconds: float = 30.0) -> Learned:
         x, y, z, w = turn.as_quat()
         measured = turn.inv().apply(acc - down) + rng.normal(scale=0.05, size=3)
         t_us = 1_000_000 + round(1e6 * STEP_S * k)
-        measurement = Measurement.of(t_us, pos, vel, np.array([w, x, y, z]), np.zeros(3), measured, nan, 0, 0, 0)
+        measurement = measured_at(t_us, pos, vel, np.array([w, x, y, z]), np.zeros(3), measured, nan, 0, 0, 0)
         thrust_n = size / gain * model.mass_kg
         sent = Command(t_us - 4_000, thrust_n, model.norm_of(thrust_n), np.zeros(3))
         reference = FlatOutput.of(pos, vel, acc, jerk, np.zeros(3))

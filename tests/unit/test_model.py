@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from scipy import signal
 from shipped import load_vehicle
 
+from flightstack.gap.evaluated import evaluate_at
+from flightstack.gap.simulate import params_row
 from flightstack.model import MC_RATE_D, MC_RATE_P, Limiter, Limits, Model, thrust_to_norm
 from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle, scaled, with_effects
@@ -62,8 +64,26 @@ def test_effects_that_the_model_can_express_are_in_its_numbers_and_the_others_ar
     assert model.max_thrust_n == pytest.approx(0.9 * 26.4)
     assert model.thrust_model_factor == 0.4
     assert (model.motor_lag_s, model.transport_delay_s) == (0.05, 0.01)
-    assert model.drag_kgps == (0.2, 0.3, 0.4)
-    assert model.left_to_learner == ("com_offset", "rotor_drag")
+    across = 1e-4 * 4.0 * vehicle.rotors.max_speed_radps * math.sqrt(1.5 * 9.80665 / (0.9 * 26.4))
+    assert model.drag_kgps == pytest.approx((0.2 + across, 0.3 + across, 0.4))
+    assert model.left_to_learner == ("com_offset",)
+
+
+def test_the_rotors_drag_in_hover_is_what_the_plant_feels() -> None:
+    """The simulator's specific force at hover's command, at 2 m/s along each axis less that at rest."""
+    effects = {"rotor_drag": {"k_d_kg_per_rad": 2e-4}, "induced_inflow": {"k_z_kg_per_rad": 3e-4}}
+    vehicle = with_effects(load_vehicle("quad-x"), effects)
+    model = Model.from_vehicle(vehicle)
+    vel, level = np.vstack([np.zeros(3), 2.0 * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    u, load, out = (
+        np.full((4, 4), model.hover_norm),
+        np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (4, 1)),
+        np.empty((4, 6, 1)),
+    )
+    row = params_row(vehicle, 0.001)[None]
+    evaluate_at(row, np.tile([0.0, 0.0, -50.0], (4, 1)), vel, level, np.zeros((4, 3)), u, load, np.zeros(4), out)
+    felt = np.diag(out[1:, :3, 0] - out[0, :3, 0])
+    assert felt == pytest.approx(-2.0 * np.array(model.drag_kgps) / model.mass_kg, rel=1e-6)
 
 
 def test_the_rate_lag_of_px4s_own_simulator_follows_from_its_measured_torque() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from benchmarks.oracle import Oracle
@@ -11,14 +12,14 @@ from flightstack.cli.closed_loop import fly
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack
 from flightstack.trajectory import Sinusoid, figure8, hover
-from flightstack.types import Command, FlatOutput, Learned, Measurement
+from flightstack.types import Command, FlatOutput, Learned
 from flightstack.vehicle import Vehicle, scaled, with_effects
 from flightstack_sim.plant import NativePlant
 
 BELIEVED = load_vehicle("quad-x")
 PATH = figure8(length_m=3.0, width_m=1.5, period_s=5.0, height_m=2.0)
 STILL = hover((0.0, 0.0, -2.0))
-NOW = Measurement.of(
+NOW = measured(
     0, np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0
 )
 SENT = Command(0, 0.0, 0.0, np.zeros(3))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured import measured as measured_at
 
 from flightstack.barrier.estimate_bounds import BENCH, does_not_fit, estimate_bounds
 from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, is_inside, watch, watched
@@ -38,7 +39,7 @@ def measured(**changes: Any) -> Measurement:
         "position_age_us": 4000, "attitude_age_us": 2000, "imu_age_us": 1000,
     }  # fmt: skip
     battery_v = changes.pop("battery_v", 15.0)
-    made = Measurement.of(**(given | changes))
+    made = measured_at(**(given | changes))
     made.battery_v = battery_v
     return made
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measured import measured as measured_at
 
 from flightstack.barrier.published import Basis, certificate, with_mu
 from flightstack.barrier.published_filter import LinearConstraint, PublishedFilter, nearest
@@ -30,7 +31,7 @@ ORIGIN = np.array([1.0, 2.0, 3.0])
 def measured(t_us: int, e: F64, vel: F64, q: F64 = LEVEL) -> Measurement:
     """At e from the region's centre."""
     pos = ORIGIN + np.array(REGION.centre_ned_m) + e
-    return Measurement.of(t_us, pos, vel, q, np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0)
+    return measured_at(t_us, pos, vel, q, np.zeros(3), np.zeros(3), np.full(4, np.nan), 0, 0, 0)
 
 
 def wanted(thrust_n: float) -> Command:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lagging_plant import G, Plant, authority, certificate, crossed
+from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from flightstack.barrier.condition import Setting
@@ -216,7 +217,7 @@ def test_the_published_form_ratchets_out_and_the_cross_term_does_not(dt_us, prin
 
 
 def at(pos: tuple[float, float, float] = (0, 0, 0), vel: tuple[float, float, float] = (0, 0, 0)) -> Measurement:
-    return Measurement.of(
+    return measured(
         0, np.array(pos, float), np.array(vel, float), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3),
         np.full(4, np.nan), 0, 0, 0,
     )  # fmt: skip

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from measured import measured as measured_at
 from scipy.spatial.transform import Rotation
 from shipped import load_vehicle
 
@@ -30,7 +31,7 @@ def quaternion(rotation: Rotation) -> F64:
 def seen(
     t_us: int, rotation: Rotation, force_frd: F64, vel: F64, *, down: float = -2.0, imu_age: int = 0
 ) -> Measurement:
-    return Measurement.of(
+    return measured_at(
         t_us, np.array([0.0, 0.0, down]), vel, quaternion(rotation), np.zeros(3), force_frd, np.full(4, np.nan),
         0, 0, imu_age,
     )  # fmt: skip

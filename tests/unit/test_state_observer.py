@@ -10,11 +10,12 @@ import math
 
 import numpy as np
 import pytest
+from measured import measured as measured_at
 
 from flightstack.barrier.estimate_bounds import K_SIGMA, estimate_bounds
 from flightstack.cli.sensors import error_statistics
 from flightstack.state_observer import StateObserver, steady
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_sim.estimator import EstimatorModel
 from flightstack_sim.grade import load_grade
 
@@ -50,7 +51,7 @@ def errors(grade_name: str, seed: int, seconds: float, *, observed: bool = True)
         q = model.state[6:10].copy()
         vel_now = sample[3:] + age * acc
         pos_now = sample[:3] + age * sample[3:] + 0.5 * age * age * acc
-        measured = Measurement.of(
+        measured = measured_at(
             now_us, pos_now, vel_now, q, np.zeros(3), force, np.full(4, math.nan), now_us - sample_us, 0, 0
         )
         seen = observer.refine(measured) if observed else measured
@@ -97,7 +98,7 @@ def test_a_jump_or_a_gap_begins_anew() -> None:
 
     def seen(t_us: int, north_m: float) -> float:
         pos = np.array([north_m, 0.0, 0.0])
-        measured = Measurement.of(t_us, pos, np.zeros(3), LEVEL, np.zeros(3), still, np.full(4, math.nan), 0, 0, 0)
+        measured = measured_at(t_us, pos, np.zeros(3), LEVEL, np.zeros(3), still, np.full(4, math.nan), 0, 0, 0)
         return float(observer.refine(measured).pos_ned_m[0])
 
     for k in range(500):

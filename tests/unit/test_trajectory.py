@@ -172,7 +172,7 @@ def test_a_polynomial_path_of_many_waypoints_is_still_exact() -> None:
 
 def nominal(correction: F64, pole: float, pos: F64, vel: F64, dt: float, limit: float = 100.0) -> tuple[F64, F64]:
     acc, jerk, zero = np.empty(3), np.empty(3), np.zeros(3)
-    nominal_step(correction, np.full(3, pole), np.full(3, limit), (zero, zero, zero, zero), pos, vel, dt, acc, jerk)
+    nominal_step(correction, np.full(3, pole), np.full(3, limit), (zero, zero, zero, zero), (pos, vel), dt, acc, jerk)
     return acc, jerk
 
 

@@ -15,7 +15,7 @@ from flightstack_logs.turn import continuous
 
 GRID_HZ = (125.0, 250.0)
 """The grid's rate is the fastest of IMU, attitude and motors, kept within these."""
-_MOTORS_HZ = 80.0
+_MOTORS_HZ = 19.0
 """Motors slower than the rest, but not slower than this, set the grid's rate: what they did between is not known."""
 _GAP_PERIODS = 3.5
 _ENOUGH = 20_001

@@ -9,15 +9,17 @@ and the intervals are never narrower than it makes them (prewhitening: Andrews a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import chdtrc
 
-from flightstack.gap.naming.candidates import fitted, negligible
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.search import SelectionState, bounded_step
 from flightstack.gap.naming.whitening import Mask
@@ -31,6 +33,12 @@ _STILL = 0.05
 _SEGMENTS = 6
 _ALLOWED_SPREAD = 0.1
 """Share by which a coefficient of a good model may differ from segment to segment."""
+CI = 1.959964
+"""Standard deviations of a 95 % interval."""
+FICKLE_P = 1e-4 / len(EFFECT_SPECS)
+"""Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
+_STEADY_MPS2 = 0.005
+"""One standard deviation of a slow error of accelerometer or attitude: 3 to 8 mm/s^2 with the simulator's sensors."""
 _BAND_S = 0.5
 """Correlation that whitening may have left."""
 
@@ -45,20 +53,29 @@ class Estimates:
     values: F64
     covariance: F64
     spread: F64
-    """(n,) greatest ratio between segments that see the parameter, as a p-value of its being constant."""
+    """(n,) p-value of each parameter's being the same in all stretches of the flights."""
+    between: F64
+    """(n,) variance from stretch to stretch beyond what their noise makes."""
     x: F64
     """(R, n) whitened columns at `vehicle`."""
     rows: F64
     """(R,) whitened residual at `vehicle`."""
 
 
-def estimate(state: SelectionState, effects: Mapping[str, Mapping[str, float]]) -> Estimates:
-    """Fit these effects (in the search's whitened rows to learn from) by the noise alone."""
+def estimate(
+    state: SelectionState, effects: Mapping[str, Mapping[str, float]], fixed: Collection[tuple[str, str]] = ()
+) -> Estimates:
+    """Fit these effects (in the search's whitened rows to learn from) by the noise alone.
+
+    Parameters whose interval would fill all that is plausible stay what the file has, as those do that are `fixed`.
+    """
     vehicle = state.start
     for effect, values in effects.items():
-        vehicle = with_value(vehicle, effect, values)
+        own = {p: value(state.start, effect, p) if (effect, p) in fixed else v for p, v in values.items()}
+        vehicle = with_value(vehicle, effect, own)
     layout, chosen = state.point.layout, state.point.fit_rows()
-    slots = tuple((e, p) for e in effects for p in fitted(vehicle, e, vehicle.effects[e]).parameters)
+    every = tuple((e, p) for e in effects for p in fitted(vehicle, e, vehicle.effects[e]).parameters)
+    slots = tuple(slot for slot in every if slot not in fixed)
     rows = layout.stack(state.bench.residual(vehicle))
     x = np.zeros((len(rows), 0))
     for _ in range(_STEPS if slots else 0):
@@ -80,8 +97,24 @@ def estimate(state: SelectionState, effects: Mapping[str, Mapping[str, float]]) 
     free = without_nuisance(state, rows, chosen)
     covariance = covariance_of(state, x, free, chosen, left)
     now = np.array([value(vehicle, e, p) for e, p in slots])
-    spread = _constancy(state, vehicle, slots, x, free, chosen)
-    return Estimates(vehicle, slots, now, covariance, spread, x, rows)
+    hidden = _hidden(state.start, slots, now, CI * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    if hidden:
+        return estimate(state, effects, (*fixed, *hidden))
+    made = Estimates(vehicle, slots, now, covariance, np.ones(len(slots)), np.zeros(len(slots)), x, rows)
+    spread, between = _constancy(state, made, free, chosen)
+    return replace(made, spread=spread, between=between)
+
+
+def _hidden(start: Vehicle, slots: Sequence[tuple[str, str]], values: F64, reach: F64) -> tuple[tuple[str, str], ...]:
+    """Parameters whose interval fills their range; none of an effect of which no other is left."""
+    wide = {s for s, v, r in zip(slots, values, reach, strict=True) if fills(start, s, float(v - r), float(v + r))}
+    return tuple(s for s in slots if s in wide and any(e == s[0] and (e, p) not in wide for e, p in slots))
+
+
+def fills(start: Vehicle, slot: tuple[str, str], low: float, high: float) -> bool:
+    """Whether an interval holds all that is plausible for a parameter that the file (or nothing) has a value of."""
+    least, most = plausible(start, *slot)
+    return bool(np.isfinite(value(start, *slot))) and low <= least and high >= most
 
 
 def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
@@ -138,13 +171,25 @@ def covariance_of(
     prior = np.concatenate([np.zeros(count) if known is None else known, 1.0 / size**2])
     covariance = _sandwich(state, both, rows, chosen, prior, left)[:count, :count]
     told = state.point.nuisance_fitted
-    other, scale = state.point.nuisance[:, ~told], state.point.nuisance_size[~told]
+    steady = _steady(state.point.layout)
+    other = np.hstack([state.point.nuisance[:, ~told], steady])
+    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], _STEADY_MPS2)])
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
-    shift = (_inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
+    shift = (inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)
 
 
-def _inverse(gram: F64) -> F64:
+@lru_cache(maxsize=4)
+def _steady(layout: Layout) -> F64:
+    """(R, 3) whitened columns of a force that stays in the body: it only widens intervals."""
+    columns = [np.zeros((*ok.shape, 3)) for ok in layout.ok]
+    for each in columns:
+        axes = range(min(3, each.shape[1]))
+        each[:, axes, axes] = 1.0
+    return layout.stack(columns)
+
+
+def inverse(gram: F64) -> F64:
     """Of a normal matrix with columns of very different size, some of them nothing."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size))
@@ -156,7 +201,7 @@ def _sandwich(state: SelectionState, x: F64, rows: F64, chosen: Mask, prior: F64
     xs, e = x[chosen], rows[chosen]
     gram = xs.T @ xs + np.diag(prior)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    inverse = _inverse(gram)
+    inverted = inverse(gram)
     scores = xs * e[:, None]
     middle = np.diag(prior)
     for flight in np.unique(layout.flight[chosen]):
@@ -169,12 +214,12 @@ def _sandwich(state: SelectionState, x: F64, rows: F64, chosen: Mask, prior: F64
         for k in range(1, min(lags, len(series) - 1) + 1):
             cross = series[k:].T @ series[:-k]
             middle += (1.0 - k / (lags + 1.0)) * (cross + cross.T)
-    sandwich = inverse @ middle @ inverse
+    sandwich = inverted @ middle @ inverted
     # never narrower than the noise would make it; what the flights don't see at all has no variance here
     seen = (np.diag(sandwich) > 0.0) & (size > 1e-100)
-    least = np.diag(inverse)
+    least = np.diag(inverted)
     if left is not None:
-        least = np.maximum(least, np.diag(inverse @ (_coloured(layout, left, xs, chosen) + np.diag(prior)) @ inverse))
+        least = np.maximum(least, np.diag(inverted @ (_coloured(layout, left, xs, chosen) + np.diag(prior)) @ inverted))
     root = np.sqrt(np.maximum(1.0, least / np.where(seen, np.diag(sandwich), 1.0))) * seen
     return np.asarray(sandwich * np.outer(root, root))
 
@@ -215,33 +260,51 @@ def segments(state: SelectionState, chosen: Mask) -> NDArray[np.int64]:
     return number
 
 
-def _constancy(
-    state: SelectionState, vehicle: Vehicle, slots: tuple[tuple[str, str], ...], x: F64, rows: F64, chosen: Mask
-) -> F64:
-    """P-value of each parameter being the same in all segments, small differences allowed."""
+def _constancy(state: SelectionState, made: Estimates, rows: F64, chosen: Mask) -> tuple[F64, F64]:
+    """`same` of all segments."""
+    slots, x = made.slots, made.x
     if not slots:
-        return np.empty(0)
+        return np.empty(0), np.empty(0)
     number = segments(state, chosen)
-    now = np.array([value(vehicle, e, p) for e, p in slots])
-    origin = np.array([_origin(state.start, e, p, v) for (e, p), v in zip(slots, now, strict=True)])
-    slack = np.array([negligible(vehicle, e, p) for e, p in slots])
-    allowed = (_ALLOWED_SPREAD * (now - origin)) ** 2 + slack**2
+    allowed = variation(state.start, made.vehicle, slots, made.values)
     estimates, variances = [], []
     for k in range(number.max() + 1):
         mine = number == k
         if mine.sum() < 10 * len(slots):
             continue
         g = x[mine].T @ x[mine] + np.diag(1e-2 / np.maximum(allowed, 1e-300))
-        inverse = np.linalg.inv(g)
-        estimates.append(inverse @ (x[mine].T @ rows[mine]))
-        variances.append(2.0 * np.diag(inverse))
+        inverted = np.linalg.inv(g)
+        estimates.append(inverted @ (x[mine].T @ rows[mine]))
+        variances.append(2.0 * np.diag(inverted))
     if len(estimates) < 2:
-        return np.ones(len(slots))
-    theta, var = np.array(estimates), np.array(variances) + allowed
-    weight = 1.0 / var
+        return np.ones(len(slots)), np.zeros(len(slots))
+    return same(np.array(estimates), np.array(variances), allowed)
+
+
+def variation(start: Vehicle, vehicle: Vehicle, slots: Sequence[tuple[str, str]], values: F64) -> F64:
+    """(n,) variance of each parameter that a good model of a good vehicle may show from place to place."""
+    origin = np.array([_origin(start, e, p, v) for (e, p), v in zip(slots, values, strict=True)])
+    slack = np.array([negligible(vehicle, e, p) for e, p in slots])
+    return np.asarray((_ALLOWED_SPREAD * (values - origin)) ** 2 + slack**2)
+
+
+def same(theta: F64, variance: F64, allowed: F64) -> tuple[F64, F64]:
+    """Of parameters (k, n) told k times: p-value of their being the same, and the variance between them (n,) each.
+
+    The p-value allows small differences (Cochran's Q), the variance does not (DerSimonian and Laird's).
+    """
+    q, _ = _heterogeneity(theta, variance + allowed)
+    freedom = len(theta) - 1
+    plain, weight = _heterogeneity(theta, np.maximum(variance, 1e-300))
+    total = weight.sum(axis=0)
+    between = (plain - freedom) / np.maximum(total - (weight**2).sum(axis=0) / total, 1e-300)
+    return np.asarray(chdtrc(freedom, q)), np.maximum(between, 0.0)
+
+
+def _heterogeneity(theta: F64, variance: F64) -> tuple[F64, F64]:
+    weight = 1.0 / variance
     mean = (weight * theta).sum(axis=0) / weight.sum(axis=0)
-    q = (weight * (theta - mean) ** 2).sum(axis=0)
-    return np.asarray(chdtrc(len(estimates) - 1, q))
+    return (weight * (theta - mean) ** 2).sum(axis=0), weight
 
 
 def _origin(start: Vehicle, effect: str, parameter: str, now: float) -> float:

@@ -20,7 +20,7 @@ from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
-from flightstack.gap.naming.estimate import covariance_of, without_nuisance
+from flightstack.gap.naming.estimate import CI, covariance_of, inverse, without_nuisance
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.records import Estimate, Found
 from flightstack.gap.simulate import Knob, value, with_value
@@ -38,7 +38,6 @@ STANDS_FOR = {
 _SCALED = ("payload", "thrust_scale", "inertia")
 _USUAL = {"body.mass_kg": 0.3, "rotors.max_thrust_n": 0.5, "body.inertia_kgm2": 0.7}
 """Relative half width within which a plain number of these is taken to lie once an effect contradicts it."""
-_CI = 1.959964
 _STEP = 1e-3
 _ALIKE = 0.95
 WEIGH = "weigh the vehicle: no acceleration shows the common scale of mass, thrust, inertia and drag"
@@ -63,21 +62,16 @@ def carried(state: SelectionState, found: tuple[Found, ...], vehicle: Vehicle) -
     rows = without_nuisance(state, layout.stack(state.bench.residual(vehicle)), chosen)
     covariance = covariance_of(state, x, rows, chosen, left, known)
     mine = x[chosen]
-    inverse = _inverse(mine.T @ mine + np.diag(known))
-    shift = inverse @ (known * (centre - now))
+    inverted = inverse(mine.T @ mine + np.diag(known))
+    shift = inverted @ (known * (centre - now))
     named = {STANDS_FOR.get(slot, "") for slot in slots}
     guessed = [n for n in numbers.values() if n.is_ranged and n.name not in named]
     if guessed:
         moves = layout.stack([np.nan_to_num(c) for c in _number_columns(state, vehicle, guessed)])[chosen]
         width = np.array([(n.high - n.low) / np.sqrt(12.0) for n in guessed])
-        reach = (inverse @ (mine.T @ moves)) * width
+        reach = (inverted @ (mine.T @ moves)) * width
         covariance = covariance + reach @ reach.T
     return _told(found, vehicle, slots, now + shift, covariance)
-
-
-def _inverse(gram: F64) -> F64:
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    return np.asarray(np.linalg.pinv(gram / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size))
 
 
 def _prior(numbers: dict[str, FileNumber], effect: str, parameter: str, now: float) -> tuple[float, float]:
@@ -125,7 +119,7 @@ def _told(
                 continue
             spec = next(p for p in EFFECT_SPECS[each.name].params if p.name == name)
             now = float(np.clip(values[k], spec.minimum, spec.maximum))
-            half = max(0.5 * (e.high - e.low), _CI * float(sigma[k]))
+            half = max(0.5 * (e.high - e.low), CI * float(sigma[k]))
             parameters[name] = Estimate(e.before, now, max(now - half, spec.minimum), min(now + half, spec.maximum))
             twins |= {slots[j][0] for j in np.flatnonzero(alike[k]) if slots[j][0] in _SCALED} - {each.name}
         changed = with_value(changed, each.name, {p: e.estimate for p, e in parameters.items()})

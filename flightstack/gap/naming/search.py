@@ -77,6 +77,8 @@ class SelectionState:
     """By candidate keys."""
     barred: set[str] = field(default_factory=set)
     """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
+    apart: Sequence[tuple[str, str]] = ()
+    """Pairs of effects that these flights can't tell apart: never named together."""
     rope_m: float = 0.0
     """Length of the rope that was best with the present columns, 0 before any was looked for."""
 
@@ -117,13 +119,13 @@ def _bar(state: SelectionState) -> bool:
     return bool(at_ends)
 
 
-def search(bench: Bench, start: Vehicle) -> SelectionState:
-    """The subsets worth a look, fitted; `start` is the vehicle as its file has it."""
+def search(bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = ()) -> SelectionState:
+    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together."""
     point = linearise(bench, start, start)
-    state = SelectionState(bench, start, point, metric_of(point))
+    state = SelectionState(bench, start, point, metric_of(point), apart=apart)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
-    scored = _scored(state, subsets)
+    scored = _scored(state, [s for s in subsets if _allowed(state, s)])
     _fit_all(state, _shortlist(scored))
     while _bar(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
@@ -141,7 +143,8 @@ def search(bench: Bench, start: Vehicle) -> SelectionState:
 
 
 def _allowed(state: SelectionState, members: Sequence[int]) -> bool:
-    return not state.barred & {state.point.candidates[m].effect for m in members}
+    effects = {state.point.candidates[m].effect for m in members}
+    return not state.barred & effects and not any(effects.issuperset(pair) for pair in state.apart)
 
 
 def move_to(state: SelectionState, vehicle: Vehicle) -> None:
@@ -189,7 +192,7 @@ def _neighbours(state: SelectionState) -> list[Subset]:
         for base in kept
         for size in range(3)
         for more in combinations(outside, size)
-        if len({point.candidates[m].effect for m in more}) == size
+        if len({point.candidates[m].effect for m in more}) == size and _allowed(state, base + more)
     }
     scored = _scored(state, sorted(subsets))
     best = state.best.score

@@ -3,12 +3,13 @@
 Far from the noise everything that bends a curve helps a little.  An effect of the vehicle makes what is left on
 held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
 may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
-torques) counts little, or in the rows as they are, where fast disagreement counts little.
+torques) counts little, or in the rows as they are, where fast disagreement counts little.  What doubles any group's
+remainder there goes, whatever else it helps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ from flightstack.types import F64
 
 CLEARLY = 1.1**2 - 1.0
 """Share by which a group's mean square must rise without an effect: a tenth of the rms."""
+_HARM = 0.75
+"""Share by which a group's mean square must fall without an effect that does harm: half of the rms."""
 _SURE = 2.0
 """Standard errors, over blocks of a second, by which it must rise."""
 _FEWEST_BLOCKS = 4
@@ -67,17 +70,20 @@ class _View:
         return out
 
     def worth(self, base: F64, without: F64, judged: Mask) -> float:
-        """Greatest rise of a group's mean square over these rows that is sure, relative."""
-        best = 0.0
+        """Greatest sure rise of a group's mean square over these rows, relative; a fall where it is large."""
+        best = worst = 0.0
         for channels in GROUPS.values():
             mine = judged & np.isin(self.layout.channel, channels)
             if not mine.any():
                 continue
             blocks = self._seconds(mine, without[mine] ** 2 - base[mine] ** 2)
             risen = float(blocks.sum())
-            if len(blocks) >= _FEWEST_BLOCKS and risen > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
-                best = max(best, risen / max(float(np.sum(base[mine] ** 2)), 1e-300))
-        return best
+            if len(blocks) < _FEWEST_BLOCKS:
+                continue
+            if abs(risen) > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
+                share = risen / max(float(np.sum(base[mine] ** 2)), 1e-300)
+                best, worst = max(best, share), min(worst, share)
+        return worst if worst <= -_HARM else best
 
     def _seconds(self, mine: Mask, change: F64) -> F64:
         """Sums of these rows' changes over each second of each flight."""
@@ -94,7 +100,7 @@ def trifles(state: SelectionState, made: Estimates, effects: Sequence[str]) -> t
     views = _views(state, made)
     left, gone = list(effects), list[str]()
     while len(left) > 1:
-        worth = {effect: max(_worth(view, made, left, effect) for view in views) for effect in left}
+        worth = {effect: _of_all(_worth(view, made, left, effect) for view in views) for effect in left}
         weakest = min(worth, key=lambda effect: worth[effect])
         if worth[weakest] >= CLEARLY:
             break
@@ -108,7 +114,13 @@ def worth_of(state: SelectionState, made: Estimates, effects: Sequence[str], eff
     views = _views(state, made)
     base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
     across = (view.worth(view.left_across(base), view.left_across(less), view.learned) for view in views)
-    return max(across), max(_worth(view, made, effects, effect) for view in views)
+    return _of_all(across), _of_all(_worth(view, made, effects, effect) for view in views)
+
+
+def _of_all(worths: Iterable[float]) -> float:
+    """An effect must help in one view and do harm in none."""
+    values = list(worths)
+    return min(values) if min(values) < 0.0 else max(values)
 
 
 def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from flightstack.gap.records import Figures, Finding, Found, Gap, Offset, Rejected, Unexplained, Where
+from flightstack.gap.records import Across, Figures, Finding, Found, Gap, Offset, Rejected, Unexplained, Where
 from flightstack.types import F64
 
 
@@ -95,6 +95,8 @@ class GapReport:
     """What else was verified: name and finding in words."""
     takes: tuple[str, ...] = ()
     """Numbers of the companion's model that the correction changes, in words."""
+    across: tuple[Across, ...] = ()
+    """Of several flights: what each says alone of what was named, or taken back for it."""
     learner: tuple[str, ...] = ()
     """Effects that the companion's model can't express: its learner has to take them."""
     settings: Mapping[str, str] | None = None

@@ -164,11 +164,25 @@ def rejected(report: GapReport) -> str:
 
 
 def checks(report: GapReport) -> str:
-    """What else was verified."""
+    """What else was verified, flight by flight where there are several."""
     if not report.checks:
-        return MISSING
+        return _across(report) or MISSING
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in report.checks)
-    return f'<table class="facts">{rows}</table>'
+    return f'<table class="facts">{rows}</table>' + _across(report)
+
+
+def _across(report: GapReport) -> str:
+    """What each of several flights says alone."""
+    rows = "".join(
+        f"<tr><td>{escape(words.effect(row.effect))} {escape(row.parameter)}</td><td>{escape(log)}</td>"
+        f"<td>{words.number(e.estimate, e.high - e.low)} ({words.interval(e)})</td>"
+        f"<td>{'the same' if row.same else 'differs: taken back'}</td></tr>"
+        for row in report.across
+        for log, e in row.flights
+    )
+    head = "<tr><th>effect</th><th>log</th><th>alone</th><th></th></tr>"
+    table = f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return f"<h3>The same in each flight?</h3>{table}" if rows else ""
 
 
 def quality(logs: tuple[LogQuality, ...]) -> str:

@@ -51,6 +51,8 @@ def number(value: float, like: float | None = None) -> str:
 def parameter(found: Found, name: str) -> str:
     """`mass_kg 0.216 kg (0.210 to 0.222)`, the unit from the effect's table."""
     value = found.parameters[name]
+    if not value.told:
+        return f"{name} not told"
     spec = next((p for p in EFFECT_SPECS[found.name].params if p.name == name), None)
     shown = f" {unit(spec.unit)}" if spec is not None and spec.unit else ""
     if spec is not None and spec.integer:
@@ -60,6 +62,8 @@ def parameter(found: Found, name: str) -> str:
 
 def interval(value: Estimate) -> str:
     """`0.210 to 0.222`."""
+    if not value.told:
+        return "not told by these logs"
     if not (math.isfinite(value.low) and math.isfinite(value.high)):
         return "interval unknown"
     return f"{number(value.low, _width(value))} to {number(value.high, _width(value))}"
@@ -103,10 +107,13 @@ def _in_short(found: Found) -> str:
     values = ", ".join(
         f"{e.estimate:.0f}" if name in specs and specs[name].integer else number(e.estimate, _width(e))
         for name, e in found.parameters.items()
+        if e.told
     )
+    hidden = [name for name, e in found.parameters.items() if not e.told]
+    untold = f" ({', '.join(hidden)} not told)" if hidden else ""
     others = found.indistinguishable_from
     more = f" or {effect(others[0])}" + (f" or {len(others) - 1} more" if len(others) > 1 else "") if others else ""
-    return f"{effect(found.name)} {values} {units[0] if len(units) == 1 else ''}".rstrip() + more
+    return f"{effect(found.name)} {values} {units[0] if len(units) == 1 else ''}".rstrip() + untold + more
 
 
 def _closed(gap: Gap, count: int) -> str:

@@ -158,17 +158,16 @@ def _world_gust(sigma_mps: float, steady: XYZ) -> tuple[str, str, str]:
 
 
 def fdm_config(
-    name: str, *, mass_balance: str, ground_reactions: str, flight_control: str, external_reactions: str,
-    reference: XYZ, propulsion: str = "<propulsion/>", aerodynamics: str = "<aerodynamics/>", metrics: str = "",
-) -> str:  # fmt: skip
+    name: str, *, mass_balance: str, ground_reactions: str, flight_control: str, external_reactions: str, reference: XYZ
+) -> str:
     """An aircraft file of its sections; `reference`: the aerodynamic reference point, FRD from the file's origin."""
-    metrics = metrics or (
+    metrics = (
         '<metrics><wingarea unit="M2">1</wingarea><wingspan unit="M">1</wingspan><chord unit="M">1</chord>'
         f"{text.location(reference, name='AERORP')}</metrics>"
     )
     return (
         f'<?xml version="1.0"?>\n<fdm_config name="{name}" version="2.0" release="BETA">{metrics}{mass_balance}'
-        f"<ground_reactions>{ground_reactions}</ground_reactions>{propulsion}"
-        f'<flight_control name="{name}">{flight_control}</flight_control>{aerodynamics}'
+        f"<ground_reactions>{ground_reactions}</ground_reactions><propulsion/>"
+        f'<flight_control name="{name}">{flight_control}</flight_control><aerodynamics/>'
         f"<external_reactions>{external_reactions}</external_reactions></fdm_config>\n"
     )

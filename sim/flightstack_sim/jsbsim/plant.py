@@ -116,7 +116,7 @@ class JsbsimPlant:
         self.fly(motor_command, read, repeat((), steps))
 
     def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
-        """`step` for each item with `look(row, frame, *numbers, *item)` in `read`'s place: it gives the height.
+        """`step` for each item with `look(row, frame, numbers, *item)` in `read`'s place: it gives the height.
 
         `look` may change the commands (4,) and see more than the plant; `numbers` are those that `read` takes.
         """
@@ -130,8 +130,8 @@ class JsbsimPlant:
             four(d if 0.0 <= d <= 1.0 else _within(d))
             self._run()
             height_m = look(
-                row, frame, x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz(),
-                *item,
+                row, frame,
+                (x(), y(), z(), vn(), ve(), vd(), phi(), theta(), psi(), p(), q(), r(), fx(), fy(), fz()), *item,
             )  # fmt: skip
             if (height_m < low_m) is not self._ground_works:
                 self._toggle_ground()
@@ -247,7 +247,7 @@ class JsbsimPlant:
 
     def _show(self) -> None:
         """Read JSBSim's present numbers into the row."""
-        read(self._row, self._frame, *(get() for get in self._get_state))
+        read(self._row, self._frame, tuple(get() for get in self._get_state))
 
     def _toggle_ground(self) -> None:
         """JSBSim looks for contacts only where there can be some: a sixth of a step's time."""

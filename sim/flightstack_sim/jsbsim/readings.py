@@ -23,15 +23,13 @@ _FOOT_M = 0.3048
 
 
 @njit
-def read(
-    row: F64, frame: F64, x: float, y: float, z: float, vn: float, ve: float, vd: float,
-    phi: float, theta: float, psi: float, p: float, q: float, r: float, fx: float, fy: float, fz: float,
-) -> float:  # fmt: skip
+def read(row: F64, frame: F64, numbers: tuple[float, ...]) -> float:
     """Write one step's end into `row`: ECEF (ft), velocity NED (ft/s), Euler angles, rates (rad/s), force FRD (lb).
 
     Returns the height, m.  Numbers that are none (a wreck that spins faster than a step can follow) leave the row as
     it is.
     """
+    x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz = numbers
     if not math.isfinite(x + y + z + vn + ve + vd + p + q + r + fx + fy + fz):
         return float(-row[R_POS + 2])
     dx, dy, dz = x - frame[F_ORIGIN], y - frame[F_ORIGIN + 1], z - frame[F_ORIGIN + 2]

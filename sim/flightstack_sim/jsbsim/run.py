@@ -28,41 +28,31 @@ class JsbsimRun:
         """At most as many steps as the sensors have before their next estimate, that one included."""
         plant, rate, sensors = self._plant, self._rate, self._sensors
         estimator = sensors.estimator
-        row, estimator_row = sensors.noise_row(), estimator.noise_row()
-        arrays = (
-            rate.row, plant.sensor_errors, sensors.noise, sensors.imu, estimator.noise, estimator.model,
-            estimator.state,
-        )  # fmt: skip
+        row, told = sensors.noise_row(), (estimator.noise, estimator.noise_row(), estimator.model, estimator.state)
+        arrays = rate.row, plant.sensor_errors
         rate.step(sensors.gyro_frd_radps)
-        plant.fly(rate.motor_command, _look, [(steps - 1 - k, row + k, estimator_row, *arrays) for k in range(steps)])
+        plant.fly(
+            rate.motor_command,
+            _look,
+            [(steps - 1 - k, *arrays, (sensors.noise, row + k, sensors.imu), told) for k in range(steps)],
+        )
         sensors.sampled(plant, steps)
 
 
 @njit
 def _look(
-    shown: F64, frame: F64, x: float, y: float, z: float, vn: float, ve: float, vd: float, phi: float, theta: float,
-    psi: float, p: float, q: float, r: float, fx: float, fy: float, fz: float, left: int, noise_row: int,
-    estimator_row: int, loop: F64, errors: F64, noise: F64, imu: F64, estimator_noise: F64, model: F64, estimate: F64,
+    shown: F64, frame: F64, numbers: tuple[float, ...], left: int, loop: F64, errors: F64,
+    sensors: tuple[F64, int, F64], estimator: tuple[F64, int, F64, F64],
 ) -> float:  # fmt: skip
     """After JSBSim's frame: its numbers, the sensors, and where another step follows its motor commands."""
-    height = read(shown, frame, x, y, z, vn, ve, vd, phi, theta, psi, p, q, r, fx, fy, fz)
-    sense(
-        shown[R_RATE : R_RATE + 3],
-        shown[R_FORCE : R_FORCE + 3],
-        shown[R_POS : R_POS + 3],
-        shown[R_VEL : R_VEL + 3],
+    height = read(shown, frame, numbers)
+    true = (
+        shown[R_RATE : R_RATE + 3], shown[R_FORCE : R_FORCE + 3], shown[R_POS : R_POS + 3], shown[R_VEL : R_VEL + 3],
         shown[R_Q : R_Q + 4],
-        errors[E_GYRO : E_GYRO + 3],
-        errors[E_ACCEL : E_ACCEL + 3],
-        errors[E_TURN : E_TURN + 4],
-        noise,
-        noise_row,
-        imu,
-        estimator_noise,
-        estimator_row,
-        model,
-        estimate,
-    )
+    )  # fmt: skip
+    wrong = errors[E_GYRO : E_GYRO + 3], errors[E_ACCEL : E_ACCEL + 3], errors[E_TURN : E_TURN + 4]
+    sense(true, wrong, sensors, estimator)
     if left > 0:
+        imu = sensors[2]
         rate_step(imu[GYRO : GYRO + 3], loop)
     return height

@@ -1,0 +1,151 @@
+"""What logs cost: writing in a tick, the live view beside it, reading ten minutes into arrays.
+
+    python -m benchmarks.log        all rows, into docs/logs.md (make bench-log)
+
+Writing: figure8 at 250 Hz of real time with learner and filter, everything logged; the wall time of all that the
+flight's thread does for the log in one tick.  Live: the processor time
+of a hover at 250 Hz of real time that a page polls ten times a second, less that of one that nobody watches.  Reading:
+this package's own log of `rotor-drag`, ten minutes.  Nothing else should be running.
+"""
+
+from __future__ import annotations
+
+import http.client
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import campaign
+from flightstack.cli import flight
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack_logs.reader import read
+from flightstack_logs.writer import Recorder
+
+_BEGIN, _END = "<!-- log: begin -->", "<!-- log: end -->"
+_LONG_S, _WRITTEN_S, _WATCHED_S, _RUNS = 590.0, 30.0, 20, 3
+_PORT = 8795
+
+
+class Timed:
+    """A recorder that counts what each tick of the flight spends in it."""
+
+    def __init__(self, log: Recorder) -> None:
+        self._log, self._spent = log, 0.0
+        self.ticks: list[float] = []
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._log, name)
+        return self._timed(name, found) if callable(found) else found
+
+    def _timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*arguments: Any, **named: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return call(*arguments, **named)
+            finally:
+                self._spent += time.perf_counter() - began
+                if name == "tick":
+                    self.ticks.append(self._spent)
+                    self._spent = 0.0
+
+        self.__dict__[name] = timed
+        return timed
+
+
+def writing(folder: Path) -> str:
+    """What a tick spends for the log."""
+    kept: list[Timed] = []
+
+    def timed(recorder: Any, port: int | None) -> Any:
+        kept.append(Timed(recorder))
+        return kept[-1]
+
+    usual, flight.shown_live = flight.shown_live, timed  # type: ignore[attr-defined]
+    options = FlyOptions(scenario="figure8", duration_s=_WRITTEN_S, realtime=True, out=folder / "written")
+    try:
+        result = fly(options, stop_requested=lambda: "")
+    finally:
+        flight.shown_live = usual  # type: ignore[attr-defined]
+    assert result.completed, result.reason
+    us = 1e6 * np.array(kept[-1].ticks)
+    written = (folder / "written" / "flight.mcap").stat().st_size / len(us) * 250 * 75 * 1e-6
+    median, late = np.median(us), np.quantile(us, 0.99)
+    return (
+        f"| a tick of figure8 in real time, all topics, {len(us)} ticks | {median:.0f} us median, {late:.0f} us p99; "
+        f"{written:.1f} MB for 75 s | 20 us p99, 6 MB |"
+    )
+
+
+def hovered(folder: Path, *more: str) -> float:
+    """Processor time of a hover in real time, s."""
+    words = ["fly", "hover", "--realtime", "--duration", str(_WATCHED_S), "--out", str(folder / "live"), *more]
+    process = subprocess.Popen([str(Path(sys.executable).with_name("flightstack")), *words], stdout=subprocess.DEVNULL)
+    over = threading.Event()
+    if more:
+        threading.Thread(target=_poll, args=(over,)).start()
+    _, status, usage = os.wait4(process.pid, 0)
+    over.set()
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"flightstack {' '.join(words)}: exit {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def _poll(over: threading.Event) -> None:
+    while not over.wait(0.1):
+        try:
+            connection = http.client.HTTPConnection("127.0.0.1", _PORT + 1, timeout=1.0)
+            connection.request("GET", "/state")
+            connection.getresponse().read()
+            connection.close()
+        except (OSError, http.client.HTTPException):
+            continue
+
+
+def watched(folder: Path) -> str:
+    """What the live view adds."""
+    alone, seen = [], []
+    for _ in range(_RUNS):
+        alone.append(hovered(folder))
+        seen.append(hovered(folder, f"--live={_PORT}"))
+    shares = [100 * (b - a) / _WATCHED_S for a, b in zip(alone, seen, strict=True)]
+    least, most = min(shares), max(shares)
+    return f"| live view, page polled at 10 Hz | {least:.1f} to {most:.1f} % of a core, {_RUNS} pairs | 1 % |"
+
+
+def reading(folder: Path) -> str:
+    """Ten minutes into arrays."""
+    fly(FlyOptions(scenario="rotor-drag", duration_s=_LONG_S, out=folder / "long"), stop_requested=lambda: "")
+    path, took = folder / "long" / "flight.mcap", []
+    for _ in range(_RUNS):
+        began = time.perf_counter()
+        log = read(path)
+        took.append(time.perf_counter() - began)
+    rows = sum(len(table) for table in log.tables.values())
+    size, least, most = path.stat().st_size * 1e-6, min(took), max(took)
+    return f"| ten minutes read into arrays, {size:.0f} MB, {rows} rows | {least:.2f} to {most:.2f} s | 2 s |"
+
+
+def main() -> int:
+    """All rows."""
+    with tempfile.TemporaryDirectory() as name:
+        lines = []
+        for part in (writing, watched, reading):
+            lines.append(part(Path(name)))
+            print(lines[-1], flush=True)
+    about = campaign.stamp(f"{campaign.processor()}; `make bench-log`.")
+    head = "| what | measured | asked for |\n| --- | --- | --- |"
+    campaign.put("\n".join([about, "", head, *lines]), _BEGIN, _END, campaign.ROOT / "docs/logs.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

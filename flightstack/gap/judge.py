@@ -1,0 +1,158 @@
+"""What of a search's best fit may be named: significant, of some size, and better on held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.gap.classes import alternatives, splitting_manoeuvre
+from flightstack.gap.naming.candidates import negligible, plausible
+from flightstack.gap.naming.estimate import CI, Estimates, estimate
+from flightstack.gap.naming.evidence import fit_subsets
+from flightstack.gap.naming.held_rows import gain
+from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, judged_fit, members, move_to
+from flightstack.gap.records import Estimate, Found
+from flightstack.gap.simulate import value
+
+_LEAST_P = 1e-4
+"""After Holm's correction for all candidates."""
+_LEAST_SIZES = 3.0
+"""Smallest effect that is named, in negligible sizes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """The names of a fit, strongest first, and how constant each effect is (p-value)."""
+
+    found: tuple[Found, ...]
+    estimates: Estimates
+    constant: Mapping[str, float]
+
+
+def _fall(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+    """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
+    point = state.point
+    whole = members(point.candidates, effects)
+    less = tuple(m for m in whole if point.candidates[m].effect != gone)
+    gains = [s.gain for s in fit_subsets(point.gram(), [whole, less], point.columns, point.low, point.high)]
+    most, least = (gain if np.isfinite(gain) else 0.0 for gain in gains)
+    return float(most - least)
+
+
+def pruned(state: SelectionState) -> Fit:
+    """The best fit, less the members whose own evidence is too thin or whose size is trifling.
+
+    Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.
+    """
+    key = state.best_key
+    if state.fits[key].vehicle is not state.point.vehicle:
+        move_to(state, state.fits[key].vehicle)
+    best = state.fits[key]
+    while best.effects:
+        weakest, drop = "", np.inf
+        for effect in best.effects:
+            fall = evidence(state, best, effect)
+            if _size(state, best, effect) < _LEAST_SIZES:
+                fall = min(fall, 0.0)
+            if fall < drop:
+                weakest, drop = effect, fall
+        if drop >= LEAST_EVIDENCE:
+            return best
+        rest_of = frozenset(best.effects) - {weakest}
+        same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
+        best = min([*same, _refit(state, best, weakest)], key=lambda f: f.chi2)
+    return best
+
+
+def evidence(state: SelectionState, best: Fit, effect: str) -> float:
+    """By how much the score would rise without the effect."""
+    used = len(best.effects[effect])
+    price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
+    return _fall(state, best.effects, effect) - float(price)
+
+
+def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
+    left = {e: v for e, v in best.effects.items() if e != gone}
+    made = estimate(state, left)
+    effects = {e: dict(made.vehicle.effects[e]) for e in left}
+    return judged_fit(state, effects, made.vehicle, made.rows, len(made.slots))
+
+
+def _size(state: SelectionState, best: Fit, effect: str) -> float:
+    """The effect's largest change in negligible sizes."""
+    sizes = []
+    for spec in EFFECT_SPECS[effect].params:
+        origin = value(state.start, effect, spec.name)
+        if not spec.integer and not spec.required and np.isfinite(origin):
+            change = abs(best.effects[effect][spec.name] - origin)
+            sizes.append(change / negligible(best.vehicle, effect, spec.name))
+    return max(sizes, default=0.0)
+
+
+def judge(state: SelectionState, best: Fit) -> Judged:
+    """Which effects of this fit may be named, with all that is known of them."""
+    made = estimate(state, best.effects)
+    if not best.effects:
+        return Judged((), made, {})
+    found = []
+    count = len(EFFECT_SPECS)
+    for effect in best.effects:
+        fall = evidence(state, best, effect)
+        p_value = _p_value(state, best, effect)
+        others = alternatives(state, best, effect)
+        held = gain(state, made, effect)
+        if p_value * count > _LEAST_P or held <= 0.0:
+            continue
+        found.append(
+            (
+                fall,
+                Found(
+                    effect,
+                    parameters_of(state, made, effect),
+                    -fall,
+                    held,
+                    p_value,
+                    others,
+                    splitting_manoeuvre((effect, *others)) if others else "",
+                ),
+            )
+        )
+    if len(found) < len(best.effects):
+        left = {f.name: best.effects[f.name] for _, f in found}
+        made = estimate(state, left)
+    found.sort(key=lambda item: -item[0])
+    constant: dict[str, float] = {}
+    for (effect, _), p in zip(made.slots, made.spread, strict=True):
+        constant[effect] = min(constant.get(effect, 1.0), float(p))
+    return Judged(tuple(f for _, f in found), made, constant)
+
+
+def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
+    """Likelihood ratio of the effect against trifles of all others."""
+    fall = _fall(state, best.effects, effect)
+    return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
+
+
+def parameters_of(state: SelectionState, made: Estimates, effect: str) -> dict[str, Estimate]:
+    """An effect's parameters with their intervals; what the fit left as it was is not told."""
+    found: dict[str, Estimate] = {}
+    for spec in EFFECT_SPECS[effect].params:
+        before = value(state.start, effect, spec.name)
+        now = value(made.vehicle, effect, spec.name)
+        if spec.integer:
+            found[spec.name] = Estimate(before, now, now, now)
+            continue
+        low, high = plausible(state.start, effect, spec.name)
+        if (effect, spec.name) not in made.slots:
+            found[spec.name] = Estimate(before, now, low, high, told=False)
+            continue
+        i = made.slots.index((effect, spec.name))
+        reach = CI * float(np.sqrt(max(made.covariance[i, i], 0.0)))
+        if reach > 0.0:
+            low, high = max(now - reach, low), min(now + reach, high)
+        found[spec.name] = Estimate(before, now, min(low, now), max(high, now))
+    return found
