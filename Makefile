@@ -8,13 +8,14 @@ export FLIGHTSTACK_TEST_DATA ?= $(abspath $(RECORDED))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
+.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
 	@echo "make test         set up, then format, lint, types, import rules and tests"
 	@echo "make format       rewrite the sources in the house format"
 	@echo "make campaign     64 flights from one file, some five minutes: docs/campaigns.md"
+	@echo "make bench        what every part costs, as multiples of a reference kernel: docs/benchmarks.md (CHECK=1 compares)"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap.md"
@@ -41,6 +42,7 @@ help:
 	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier.md (campaign-barrier-filters-quick: a few)"
 	@echo "make gap-rough          200 blind cases with a rough vehicle file, plain and with ranges: docs/gap.md"
 	@echo "make campaign-fence     flights in random sites against adversaries: docs/site.md; goes on where it was cut off, MINUTES=60 bounds it"
+	@echo "make close-gap          fly a hidden load, gap on the log, fly again with the corrected file: docs/gap.md"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
 	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
@@ -84,6 +86,9 @@ format: $(BIN)/.installed-dev
 
 campaign: $(BIN)/.installed-campaign
 	$(BIN)/flightstack campaign campaigns/small.toml --out runs/campaign-small-$$(date +%Y%m%d-%H%M%S)
+
+bench: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.bench $(if $(CHECK),--check)
 
 bench-plant: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/plant.py
@@ -197,6 +202,9 @@ gap-blind: $(BIN)/.installed-campaign
 gap-rough: $(BIN)/.installed-campaign
 	$(RUN) campaigns/gap-rough.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES)
 	$(BIN)/python -m benchmarks.gap_rough runs/$@-*
+
+close-gap: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.close_gap
 
 gap-recorded: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_recorded

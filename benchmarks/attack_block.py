@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,7 @@ import numpy as np
 from benchmarks import attack_adversary as adversary
 from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World, draw
+from flightstack.barrier.premise_watch import NAMES
 from flightstack.cli.files import load_scenario
 from flightstack.errors import InputError
 
@@ -32,6 +34,16 @@ _WORTH_KEEPING_H = 0.05
 """With less h than this the row says what was flown; the rest follows from the seed."""
 LEAST_SHARE = 0.5
 """A flight counts if its filter was engaged for so much of it."""
+
+
+_SHAKE = adversary.KNOWN._replace(roll_radps=3.0, pitch_radps=3.0)
+_LEAN = adversary.PUSH._replace(lateral=adversary.SWING, steer_ps=15.0)
+LEANING = [
+    adversary.KNOWN, adversary.TIMED, _SHAKE._replace(wave=adversary.SQUARE, hz=5.0), _SHAKE._replace(hz=1.0),
+    _SHAKE._replace(roll_radps=6.0, pitch_radps=6.0, hz=1.0, lateral=adversary.GRADIENT, axes=7),
+    _LEAN._replace(swing_s=0.4), _LEAN._replace(swing_s=1.0), _LEAN._replace(swing_s=2.0, vertical=adversary.SWING),
+]  # fmt: skip
+"""Dither of 1.6 to 6 rad/s at 1 to 10.8 Hz, leaning to and fro, thrust at its ends."""
 
 
 class Kind(NamedTuple):
@@ -68,6 +80,24 @@ def block(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
     areas = [round(axis.barrier.area_m2ps, 3) for axis in flight.certificate.axes]
     flown = attacked(flight, seed, int(values["attacks"]), float(values["seconds"]))
     return row | {"areas_m2ps": areas} | told(flown)
+
+
+def premises(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """Who ends his own protection: 32 strategies of `seconds` each on `paper-tracking`, eight that shake rates,
+    lean to and fro and push thrust, and 24 points of the adversary's cube, the same for every seed; `plant`."""
+    flight = AttackFlight(World(seed=seed, plant=str(values["plant"])), seed)
+    if (engaged_s := flight.fly_until_engaged(LEARNING_S)) is None or flight.certificate is None:
+        return {"engaged": False, "ended": flight.ended}
+    flight.held.hold(flight.certificate)
+    drawn = [adversary.decode(np.random.default_rng([77, k]).uniform(size=20)) for k in range(24)]
+    rows: list[dict[str, Any]] = [
+        apart(lambda k=k, strategy=strategy: _one(flight, strategy, seed * 100 + k, float(values["seconds"])))  # type: ignore[misc]
+        for k, strategy in enumerate(LEANING + drawn)
+    ]
+    for k, row in enumerate(rows):
+        row["k"] = k
+    ends = Counter(NAMES[row["broken"]] for row in rows if row.get("broken"))
+    return {"engaged": True, "engaged_s": engaged_s, "ended_by_premise": ends.total(), "ends": dict(ends)} | told(rows)
 
 
 def attacked(flight: AttackFlight, seed: int, count: int, seconds: float) -> list[dict[str, Any]]:
@@ -172,4 +202,4 @@ def apart(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     with os.fdopen(read) as source:
         text = source.read()
     os.waitpid(child, 0)
-    return json.loads(text) if text else {"lost": "its process ended"}  # type: ignore[no-any-return]
+    return json.loads(text) if text else {"lost": "its process ended"}

@@ -34,7 +34,15 @@ from flightstack.site.stopping import stopping
 from flightstack.stack import StackState
 from flightstack.state_observer import StateObserver
 from flightstack.trajectory import hover
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.types import (
+    F64,
+    Command,
+    FlatOutput,
+    Learned,
+    Measurement,
+    Proposal,
+    TickRecord,
+)
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
@@ -55,6 +63,8 @@ class Attack:
     """The force turns every second or two, at its full size."""
     pumps: bool = False
     """Instead it is along the velocity at every moment: it drives the loop where that answers most."""
+    errs: bool = False
+    """The estimate errs by all that is declared of it, so that the nearest edge seems further away than it is."""
     reference: Any = None
     """A function of the time since the attack began: a FlatOutput relative to the start, flown with NOMINAL."""
     speed_mps: float = 3.0
@@ -164,10 +174,10 @@ class FenceFlight:
         self.scenario, protection = prepared.scenario, prepared.protection
         assert protection.site is not None
         self.plan_of = protection.site
+        self._declared = estimate_bounds(error_statistics(load_grade(world.grade)))
         if told != 1.0:
-            estimate = estimate_bounds(error_statistics(load_grade(world.grade)))
             governor = governor_for(prepared.believed, before.model, self.scenario.limits, world.grade)
-            lie = stopping(prepared.believed, before.model, self.scenario.limits, estimate, governor, told=told)
+            lie = stopping(prepared.believed, before.model, self.scenario.limits, self._declared, governor, told=told)
             self.plan_of = dataclasses.replace(self.plan_of, certificate=lie)
         self.timed = self.plan_of.filter(before.model, self.scenario.limits)
         self.score = self.plan_of.score(self.timed)

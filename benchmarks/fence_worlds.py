@@ -125,6 +125,10 @@ def drawn_world(seed: int, folder: Path) -> World:
 
 
 def drawn_attack(seed: int) -> Attack:
-    """The adversary of a flight, once it is in the air; a third drives the force along the velocity."""
+    """The adversary of a flight, once it is in the air.
+
+    A third drives the force along the velocity; in a third the estimate errs as far as is declared.
+    """
     rng, begins_s = np.random.default_rng([24, seed]), 4.0 if drawn_grade(seed) == "mocap" else _CLIMBED_S
-    return Attack(KINDS[seed % len(KINDS)], seed=seed, begins_s=begins_s, pumps=bool(rng.uniform() < 1.0 / 3.0))
+    pumps, errs = (rng.uniform(size=2) < 1.0 / 3.0).tolist()
+    return Attack(KINDS[seed % len(KINDS)], seed=seed, begins_s=begins_s, pumps=pumps, errs=errs)

@@ -95,16 +95,17 @@ def ours(seconds: float) -> Iterator[Row]:
     text = (ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
     plain = parse_vehicle(text, "quad-x.toml")
     for vehicle, label in ((plain, "no effect on"), (with_effects(plain, ALL_EFFECTS), "all effects on")):
-        yield Row("flightstack", f"one vehicle, a call a step, {label}", best_rate(_calls(vehicle), seconds), "RK4")
-        yield Row("flightstack", f"one vehicle, compiled loop, {label}", best_rate(_loop(vehicle), seconds), "RK4")
+        yield Row("flightstack", f"one vehicle, a call a step, {label}", best_rate(calls(vehicle), seconds), "RK4")
+        yield Row("flightstack", f"one vehicle, compiled loop, {label}", best_rate(loop(vehicle), seconds), "RK4")
         for steps, what in ((1, "a call a step"), (STEPS, "compiled loop")):
-            rate = best_rate(_batch(vehicle, steps), seconds)
+            rate = best_rate(batch(vehicle, steps), seconds)
             yield Row("flightstack", f"{BATCH} vehicles, {what}, {label}", rate, "RK4, all cores")
-        rate = best_rate(_closed_loop(vehicle), seconds)
+        rate = best_rate(closed_loop(vehicle), seconds)
         yield Row("flightstack", f"{BATCH} closed loops, ticks of 4 ms, {label}", rate, "four RK4 steps a tick")
 
 
-def _calls(vehicle: Vehicle) -> Callable[[], int]:
+def calls(vehicle: Vehicle) -> Callable[[], int]:
+    """One vehicle, a call a step."""
     plant = NativePlant(vehicle, seed=0)
 
     def run() -> int:
@@ -116,7 +117,8 @@ def _calls(vehicle: Vehicle) -> Callable[[], int]:
     return run
 
 
-def _loop(vehicle: Vehicle) -> Callable[[], int]:
+def loop(vehicle: Vehicle) -> Callable[[], int]:
+    """One vehicle, many steps in a call."""
     plant = NativePlant(vehicle, seed=0)
 
     def run() -> int:
@@ -126,10 +128,13 @@ def _loop(vehicle: Vehicle) -> Callable[[], int]:
     return run
 
 
-def _batch(vehicle: Vehicle, steps: int) -> Callable[[], int]:
+def batch(vehicle: Vehicle, steps: int, threads: int | None = None) -> Callable[[], int]:
+    """BATCH vehicles with masses of their own, so many steps in a call."""
     rng = np.random.default_rng(0)
     masses = rng.uniform(-0.2, 0.4, BATCH)
-    plant = BatchPlant([with_effects(vehicle, {"payload": {"mass_kg": mass}}) for mass in masses.tolist()], seed=0)
+    plant = BatchPlant(
+        [with_effects(vehicle, {"payload": {"mass_kg": mass}}) for mass in masses.tolist()], seed=0, threads=threads
+    )
     commands: F64 = rng.uniform(0.5, 0.9, (BATCH, 4))
 
     plant.pos_ned_m[:, 2] = -5000.0
@@ -141,14 +146,15 @@ def _batch(vehicle: Vehicle, steps: int) -> Callable[[], int]:
     return run
 
 
-def _closed_loop(vehicle: Vehicle) -> Callable[[], int]:
+def closed_loop(vehicle: Vehicle, threads: int | None = None) -> Callable[[], int]:
+    """BATCH closed loops."""
     plain = replace(vehicle, effects={})
     path = sinusoid((0.0, 0.0, -1.5), (1.0, 0.8, 0.3), (1.2, 1.0, 0.7), (0.0, 0.5, 0.0), yaw_rad=0.3)
     reference = np.array([path.at(0.004 * k).row for k in range(64)])
-    batch = BatchClosedLoop(plain, [vehicle] * BATCH)
+    fleet = BatchClosedLoop(plain, [vehicle] * BATCH)
 
     def run() -> int:
-        batch.fly(reference)
+        fleet.fly(reference, threads=threads)
         return 64 * BATCH
 
     return run

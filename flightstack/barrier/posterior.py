@@ -122,7 +122,7 @@ class Posterior:
         """The same, the excess at least what values y (M, P) at x (M, D) are off by beyond their noise."""
         if not len(x):
             return self
-        error = y - self.at(x)[0]
+        error = y - self.mean(x)
         beyond = INFLATION**2 * (np.einsum("ij,ij->j", error, error) / len(x) - self.process.noise_var)
         return self._with(replace(self.process, excess=np.maximum(self.process.excess, beyond)))
 
@@ -133,7 +133,7 @@ class Posterior:
         for start in range(0, len(x), _CHUNK):
             yield self
             part = slice(start, start + _CHUNK)
-            off.append(y[part] - self.at(x[part])[0])
+            off.append(y[part] - self.mean(x[part]))
         if off:
             found = colour(np.concatenate(off), evidence.spans_us[-_COLOURED:], self.process.noise_var)
             yield self._with(replace(self.process, colour=found))
@@ -150,6 +150,11 @@ class Posterior:
         weights, _ = lapack.dpotrs(self._factor, cross, lower=1)
         found: F64 = np.abs(weights).sum(axis=0)
         return found
+
+    def mean(self, x: F64) -> F64:
+        """(M, P) at x (M, D): the same as of `at`, at a third of its cost."""
+        mean: F64 = self.process.kernel.matrix(self.process.x, x).T @ self._weights
+        return mean
 
     def at(self, x: F64) -> tuple[F64, F64]:
         """Means (M, P) and latent variance (M,) at x (M, D)."""

@@ -117,7 +117,7 @@ def _from_json(text: str, source: str) -> Site:
         raise InputError(f"{source}: not valid JSON: {error}") from None
     if not isinstance(data, Mapping):
         raise InputError(f"{source}: neither a QGroundControl plan nor GeoJSON")
-    if data.get("fileType") == "Plan":
+    if data.get("fileType") == "Plan" or "geoFence" in data:
         return _from_plan(data, source)
     return _from_geojson(data, source)
 

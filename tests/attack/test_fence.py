@@ -61,6 +61,15 @@ def test_no_exit(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[fl
     assert outcome.changed > 0
 
 
+@pytest.mark.parametrize(("kind", "pumps"), [(PUSH, False), (RANDOM, True)])
+def test_no_exit_where_the_estimate_errs_by_all_that_is_declared(site: Path, kind: str, pumps: bool) -> None:
+    world = World(seed=7, scenario="hover", vehicle="quad-x", grade="mocap", mass_ratio=1.5, wind_g=(0.15, 0.0, 0.0))
+    outcome = FenceFlight(world, site, Attack(kind, seed=7, errs=True, pumps=pumps)).run(8.0)
+    assert outcome.exits == 0
+    assert outcome.engaged >= 0.95 * outcome.ticks
+    assert outcome.changed > 0
+
+
 def test_half_of_the_true_force_is_found_out(site: Path) -> None:
     outcome = attacked(site, PUSH, 304, 1.4, (0.2, 0.2, 0.1))
     assert outcome.exits > 0

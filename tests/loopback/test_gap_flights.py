@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.close_gap import HIDDEN, close, hidden_truth, simulated
 from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.gap import GapOptions, find_gap
@@ -83,6 +84,16 @@ def test_the_corrected_vehicle_flies_and_leans_as_the_real_one_did(folder: Path)
         away.append(_apart_rad(log, again))
     assert away[0] > 0.02
     assert away[1] < 0.1 * away[0]
+
+
+def test_a_load_and_drag_are_told_and_flown_with(folder: Path) -> None:
+    """End to end without a learner: what the file lacks is fed forward the second time."""
+    out = folder / "closed"
+    closed = close(simulated(hidden_truth(out), learning=False, duration_s=SECONDS), "quad-x", out)
+    assert {found.name for found in closed.result.found} == set(HIDDEN)
+    errors_m = [each["tracking"]["rmse_settled_m"] for each in (closed.before, closed.after)]
+    assert errors_m[1] < 0.3 * errors_m[0]
+    assert closed.result.sentence in closed.page.read_text("utf-8")
 
 
 def _apart_rad(first: Path, second: Path) -> float:

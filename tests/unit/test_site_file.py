@@ -83,6 +83,13 @@ def test_a_plan_s_fence() -> None:
     np.testing.assert_allclose(flat.inside[2], [111.195, 75.834], atol=0.002)
 
 
+def test_a_plan_that_lost_its_file_type_is_a_plan_all_the_same() -> None:
+    fence = {"polygons": [{"inclusion": True, "polygon": SQUARE}], "circles": []}
+    assert len(parse_site(json.dumps({"geoFence": fence}), "field.plan").inside) == 4
+    with pytest.raises(InputError, match=r"geoFence\.polygons must be a list of objects"):
+        parse_site('{"geoFence": {"polygons": "x"}}', "field.plan")
+
+
 @pytest.mark.parametrize("place", [(0.0, 180.0), (12.0, -180.0), (89.999, 20.0), (-90.0, 0.0), (-89.9995, -170.0)])
 def test_a_field_across_the_antimeridian_or_a_pole(place: tuple[float, float]) -> None:
     """A box of 200 x 100 m round a place, by Snyder's inverse formulas, comes out as drawn."""

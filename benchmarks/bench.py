@@ -1,0 +1,249 @@
+"""`make bench`: what the parts cost, as multiples of a fixed reference kernel, into docs/benchmarks.md.
+
+    python -m benchmarks.bench             measure and write the table between the marks
+    python -m benchmarks.bench --check     measure and compare: exit code 1 where a part takes 4/3 of its multiple
+
+Two reference kernels that never change stand for the machine: one compiled (products of a matrix of 300 x 300 and a
+vector), one in Python (dictionaries, tuples, packing of numbers).  A part is held to the kernel that is like it, so
+hosts can be compared: the multiples should be much the same, whatever the machine.  Parts and kernels take turns, and
+of each the quickest turn counts: a busy neighbour can only make one slower.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import struct
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import campaign, plant
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.versions import commit
+from flightstack.gp import RecursiveGP, SquaredExponential
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack.vehicle import parse_vehicle, with_effects
+from mavlink_bridge import messages
+from mavlink_bridge.link import Link
+
+PAGE = Path(__file__).resolve().parents[1] / "docs/benchmarks.md"
+BEGIN, END = "<!-- make bench: begin -->", "<!-- make bench: end -->"
+ROUNDS = 5
+SLOWER = 4.0 / 3.0
+"""Three quarters of the speed: as far as a part may fall behind its kernel."""
+_TICK_US, _COLUMNS = 4000.0, 5
+COMPILED, PYTHON = "reference, compiled", "reference, Python"
+UNHELD = ""
+"""Compared with nothing: a busy neighbour makes what it likes of a 99th percentile."""
+Work = Callable[[], int]
+"""Does some work; how many pieces that were."""
+
+
+@dataclass(slots=True)
+class Part:
+    """One line of the table."""
+
+    name: str
+    piece: str
+    kernel: str
+    measure: Callable[[], float]
+    """Time of a piece, us."""
+    us: float = field(default=np.inf)
+    """The least so far."""
+
+    def turn(self) -> None:
+        """Measure once more."""
+        self.us = min(self.us, self.measure())
+
+
+def timed(work: Work) -> Callable[[], float]:
+    """Wall time of a piece, us."""
+
+    def measure() -> float:
+        began = time.perf_counter()
+        pieces = work()
+        return 1e6 * (time.perf_counter() - began) / pieces
+
+    return measure
+
+
+@njit
+def _products(matrix: F64, vector: F64, out: F64, count: int) -> None:
+    for _ in range(count):
+        for i in range(matrix.shape[0]):
+            total = 0.0
+            for j in range(matrix.shape[1]):
+                total += matrix[i, j] * vector[j]
+            out[i] = total
+
+
+def _compiled() -> int:
+    _products(_MATRIX, _MATRIX[0], _OUT, 100)
+    return 100
+
+
+def _python(count: int = 2000) -> int:
+    pack, seen = struct.Struct("<IffB").pack, {}
+    for k in range(count):
+        data = pack(k, 0.5 * k, 1.0, k & 0xFF)
+        seen[k & 0x3F] = (k, len(data), data[4:8])
+    return count
+
+
+_MATRIX, _OUT = np.cos(np.arange(90_000.0)).reshape(300, 300), np.empty(300)
+
+
+def _gp_step() -> Work:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(600, 9)), rng.normal(size=(600, 6))
+    gp = RecursiveGP(SquaredExponential(1.0, tuple(np.linspace(1.0, 2.0, 9))), 0.01, input_dim=9, output_dim=6)
+    gp.add(x[:300], y[:300])
+
+    def work() -> int:
+        for k in range(300):
+            gp.remove(gp.oldest())
+            gp.add(x[k], y[k])
+            gp.predict(x[k])
+        return 300
+
+    return work
+
+
+def _link() -> Work:
+    ours, theirs = Link(1, 1), Link(240, 191)
+    force, rate, field_gauss = (0.1, 0.2, -9.8), (0.01, 0.02, 0.03), (0.2, 0.0, 0.4)
+    message = messages.HighresImu(1, force, rate, field_gauss, 1013.0, 0.0, 488.0, 25.0, 63)
+
+    def work() -> int:
+        for k in range(500):
+            ours.send(message)
+            for data in ours.datagrams_to_send():
+                theirs.receive_datagram(data, k)
+            theirs.take_events()
+        return 500
+
+    return work
+
+
+def _flight(scenario: str, seconds: float) -> list[Part]:
+    """A tick of a flight in lockstep, both ends and the log; what its learner and its filter took of it."""
+    seen: dict[str, Any] = {}
+
+    def tick_us() -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            options = FlyOptions(out=Path(folder), scenario=scenario, duration_s=seconds, seed=1)
+            result = fly(options, stop_requested=lambda: "", report_wanted=lambda result: False).as_json()
+        seen.update(result)
+        return float(_TICK_US / result["realtime_factor"])
+
+    def of(*keys: str) -> Callable[[], float]:
+        def measure() -> float:
+            found: Any = seen
+            for key in keys:
+                found = found[key]
+            return float(found)
+
+        return measure
+
+    return [
+        Part(f"lockstep flight, {scenario}", "tick, all of it", PYTHON, tick_us),
+        Part(f"{scenario}: learner, median", "step", COMPILED, of("gp", "step_us", "p50")),
+        Part(f"{scenario}: learner, p99", "step", UNHELD, of("gp", "step_us", "p99")),
+        Part(f"{scenario}: safety filter, median", "solved step", PYTHON, of("qp", "solve_us", "p50")),
+    ]
+
+
+def parts() -> list[Part]:
+    """The table's lines, in order."""
+    text = (plant.ROOT / "flightstack/data/vehicles" / "quad-x.toml").read_text()
+    plain = parse_vehicle(text, "quad-x.toml")
+    lines = [
+        Part(COMPILED, "product 300 x 300", COMPILED, timed(_compiled)),
+        Part(PYTHON, "pass of its loop", PYTHON, timed(_python)),
+        Part("Gaussian process, 300 points, 9 to 6", "exchange, prediction", COMPILED, timed(_gp_step())),
+        Part("MAVLink message, both ends", "message", PYTHON, timed(_link())),
+    ]
+    for vehicle, words in ((plain, "no effect"), (with_effects(plain, plant.ALL_EFFECTS), "every effect")):
+        batch = timed(plant.batch(vehicle, plant.STEPS, threads=1))
+        flown = timed(plant.closed_loop(vehicle, threads=1))
+        lines += [
+            Part(f"plant, {words}", "RK4 step of 1 ms", COMPILED, timed(plant.loop(vehicle))),
+            Part(f"plant, batch of {plant.BATCH}, one thread, {words}", "vehicle's step", COMPILED, batch),
+            Part(f"closed loop, the same, {words}", "vehicle's tick", COMPILED, flown),
+        ]
+    return [*lines, *_flight("hover", 4.0)[:1], *_flight("paper-tracking", 8.0)]
+
+
+def table(lines: list[Part]) -> str:
+    """As markdown, with the machine it was measured on."""
+    kernels = {each.name: each.us for each in lines if each.name == each.kernel}
+    load = os.getloadavg()[0]
+    rows = [
+        f"{date.today()}, {campaign.processor()}, Python {platform.python_version()}, flightstack {commit()}, "
+        f"load {load:.1f} at the end:",
+        "",
+        "| part | piece | us | a second | times its kernel |",
+        "| --- | --- | --: | --: | --: |",
+    ]
+    for each in lines:
+        which = each.kernel.removeprefix("reference, ")
+        times = f"{each.us / kernels[each.kernel]:.3g} x {which}" if which else ""
+        rows.append(f"| {each.name} | {each.piece} | {each.us:.3g} | {1e6 / each.us:,.0f} | {times} |")
+    return "\n".join(rows)
+
+
+def multiples(text: str) -> dict[str, float]:
+    """Part -> multiple of its kernel, of a table."""
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if " x " in line]
+    return {row[0]: float(row[-1].split()[0]) for row in cells if len(row) == _COLUMNS}
+
+
+def behind(then: dict[str, float], now: dict[str, float]) -> dict[str, str]:
+    """Which parts fell behind their kernel by a quarter of their speed or more, and what to say of each."""
+    return {
+        name: f"{name}: {now[name]:.3g} times its kernel, {before:.3g} are stated"
+        for name, before in then.items()
+        if name in now and now[name] > SLOWER * before
+    }
+
+
+def main() -> None:
+    """Measure, then write or compare."""
+    if set(sys.argv[1:]) - {"--check"}:
+        sys.exit("error: known is --check")
+    page = PAGE.read_text("utf-8")
+    head, _, rest = page.partition(BEGIN)
+    stated, mark, tail = rest.partition(END)
+    if not mark:
+        sys.exit(f"error: {PAGE} lacks the marks {BEGIN} and {END}")
+    lines = parts()
+    for _ in range(ROUNDS):
+        for each in lines:
+            each.turn()
+    found = table(lines)
+    print(found)
+    if "--check" not in sys.argv:
+        PAGE.write_text(f"{head}{BEGIN}\n{found}\n{END}{tail}", "utf-8")
+        return
+    words = behind(multiples(stated), multiples(found))
+    for _ in range(2 * ROUNDS):  # perhaps a neighbour was busy all the while
+        if not words:
+            return
+        for each in lines:
+            if each.name in words or each.name == each.kernel:
+                each.turn()
+        words = behind(multiples(stated), multiples(table(lines)))
+    sys.exit("\n".join(["error: slower than stated", *words.values()]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""`make bench`: the table that it writes is what it compares with."""
+
+from __future__ import annotations
+
+import math
+
+from benchmarks.bench import COMPILED, PAGE, PYTHON, UNHELD, Part, behind, multiples, table
+
+
+def lines(step_us: float) -> list[Part]:
+    parts = [
+        Part(COMPILED, "product", COMPILED, lambda: 50.0),
+        Part(PYTHON, "pass", PYTHON, lambda: 0.25),
+        Part("plant", "step", COMPILED, iter((3.0 * step_us, step_us, 2.0 * step_us)).__next__),
+        Part("p99", "step", UNHELD, lambda: 900.0),
+    ]
+    for _ in range(3):
+        for part in parts:
+            part.turn()
+    return parts
+
+
+def test_the_least_turn_counts_and_what_is_written_is_read_again() -> None:
+    found = multiples(table(lines(step_us=10.0)))
+    assert found == {COMPILED: 1.0, PYTHON: 1.0, "plant": 0.2}, "a 99th percentile is held to nothing"
+
+
+def test_a_part_that_lost_a_quarter_of_its_speed_is_named() -> None:
+    then = multiples(table(lines(step_us=10.0)))
+    assert not behind(then, multiples(table(lines(step_us=13.3))))
+    slow = behind(then, multiples(table(lines(step_us=13.5))))
+    assert list(slow) == ["plant"]
+    assert slow["plant"].startswith("plant: 0.27 times")
+    assert not behind(then, {}), "a part that is gone is not slow"
+
+
+def test_the_page_has_a_table() -> None:
+    found = multiples(PAGE.read_text("utf-8"))
+    assert len(found) >= 10
+    assert all(math.isfinite(value) and value > 0.0 for value in found.values())
