@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 import math
+import os
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
