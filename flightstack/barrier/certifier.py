@@ -54,10 +54,6 @@ _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
 _LEAST_HOVER_MPS2 = 1.0
 """What a vehicle out of hand has taught of its hover may be below zero."""
-_LATE_TICKS, _MOST_TICKS = 3, 5
-"""A loop that was late once is certified for commands that far apart at least, and no further apart than that."""
-_ROUNDED_S = 0.0005
-"""What an interval may be longer without being late."""
 _HOVER_OFF = 1.05
 """The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
@@ -95,15 +91,17 @@ class OnlineCertifier:
             elsewhere=self.elsewhere,
         )  # fmt: skip
 
-    def apart(self, apart_s: float) -> OnlineCertifier:
-        """The same for commands as far apart as ticks were: in whole ticks, within what a region can bear."""
-        dt_s = self.config.dt_s
-        if apart_s <= dt_s + _ROUNDED_S:
+    def paced(self, state: CertifierState) -> OnlineCertifier:
+        """The same for commands as far apart, in whole ticks, and messages as late as they have been so far, within
+        what a region can bear."""
+        config, late = self.config, state.lateness
+        dt_s, jitter_s = late.interval_s(config.dt_s), max(late.jitter_s, config.jitter_s)
+        if dt_s == config.dt_s and jitter_s == config.jitter_s:
             return self
-        ticks = min(max(math.ceil((apart_s - _ROUNDED_S) / dt_s), _LATE_TICKS), _MOST_TICKS)
+        doubts = config.doubts._replace(delay_s=config.doubts.delay_s + jitter_s - config.jitter_s)
         return OnlineCertifier(
-            self.model, self.limits, self.region, initial=self.initial, config=replace(self.config, dt_s=ticks * dt_s),
-            safe=self.safe, elsewhere=self.elsewhere,
+            self.model, self.limits, self.region, initial=self.initial, safe=self.safe, elsewhere=self.elsewhere,
+            config=replace(config, dt_s=dt_s, jitter_s=jitter_s, doubts=doubts),
         )  # fmt: skip
 
     def here(self) -> OnlineCertifier:
@@ -123,16 +121,14 @@ class OnlineCertifier:
         """A piece of the work; a certificate where one is ready and fits."""
         if state.origin_ned_m is None:
             state.origin_ned_m = measurement.pos_ned_m.copy()
-        elif measurement.t_us > state.seen_us:
-            state.apart_s = max(state.apart_s, 1e-6 * (measurement.t_us - state.seen_us))
-        state.seen_us = measurement.t_us
+        state.lateness.take(measurement)
         if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
         state.flown.take(measurement, self.region, state.origin_ned_m)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            there, paced = self.elsewhere, self.apart(state.apart_s)
+            there, paced = self.elsewhere, self.paced(state)
             state.work = there.work(paced, learner, learned, state) if there else paced.work(learner, learned, state)
         if state.work is None:
             return state, None
@@ -198,7 +194,7 @@ class OnlineCertifier:
         before_h = state.flown.least(held, state.origin_ned_m)
         if flown_h < min(self.config.spared_h, before_h):
             return False
-        if ready.axes[0].setting.dt_s > held.axes[0].setting.dt_s:  # the loop was later since
+        if _lateness(ready) > _lateness(held):  # commands or messages came later since
             return True
         if self.config.spared_h > -math.inf and flown_h > before_h + _SPARED_MORE:
             return True
@@ -381,6 +377,12 @@ def compile_all() -> None:
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
     """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
     return least_h(certificate, measurement.row[None, :6], origin_ned_m)
+
+
+def _lateness(certificate: Certificate) -> float:
+    """For how late commands and messages together a certificate holds, s."""
+    premises = certificate.premises
+    return 0.0 if premises is None else premises.command_interval_s + premises.jitter_s
 
 
 def _three(values: F64) -> Tuple3:

@@ -12,6 +12,7 @@ import numpy as np
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.flown import FlownPath
+from flightstack.barrier.lateness import Lateness
 from flightstack.barrier.margins import USUAL, Doubts
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.search import Ratios
@@ -45,7 +46,7 @@ class CertifierConfig:
     """The same sideways.  The steeper, the faster the filter turns thrust round, which the governor's torque bounds;
     the gentler, the earlier it holds back what is flown well inside."""
     dt_s: float = 0.004
-    """Longest time between two commands of a loop that is never late; of one that was, see `apart`."""
+    """Longest time between two commands of a loop that is never late; of one that was, see `Lateness`."""
     delta: float = 0.05
     nodes: int = 8
     slice_only: bool = False
@@ -55,7 +56,8 @@ class CertifierConfig:
     estimate: EstimateBounds = BENCH
     """How far it may be off, at the thrust of hover."""
     jitter_s: float = 0.002
-    """By how much a message may come late; half of what the delay is known to, the other half is the learner's."""
+    """By how much a message may come late, where none came later (`Lateness`); half of what the delay is known to, the
+    other half is the learner's."""
     doubts: Doubts = USUAL
     attitude_p_ps: float = 6.5
     """The filter's steering law: 1 / T."""
@@ -97,9 +99,7 @@ class CertifierState:
     turn: int = 0
     """Of the thrusts."""
     flown: FlownPath = field(default_factory=FlownPath)
-    seen_us: int = -1
-    apart_s: float = 0.0
-    """Longest time between two ticks so far."""
+    lateness: Lateness = field(default_factory=Lateness)
 
 
 class Elsewhere(Protocol):

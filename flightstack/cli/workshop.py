@@ -28,8 +28,8 @@ from flightstack.types import Learned
 _LENGTH = struct.Struct("<Q")
 _BUFFER = 1 << 20
 """Bytes: an order with full pools has some 300,000."""
-_NICENESS = 10
-"""The flight's own process comes first."""
+_NICENESS = 5
+"""The flight's own process comes first; beside two programs that compute a certificate still comes soon."""
 _JOIN_S = 2.0
 _ENDED = "its process has ended"
 
