@@ -21,7 +21,8 @@ import numpy as np
 
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
 from benchmarks.attack_worlds import TICK_MS, World
-from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.falsify import Witness
 from flightstack.barrier.growing import GrowingCertifier
 from flightstack.barrier.records import Certificate

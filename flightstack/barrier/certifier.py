@@ -18,34 +18,28 @@ product lies in it.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.condition import Setting
-from flightstack.barrier.design import SafeSet
-from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
-from flightstack.barrier.falsify import Witness, doubt, marked, prepare
-from flightstack.barrier.flown import FlownPath, least_h
+from flightstack.barrier.design import SafeSet, safe_sets
+from flightstack.barrier.falsify import doubt, marked, prepare
+from flightstack.barrier.flown import least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge, Request
-from flightstack.barrier.margins import USUAL, Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations
-from flightstack.barrier.premises import (
-    ANY_BATTERY_V,
-    APPLIED_AS_SENT,
-    Premises,
-    gain_of,
-    speeds_of,
-)
+from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
 from flightstack.barrier.queries import Envelope, budget, lean
-from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response
+from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response, area_of
 from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, largest_steps
 from flightstack.barrier.shapes import Barrier
-from flightstack.barrier.torque import GovernorTerms, within
+from flightstack.barrier.torque import within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -60,114 +54,9 @@ _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
 _LEAST_HOVER_MPS2 = 1.0
 """What a vehicle out of hand has taught of its hover may be below zero."""
-_LATE_TICKS, _MOST_TICKS = 3, 5
-"""A loop that was late once is certified for commands that far apart at least, and no further apart than that."""
-_ROUNDED_S = 0.0005
-"""What an interval may be longer without being late."""
 _HOVER_OFF = 1.05
 """The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
-
-
-class Thrust(NamedTuple):
-    """What a budget asks for.  With more thrust a region may be faster, but lag and delay cost more; what is left to
-    one side is not there upwards."""
-
-    least_hovers: float = 0.85
-    most_hovers: float = math.inf
-    lateral_mps2: float = 1.5
-    """Acceleration to either side beyond what balances forces."""
-
-
-@dataclass(frozen=True, slots=True)
-class CertifierConfig:
-    """Constants of a certifier."""
-
-    axes: tuple[int, ...] = (0, 1, 2)
-    gamma_ps: float = 0.5
-    inside_ps: float = 20.0
-    """How much steeper the class-K function is inside (`condition`), vertically."""
-    inside_lateral_ps: float = 20.0
-    """The same sideways.  The steeper, the faster the filter turns thrust round, which the governor's torque bounds;
-    the gentler, the earlier it holds back what is flown well inside."""
-    dt_s: float = 0.004
-    """Longest time between two commands of a loop that is never late; of one that was, see `apart`."""
-    delta: float = 0.05
-    nodes: int = 8
-    slice_only: bool = False
-    """Bounds on the slice of no speed and no lean across each axis alone: the vertical experiment."""
-    sensors: str = "bench"
-    """Name of what the estimate comes from."""
-    estimate: EstimateBounds = BENCH
-    """How far it may be off, at the thrust of hover."""
-    jitter_s: float = 0.002
-    """By how much a message may come late; half of what the delay is known to, the other half is the learner's."""
-    doubts: Doubts = USUAL
-    attitude_p_ps: float = 6.5
-    """The filter's steering law: 1 / T."""
-    thrusts: tuple[Thrust, ...] = (Thrust(),)
-    """Of the budget, one after the other in each search."""
-    every_s: float = 1.0
-    growth: float = 1.02
-    surer: float = 0.9
-    """Share of the held bounds of acceleration that are worth a certificate of the same size."""
-    governor: GovernorTerms | None = None
-    """What bounds torque while a certificate is in force."""
-    spared_h: float = -math.inf
-    """h that a first certificate must give to all that was flown of late, and another as much or no less than the one
-    before it: one that gives less bends what is flown well inside."""
-    room_h: float = 0.05
-    """h that the vehicle must have in a certificate that is taken."""
-
-
-@dataclass(slots=True)
-class CertifierState:
-    """What a certifier remembers; changed in place by its steps."""
-
-    origin_ned_m: F64 | None = None
-    """Where the flight began: the first measurement."""
-    work: Iterator[Certificate | None] | None = None
-    certificate: Certificate | None = None
-    area: float = 0.0
-    """Of the product of the axes' regions."""
-    version: int = 0
-    begun_us: int = -(10**12)
-    wait_s: float = 0.0
-    """Until the next, from the beginning of the last; twice as long after each that came to nothing."""
-    changes: float = 0.0
-    widen_mps2: F64 = field(default_factory=lambda: np.zeros(3))
-    witness: Witness = field(default_factory=Witness)
-    falsified: str = ""
-    ratios: dict[tuple[int, int], Ratios] = field(default_factory=dict)
-    """Where each axis' last search with each of the thrusts ended."""
-    turn: int = 0
-    """Of the thrusts."""
-    flown: FlownPath = field(default_factory=FlownPath)
-    seen_us: int = -1
-    apart_s: float = 0.0
-    """Longest time between two ticks so far."""
-
-
-class Elsewhere(Protocol):
-    """Where certificates are made beside the flight: a tick only asks whether one is there."""
-
-    lost: str
-    """Why none will come any more; empty while they may."""
-
-    def count_anew(self) -> None:
-        """Orders are numbered from 0 again, and `served` begins: a flight's log does."""
-        ...
-
-    @property
-    def served(self) -> Sequence[tuple[int, int, int]]:
-        """When each answer came: number of the order, ticks until it was begun, ticks from then."""
-        ...
-
-    def work(
-        self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
-    ) -> Iterator[Certificate | None]:
-        """As the certifier's own `work`, of what the learner knows when this is first asked."""
-        ...
 
 
 class OnlineCertifier:
@@ -202,15 +91,17 @@ class OnlineCertifier:
             elsewhere=self.elsewhere,
         )  # fmt: skip
 
-    def apart(self, apart_s: float) -> OnlineCertifier:
-        """The same for commands as far apart as ticks were: in whole ticks, within what a region can bear."""
-        dt_s = self.config.dt_s
-        if apart_s <= dt_s + _ROUNDED_S:
+    def paced(self, state: CertifierState) -> OnlineCertifier:
+        """The same for commands as far apart, in whole ticks, and messages as late as they have been so far, within
+        what a region can bear."""
+        config, late = self.config, state.lateness
+        dt_s, jitter_s = late.interval_s(config.dt_s), max(late.jitter_s, config.jitter_s)
+        if dt_s == config.dt_s and jitter_s == config.jitter_s:
             return self
-        ticks = min(max(math.ceil((apart_s - _ROUNDED_S) / dt_s), _LATE_TICKS), _MOST_TICKS)
+        doubts = config.doubts._replace(delay_s=config.doubts.delay_s + jitter_s - config.jitter_s)
         return OnlineCertifier(
-            self.model, self.limits, self.region, initial=self.initial, config=replace(self.config, dt_s=ticks * dt_s),
-            safe=self.safe, elsewhere=self.elsewhere,
+            self.model, self.limits, self.region, initial=self.initial, safe=self.safe, elsewhere=self.elsewhere,
+            config=replace(config, dt_s=dt_s, jitter_s=jitter_s, doubts=doubts),
         )  # fmt: skip
 
     def here(self) -> OnlineCertifier:
@@ -230,16 +121,14 @@ class OnlineCertifier:
         """A piece of the work; a certificate where one is ready and fits."""
         if state.origin_ned_m is None:
             state.origin_ned_m = measurement.pos_ned_m.copy()
-        elif measurement.t_us > state.seen_us:
-            state.apart_s = max(state.apart_s, 1e-6 * (measurement.t_us - state.seen_us))
-        state.seen_us = measurement.t_us
+        state.lateness.take(measurement)
         if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
         state.flown.take(measurement, self.region, state.origin_ned_m)
         if state.work is None and measurement.t_us - state.begun_us >= 1e6 * state.wait_s:
             state.begun_us = measurement.t_us
-            there, paced = self.elsewhere, self.apart(state.apart_s)
+            there, paced = self.elsewhere, self.paced(state)
             state.work = there.work(paced, learner, learned, state) if there else paced.work(learner, learned, state)
         if state.work is None:
             return state, None
@@ -305,7 +194,7 @@ class OnlineCertifier:
         before_h = state.flown.least(held, state.origin_ned_m)
         if flown_h < min(self.config.spared_h, before_h):
             return False
-        if ready.axes[0].setting.dt_s > held.axes[0].setting.dt_s:  # the loop was later since
+        if _lateness(ready) > _lateness(held):  # commands or messages came later since
             return True
         if self.config.spared_h > -math.inf and flown_h > before_h + _SPARED_MORE:
             return True
@@ -485,25 +374,20 @@ def compile_all() -> None:
     prepare()
 
 
-def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
-    """Each axis' ellipse in (position, velocity); their product lies in the region."""
-    shrink = 1.0 if region.kind == "axes" else 1.0 / math.sqrt(len(axes))
-    return {i: SafeSet(shrink * region.semi_axes_m[i], shrink * region.semi_axes_mps[i]) for i in axes}
-
-
 def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
     """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
     return least_h(certificate, measurement.row[None, :6], origin_ned_m)
 
 
+def _lateness(certificate: Certificate) -> float:
+    """For how late commands and messages together a certificate holds, s."""
+    premises = certificate.premises
+    return 0.0 if premises is None else premises.command_interval_s + premises.jitter_s
+
+
 def _three(values: F64) -> Tuple3:
     north, east, down = values.tolist()
     return north, east, down
-
-
-def area_of(certificate: Certificate) -> float:
-    """Product of the axes' areas."""
-    return math.prod(each.barrier.area_m2ps for each in certificate.axes)
 
 
 def _last(pieces: Iterator[_T | None]) -> Generator[None, None, _T]:

@@ -46,6 +46,7 @@ from flightstack.barrier.shapes import (
     Quadratic,
     Stopping,
 )
+from flightstack.region import Region
 from flightstack.types import F64
 
 FAMILIES = ("quadratic", "centred", "mu", "stopping")
@@ -97,6 +98,12 @@ class SafeSet:
         at = [slow, v_high, *(x for x in far.deriv().roots().real if slow < x < v_high)]
         flat = float(e(slow)) ** 2 + ratio * v_low * v_low  # at lower speeds the edge is straight
         return bool(max(flat, *(float(far(x)) for x in at)) <= self.limit_m**2)
+
+
+def safe_sets(region: Region, axes: tuple[int, ...]) -> dict[int, SafeSet]:
+    """Each axis' ellipse in (position, velocity); their product lies in the region."""
+    shrink = 1.0 if region.kind == "axes" else 1.0 / math.sqrt(len(axes))
+    return {i: SafeSet(shrink * region.semi_axes_m[i], shrink * region.semi_axes_mps[i]) for i in axes}
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from flightstack.barrier.certifier import CertifierConfig, CertifierState, Elsewhere, OnlineCertifier, Thrust, safe_sets
-from flightstack.barrier.design import SafeSet
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
+from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.barrier.records import Certificate
 from flightstack.learning.learner import LearnerState

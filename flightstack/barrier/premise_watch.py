@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.assess import CHANGED, ENGAGE_H, PASSED, column_at
+from flightstack.barrier.lateness import ROUNDED_S, ages_of, lateness_s
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
@@ -44,14 +45,9 @@ NAMES = (
 _LATE_LINK, _LATE_COMMAND = 10, 11
 _LAPSES = _LATE_LINK, _LATE_COMMAND
 BREACH_S = 0.02
-LAPSED_S = 0.1
+LAPSED_S = 0.2
 """In all, what holds in between paid back likewise: a loop or a link that is often late is not what was certified."""
 _PAID_BACK = 0.25
-_PERIODS_S = (0.008, 0.005, 0.004)
-"""Of position, attitude and IMU streams at PX4's greatest rates."""
-_LATE = 1.5
-_TICK_S = 0.0005
-"""What a tick's own time may be rounded by."""
 _GAP_MAX_S = 0.1
 _VALID = 2.0
 _AHEAD_S = 0.3
@@ -129,8 +125,7 @@ def interrupted(state: WatchState) -> WatchState:
 
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:
     """One tick with an engaged filter."""
-    ages_s = np.array([measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us]) * 1e-6
-    learned = seen.learned
+    ages_s, learned = ages_of(measurement), seen.learned
     latency_s = learned.latency_s if learned.latency_s > 0.0 else math.nan
     gain = math.nan
     if learned.stage >= _VALID:
@@ -213,9 +208,8 @@ def _broken(
     for i, value in enumerate(ranged):
         if value < p[_THRUST + 2 * i] - 1e-9 or value > p[_THRUST + 1 + 2 * i] + 1e-9:
             return 6 + i
-    for i in range(3):
-        if ages_s[i] > _LATE * _PERIODS_S[i] + p[_JITTER]:
-            return _LATE_LINK
-    if interval_s > p[_INTERVAL] + _TICK_S:
+    if lateness_s(ages_s) > p[_JITTER]:
+        return _LATE_LINK
+    if interval_s > p[_INTERVAL] + ROUNDED_S:
         return _LATE_COMMAND
     return 12 if battery_v < p[_BATTERY] or battery_v > p[_BATTERY + 1] else 0

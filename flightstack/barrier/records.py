@@ -6,6 +6,7 @@ acceleration comes from a box that the thrust budget holds for all at once (`Bud
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -160,3 +161,8 @@ class Certificate:
     """What bounds torque while it is in force; None: nothing does, and no margin counts on it."""
     provenance: Provenance | None = None
     """The flight that it was learned in; None: nothing ties it to one."""
+
+
+def area_of(certificate: Certificate) -> float:
+    """Product of the axes' areas."""
+    return math.prod(each.barrier.area_m2ps for each in certificate.axes)

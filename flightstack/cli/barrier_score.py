@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from flightstack.barrier.certifier import Elsewhere
+from flightstack.barrier.certifier_config import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
 from flightstack.barrier.premises import Premises

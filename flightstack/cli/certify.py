@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flightstack.barrier.certifier import CertifierConfig
+from flightstack.barrier.certifier_config import CertifierConfig
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState

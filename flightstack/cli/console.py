@@ -163,7 +163,8 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         yield (
             "loop",
             f"{result.loop['rate_hz']} Hz, late by {lateness['p50']:.0f} us (p50), {lateness['p99']:.0f} us (p99), "
-            f"{lateness['max']:.0f} us at most; {result.loop['missed']} ticks missed",
+            f"{lateness['max']:.0f} us at most; {result.loop['missed']} ticks missed; "
+            + ("real-time priority" if result.loop.get("real_time_priority") else "no real-time priority"),
         )
         if result.loop.get("stalls"):
             yield "longest stall", escape(result.loop["stalls"][0]["cause"])

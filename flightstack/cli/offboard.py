@@ -43,7 +43,7 @@ from mavlink_bridge.transport.address import (
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
 from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.key_file import KeyFile
-from mavlink_bridge.transport.machine import lock_memory
+from mavlink_bridge.transport.machine import ahead_of_others, lock_memory
 
 _LEAST_BAUD = 500_000
 _LAST_WORDS_TIMES = 5
@@ -128,6 +128,7 @@ def _offboard(
     address = parse_address(options.connect)
     wanted = files.load_params(options.set_params).values
     with (
+        ahead_of_others() as is_ahead,
         closing(open_address(address)) as transport,
         parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
@@ -148,7 +149,7 @@ def _offboard(
         link = Link(240, 191, framing=framing_for(address), signing=signer)
         companion, inspector, config = companion_of(link, options, prepared, observer)
         observer.companion = score.companion = companion
-        timing = LoopTiming(1_000_000 // PERIOD_US)
+        timing = LoopTiming(1_000_000 // PERIOD_US, is_ahead=is_ahead)
         started = time.perf_counter()
         try:
             with ExitStack() as watched, undisturbed():

@@ -16,7 +16,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from flightstack.barrier.certifier import CertifierConfig, OnlineCertifier, Thrust
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier
 from flightstack.barrier.initial import require_authority

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from flightstack.barrier.certifier import Elsewhere
+from flightstack.barrier.certifier_config import Elsewhere
 from flightstack.barrier.premise_watch import NAMES
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES

@@ -73,6 +73,8 @@ class LoopTiming:
     """The longest ones: seconds between two ticks, and what kept the later one."""
     dead_man: dict[str, Any] | None = None
     """None: there can be none, simulator and companion being one process."""
+    is_ahead: bool = False
+    """The loop ran with real-time priority."""
 
     def tick(self, between_us: int, period_us: int) -> float:
         """Count a tick so long after the one before; how late it was, microseconds."""
@@ -96,6 +98,7 @@ class LoopTiming:
             "missed": self.missed,
             "stalls": self.stalls,
             "dead_man": self.dead_man,
+            "real_time_priority": self.is_ahead,
         }
 
 

@@ -18,7 +18,8 @@ from contextlib import suppress
 from multiprocessing import get_context
 from typing import NamedTuple
 
-from flightstack.barrier.certifier import CertifierState, OnlineCertifier, compile_all
+from flightstack.barrier.certifier import OnlineCertifier, compile_all
+from flightstack.barrier.certifier_config import CertifierState
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.search import Ratios
 from flightstack.learning.learner import LearnerState, Learnt
@@ -27,8 +28,8 @@ from flightstack.types import Learned
 _LENGTH = struct.Struct("<Q")
 _BUFFER = 1 << 20
 """Bytes: an order with full pools has some 300,000."""
-_NICENESS = 10
-"""The flight's own process comes first."""
+_NICENESS = 5
+"""The flight's own process comes first; beside two programs that compute a certificate still comes soon."""
 _JOIN_S = 2.0
 _ENDED = "its process has ended"
 

@@ -16,7 +16,6 @@ from flightstack.gap.naming.drivers import Blocks
 from flightstack.types import F64
 
 BLOCK_S = 0.2
-_STRETCH_S = 3.0
 FOLDS = 6
 _LENGTHS = (0.5, 1.5)
 """Length scales in standard deviations of the driver (time: shares of the flight, below)."""

@@ -118,13 +118,6 @@ def disagreement(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
     return out, raw
 
 
-def sensitivity(
-    vehicle: Vehicle, samples: Samples, effect: str, parameter: str, at: Mapping[str, float] | None = None
-) -> F64:
-    """d predict / d parameter, (N, 12), through the common low-pass; see `sensitivities`."""
-    return sensitivities(vehicle, samples, [Knob(effect, parameter, at or {})])[:, :, 0]
-
-
 def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], every: int = 1) -> F64:
     """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
 

@@ -37,17 +37,9 @@ _HELD_SHARE = 0.3
 _SAME_MPS2 = 1e-6
 _LEAST_FUSED_S = 24.0
 _ROWS = (
-    "t_s",
-    "pos_ned_m",
-    "vel_ned_mps",
-    "q_ned_frd",
-    "rate_frd_radps",
-    "accel_frd_mps2",
-    "motor",
-    "battery_v",
-    "height_m",
-    "valid",
-)
+    "t_s", "pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "motor", "battery_v",
+    "height_m", "valid",
+)  # fmt: skip
 _TRACK_ROWS = (
     "pos_ned_m",
     "path_ned_m",

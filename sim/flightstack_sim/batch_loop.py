@@ -47,9 +47,11 @@ def _rates(block: F64, scratch: F64) -> None:
 
 
 @njit_called
-def _control(control: tuple[F64, F64, F64], correction: F64, dt: float, wanted: F64, row: F64, loop: F64) -> float:
-    """One vehicle's tick: its loop's new target; its distance (m) from the reference."""
-    proposal, measured, rate = np.empty(PROPOSAL), np.zeros(PROPOSAL), np.empty(3)
+def _control(
+    control: tuple[F64, F64, F64], correction: F64, dt: float, wanted: F64, row: F64, loop: F64, work: F64
+) -> float:
+    """One vehicle's tick: its loop's new target; its distance (m) from the reference.  `work` (2 PROPOSAL + 3,)."""
+    proposal, measured, rate = work[:PROPOSAL], work[PROPOSAL : 2 * PROPOSAL], work[2 * PROPOSAL :]
     constants, limits, learned = control
     off = 0.0
     for j in range(3):
@@ -75,7 +77,7 @@ def fly_blocks(
     `steps`: `compiled_steps`.
     """
     params, state, normals, loops, corrections = fleet
-    scratch = scratch_block(state.shape[0])
+    scratch, work = scratch_block(state.shape[0]), np.zeros(2 * PROPOSAL + 3)
     last = distances.shape[0] - 1
     for at in range(vehicles[0], vehicles[1], LANES):
         load(params, state, at, scratch)
@@ -86,7 +88,7 @@ def fly_blocks(
                 which = min(at + i, last)
                 row, loop = lane(scratch, ROW_AT + i), lane(block, i)
                 wanted = reference[which if reference.shape[0] > 1 else 0, k]
-                off = _control(control, corrections[at + i], dt, wanted, row[:INTEGRATED], loop)
+                off = _control(control, corrections[at + i], dt, wanted, row[:INTEGRATED], loop, work)
                 if at + i <= last:
                     distances[which, k] = off
             for step in range(STEPS):

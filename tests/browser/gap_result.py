@@ -77,5 +77,4 @@ def gap_result() -> GapReport:
         checks=(("whiteness", "white to 12 Hz"), ("flown again", "0.11 m from the logged path, was 0.9 m")),
         takes=("mass_kg 1.2 → 1.416 kg",),
         learner=("rotor_drag",),
-        settings={"seed": "0"},
     )  # fmt: skip

@@ -90,19 +90,20 @@ def test_afterwards_it_is_certified_for_commands_that_far_apart(stalled: Stalled
         stalled.fly(0.5)
         if certified_s(stalled) > 0.004:
             break
-    assert certified_s(stalled) == pytest.approx(0.02)
+    assert certified_s(stalled) == pytest.approx(0.012)
     before = len(stalled.broken)
-    stalled.stall(0.016)
+    stalled.stall(0.012)
     stalled.fly(0.5)
     assert stalled.broken[before:] == [], "what the certificate holds for breaks nothing"
 
 
-def test_a_fifth_of_a_second_brakes_to_rest_and_ends_the_flight(stalled: Stalled) -> None:
-    stalled.stall(0.2)
+def test_a_quarter_of_a_second_ends_the_certificate_and_it_brakes_until_there_is_another(stalled: Stalled) -> None:
+    before = stalled.watched.adopted[-1].version  # type: ignore[union-attr]
+    stalled.stall(0.24)
     stalled.fly(8.0)
-    companion = stalled.flight.companion
-    assert companion.reason == "premise of the certificate broken: command interval; braked, then landed"
     stalled.log.close()
+    assert stalled.watched.adopted[-1].version > before or stalled.flight.companion.reason  # type: ignore[union-attr]
     events = read(stalled.path).tables["/events"]
-    told = [text for text in events["text"] if text.startswith("filter: premise broken: command interval (h")]
-    assert len(told) == 4
+    texts = events["text"].tolist()
+    assert sum(text.startswith("filter: premise broken: command interval (h") for text in texts) == 4
+    assert texts.count("filter: premise broken: command interval: braking, to rest") == 1

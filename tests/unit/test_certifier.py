@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.barrier.certifier import CertifierConfig, CertifierState, OnlineCertifier, area_of, safe_sets
-from flightstack.barrier.design import SafeSet
+from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierConfig, CertifierState
+from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.file import certificate_to_json
-from flightstack.barrier.records import Certificate
+from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
 from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.cli.workshop import Workshop

@@ -118,13 +118,19 @@ def test_a_short_log_is_not_flown_again(loaded: Samples) -> None:
     assert reflight(quad(), [quad()], loaded, mask) == []
 
 
-def test_the_companion_takes_mass_and_leaves_rotor_drag() -> None:
-    corrected = hidden(quad(), {"payload": {"mass_kg": 0.3}, "rotor_drag": {"k_d_kg_per_rad": 2e-4}})
+def test_the_companion_takes_mass_and_rotor_drag_and_leaves_parasitic_drag() -> None:
+    effects = {
+        "payload": {"mass_kg": 0.3},
+        "rotor_drag": {"k_d_kg_per_rad": 2e-4},
+        "parasitic_drag": {"c_x_kg_per_m": 0.1},
+    }
+    corrected = hidden(quad(), effects)
     got = companion(quad(), corrected)
     taken = {each.name: each for each in got.takes}
     assert taken["mass_kg"].before == 1.2
     assert taken["mass_kg"].after == pytest.approx(1.5)
-    assert got.left_to_learner == ("rotor_drag",)
+    assert taken["drag_x_kgps"].after > taken["drag_x_kgps"].before
+    assert got.left_to_learner == ("parasitic_drag",)
     assert companion(quad(), quad()).takes == ()
 
 

@@ -18,7 +18,6 @@ from flightstack.gap.simulate import (
     knobs,
     predict,
     sensitivities,
-    sensitivity,
     timing,
     unseen,
     value,
@@ -207,11 +206,11 @@ def test_payload_and_drag_columns_are_the_textbook_s(flown: tuple[Samples, Sampl
     samples = flown[0]
     flight = track(samples)
     thrust = -predict(quad(), samples)[:, 2] * 1.2
-    assert sensitivity(quad(), samples, "payload", "mass_kg")[:, 2] == pytest.approx(
+    assert sensitivities(quad(), samples, [Knob("payload", "mass_kg")])[..., 0][:, 2] == pytest.approx(
         flight.lowpass(thrust[:, None])[:, 0] / 1.2**2, rel=1e-3
     )
     north = np.einsum("nij,ni->nj", np.array([quat_to_matrix(q) for q in flight.q_ned_frd]), flight.vel_ned_mps)
-    column = sensitivity(quad(), samples, "linear_drag", "d_x_kgps")[:, 0]
+    column = sensitivities(quad(), samples, [Knob("linear_drag", "d_x_kgps")])[..., 0][:, 0]
     assert column == pytest.approx(flight.lowpass(north[:, :1])[:, 0] / -1.2, abs=1e-6)
 
 
@@ -233,7 +232,7 @@ def test_a_fast_log_may_be_evaluated_at_fewer_samples() -> None:
 
 def test_later_commands_are_a_transport_delay(flown: tuple[Samples, Samples]) -> None:
     column = timing(quad(), flown[0])[200:-200, 3:6]
-    delay = sensitivity(quad(), flown[0], "transport_delay", "delay_s")[200:-200, 3:6]
+    delay = sensitivities(quad(), flown[0], [Knob("transport_delay", "delay_s")])[..., 0][200:-200, 3:6]
     assert np.sum(column * delay) / np.sum(delay**2) == pytest.approx(1.0, abs=0.02)
 
 
@@ -273,8 +272,8 @@ def test_what_a_log_lacks_is_not_shown(flown: tuple[Samples, Samples]) -> None:
     assert unseen(bare, "linear_drag") == ("vel_ned_mps", "q_ned_frd")
     assert unseen(bare, "angular_damping") == ("vel_ned_mps", "q_ned_frd")  # drag at the hubs damps as well
     assert unseen(bare, "battery_sag") == ("battery_v",)
-    assert not np.any(np.nan_to_num(sensitivity(quad(), bare, "rotor_drag", "k_d_kg_per_rad")))
-    assert np.nanstd(sensitivity(quad(), bare, "payload", "mass_kg")[:, 2]) > 0.0
+    assert not np.any(np.nan_to_num(sensitivities(quad(), bare, [Knob("rotor_drag", "k_d_kg_per_rad")])[..., 0]))
+    assert np.nanstd(sensitivities(quad(), bare, [Knob("payload", "mass_kg")])[..., 0][:, 2]) > 0.0
 
 
 def test_a_force_out_of_the_velocity_passes_what_its_derivative_does(flown: tuple[Samples, Samples]) -> None:

@@ -1,6 +1,7 @@
 """Every premise that a flight can see: noticed at the first tick of breach, ended after 20 ms of it, never before.
 
-What comes late (commands, messages) ends a certificate where the vehicle was not inside afterwards, or after 0.1 s.
+What comes late (commands, messages) ends a certificate where the vehicle was not inside afterwards, or after 0.2 s of
+lapses.
 """
 
 from __future__ import annotations
@@ -98,16 +99,16 @@ def test_a_breach_is_told_at_once_and_ends_the_certificate_after_20_ms(
 
 
 LAPSES: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
-    ("link", {"position_age_us": 20_000}, {}, 25),
-    ("link", {"attitude_age_us": 10_000}, {}, 25),
-    ("link", {"imu_age_us": 9_000}, {}, 25),
-    ("command interval", {}, {"interval_s": 0.009}, 20),
+    ("link", {"position_age_us": 20_000}, {}, 50),
+    ("link", {"attitude_age_us": 10_000}, {}, 50),
+    ("link", {"imu_age_us": 9_000}, {}, 50),
+    ("command interval", {}, {"interval_s": 0.009}, 40),
 ]
-"""Name, what is late, and after how many such ticks 0.1 s of it are reached: of an interval what is beyond 4 ms."""
+"""Name, what is late, and after how many such ticks 0.2 s of it are reached: of an interval what is beyond 4 ms."""
 
 
 @pytest.mark.parametrize(("name", "measurement", "tick", "ticks"), LAPSES)
-def test_what_comes_late_is_told_at_once_and_ends_the_certificate_after_a_tenth_of_a_second(
+def test_what_comes_late_is_told_at_once_and_ends_the_certificate_after_a_fifth_of_a_second(
     name: str, measurement: dict[str, Any], tick: dict[str, Any], ticks: int
 ) -> None:
     late, when = measured(**measurement), seen(**tick)
@@ -130,8 +131,8 @@ def test_one_late_command_ends_nothing_where_the_vehicle_is_inside_at_the_next_t
     assert outside.rest is not None
 
 
-def test_a_gap_so_long_that_nothing_was_promised_for_a_tenth_of_a_second_ends_it_at_once() -> None:
-    assert NAMES[run(1, watched(1, PREMISES), measured(), seen(interval_s=0.105)).ended] == "command interval"
+def test_a_gap_so_long_that_nothing_was_promised_for_a_fifth_of_a_second_ends_it_at_once() -> None:
+    assert NAMES[run(1, watched(1, PREMISES), measured(), seen(interval_s=0.205)).ended] == "command interval"
 
 
 def test_outside_where_nothing_was_late_is_for_the_filter_to_judge() -> None:

@@ -24,7 +24,6 @@ _WHITENINGS = 2
 _ALL, _TORQUES = range(12), range(3, 6)
 """Channels whose noise has colour."""
 _OUTLIER = 6.0
-FIT, HOLDOUT = 0, -1
 
 
 class Bench(Protocol):

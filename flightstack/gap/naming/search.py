@@ -89,10 +89,7 @@ class SelectionState:
 
     @property
     def best_key(self) -> frozenset[str]:
-        """By which it is kept.  What adds less than a name needs is not followed: the noise's model decides on that.
-
-        Of other explanations that are as good the one with the fewest names is preferred.
-        """
+        """By which it is kept; what adds less than a name needs is not followed, of others as good the fewest names."""
         fair = {
             key: fit.score
             for key, fit in self.fits.items()

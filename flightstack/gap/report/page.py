@@ -61,9 +61,6 @@ def render_report(report: GapReport) -> str:
             "rejected": tables.rejected(report),
             "checks": tables.checks(report),
             "quality": tables.quality(report.logs),
-            "settings": escape("; ".join(f"{k} {v}" for k, v in (report.settings or {}).items()) + ". ")
-            if report.settings
-            else "",
             "data": safe_json(data),
             "library": asset("vendor/uPlot.iife.min.js"),
             "script": asset("charts.js"),

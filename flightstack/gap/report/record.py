@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from flightstack.gap.records import Across, Figures, Finding, Found, Gap, Offset, Rejected, Unexplained, Where
@@ -99,4 +98,3 @@ class GapReport:
     """Of several flights: what each says alone of what was named, or taken back for it."""
     learner: tuple[str, ...] = ()
     """Effects that the companion's model can't express: its learner has to take them."""
-    settings: Mapping[str, str] | None = None

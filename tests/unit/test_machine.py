@@ -1,0 +1,40 @@
+"""What a loop asks of the machine, and that it gives it back."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from mavlink_bridge.transport import machine
+
+linux = pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="there is no such scheduler")
+
+
+@linux
+def test_real_time_priority_is_taken_where_permitted_and_given_back() -> None:
+    before = os.sched_getscheduler(0)
+    with machine.ahead_of_others() as is_ahead:
+        assert is_ahead is (os.sched_getscheduler(0) == os.SCHED_FIFO)
+    assert os.sched_getscheduler(0) == before
+
+
+@linux
+def test_where_it_is_not_permitted_nothing_is_changed_but_the_length_of_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError
+
+    asked: list[bool] = []
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    monkeypatch.setattr(machine, "take_short_turns", lambda: asked.append(True))
+    with machine.ahead_of_others() as is_ahead:
+        assert not is_ahead
+    assert asked == [True]
+
+
+def test_a_system_without_any_of_it_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "sched_getscheduler", raising=False)
+    monkeypatch.delattr(os, "uname", raising=False)
+    assert machine.take_short_turns() is False
+    with machine.ahead_of_others() as is_ahead:
+        assert not is_ahead
