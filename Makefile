@@ -177,7 +177,7 @@ campaign-learning-quick: $(BIN)/.installed-campaign
 
 attack: $(BIN)/.installed-dev
 	$(BIN)/python -m pytest -q -m attack tests/attack
-	FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py
+	FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py tests/unit/test_certificate_check.py
 
 campaign-barrier: $(BIN)/.installed-campaign
 	$(RUN) campaigns/barrier.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES) --set seeds.from=$$((0x$(COMMIT)000)); \

@@ -6,8 +6,9 @@ its file says: thrust after delay and rotors' lag, times the learned gain; roll 
 loop's lag; the rest of the force as the accelerometer measured it, fixed in the world (`barrier.response`).  Where
 others give the commands force and rates stay as they were measured.
 
-What is left of this is in a certificate's ledger (`barrier.margins`, delay): commands that act later than believed
-move the state along its motion, and the model's error acts over the whole of the delay.
+What is left of this is no line of a certificate's ledger: the carried state is scored as the estimate (premises), on
+the links and under the attacks of docs/barrier.md.  Commands that act later than believed put velocity off by that
+time times the change of thrust.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> DerivedSamples:
     now, delay = ticks.t_us[keep] * 1e-6, ticks.delay_s[keep]
     sent_s, sent = _sent(ticks, believed, keep)
     imu_s = now - ticks.tick["imu_age_us"][keep] * 1e-6
-    before = np.concatenate([[-1.0], np.maximum.accumulate(imu_s)[:-1]])
+    before = _before(imu_s)
     dt = imu_s - before
     step = np.clip(dt, 0.0, _GAP_S)
     middle = imu_s - 0.5 * step
@@ -207,6 +207,16 @@ def samples(ticks: Ticks, believed: Believed, away_m: float) -> DerivedSamples:
     return DerivedSamples(
         ticks.t_us[keep][new], x[new], y[new], fit[new], force[new, 2], step[new], middle[new], sent_s, sent
     )
+
+
+def _before(imu_s: F64) -> F64:
+    """(n,) stamp of the force that was new last; one that a tick repeats may be rounded otherwise, and is not it."""
+    last, out = -1.0, np.empty(len(imu_s))
+    for i, stamp in enumerate(imu_s.tolist()):
+        out[i] = last
+        if stamp - last > _SAME_S:
+            last = stamp
+    return out
 
 
 def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F64, F64]:

@@ -217,6 +217,13 @@ def test_the_governors_share_is_of_the_engaged_ticks() -> None:
     assert barrier_summary(True, scored(BOX, np.full(3, -1.5)), score)["governor_share"] == 0.5
 
 
+def test_time_in_which_somebody_else_flew_is_not_protected() -> None:
+    score = FilterScore()
+    for flight_s in (1.0, 1.004, 1.1, 1.4, 1.404):  # 0.1 s is a late tick; in 0.3 s the autopilot had the vehicle
+        score.add(flight_s, says(2), climbing=False)
+    assert score.spans == [(1.0, 1.1), (1.4, 1.404)]
+
+
 def test_without_a_filter_every_field_is_null_and_the_region_is_told_all_the_same() -> None:
     region = scored(BOX, np.concatenate([np.full(250, -1.5), np.zeros(10)]))
     barrier, qp = barrier_summary(False, region, FilterScore()), qp_summary(NoFilter(), 0)

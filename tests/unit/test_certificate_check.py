@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import json
 import math
+import os
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -119,10 +120,14 @@ def test_any_number_changed_breaks_the_seal(kind: str) -> None:
     }
 
 
+CELLS_APART = 48 if "FLIGHTSTACK_FORGERIES" in os.environ else 144
+"""`make attack` takes three times as many cells: they are most of the numbers, and alike."""
+
+
 def often(path: tuple[Any, ...]) -> bool:
     """Every number but cells and points, of which some are taken: there are many alike."""
     if "cells" in path:
-        return path[-2] % 48 == 5
+        return path[-2] % CELLS_APART == 5
     if path[-3:-2] in (("x",), ("y",)):
         return path[-2] % 60 == 3
     return True
@@ -167,7 +172,7 @@ def test_a_number_changed_under_a_new_seal_is_refused_or_leaves_the_claims_true(
         passed += verdict.valid
         if verdict.valid:
             assert still_true(before, path, sealed), (path, name)
-    assert refused > 400
+    assert refused > 330
     assert passed < 0.4 * refused
 
 

@@ -145,6 +145,15 @@ def test_commands_beyond_the_limits_are_clipped() -> None:
     np.testing.assert_array_equal(command.rate_frd_radps, [6.0, -6.0, 0.0])
 
 
+@pytest.mark.parametrize(("norm", "passes"), [(0.0, True), (1.0, True), (-0.01, False), (1.01, False)])
+def test_a_normalised_thrust_beyond_0_to_1_is_made_anew_from_the_newtons(norm: float, passes: bool) -> None:
+    asked = Command(1000, MODEL.weight_n, norm, np.zeros(3))
+    out, name = GUARD.check(asked, GOOD, ORIGIN, MODEL.weight_n, 1000)
+    assert (out is asked) is passes
+    assert (name == "") is passes
+    assert passes or out.thrust_norm == pytest.approx(MODEL.hover_norm)
+
+
 @pytest.mark.parametrize("start", [(0.3, -0.2, 1.0), (3.0, 0.1, 0.0), (math.pi, 0.0, 0.0), (0.0, 2.9, -2.0)])
 def test_leveling_turns_any_attitude_level(start: tuple[float, float, float]) -> None:
     """SciPy integrates the attitude under the fallback's own rates; also from upside down."""

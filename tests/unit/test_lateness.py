@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from measured import measured
 
 from flightstack.barrier.lateness import Lateness, lateness_s
 from flightstack.types import Measurement
@@ -14,8 +15,8 @@ from flightstack.types import Measurement
 PERIOD_S = 0.004
 
 
-def measured(t_us: int, imu_age_us: int = 4000) -> Measurement:
-    return Measurement.of(
+def at(t_us: int, imu_age_us: int = 4000) -> Measurement:
+    return measured(
         t_us=t_us, pos_ned_m=np.zeros(3), vel_ned_mps=np.zeros(3), q_ned_frd=np.array([1.0, 0.0, 0.0, 0.0]),
         rate_frd_radps=np.zeros(3), specific_force_frd_mps2=np.array([0.0, 0.0, -9.8]),
         motor_command=np.full(4, math.nan), position_age_us=8000, attitude_age_us=4000, imu_age_us=imu_age_us,
@@ -24,13 +25,13 @@ def measured(t_us: int, imu_age_us: int = 4000) -> Measurement:
 
 def after(gaps_ms: Sequence[float], ages_us: Sequence[int] = ()) -> Lateness:
     late, t_us = Lateness(), 0
-    late.take(measured(0))
+    late.take(at(0))
     for gap_ms in gaps_ms:
         t_us += round(1000 * gap_ms)
-        late.take(measured(t_us))
+        late.take(at(t_us))
     for age_us in ages_us:
         t_us += 4000
-        late.take(measured(t_us, age_us))
+        late.take(at(t_us, age_us))
     return late
 
 
