@@ -28,11 +28,11 @@ from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Stick
 from flightstack_sim.builders import gps_global_origin
 from flightstack_sim.faults import Fault, Injector
 from flightstack_sim.fence import FenceWatch
-from flightstack_sim.plan_transfer import PlanTransfer
 from flightstack_sim.plans import Plans
-from flightstack_sim.protocols import EventMemory, ParameterList
+from flightstack_sim.port import Port
+from flightstack_sim.protocols import EventMemory
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
-from flightstack_sim.streams import LinkKind, LinkStreams
+from flightstack_sim.streams import LinkKind
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link, Received
@@ -43,23 +43,6 @@ HOME_SET_US: Final = 3_820_000
 """PX4 sets home this long after boot."""
 UNIX_AT_BOOT_US: Final = 1_767_225_600_000_000
 """2026-01-01: the simulated wall clock starts there."""
-TEXT_CHUNK: Final = 50
-PARAMS_PER_TICK: Final = 4
-
-
-class _Port:
-    """One MAVLink link and what belongs to it."""
-
-    __slots__ = ("gcs_at_us", "link", "parameters", "plans", "streams", "synced_us", "text_id")
-
-    def __init__(self, kind: LinkKind, system: int, plans: Plans) -> None:
-        self.link = Link(system, 1)
-        self.streams = LinkStreams(kind)
-        self.parameters = ParameterList()
-        self.plans = PlanTransfer(plans)
-        self.gcs_at_us = NEVER
-        self.text_id = 0
-        self.synced_us: int | None = None
 
 
 class Server:
@@ -93,7 +76,7 @@ class Server:
         self.faults = Injector(faults)
         self.deaf_to: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from the autopilot."""
-        self._ports = [_Port(kind, system, self.plans) for kind in links]
+        self._ports = [Port(kind, system, self.plans) for kind in links]
         self._requests: list[Request] = []
         self._offboard: ControlSetpoint | None = None
         self._offboard_at_us = NEVER
@@ -190,7 +173,7 @@ class Server:
         self._tell_of_plans(port)
         self._watch_mission()  # whoever stores one starts it at once
 
-    def _tell_of_plans(self, port: _Port) -> None:
+    def _tell_of_plans(self, port: Port) -> None:
         if port.plans.said:
             self._say(port.plans.said, self.view.t_us)
             port.plans.said.clear()
@@ -266,18 +249,14 @@ class Server:
             self._slow()
         for port in self._ports:
             port.streams.emit(view, port.link.send)
-            if port.parameters.running:
-                for item in port.parameters.take(vehicle.params, PARAMS_PER_TICK):
-                    port.link.send(item)
+            port.send_parameters(vehicle.params)
 
     def answer(self) -> None:
         """Answer what has been received without moving time: commands, and parameters that were asked for."""
         if self._requests:
             self._command(self.vehicle.control.land_detector.landed, self.view.t_us)
         for port in self._ports:
-            if port.parameters.running:
-                for item in port.parameters.take(self.vehicle.params, PARAMS_PER_TICK):
-                    port.link.send(item)
+            port.send_parameters(self.vehicle.params)
 
     def _command(self, landed: bool, now_us: int) -> None:
         """The commander's tick."""
@@ -380,21 +359,13 @@ class Server:
                 self.view.event_sequence = self.events.sequence
             for port in self._ports:
                 if notice.text and self._has_gcs(port):
-                    self._send_text(port, notice)
+                    port.send_text(notice)
                 if event is not None:
                     port.link.send(event)
 
-    def _has_gcs(self, port: _Port) -> bool:
+    def _has_gcs(self, port: Port) -> bool:
         """Whether a ground station's heartbeat has been seen on the link lately."""
         return self.t_us - port.gcs_at_us < self.vehicle.params.get("COM_DL_LOSS_T") * 1e6
-
-    @staticmethod
-    def _send_text(port: _Port, notice: Notice) -> None:
-        """A STATUSTEXT in chunks of 50."""
-        port.text_id = port.text_id % 0xFFFF + 1
-        for number in range(0, max(1, len(notice.text)), TEXT_CHUNK):
-            chunk = notice.text[number : number + TEXT_CHUNK]
-            port.link.send(m.Statustext(notice.severity, chunk, port.text_id, number // TEXT_CHUNK))
 
 
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {
