@@ -76,8 +76,10 @@ class LearnerConfig:
 _FORWARD_EVERY = 4
 _GAIN_EVERY = 64
 """Steps between two looks at the gain's own variance; the first of them is none in which something else is due."""
-_TURN_OF = {step: (None, 2, 0, 1)[step % _FORWARD_EVERY] for step in range(2, _GAIN_EVERY)}
-"""Which store may take a point at which of so many steps: where nothing else is due, and just before its prediction."""
+_LATERAL, _VERTICAL, _RATES = range(3)
+_TURNS = {step: ((), (1, 2), (0,), (1, 2))[step % _FORWARD_EVERY] for step in range(2, _GAIN_EVERY)}
+"""Which stores may take a point at which of so many steps, the first that has not yet: where nothing else is due, just
+before its prediction.  The vertical one waits least: where thrust changes with speed each tick of waiting is missed."""
 _RECOVERY_US = 1_000_000
 """After a change the widened bound is what is expected: few new points predict badly, and that is no other change."""
 _USUAL_TICKS = 2500
@@ -103,8 +105,8 @@ class FullWindow(NamedTuple):
     """(3,) of the mean target, tilt axes."""
     span_us: tuple[int, int]
     """Stamps of its first and last sample."""
-    turn: int = 0
-    """Which store takes it next: lateral, vertical, rates."""
+    left: tuple[int, ...] = (_VERTICAL, _LATERAL, _RATES)
+    """Stores that have not taken it yet."""
 
 
 class LearnerState:
@@ -205,11 +207,12 @@ class GpLearner:
         """Learn from this measurement; say what is known now."""
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
-        turn = _TURN_OF.get(state.steps % _GAIN_EVERY)
-        if state.window is not None and turn == state.window.turn:
-            _take_turn(state, state.window)
-        elif turn in (0, 1):
-            (state.vertical if turn else state.lateral).carry_on()
+        turns, window = _TURNS.get(state.steps % _GAIN_EVERY, ()), state.window
+        due = [turn for turn in turns if window is not None and turn in window.left]
+        if window is not None and due:
+            _take_turn(state, window, due[0])
+        elif turns:
+            (state.vertical if turns[0] == _VERTICAL else state.lateral).carry_on()
         self._expect(state, both=state.steps == 0)
         fit = state.weigh(config.residual_max_mps2)
         if fit:
@@ -270,7 +273,7 @@ class GpLearner:
             return True
         if watch.full:
             while state.window is not None:  # windows so short that there are too few ticks between them
-                _take_turn(state, state.window)
+                _take_turn(state, state.window, state.window.left[0])
             state.window = FullWindow(watch.take(), watch.noise_var, (state.began_us, t_us))
         return False
 
@@ -303,21 +306,22 @@ class GpLearner:
         state.forward_us = t_us
 
 
-def _take_turn(state: LearnerState, window: FullWindow) -> None:
+def _take_turn(state: LearnerState, window: FullWindow, turn: int) -> None:
     """Let one store take a full window: an exchange of points costs what a tick can spare once."""
-    mean, noise, span_us, turn = window
+    mean, noise, span_us, left = window
     x, y = mean[: s.D], mean[s.D : s.D + 3]
-    if turn == 0:
+    if turn == _LATERAL:
         state.lateral.hear(max(noise[0], noise[1]))
         state.lateral.take(x, y[:2], span_us)
-    elif turn == 1:
+    elif turn == _VERTICAL:
         state.vertical.hear(noise[2])
         state.vertical.take(x, y[2:], span_us)
     else:
         state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
         state.rate_mean, spread = state.rates.expect(state.sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3])
         state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
-    state.window = window._replace(turn=turn + 1) if turn < 2 else None
+    left = tuple(other for other in left if other != turn)
+    state.window = window._replace(left=left) if left else None
 
 
 def _look_at_gain(state: LearnerState) -> None:

@@ -20,7 +20,7 @@ VALID = 2.0
 MOST = np.full(3, 0.003)
 LIFT = np.array([0.003, 0.003, 0.01])
 """A fifth of the thrust as translational lift is more than the vertical prior expects (0.12 m/s^2 and what is linear):
-the first fast laps miss more, 0.76 % over these seeds; a prior as wide would cost certificates (docs/limits.md)."""
+the first fast laps miss more, 0.96 % over these seeds; a prior as wide would cost certificates (docs/limits.md)."""
 
 
 def misses(task: str, seed: int) -> F64:

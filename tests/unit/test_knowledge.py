@@ -294,7 +294,7 @@ def test_a_smooth_part_that_the_data_do_not_show_is_made_small_and_one_that_they
     x = np.zeros((150, 7))
     x[:, :3], x[:, 3:5] = rng.uniform(-2.0, 2.0, (150, 3)), rng.uniform(-0.2, 0.2, (150, 2))
     x[:, 5] = rng.uniform(1.0, 1.6, 150)
-    flat = 0.3 + 2.0 * x[:, 5:6] + rng.normal(0.0, 0.03, (150, 1))
+    flat = 0.15 + 2.0 * x[:, 5:6] + rng.normal(0.0, 0.03, (150, 1))
     bent = flat + 0.6 * np.cos(1.2 * x[:, 2:3])
     *_, small = sized_steps(Process(kernel, 0.03**2, x, flat, np.zeros(1)))
     *_, large = sized_steps(Process(kernel, 0.03**2, x, bent, np.zeros(1)))
