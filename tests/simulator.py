@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 HOST = "127.0.0.1"
@@ -58,10 +58,10 @@ def watching(port: int) -> Iterator[list[dict[str, Any]]]:
     def watch() -> None:
         while not over.wait(0.03):
             try:
-                connection = http.client.HTTPConnection(HOST, port + 1, timeout=2.0)
-                connection.request("GET", "/state")
-                seen.append(json.loads(connection.getresponse().read()))
-                connection.close()
+                with closing(http.client.HTTPConnection(HOST, port + 1, timeout=2.0)) as connection:
+                    connection.request("GET", "/state")
+                    with connection.getresponse() as answer:
+                        seen.append(json.loads(answer.read()))
             except (OSError, http.client.HTTPException):
                 continue  # nobody is there yet, or any more
 
