@@ -114,7 +114,7 @@ def _white(samples: Samples, name: str) -> F64:
 
 
 def figures(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
-    """Rms over the masked samples: one step, all measured axes together; position after 1 s, simulated from every 0.5 s."""
+    """Rms over the masked samples: one step, all measured axes together; position after 1 s, from every 0.5 s."""
     y = residual(vehicle, samples).y[mask]
     return Figures(_rms(y[:, 0:3]), _rms(y[:, 3:6]), _rms(rollout_error(vehicle, samples, mask)))
 

@@ -1,4 +1,4 @@
-"""Logs whose motors say less than commands do: only their mean (PX4's default rates), or only what the rotors turned."""
+"""Logs whose motors say less than commands: only their mean (PX4 by default), or only what the rotors turned."""
 
 from __future__ import annotations
 
