@@ -31,6 +31,7 @@ from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_sim.grade import load_grade
 from mavlink_bridge import messages
+from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.transport.address import Serial, UdpOut, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
 from mavlink_bridge.transport.udp import UdpSocket
@@ -101,6 +102,7 @@ def shield(
     latencies: list[float] = []
     began_us = next_us = monotonic_us()
     with ExitStack() as opened:
+        opened.enter_context(undisturbed(real_time=True))
         vehicle = opened.enter_context(closing(open_address(options.connect)))
         program = opened.enter_context(closing(open_serve(options.serve)))
         on_progress(0.0, "routing")

@@ -35,7 +35,7 @@ EFFECT = Effect(
     source="PX4 user guide, parameter THR_MDL_FAC: thrust = f u^2 + (1 - f) u",
     words="another thrust curve",
     scale=lambda size: 0.1,
-    needs=(),
+    needs=("motor", "command"),
     manoeuvre="hard climbs and fast descents: thrust from a third to all of it",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"thrust_model_factor": 0.4},

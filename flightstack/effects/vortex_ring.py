@@ -35,7 +35,7 @@ EFFECT = Effect(
     source="Leishman 2006, 2.13.6: loss of thrust centred at w = v_h (bell fit)",
     words="a vortex ring",
     scale=lambda size: 0.1,
-    needs=("vel_ned_mps", "q_ned_frd"),
+    needs=("vel_ned_mps", "q_ned_frd", "motor"),
     manoeuvre="straight descents at the speed of the rotors' own wake (3 to 6 m/s)",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"strength": 0.4},

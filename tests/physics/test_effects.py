@@ -47,7 +47,7 @@ def test_every_effect_is_a_file_of_its_own_with_all_that_is_known_of_it() -> Non
         assert effect.words
         assert check_effect(name, effect.example, "example") == effect.example
         assert not effect.is_null(effect.example)
-        assert set(effect.needs) <= {field.name for field in fields(Samples)}
+        assert set(effect.needs) <= {"command", *(field.name for field in fields(Samples))}
 
 
 @pytest.mark.parametrize("name", EFFECTS)
