@@ -37,7 +37,6 @@ from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.transport.address import Serial, Transport, UdpOut, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
 from mavlink_bridge.transport.dead_man import DeadManProcess, DeadManWatch
-from mavlink_bridge.transport.machine import ahead_of_others, lock_memory
 from mavlink_bridge.transport.udp import UdpSocket
 
 PERIOD_US = 4_000
@@ -107,13 +106,11 @@ def shield(
     router = ShieldRouter(stack, relay, refiner)
     began_us = monotonic_us()
     with ExitStack() as opened:
-        opened.enter_context(ahead_of_others())
+        opened.enter_context(undisturbed(real_time=True))
         vehicle = opened.enter_context(closing(open_address(options.connect)))
         program = opened.enter_context(closing(open_serve(options.serve)))
         dead_man = DeadManWatch(opened.enter_context(DeadManProcess(vehicle.fileno())), router, vehicle)
         on_progress(0.0, "routing")
-        opened.enter_context(undisturbed())
-        lock_memory()
         opened.enter_context(last_words(router, vehicle))
         latencies = _route(router, (vehicle, program), dead_man, _until(options.duration_s, stop_requested))
         summary = dead_man.summary()
