@@ -58,6 +58,9 @@ shifted mass both tip a hovering vehicle, what tells them apart is yaw and how t
 mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
 
 
+DRAGS = ("linear_drag", "rotor_drag", "parasitic_drag")
+
+
 def poorly_told(effects: Collection[str]) -> set[str]:
     """What beside a poor model can't be told from one of these."""
     return {e for pair in POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
@@ -66,9 +69,7 @@ def poorly_told(effects: Collection[str]) -> set[str]:
 def beside_a_poor_model(found: Found) -> Found:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
     for effects in POORLY_TOLD:
-        if found.name in effects:
-            twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
-            return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
+        found = _together(found, effects)
     return found
 
 
@@ -84,9 +85,27 @@ def has_gyro(flights: Sequence[Samples]) -> bool:
     return any("rate_frd_radps" not in track(s).missing for s in flights)
 
 
+def without_motors(flights: Sequence[Samples]) -> bool:
+    """Whether none of the flights has commands that say more than their mean."""
+    return all("motor" in track(s).missing for s in flights)
+
+
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
-    """The named effects of these flights: without a gyro their classes are those of a poor model."""
-    return found if has_gyro(flights) else tuple(beside_a_poor_model(f) for f in found)
+    """The named effects of these flights: without a gyro their classes are those of a poor model.
+
+    Without motors no drag's order is told: how the rotors' speed goes with the air's is what parts them.
+    """
+    if not has_gyro(flights):
+        found = tuple(beside_a_poor_model(f) for f in found)
+    return tuple(_together(f, DRAGS) for f in found) if without_motors(flights) else found
+
+
+def _together(found: Found, group: tuple[str, ...]) -> Found:
+    """The effect with all of a group as its twins, where it is one of it."""
+    if found.name not in group:
+        return found
+    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in group if e != found.name))))
+    return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
 def doubled(found: Sequence[Found]) -> tuple[str, ...]:

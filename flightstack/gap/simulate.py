@@ -35,20 +35,28 @@ _OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
 """Effects that change the states that are remembered."""
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
-    "battery_sag": ("battery_v",),
+    **dict.fromkeys(
+        ("payload", "thrust_scale", "rotor_fault", "com_offset", "inertia", "rotor_gyroscopic"), ("motor",)
+    ),
+    **dict.fromkeys(("thrust_curve", "motor_lag", "transport_delay"), ("motor", "command")),
+    "battery_sag": ("battery_v", "motor", "command"),
     "linear_drag": ("vel_ned_mps", "q_ned_frd"),
-    "angular_damping": ("vel_ned_mps", "q_ned_frd"),  # drag at the hubs damps as well: it could not be told from that
+    "angular_damping": (
+        "vel_ned_mps",
+        "q_ned_frd",
+        "motor",
+    ),  # drag at the hubs damps as well: it could not be told from that
     "rotor_drag": ("vel_ned_mps", "q_ned_frd"),
-    "induced_inflow": ("vel_ned_mps", "q_ned_frd"),
+    "induced_inflow": ("vel_ned_mps", "q_ned_frd", "motor"),
     "parasitic_drag": ("vel_ned_mps", "q_ned_frd"),
-    "translational_lift": ("vel_ned_mps", "q_ned_frd"),
-    "blade_flapping": ("vel_ned_mps", "q_ned_frd"),
-    "vortex_ring": ("vel_ned_mps", "q_ned_frd"),
+    "translational_lift": ("vel_ned_mps", "q_ned_frd", "motor"),
+    "blade_flapping": ("vel_ned_mps", "q_ned_frd", "motor"),
+    "vortex_ring": ("vel_ned_mps", "q_ned_frd", "motor"),
     "steady_wind": ("vel_ned_mps", "q_ned_frd"),
     "turbulence": ("vel_ned_mps", "q_ned_frd"),
-    "ground_effect": ("height_m",),
+    "ground_effect": ("height_m", "motor"),
     "constant_force": ("q_ned_frd",),
-    "slung_load": ("q_ned_frd",),
+    "slung_load": ("q_ned_frd", "motor"),
     "attitude_misalignment": ("q_ned_frd",),
     "accelerometer_bias": ("accel_frd_mps2", "vel_ned_mps", "q_ned_frd"),
     "gyro_bias": ("rate_frd_radps", "q_ned_frd"),

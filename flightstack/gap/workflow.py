@@ -15,7 +15,7 @@ from flightstack.gap import gather, pooled
 from flightstack.gap.across import Told, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
-from flightstack.gap.classes import confused_with, doubled
+from flightstack.gap.classes import confused_with, doubled, without_motors
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
 from flightstack.gap.likeness import other_vehicle
 from flightstack.gap.name import Naming, name
@@ -79,7 +79,7 @@ def analyse(
     naming, gap = with_turbulence(vehicle, naming, of, gap)
     naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
     on_progress(0.9, "drawing")
-    words = sentence(naming.found, gap, naming.unexplained)
+    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),

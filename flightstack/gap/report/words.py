@@ -73,8 +73,8 @@ def _width(value: Estimate) -> float:
     return value.high - value.low
 
 
-def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> str:
-    """What was found, how sure, and what would settle the rest."""
+def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False) -> str:
+    """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more."""
     if found:
         parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained), *_doubt(found)]
     elif unexplained.significant:
@@ -83,6 +83,8 @@ def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> st
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
         parts = ["Model and measurement agree within the noise: nothing to name"]
+    if side_only:
+        parts.append("vertical force and torques were not looked at, as motors were logged too slowly")
     return "; ".join(part for part in parts if part) + "."
 
 
