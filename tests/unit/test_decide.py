@@ -190,6 +190,25 @@ def test_nothing_happens_after_the_end(state: State) -> None:
     assert decide(situation(state, stop_requested="enough", mission_done=True), ENTERED + 60 * S) is None
 
 
+def test_what_nobody_said_is_not_so() -> None:
+    """A situation begins with nothing known: no streams, no fault, no stop, no way to have landed late."""
+    known = situation(State.STANDBY)
+    blank = Situation(known.config, known.view, known.commands, State.STANDBY, ENTERED)
+    assert decide(blank, ENTERED) is None
+    assert event(replace(known, fresh=True), 0.1) is E.READY
+    for state, view in ((State.OFFBOARD, FLYING), (State.LANDING, ARMED)):
+        given = situation(state, view)
+        assert decide(Situation(given.config, given.view, given.commands, state, ENTERED), ENTERED + S) is None
+
+
+def test_without_leave_it_neither_arms_nor_flies_with_deadly_parameters() -> None:
+    deadly = {"params": SimpleNamespace(settled=True, values={"COM_OF_LOSS_T": 9.0}, missing=())}
+    assert event(situation(State.STREAMING, config=CompanionConfig()), 60.0) is None
+    assert event(situation(State.STANDBY, deadly, config=CompanionConfig()), 0.1) is E.UNFIT
+    safe = {"params": SimpleNamespace(settled=True, values={"COM_OF_LOSS_T": 1.0}, missing=())}
+    assert event(situation(State.STANDBY, safe, config=CompanionConfig()), 0.1) is E.READY  # a dead-man is there
+
+
 def test_a_stall_that_ends_the_flight_is_a_fault_of_its_own() -> None:
     for state, stalls, after_s in ((State.OFFBOARD, {"is_held": True}, 0.5), (State.RETAKING, {}, 1.5)):
         now = situation(state, AWAY, stalls=stalls)
