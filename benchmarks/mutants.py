@@ -84,7 +84,8 @@ def mutants_of(tree: ast.Module) -> Iterator[Mutant]:
         elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
             kind = f"{node.value} to {not node.value}"
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in _TABLES:
-            kind = f"{node.value.id}.{node.attr} to {_TABLES[node.value.id]}"
+            if node.attr != _TABLES[node.value.id]:
+                kind = f"{node.value.id}.{node.attr} to {_TABLES[node.value.id]}"
         elif isinstance(node, ast.Constant) and isinstance(node.value, float):
             kind = f"{node.value} to {_other(node.value)}"
         if kind:
