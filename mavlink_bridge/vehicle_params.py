@@ -25,7 +25,7 @@ _OUTPUTS = 8
 _FUNCTIONS = tuple(f"PWM_MAIN_FUNC{i}" for i in range(1, _OUTPUTS + 1))
 _FIRST_MOTOR = 101
 _MOTORS = 4
-OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", *_FUNCTIONS, *GEOMETRY)
+OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", "NAV_DLL_ACT", *_FUNCTIONS, *GEOMETRY)
 """A PX4 may lack them, or be too old to say that it does."""
 _RETRY_US = 300_000
 _TRIES_NEEDED = 20
