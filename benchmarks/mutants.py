@@ -40,8 +40,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "mavlink_bridge/watchdogs.py": (UNIT + "test_watchdogs.py",),
     "mavlink_bridge/dead_man.py": (UNIT + "test_dead_man.py",),
-    "sim/flightstack_sim/effects/ground_effect.py": ("tests/physics/test_effects.py",),
-    "sim/flightstack_sim/effects/rotor_drag.py": ("tests/physics/test_effects.py",),
+    "flightstack/effects/ground_effect.py": ("tests/physics/test_effects.py",),
+    "flightstack/effects/rotor_drag.py": ("tests/physics/test_effects.py",),
 }
 EQUAL: dict[str, str] = {
     "mavlink_bridge/watchdogs.py:214 0.0 to 0.25": "taking out a shift of nothing leaves the message as it is",

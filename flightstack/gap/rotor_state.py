@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
-from flightstack.types import F64
-from flightstack_sim.battery import discharge
-from flightstack_sim.effects import slung_load, transport_delay
-from flightstack_sim.layout import (
+from flightstack.effects import slung_load, transport_delay
+from flightstack.effects.row import (
     D_LAG_FULL,
     D_MASS,
     EVALUATED,
@@ -24,6 +21,9 @@ from flightstack_sim.layout import (
     S_VOLTAGE,
     Vec,
 )
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack_sim.battery import discharge
 from flightstack_sim.rigid_body import lagged
 
 _PINNED_KG = 1e9

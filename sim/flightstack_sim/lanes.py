@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import FunctionType, ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -144,7 +144,8 @@ class _Copies:
         for name in python.__code__.co_names:
             if name in known:
                 known[name] = self.of(known[name])
-        return vectorised(FunctionType(python.__code__, known, python.__name__, python.__defaults__))
+        cells = tuple(CellType(self.of(cell.cell_contents)) for cell in python.__closure__ or ())
+        return vectorised(FunctionType(python.__code__, known, python.__name__, python.__defaults__, cells))
 
     def _module(self, module: ModuleType) -> ModuleType:
         copy = self._done[id(module)] = ModuleType(module.__name__)
