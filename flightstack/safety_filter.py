@@ -140,6 +140,10 @@ class BarrierFilter:
             return None
         return certificate.governor.limits
 
+    def in_force(self, state: FilterState) -> F64 | None:
+        """The certificate, engaged or not."""
+        return None if state.certificate is None or state.handed_over else state.packed
+
     def bend(self, state: FilterState, setpoint: FlatOutput) -> FlatOutput:
         """While engaged, the reference brought to the nearest place of rest inside the region, where it is outside.
 
