@@ -12,7 +12,7 @@ from pathlib import Path
 
 from flightstack.effect_specs import EFFECT_SPECS
 from flightstack.gap import gather, pooled
-from flightstack.gap.across import Told, differing
+from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
@@ -62,7 +62,8 @@ def analyse(
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
-        naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
+        gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
+        naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
         gap = _verdict(vehicle, naming, of)
     carried = naming.with_guessed_numbers()
     if carried is not naming:
@@ -250,7 +251,7 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
         (new,) = {f.name for f in more.found} - {f.name for f in named.found}
         open_.remove(new)
         if not proxies(vehicle, more.found, more.constant):
-            named = more
+            named = more.with_twins(new, tuple(f.name for f in stood if new in confused_with([f])))
     return named
 
 
