@@ -70,7 +70,9 @@ def beside_a_poor_model(found: Found) -> Found:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
     for effects in POORLY_TOLD:
         found = together(found, effects) if found.name in effects else found
-    return found
+    return (
+        together(found, ("com_offset",)) if found.name == "blade_flapping" else found
+    )  # drag above the centre of mass
 
 
 def confused_with(gone: Collection[Found]) -> set[str]:

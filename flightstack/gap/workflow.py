@@ -54,9 +54,32 @@ def analyse(
     logs without motor commands: then only sensor effects can be named.
     """
     checked, kept = _checked(logs, holdout, vehicle, columns, ground_d_m, kinematics_only, on_progress)
-    of = pooled.split([_usable(c) for c in checked], [_usable(c) for c in kept])
+    flights, held = [_usable(c) for c in checked], [_usable(c) for c in kept]
+    of = pooled.split(flights, held)
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
+    called = vehicle_name or vehicle.name
+    naming, of, gap = _concluded(vehicle, of, called, on_progress)
+    if not (held or naming.found) and naming.unexplained.significant:
+        naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
+    on_progress(0.9, "drawing")
+    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
+    report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
+    return GapResult(
+        tuple(str(path) for path in (*logs, *holdout)),
+        called,
+        naming.where,
+        naming.found,
+        gap,
+        naming.unexplained,
+        naming.rejected,
+        naming.vehicle,
+        report,
+    )
+
+
+def _concluded(vehicle: Vehicle, of: Split, called: str, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
+    """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout)
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
@@ -72,27 +95,33 @@ def analyse(
     unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
     if unlike:
         raise InputError(
-            f"log {logs[0]}: this log does not look like {vehicle_name or vehicle.name}: {unlike}; name the file of "
-            "the vehicle that flew"
+            f"log {of.flights[0].name}: this log does not look like {called}: {unlike}; name the file of the vehicle "
+            "that flew"
         )
     if naming.found and not naming.unexplained.significant and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
         naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
     naming, gap = with_turbulence(vehicle, naming, of, gap)
     naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
-    on_progress(0.9, "drawing")
-    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
-    report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
-    return GapResult(
-        tuple(str(path) for path in (*logs, *holdout)),
-        vehicle_name or vehicle.name,
-        naming.where,
-        naming.found,
-        gap,
-        naming.unexplained,
-        naming.rejected,
-        naming.vehicle,
-        report,
-    )
+    return naming, of, gap
+
+
+def _turned_round(
+    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Naming, Split, Gap], called: str
+) -> tuple[Naming, Split, Gap]:
+    """The verdict with the first third of each flight held out, where that explains all; else what was said.
+
+    What acts in the last third only (one low pass before landing) can't be named from the first two.  Learned from, it
+    must close the gap there, and must leave nothing open in the first third.
+    """
+    of = pooled.split(flights, (), first=True)
+    try:
+        naming, of, gap = _concluded(vehicle, of, called, lambda share, phase: None)
+    except InputError:
+        return said
+    if not naming.found or naming.unexplained.significant:
+        return said
+    closed = _verdict(vehicle, naming, replace(said[1], flights=of.flights)).closed
+    return said if closed is None or closed < MOSTLY_CLOSED else (naming, of, gap)
 
 
 def usable_flights(
