@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.across import Told, across, by_rows
 from flightstack.gap.classes import (
     POORLY_TOLD,
@@ -214,7 +214,7 @@ class Naming:
 
 def _is_mute(found: Found) -> bool:
     """Whether it is a force of which held-out data hold next to nothing."""
-    return EFFECT_SPECS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
+    return EFFECTS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
 
 
 def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], float]) -> Found:
@@ -312,7 +312,7 @@ def _rejected(
     base = members(point.candidates, best.effects)
     without = fit_subsets(gram, [base], point.columns, point.low, point.high)[0]
     out = []
-    for effect in EFFECT_SPECS:
+    for effect in EFFECTS:
         if effect in found:
             continue
         if effect in best.effects:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap import gather, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
@@ -207,7 +207,7 @@ def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tupl
 
 def _to_refine(naming: Naming, gap: Gap) -> list[str]:
     """Far from the noise only forces are: torques answer what a rate loop does, forces don't."""
-    return [f.name for f in naming.found if not far_from_noise(gap) or EFFECT_SPECS[f.name].kind == "force"]
+    return [f.name for f in naming.found if not far_from_noise(gap) or EFFECTS[f.name].kind == "force"]
 
 
 def _alone(vehicle: Vehicle, naming: Naming, samples: Samples, effects: Sequence[str]) -> Told:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
@@ -119,7 +119,7 @@ def _told(
             k = place.get((each.name, name))
             if k is None:
                 continue
-            spec = next(p for p in EFFECT_SPECS[each.name].params if p.name == name)
+            spec = next(p for p in EFFECTS[each.name].params if p.name == name)
             now = float(np.clip(values[k], spec.minimum, spec.maximum))
             half = max(0.5 * (e.high - e.low), CI * float(sigma[k]))
             parameters[name] = Estimate(e.before, now, max(now - half, spec.minimum), min(now + half, spec.maximum))
