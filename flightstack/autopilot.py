@@ -1,7 +1,6 @@
 """The autopilot that a vehicle flies with: PX4's rate gains, its filters, and its mixing matrix for these rotors.
 
 What a vehicle file's `[autopilot]` states counts; the rest are PX4's defaults, K the airframe's (`airframe_gains`).
-An offboard flight reads the same parameters from the vehicle: `contradictions` compares, `as_read` takes them over.
 
 The mixing matrix is the pseudo-inverse of the rotors' effectiveness (all rotors alike), with PX4's normalisation: roll
 and pitch share one scale, the larger root of a column's sum of squares over half the rotors; yaw's is its largest
@@ -19,8 +18,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -43,22 +40,6 @@ def autopilot_of(vehicle: Vehicle, flown: Vehicle | None = None) -> dict[str, fl
     known = {key: value for key, value in values.items() if value is not None}
     known = {**airframe_gains(vehicle, known, flown), **known}
     return {key: float32(known[key]) for key in AUTOPILOT_PARAMS}
-
-
-def contradictions(vehicle: Vehicle, read: Mapping[str, float]) -> list[str]:
-    """One line for each key that the vehicle file states otherwise than the vehicle (PX4 name -> value as read)."""
-    lines = []
-    for key, value in vehicle.autopilot.items():
-        name = AUTOPILOT_PARAMS[key].name
-        if name in read and float32(read[name]) != float32(value):
-            lines.append(f"autopilot.{key} = {value:g} in the vehicle file, the vehicle has {name} = {read[name]:g}")
-    return lines
-
-
-def as_read(vehicle: Vehicle, read: Mapping[str, float]) -> Vehicle:
-    """The vehicle with the autopilot's parameters that were read from it (PX4 name -> value)."""
-    found = {key: float(read[param.name]) for key, param in AUTOPILOT_PARAMS.items() if param.name in read}
-    return replace(vehicle, autopilot=MappingProxyType({**vehicle.autopilot, **found}))
 
 
 def float32(value: float) -> float:

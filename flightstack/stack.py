@@ -145,7 +145,7 @@ class Stack:
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
             if premises.version >= 0:
-                filtered.row[_PREMISE : _PREMISE + 2] = premises.broken, premises.ended
+                filtered = filtered.with_premise(premises.broken, premises.ended)
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
         governing, command, governed = self._govern(governing, command, safe, seen)
         if guard and not self.controller.healthy(control):
@@ -165,7 +165,8 @@ class Stack:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        heading_rad = 2.0 * math.atan2(seen.q_ned_frd[3], seen.q_ned_frd[0])
+        w, _, _, z = seen.q_ned_frd
+        heading_rad = 2.0 * math.atan2(z, w)
         state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:
             return state, command, False
@@ -177,8 +178,6 @@ _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()
 _ENGAGED = 2.0
-_PREMISE = 33
-"""Place of `Filtered.premise` in its row; `ended_by` follows."""
 
 
 def _watched(certificate: Certificate, model: Model) -> WatchState:

@@ -244,7 +244,14 @@ class Filtered:
         """Without a filter."""
         row = np.full(rows.FILTERED, np.nan)
         row[rows.F_STATUS], row[rows.F_INTERVENED] = -1.0, 0.0
+        row.flags.writeable = False  # one record serves many ticks, and flights
         return cls(row)
+
+    def with_premise(self, broken: float, ended_by: float) -> Filtered:
+        """The same with the certificate's premises as they stand."""
+        row = self.row.copy()
+        row[rows.F_PREMISE], row[rows.F_ENDED_BY] = broken, ended_by
+        return Filtered(row)
 
     @property
     def handed_over(self) -> bool:

@@ -26,14 +26,20 @@ def companion_record(
     flying = now.state in _STREAMING and not now.config.dry_run
     about_to = now.state is State.RETAKING or (now.state is State.STREAMING and now.config.arm)
     active = flying and (view.in_offboard or about_to)
-    w, x, y, z = _LEVEL if measurement is None else measurement.q_ned_frd.tolist()
-    carries = 0.0 if view.on_ground else thrust_norm
     flags = ACTIVE * active | IN_OFFBOARD * (active and view.in_offboard)
+    return record_of(voice, link, measurement, 0.0 if view.on_ground else thrust_norm, flags, sent)
+
+
+def record_of(
+    voice: Voice, link: Link, measurement: Measurement | None, thrust_norm: float, flags: int, sent: tuple[int, int]
+) -> CompanionRecord:
+    """The record of whoever speaks by `voice` over `link`."""
+    w, x, y, z = _LEVEL if measurement is None else measurement.q_ned_frd.tolist()
     factor = min(1.0, max(0.0, voice.thrust_model_factor))
     sequence = link.next_sequence(link.component)
     return CompanionRecord(
-        0, sent[0] * 1000, sent[1], 0, 0, w, x, y, z, carries, factor, flags,
-        now.system, link.system, link.component, sequence, 0, 0,
+        0, sent[0] * 1000, sent[1], 0, 0, w, x, y, z, thrust_norm, factor, flags,
+        voice.system, link.system, link.component, sequence, 0, 0,
     )  # fmt: skip
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from mavlink_bridge.transport.clock import monotonic_us, sleep_until_us
+from mavlink_bridge.transport.machine import ahead_of_others, locked_memory
 
 _SWITCH_INTERVAL_S = 20e-6
 
@@ -52,15 +53,20 @@ class Pace:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """No garbage collection inside the loop, and other threads give the interpreter back within 20 us."""
+def undisturbed(*, real_time: bool) -> Iterator[bool]:
+    """No garbage collection inside the loop, and other threads give the interpreter back within 20 us.
+
+    real_time: the loop is to keep pace with a clock, so this thread and those that it starts meanwhile get real-time
+    priority and memory is locked, both where that is permitted; tells whether the priority was.
+    """
     interval = sys.getswitchinterval()
     enabled = gc.isenabled()
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
-        yield
+        with ahead_of_others() if real_time else nullcontext(False) as is_ahead, locked_memory(real_time):
+            yield is_ahead
     finally:
         sys.setswitchinterval(interval)
         gc.unfreeze()

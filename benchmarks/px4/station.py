@@ -58,6 +58,8 @@ class Px4:
         self.modes: list[tuple[float, int, bool]] = []
         """(local time, custom_mode, armed) of every HEARTBEAT that differs from the one before."""
         self.texts: list[tuple[float, str]] = []
+        self.silent = False
+        """No heartbeat is sent: PX4 loses its ground station."""
         self.version = ""
         self.bench, self._params = bench, params or {}
         self._values: dict[str, float] = {}
@@ -77,14 +79,11 @@ class Px4:
         return HIL_PORT + self.instance
 
     def __enter__(self) -> Self:
-        command = [str(self.bench.home / "run.sh"), str(self.instance), self.kind]
         self.bench.out.mkdir(parents=True, exist_ok=True)
         self._log = (self.bench.out / f"px4-{self.instance}.log").open("wb")
-        self._process = subprocess.Popen(
-            command, env={**os.environ, "FRESH": "1"}, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL
-        )
+        self._process = self._started()
         try:
-            self._link = mavutil.mavlink_connection(
+            self.link = mavutil.mavlink_connection(
                 f"udpout:127.0.0.1:{GCS_PORT + self.instance}", source_system=255, dialect="common"
             )
             self._reader = threading.Thread(target=self._listen, daemon=True)
@@ -95,6 +94,24 @@ class Px4:
             self.close()
             raise
         return self
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        command = [str(self.bench.home / "run.sh"), str(self.instance), self.kind]
+        return subprocess.Popen(
+            command, env={**os.environ, "FRESH": "1"}, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL
+        )
+
+    def signal(self, number: int) -> None:
+        """A signal to PX4's process."""
+        self._process.send_signal(number)
+
+    def restart(self) -> None:
+        """Start it anew, at once, after it has ended; ready to arm when this returns."""
+        self._process.wait(10.0)
+        self._ready.clear()
+        self.truth, self._origin = [], None
+        self._process = self._started()
+        self.wait_ready()
 
     def wait_ready(self) -> None:
         """Until PX4 is ready to arm and has taken the parameters asked for."""
@@ -119,7 +136,7 @@ class Px4:
             self._process.wait()
         if hasattr(self, "_reader"):
             self._reader.join(2.0)
-            self._link.close()
+            self.link.close()
         self._log.close()
 
     # ---------------------------------------------------------------- parameters
@@ -131,7 +148,7 @@ class Px4:
         while name not in self._values:
             if time.monotonic() > deadline:
                 raise KeyError(name)
-            self._link.mav.param_request_read_send(self.instance + 1, 1, name.encode(), -1)
+            self.link.mav.param_request_read_send(self.instance + 1, 1, name.encode(), -1)
             time.sleep(0.1)
         return self._values[name]
 
@@ -140,7 +157,7 @@ class Px4:
         self.param(name)
         kind = self._types[name]
         sent = struct.unpack("<f", struct.pack("<i", int(value)))[0] if kind == _INT32 else float(value)
-        self._link.mav.param_set_send(self.instance + 1, 1, name.encode(), sent, kind)
+        self.link.mav.param_set_send(self.instance + 1, 1, name.encode(), sent, kind)
         time.sleep(0.1)
         if not math.isclose(self.param(name), value, rel_tol=1e-6):
             raise RuntimeError(f"{name} is {self._values[name]:g}, not {value:g}")
@@ -174,7 +191,7 @@ class Px4:
     def command(self, number: int, *params: float) -> None:
         """Send a COMMAND_LONG; unset parameters are NaN."""
         filled = (*params, *(math.nan,) * (7 - len(params)))
-        self._link.mav.command_long_send(self.instance + 1, 1, number, 0, *filled)
+        self.link.mav.command_long_send(self.instance + 1, 1, number, 0, *filled)
 
     def _listen(self) -> None:
         asked_s = 0.0
@@ -182,13 +199,14 @@ class Px4:
             now_s = time.monotonic()
             if now_s - asked_s > 1.0:
                 asked_s = now_s
-                self._link.mav.heartbeat_send(6, 8, 0, 0, 4)
+                if not self.silent:
+                    self.link.mav.heartbeat_send(6, 8, 0, 0, 4)
                 if not self.truth:
                     self.command(511, _HIL_STATE, 1e6 / TRUTH_HZ)
                 if not self.version:
                     self.command(512, 148.0)
             try:
-                message = self._link.recv_match(blocking=True, timeout=0.1)
+                message = self.link.recv_match(blocking=True, timeout=0.1)
             except (ConnectionRefusedError, OSError):  # PX4 has not bound its port yet
                 time.sleep(0.05)
                 continue

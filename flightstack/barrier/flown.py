@@ -62,8 +62,8 @@ class FlownPath:
 
 
 def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> float:
-    """Least h of places and speeds (n, 6), NED, as they are and looked ahead by lag and delay, less what doubts of speed
-    may take there."""
+    """Least h of places and speeds (n, 6), NED, as they are and looked ahead by lag and delay, less what doubts of
+    speed may take there."""
     least = math.inf
     for axis in certificate.axes:
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s

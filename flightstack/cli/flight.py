@@ -301,32 +301,32 @@ def _flown(
     assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
     log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
-    recorder = shown_live(ThreadedLog(log) if options.realtime else log, options.live)
-    timing = LoopTiming(250) if options.realtime else None
-    started = time.perf_counter()
-    try:
-        flight = SimulatedFlight(setup, options, recorder, planner, began_us)
+    with undisturbed(real_time=options.realtime) as is_ahead:  # the log's thread too
+        recorder = shown_live(ThreadedLog(log) if options.realtime else log, options.live)
+        timing = LoopTiming(250, is_ahead=is_ahead) if options.realtime else None
+        started = time.perf_counter()
         try:
-            with undisturbed():
+            flight = SimulatedFlight(setup, options, recorder, planner, began_us)
+            try:
                 _run(flight, recorder, timing, stop_requested, on_progress)
+            finally:
+                flight.close()
+            at_end(recorder, flight.t_us)
+            result = flight.score.result(
+                log,
+                wall_s=time.perf_counter() - started,
+                clock_s=flight.t_us * 1e-6,
+                timing=timing,
+                completed=flight.companion.completed,
+                checked=options.as_written,
+                seed=options.seed,
+                plant=setup.plant,
+            )
+            result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
+            result.unprotected_ok = options.unprotected_ok
+            recorder.result(result.attachment())
         finally:
-            flight.close()
-        at_end(recorder, flight.t_us)
-        result = flight.score.result(
-            log,
-            wall_s=time.perf_counter() - started,
-            clock_s=flight.t_us * 1e-6,
-            timing=timing,
-            completed=flight.companion.completed,
-            checked=options.as_written,
-            seed=options.seed,
-            plant=setup.plant,
-        )
-        result.link_too_slow = setup.flight.protection.link_too_slow(flight.companion)
-        result.unprotected_ok = options.unprotected_ok
-        recorder.result(result.attachment())
-    finally:
-        recorder.close()
+            recorder.close()
     result.log_problem = log.failed or ""
     return result
 

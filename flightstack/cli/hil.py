@@ -62,7 +62,7 @@ def serve(
             f"{truth.name} is up: waiting for PX4 on TCP {HOST}:{server.address[1]}"
             " (make px4_sitl none_iris), Ctrl-C ends"
         )
-        with undisturbed():
+        with undisturbed(real_time=options.speed <= 1.0):
             while not stop_requested() and not _over(served, options):
                 if not server.accept(2 * _SLICE_S):
                     continue

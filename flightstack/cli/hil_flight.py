@@ -249,17 +249,20 @@ def _flown(
     log_path = options.log or out / "flight.mcap"
     settings = {"pace": "behind a real PX4", "hil_port": str(options.hil_port)}
     log = setup.flight.with_more(settings).open_log(log_path, clock_metadata(utc_us(), simulated=False))
-    recorder, timing = shown_live(ThreadedLog(log), options.live), LoopTiming(1_000_000 // STEP_US)
-    started = time.perf_counter()
-    try:
-        flight = HilFlight(setup, options, *ends, recorder)
-        with undisturbed():
+    with undisturbed(real_time=True) as is_ahead:
+        recorder, timing = (
+            shown_live(ThreadedLog(log), options.live),
+            LoopTiming(1_000_000 // STEP_US, is_ahead=is_ahead),
+        )
+        started = time.perf_counter()
+        try:
+            flight = HilFlight(setup, options, *ends, recorder)
             delay_s = flight.read_gps_delay(stop_requested)
             words = "not told" if delay_s is None else f"{delay_s:g} s"
             recorder.event(0, "parameters", f"{_GPS_DELAY} {words}: fixes arrive so old")
             _run(flight, ends[0], timing, stop_requested, on_progress)
-    finally:
-        recorder.close()
+        finally:
+            recorder.close()
     result = flight.score.result(
         log,
         wall_s=time.perf_counter() - started,

@@ -41,9 +41,8 @@ from mavlink_bridge.transport.address import (
     parse_address,
 )
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
-from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch
+from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, Commander, DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.key_file import KeyFile
-from mavlink_bridge.transport.machine import ahead_of_others, lock_memory
 
 _LEAST_BAUD = 500_000
 _LAST_WORDS_TIMES = 5
@@ -128,7 +127,7 @@ def _offboard(
     address = parse_address(options.connect)
     wanted = files.load_params(options.set_params).values
     with (
-        ahead_of_others() as is_ahead,
+        undisturbed(real_time=True) as is_ahead,
         closing(open_address(address)) as transport,
         parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
@@ -152,7 +151,7 @@ def _offboard(
         timing = LoopTiming(1_000_000 // PERIOD_US, is_ahead=is_ahead)
         started = time.perf_counter()
         try:
-            with ExitStack() as watched, undisturbed():
+            with ExitStack() as watched:
                 dead_man = None
                 if options.dead_man and not options.dry_run:
                     process = watched.enter_context(DeadManProcess(transport.fileno(), signer))
@@ -160,7 +159,6 @@ def _offboard(
                 loop = RealTimeLoop(
                     companion, transport, recorder, line, timing, inspector, dead_man, stop_requested, on_progress
                 )
-                lock_memory()
                 with last_words(companion, transport):
                     loop.run()
                 timing.dead_man = NO_DEAD_MAN if dead_man is None else dead_man.summary()
@@ -260,7 +258,7 @@ def _key(path: Path | None) -> Iterator[Signer | None]:
 
 
 @contextmanager
-def last_words(companion: Companion, transport: Transport) -> Iterator[None]:
+def last_words(companion: Commander, transport: Transport) -> Iterator[None]:
     """Whatever ends the flight (a bug, a second Ctrl-C): a vehicle that is ours is levelled and given to PX4's Hold."""
     try:
         yield

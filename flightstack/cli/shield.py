@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -14,6 +15,7 @@ from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
 from flightstack.cli.controllers import build
 from flightstack.cli.given_certificate import require_checked
+from flightstack.cli.offboard import last_words
 from flightstack.cli.protection import governor_for
 from flightstack.cli.quiet import quieted
 from flightstack.cli.result import percentiles
@@ -31,13 +33,17 @@ from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_sim.grade import load_grade
 from mavlink_bridge import messages
-from mavlink_bridge.transport.address import Serial, UdpOut, open_address, parse_address
+from mavlink_bridge.pace import undisturbed
+from mavlink_bridge.transport.address import Serial, Transport, UdpOut, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.transport.dead_man import DeadManProcess, DeadManWatch
 from mavlink_bridge.transport.udp import UdpSocket
 
 PERIOD_US = 4_000
 PORT_STEP = 40
 _SCENARIO = "hover"
+_HAND_OVER_US = 2_000_000
+"""PX4 takes Hold within some milliseconds; after so long its own failsafe has to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,34 +104,58 @@ def shield(
     messages.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
     router = ShieldRouter(stack, relay, refiner)
-    latencies: list[float] = []
-    began_us = next_us = monotonic_us()
+    began_us = monotonic_us()
     with ExitStack() as opened:
+        opened.enter_context(undisturbed(real_time=True))
         vehicle = opened.enter_context(closing(open_address(options.connect)))
         program = opened.enter_context(closing(open_serve(options.serve)))
+        dead_man = DeadManWatch(opened.enter_context(DeadManProcess(vehicle.fileno())), router, vehicle)
         on_progress(0.0, "routing")
-        while not stop_requested():
-            now_us = monotonic_us()
-            if options.duration_s is not None and now_us - began_us > 1e6 * options.duration_s:
-                break
-            select([vehicle.fileno(), program.fileno()], [], [], max(next_us - now_us, 0) * 1e-6)
-            came = time.perf_counter_ns()
-            now_us, passed = monotonic_us(), 0
-            for data in vehicle.receive_all():
-                for kept in router.from_vehicle(data, now_us):
-                    program.send(kept)
-                    passed += 1
-            for data in program.receive_all():
-                for kept in router.from_program(data, now_us):
-                    vehicle.send(kept)
-                    passed += 1
-            if passed and len(latencies) < 1_000_000:
-                latencies.append((time.perf_counter_ns() - came) * 1e-3)
-            if now_us >= next_us:
-                next_us = max(next_us + PERIOD_US, now_us)
-                for data in router.step(now_us):
-                    vehicle.send(data)
-    return result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us))
+        opened.enter_context(last_words(router, vehicle))
+        latencies = _route(router, (vehicle, program), dead_man, _until(options.duration_s, stop_requested))
+        summary = dead_man.summary()
+    return result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us)) | {"dead_man": summary}
+
+
+def _until(duration_s: float | None, stop_requested: Callable[[], str]) -> Callable[[], bool]:
+    """Whether the router is to end."""
+    ends_us = math.inf if duration_s is None else monotonic_us() + 1e6 * duration_s
+    return lambda: bool(stop_requested()) or monotonic_us() > ends_us
+
+
+def _route(
+    router: ShieldRouter, links: tuple[Transport, UdpSocket], dead_man: DeadManWatch, is_to_end: Callable[[], bool]
+) -> list[float]:
+    """Until it is to end and the vehicle is out of the router's hands; what passing a batch took, microseconds."""
+    vehicle, program = links
+    latencies: list[float] = []
+    next_us, ends_us = monotonic_us(), 0
+    while True:
+        select([vehicle.fileno(), program.fileno()], [], [], max(next_us - monotonic_us(), 0) * 1e-6)
+        came = time.perf_counter_ns()
+        now_us, passed = monotonic_us(), 0
+        for data in vehicle.receive_all():
+            for kept in router.from_vehicle(data, now_us):
+                program.send(kept)
+                passed += 1
+        for data in program.receive_all():
+            for kept in router.from_program(data, now_us):
+                vehicle.send(kept)
+                passed += 1
+        if passed and len(latencies) < 1_000_000:
+            latencies.append((time.perf_counter_ns() - came) * 1e-3)
+        if now_us < next_us:
+            continue
+        next_us = max(next_us + PERIOD_US, now_us)
+        if is_to_end():
+            ends_us = ends_us or now_us + _HAND_OVER_US
+            if router.hand_over(now_us) or now_us > ends_us:
+                return latencies
+        dead_man.hear()
+        for data in router.step(now_us):
+            vehicle.send(data)
+        if router.has_spoken or not router.flies:  # where it can't speak its silence is answered
+            dead_man.tell()
 
 
 def result_of(router: ShieldRouter, options: ShieldOptions, latencies: list[float], seconds: float) -> dict[str, Any]:

@@ -7,12 +7,14 @@ for as long as setpoints come.
 
 The program's silence for SILENT_US, or OFFBOARD entered where no way out is clear: the vehicle stops and holds; after
 HOLDS_US of that it is handed over to PX4's Hold.  The router never selects OFFBOARD, arms or takes a mode away from a
-pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.
+pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.  Only where
+the router itself stood still and the dead-man commanded Hold meanwhile does it take OFFBOARD back, as `Stalls` allows.
+Whatever ends it hands the vehicle over first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,9 +32,12 @@ from flightstack_sim.autopilot.offboard import from_attitude_target, from_global
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD, CompanionRecord, DeadManRecord
 from mavlink_bridge.framing import Frame
+from mavlink_bridge.last_word import record_of
 from mavlink_bridge.link import Link
 from mavlink_bridge.requests import CommandQueue, set_mode
+from mavlink_bridge.stalls import RETAKE_LIMIT_US, Stalls
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
 
@@ -60,7 +65,6 @@ class ShieldScore:
     stopped: int = 0
     """In which nobody asked for anything any more, or no way out was clear."""
     handed_over: bool = False
-    refused: list[str] = field(default_factory=list)
 
 
 class ShieldRouter:
@@ -85,6 +89,14 @@ class ShieldRouter:
         self._rest, self._rested = np.zeros(3), 0
         self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
         self._stamps: set[int] = set()
+        self._measurement: Measurement | None = None
+        self._t_us = 0
+        self.stalls = Stalls()
+        """The dead-man's deeds."""
+        self.has_spoken = False
+        """Whether a setpoint went out in the newest step."""
+        self._retaking_us = -1
+        """Since when OFFBOARD is being taken back; -1: it is not."""
         self._flies = self._is_certain = self._is_laid = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
@@ -145,12 +157,69 @@ class ShieldRouter:
         measurement = predict(self.view.streams, self.view.clock.vehicle_us(now_us))
         return from_position_target(message, 0.0 if measurement is None else yaw_of(measurement.q_ned_frd))
 
+    # ---------------------------------------------------------------- stalls and ends
+
+    @property
+    def flies(self) -> bool:
+        """Whether the vehicle goes by the router's setpoints."""
+        return self._flies
+
+    def hear_dead_man(self, report: DeadManRecord, ended: str = "") -> None:
+        """Take what the dead-man did of late, before each step."""
+        self.stalls.hear(report)
+        self.view.note_mode(report.mode, report.mode_ns // 1000)
+
+    def last_word(self, sent_us: int) -> CompanionRecord:
+        """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
+        active = self._flies or self._retaking_us >= 0
+        flags = ACTIVE * active | IN_OFFBOARD * (active and self.view.in_offboard)
+        thrust = 0.0 if self.view.on_ground else self._carrying_norm()
+        return record_of(self._voice, self.link, self._measurement, thrust, flags, (sent_us, self._t_us))
+
+    def hand_over(self, now_us: int) -> bool:
+        """Ask for PX4's Hold while the router flies, before each step; whether nothing is in its hands any more."""
+        if not self._flies:
+            return True
+        self.score.handed_over = True
+        self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
+        return False
+
+    def say_last_words(self, reason: str) -> None:
+        """The process is about to end, whatever the cause: level what the router flies, and ask for Hold."""
+        if self._flies:
+            heading = None if self._measurement is None else yaw_of(self._measurement.q_ned_frd)
+            self._voice.calm(self._t_us, self._carrying_norm(), heading)
+            self._commands.insist(set_mode(px4.MODE_HOLD))
+
+    def _carrying_norm(self) -> float:
+        model = self._stack.model
+        return model.norm_of(self._state.carried_n if self._state else model.weight_n)
+
+    def _take_back(self, now_us: int) -> None:
+        """OFFBOARD again after a short stall whose Hold was the dead-man's alone, while the program speaks."""
+        if self.stalls.is_held:
+            self._retaking_us = -1 if self.stalls.judge(now_us) else now_us
+        if self._retaking_us < 0:
+            return
+        settled, ours = self.stalls.hold_is_settled(self.view), self.stalls.own_hold(self.view.custom_mode)
+        over = now_us - self._retaking_us > RETAKE_LIMIT_US or now_us - self._wish_us > SILENT_US
+        blind = self._is_blind(self.view.clock.vehicle_us(now_us))
+        if self.view.in_offboard and (settled or self.stalls.hold_was_lost(self.view)):
+            self.stalls.taken_back += 1
+            self._retaking_us = -1
+        elif over or (settled and not ours):
+            self._retaking_us = -1
+        elif settled and not blind:
+            self._commands.ensure(set_mode(px4.MODE_OFFBOARD), now_us)
+
     # ---------------------------------------------------------------- step
 
     def step(self, now_us: int) -> list[bytes]:
         """Every 4 ms: what goes to the vehicle."""
+        self.has_spoken = False
         if self.system:
             self._keep_in_touch(now_us)
+            self._take_back(now_us)
             self._fly(now_us)
             self._commands.step(now_us, self.system)
         return self.link.datagrams_to_send()
@@ -184,10 +253,10 @@ class ShieldRouter:
         return oldest < 0 or t_us - oldest > 30_000 or self.view.landed_state == 0
 
     def _fly(self, now_us: int) -> None:
-        t_us = self.view.clock.vehicle_us(now_us)
-        measurement = self._measured(t_us)
+        t_us = self._t_us = self.view.clock.vehicle_us(now_us)
+        measurement = self._measurement = self._measured(t_us)
         factor = self.view.params.values.get("THR_MDL_FAC")
-        if measurement is None or factor is None or t_us - self.view.streams.attitude_us > _STALE_US:
+        if measurement is None or factor is None or self._is_blind(t_us):
             return
         self._voice.thrust_model_factor = self._relay.thrust_model_factor = factor
         grounded = self.view.on_ground
@@ -213,14 +282,18 @@ class ShieldRouter:
         assert self._state is not None
         self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
 
+    def _is_blind(self, t_us: int) -> bool:
+        """Whether the attitude is too old to fly by: then nothing is said, and the dead-man answers the silence."""
+        return t_us - self.view.streams.attitude_us > _STALE_US
+
     def _stand_by(self, measurement: Measurement, t_us: int) -> None:
         """A setpoint that does no harm until the router hears that OFFBOARD was selected: PX4 asks for some before."""
+        self.has_spoken = True
         if self.view.on_ground or not self.view.armed:
             self._voice.stand(t_us)
-        else:
-            model = self._stack.model
-            carried_n = self._state.carried_n if self._state else model.weight_n
-            self._voice.calm(t_us, model.norm_of(carried_n), yaw_of(measurement.q_ned_frd))
+        else:  # body rates where they will follow: PX4 takes 0.16 s to change from attitudes to them
+            heading = None if self._retaking_us >= 0 else yaw_of(measurement.q_ned_frd)
+            self._voice.calm(t_us, self._carrying_norm(), heading)
 
     def _tick(
         self, state: StackState, measurement: Measurement, wish: ControlSetpoint | None, t_us: int, now_us: int
@@ -241,6 +314,7 @@ class ShieldRouter:
         self._relay.gain = gain_of(state.filter)
         self._state, command, self.record = self._stack.tick(state, measurement, reference, t_us)
         self._voice.fly(command)
+        self.has_spoken = True
         self._is_certain |= self.record.filtered.status >= PASSED
         self.score.ticks += 1
         self.score.changed += self.record.filtered.intervened == 1.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import math
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +33,6 @@ from mavlink_bridge import messages
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.px4 import describe_mode
 from mavlink_bridge.transport.clock import utc_us
-from mavlink_bridge.transport.machine import ahead_of_others
 from mavlink_bridge.transport.udp import UdpSocket
 
 HOST = "127.0.0.1"
@@ -262,7 +260,7 @@ def simulate(
     for instance in instances:
         on_ready(_up(options, truth.name, instance))
     try:
-        with undisturbed(), ahead_of_others() if options.speed <= 1.0 else nullcontext():
+        with undisturbed(real_time=options.speed <= 1.0):
             pace = _loop(instances, options, stop_requested, on_ready)
     finally:
         for instance in instances:

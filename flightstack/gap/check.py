@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.gap.checks import contact, conventions, quality, stopped
+from flightstack.gap.checks import contact, conventions, quality, speeds, stopped
 from flightstack.gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
@@ -40,7 +40,8 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     A refused log has no samples and at least one finding of level refused that says what to record instead.
     """
     signals, findings = settle_clocks(flight.signals, flight.kind)
-    findings += _lacking(signals, kinematics_only)
+    signals, more = speeds.commands_of_speeds(signals, vehicle)
+    findings += [*more, *_lacking(signals, kinematics_only)]
     if _is_refused(findings):
         return Checked(flight, None, tuple(findings), ())
     signals, more = quality.settle_battery(signals, vehicle)

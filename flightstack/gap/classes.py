@@ -58,6 +58,9 @@ shifted mass both tip a hovering vehicle, what tells them apart is yaw and how t
 mass and a thrust scale differ in the torques only.  It takes a gyro, and a model that leaves little else."""
 
 
+DRAGS = ("linear_drag", "rotor_drag", "parasitic_drag")
+
+
 def poorly_told(effects: Collection[str]) -> set[str]:
     """What beside a poor model can't be told from one of these."""
     return {e for pair in POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
@@ -66,10 +69,10 @@ def poorly_told(effects: Collection[str]) -> set[str]:
 def beside_a_poor_model(found: Found) -> Found:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
     for effects in POORLY_TOLD:
-        if found.name in effects:
-            twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in effects if e != found.name))))
-            return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
-    return found
+        found = together(found, effects) if found.name in effects else found
+    return (
+        together(found, ("com_offset",)) if found.name == "blade_flapping" else found
+    )  # drag above the centre of mass
 
 
 def confused_with(gone: Collection[Found]) -> set[str]:
@@ -84,9 +87,29 @@ def has_gyro(flights: Sequence[Samples]) -> bool:
     return any("rate_frd_radps" not in track(s).missing for s in flights)
 
 
+def without_motors(flights: Sequence[Samples]) -> bool:
+    """Whether none of the flights has commands that say more than their mean."""
+    return all("motor" in track(s).missing for s in flights)
+
+
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
-    """The named effects of these flights: without a gyro their classes are those of a poor model."""
-    return found if has_gyro(flights) else tuple(beside_a_poor_model(f) for f in found)
+    """The named effects of these flights: without a gyro their classes are those of a poor model.
+
+    Without motors no drag's order is told: how the rotors' speed goes with the air's is what parts them.
+    """
+    if not has_gyro(flights):
+        found = tuple(beside_a_poor_model(f) for f in found)
+    if without_motors(flights):
+        found = tuple(together(f, DRAGS) if f.name in DRAGS else f for f in found)
+    return found
+
+
+def together(found: Found, others: tuple[str, ...]) -> Found:
+    """The effect with all of these as its twins."""
+    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in others if e != found.name))))
+    if twins == found.indistinguishable_from:
+        return found
+    return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
 def doubled(found: Sequence[Found]) -> tuple[str, ...]:

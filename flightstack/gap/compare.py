@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from flightstack.effects import accelerometer_bias, gyro_bias
 from flightstack.gap.checks.noise import white_noise
 from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
@@ -18,7 +19,6 @@ from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import multiply, rotate, turned
-from flightstack_sim.effects import accelerometer_bias, gyro_bias
 
 HORIZON_S = 1.0
 EVERY_S = 0.5
@@ -114,7 +114,7 @@ def _white(samples: Samples, name: str) -> F64:
 
 
 def figures(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:
-    """Rms over the masked samples: one step, three axes together; position after rollouts of 1 s from every 0.5 s."""
+    """Rms over the masked samples: one step, all measured axes together; position after 1 s, from every 0.5 s."""
     y = residual(vehicle, samples).y[mask]
     return Figures(_rms(y[:, 0:3]), _rms(y[:, 3:6]), _rms(rollout_error(vehicle, samples, mask)))
 
@@ -147,12 +147,7 @@ def noise_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
     that were measured in place of the simulated ones (less the vehicle's sensor biases), whatever its colour.
     """
     noise = np.hypot(expected_noise(vehicle, samples, mask), velocity_noise(vehicle, samples))
-    force, angular = float(np.sqrt(np.sum(noise[0:3] ** 2))), float(np.sqrt(np.sum(noise[3:6] ** 2)))
-    return Figures(
-        None if math.isnan(force) else force,
-        None if math.isnan(angular) else angular,
-        _path_noise(vehicle, samples, mask),
-    )
+    return Figures(_rms(noise[None, 0:3]), _rms(noise[None, 3:6]), _path_noise(vehicle, samples, mask))
 
 
 def _path_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> float | None:
@@ -230,6 +225,7 @@ def _moved(samples: Samples, starts: NDArray[np.int64], steps: int) -> F64:
 
 
 def _rms(x: F64) -> float | None:
-    """Root of the mean squared length of the rows; None where there is none."""
+    """Root of the mean squared length of the rows, of the columns that are measured; None where there is none."""
+    x = x[:, np.isfinite(x).any(axis=0)] if x.size else x
     rows = x[np.isfinite(x).all(axis=1)]
-    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else None
+    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if rows.size else None

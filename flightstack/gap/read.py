@@ -62,8 +62,7 @@ def column_map(name: Path | str) -> ColumnMap:
 
 def _csv(log: Log, vehicle: Vehicle) -> tuple[dict[str, Signal], list[str]]:
     table = log.tables[TABLE]
-    said = log.metadata.get("places", {}).get("motor")
-    places = {"motor": tuple(said.split(", "))} if said else {}
+    places = {name: tuple(said.split(", ")) for name, said in log.metadata.get("places", {}).items()}
     return _signals(table.t_us, table.columns, log.metadata["columns"], places, vehicle)
 
 
@@ -94,7 +93,7 @@ def _signals(
     notes: list[str] = []
     signals: dict[str, Signal] = {}
     for name, rows in values.items():
-        if name == "motor" and name in places:
+        if name in places:
             order = rotor_order(places[name], vehicle)
             rows = rows[:, order]
             notes.append(f"motors put into the vehicle file's order by where they sit: columns {sources[name]}")

@@ -165,6 +165,8 @@ def _made(samples: Samples) -> Track:
         smooth, velocity_std = _fused(velocity, samples, acc, missing)
     path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
     measured = _measured(force, rate, dt, missing, differentiated)
+    if "motor" in missing:  # no simulation without commands; from their mean it is that of the side force
+        measured[:, slice(2, 6) if np.isfinite(samples.motor).any() else slice(6)] = np.nan
     every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
     return Track(
         samples,
@@ -209,7 +211,7 @@ def thinned(flight: Track, k: int) -> Track:
 def _missing(samples: Samples) -> frozenset[str]:
     names = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "height_m", "motor")
     gone = {name for name in names if not np.isfinite(getattr(samples, name)).any()}
-    gone |= {name for name in ("rate_frd_radps", "accel_frd_mps2") if name in samples.derived}
+    gone |= {name for name in ("rate_frd_radps", "accel_frd_mps2", "motor", "command") if name in samples.derived}
     if "vel_ned_mps" in gone and "pos_ned_m" not in gone:
         gone.remove("vel_ned_mps")
     return frozenset(gone if np.any(samples.battery_v > 0.0) else gone | {"battery_v"})
@@ -242,8 +244,6 @@ def _measured(force: F64, rate: F64, dt_s: float, missing: frozenset[str], diffe
         out[:, 6:9] = simpson(rate)
     if not {"accel_frd_mps2", "vel_ned_mps", "q_ned_frd"} & missing:
         out[:, 9:12] = simpson(force)
-    if "motor" in missing:
-        out[:, :6] = np.nan  # no simulation without commands
     return out
 
 

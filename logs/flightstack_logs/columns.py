@@ -52,6 +52,7 @@ _SECTIONS: dict[str, _Section] = {
     "rates": _Section("rate_frd_radps", 3, _RATE, ("frame",)),
     "specific_force": _Section("accel_frd_mps2", 3, _ACCELERATION, ("frame",)),
     "motors": _Section("motor", 4, {"": 1.0}, ("zero", "full", "places")),
+    "rotor_speeds": _Section("rotor_speed_radps", 4, {"rpm": np.pi / 30.0, "rad/s": 1.0}, ("places",)),
     "battery": _Section("battery_v", 1, _VOLTAGE),
     "height": _Section("height_m", 1, _LENGTH),
     "landed": _Section("landed", 1, {"": 1.0}),
@@ -198,7 +199,7 @@ def _signal(entry: Entry, raw: F64) -> F64:
     if entry.section in _FRAMES:
         frame = said.get("frame", "frd" if _FRAMES[entry.section] is _BODIES else "ned")
         return body_to_frd(raw, frame) if frame in _BODIES else world_to_ned(raw, frame)
-    return raw[:, 0]
+    return raw if entry.section == "rotor_speeds" else raw[:, 0]
 
 
 def _attitude(said: Mapping[str, Any], raw: F64) -> F64:

@@ -1,6 +1,7 @@
 """Addresses as users write them: `udpin:HOST:PORT`, `udpin://HOST:PORT`, `udpout:HOST:PORT`, `serial:DEVICE:BAUD`.
 
-`udpin` listens and answers whoever speaks first; `udpout` speaks first, from any free port.
+`udpin` listens and answers the first autopilot that speaks (others are not heard); `udpout` speaks first, from any free
+port.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from flightstack.types import InputError
-from mavlink_bridge.framing import DatagramFraming, Framing, StreamFraming
+from mavlink_bridge.framing import DatagramFraming, Frame, Framing, StreamFraming, frame_at
+from mavlink_bridge.layout import CRC_EXTRAS
+from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 from mavlink_bridge.transport.serial import SerialPort
 from mavlink_bridge.transport.udp import LOOPBACK, UdpSocket
 
@@ -20,7 +23,7 @@ _ANY = "0.0.0.0"
 
 @dataclass(frozen=True, slots=True)
 class UdpIn:
-    """Listen at `host` and `port`; the first sender becomes the peer."""
+    """Listen at `host` and `port`; the first autopilot becomes the peer."""
 
     host: str
     port: int
@@ -90,9 +93,15 @@ def open_address(address: UdpIn | UdpOut | Serial | str) -> Transport:
     if isinstance(address, Serial):
         return SerialPort.open(address.device, address.baud)
     if isinstance(address, UdpIn):
-        return UdpSocket.bind(address.host, address.port, latch=True, drop_foreign=True)
+        return UdpSocket.bind(address.host, address.port, greets=_is_of_autopilot, drop_foreign=True)
     near = LOOPBACK if _is_loopback(address.host) else _ANY
     return UdpSocket.bind(near, 0, peer=(address.host, address.port), latch=False, drop_foreign=True)
+
+
+def _is_of_autopilot(data: bytes) -> bool:
+    """Whether a datagram begins with a frame of an autopilot; anything may arrive before the vehicle speaks."""
+    found = frame_at(data, 0, CRC_EXTRAS) if data else None
+    return isinstance(found, Frame) and found.component == COMPONENT_AUTOPILOT
 
 
 def framing_for(address: UdpIn | UdpOut | Serial) -> Framing:

@@ -14,13 +14,14 @@ from contextlib import suppress
 from mmap import mmap
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
 
 from flightstack.types import InputError
 from mavlink_bridge import dead_man_frames as frames
-from mavlink_bridge.companion import Companion
 from mavlink_bridge.dead_man_frames import NOBODY, CompanionRecord, DeadManRecord
+from mavlink_bridge.link import Link
 from mavlink_bridge.signing import Signer
+from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.transport import dead_man_process
 from mavlink_bridge.transport.address import Transport
 from mavlink_bridge.transport.clock import monotonic_us
@@ -111,10 +112,33 @@ class DeadManProcess:
             time.sleep(0.001)
 
 
-class DeadManWatch:
-    """A companion and its dead-man: `hear` before each step, `tell` once its words have gone out."""
+class Commander(Protocol):
+    """Whoever streams setpoints: a companion, or the shield's router."""
 
-    def __init__(self, process: DeadManProcess, companion: Companion, transport: Transport) -> None:
+    link: Link
+
+    @property
+    def stalls(self) -> Stalls:
+        """What the dead-man did, and what became of it."""
+        ...
+
+    def hear_dead_man(self, report: DeadManRecord, ended: str = "") -> None:
+        """Take what the dead-man did of late; `ended`: why there is none any more."""
+        ...
+
+    def last_word(self, sent_us: int) -> CompanionRecord:
+        """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
+        ...
+
+    def say_last_words(self, reason: str) -> None:
+        """The process is about to end, whatever the cause."""
+        ...
+
+
+class DeadManWatch:
+    """Who commands, and the dead-man beside: `hear` before each step, `tell` once its words have gone out."""
+
+    def __init__(self, process: DeadManProcess, companion: Commander, transport: Transport) -> None:
         self._process, self._companion, self._transport = process, companion, transport
         self._acts = self._ticks = 0
         self.ended = ""

@@ -70,6 +70,19 @@ def ahead_of_others() -> Iterator[bool]:
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
+@contextlib.contextmanager
+def locked_memory(wanted: bool) -> Iterator[None]:
+    """`lock_memory` where it is wanted, and back."""
+    is_locked = wanted and lock_memory()
+    try:
+        yield
+    finally:
+        if is_locked:
+            import ctypes
+
+            ctypes.CDLL(None).munlockall()
+
+
 def lock_memory() -> bool:
     """Keep every page in memory where that is permitted for all of them; whether it is."""
     try:

@@ -1,8 +1,9 @@
 """A UDP socket for one MAVLink link: bound alone to its port, never blocking, never raising in flight.
 
 The port is never shared: SO_REUSEADDR would let a second program take half of the packets without an error.
-With `latch` the first sender becomes the peer for life, as on PX4's links.  Lost peers show as ECONNREFUSED on some
-systems; that and every other error of the network is counted, never raised: a link that is gone may come back.
+With `latch` the first sender whose word counts (`greets`) becomes the peer for life, as on PX4's links.  Lost peers
+show as ECONNREFUSED on some systems; that and every other error of the network is counted, never raised: a link that
+is gone may come back.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import errno
 import select
 import socket
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Final, final
 
@@ -27,9 +29,11 @@ LOOPBACK: Final = "127.0.0.1"
 class UdpSocket:
     """See the module's text; make one with `bind`."""
 
-    def __init__(self, sock: socket.socket, peer: Address | None, *, latch: bool, drop_foreign: bool) -> None:
+    def __init__(
+        self, sock: socket.socket, peer: Address | None, greets: Callable[[bytes], bool] | None, *, drop_foreign: bool
+    ) -> None:
         self._socket = sock
-        self._latch = latch
+        self._greets = greets
         self._drop_foreign = drop_foreign
         self._connected = False
         self._poll = select.poll()
@@ -55,13 +59,14 @@ class UdpSocket:
         *,
         peer: Address | None = None,
         latch: bool = True,
+        greets: Callable[[bytes], bool] = lambda data: True,
         drop_foreign: bool = False,
     ) -> UdpSocket:
         """Bind to `host` and `port` (0: any free one); InputError where that can't be.
 
-        peer: where to send before anyone was heard.  latch: the first sender becomes the peer for good; else the peer
-        stays as given.  drop_foreign: ignore (and count) datagrams from others than the latched or given peer; else
-        they come in too.
+        peer: where to send before anyone was heard.  latch: the first sender of a datagram that `greets` likes becomes
+        the peer for good; else the peer stays as given.  drop_foreign: ignore (and count) datagrams from others than
+        the latched or given peer; else they come in too.
         """
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -73,7 +78,7 @@ class UdpSocket:
         except (OSError, OverflowError) as error:
             sock.close()
             raise InputError(_why(error, host, port, peer)) from error
-        return cls(sock, peer, latch=latch, drop_foreign=drop_foreign)
+        return cls(sock, peer, greets if latch else None, drop_foreign=drop_foreign)
 
     @property
     def port(self) -> int:
@@ -110,7 +115,7 @@ class UdpSocket:
                     return None
                 continue
             if sender != self.peer or not self.latched:
-                if not self._admit(sender):
+                if not self._admit(data, sender):
                     continue
             return data, sender
 
@@ -167,10 +172,6 @@ class UdpSocket:
         self._socket.connect(self.peer)
         self._connected = self.latched = True
 
-    def unlatch(self) -> None:
-        """Forget who spoke first: the next sender becomes the peer.  Until then `send` goes to the old one."""
-        self.latched = self._connected
-
     def close(self) -> None:
         """Give the port back."""
         self._socket.close()
@@ -183,9 +184,9 @@ class UdpSocket:
     ) -> None:
         self.close()
 
-    def _admit(self, sender: Address) -> bool:
+    def _admit(self, data: bytes, sender: Address) -> bool:
         """Latch a first sender; whether a datagram of this sender may come in."""
-        if self._latch and not self.latched:
+        if self._greets is not None and not self.latched and self._greets(data):
             self.peer, self.latched = sender, True
             return True
         if sender == self.peer:

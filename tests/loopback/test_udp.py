@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from types import ModuleType
 
 import pytest
+from pymavlink.dialects.v20 import common
 
 from flightstack.types import InputError
 from mavlink_bridge.framing import DatagramFraming, StreamFraming
@@ -113,16 +114,6 @@ def test_foreign_datagrams_are_dropped_and_counted_where_asked() -> None:
         assert near.peer == first.address
 
 
-def test_a_forgotten_peer_makes_room_for_the_next_sender(near: UdpSocket) -> None:
-    with _peer_of(near) as first, _peer_of(near) as second:
-        first.send(b"1")
-        near.receive_exactly(1, WAIT_S)
-        near.unlatch()
-        second.send(b"2")
-        near.receive_exactly(1, WAIT_S)
-        assert near.peer == second.address
-
-
 def test_without_the_latch_the_peer_stays_as_given() -> None:
     with (
         UdpSocket.bind(HOST, 0) as given,
@@ -176,7 +167,6 @@ def test_a_connected_socket_hears_its_peer_only(near: UdpSocket) -> None:
         first.send(b"1")
         near.receive_exactly(1, WAIT_S)
         near.connect()
-        near.unlatch()
         second.send(b"2")
         first.send(b"3")
         assert near.receive_exactly(1, WAIT_S) == [b"3"]
@@ -236,10 +226,11 @@ def test_udpin_answers_whoever_speaks_first_and_udpout_speaks_first() -> None:
         port = probe.port
     listener = open_address(f"udpin:{HOST}:{port}")
     caller = open_address(UdpOut(HOST, port))
+    hello = _heartbeat(1)
     try:
-        assert caller.send(b"hello")
+        assert caller.send(hello)
         assert listener.wait(WAIT_S)
-        assert listener.receive() == b"hello"
+        assert listener.receive() == hello
         assert listener.send(b"welcome")
         assert caller.wait(WAIT_S)
         assert caller.receive_all() == [b"welcome"]
@@ -249,6 +240,30 @@ def test_udpin_answers_whoever_speaks_first_and_udpout_speaks_first() -> None:
     finally:
         listener.close()
         caller.close()
+
+
+@pytest.mark.parametrize("first_word", [b"noise", b"\xfd" * 30, b"", "ground station"])
+def test_udpin_is_not_made_deaf_by_whoever_is_no_autopilot(first_word: bytes | str) -> None:
+    with UdpSocket.bind(HOST, 0) as probe:
+        port = probe.port
+    with UdpSocket.bind(HOST, 0, peer=(HOST, port)) as other, UdpSocket.bind(HOST, 0, peer=(HOST, port)) as vehicle:
+        listener = open_address(f"udpin:{HOST}:{port}")
+        try:
+            other.send(first_word if isinstance(first_word, bytes) else _heartbeat(190))
+            vehicle.send(_heartbeat(1))
+            assert listener.wait(WAIT_S)
+            assert listener.receive_all() == [_heartbeat(1)]
+            assert isinstance(listener, UdpSocket)
+            assert (listener.peer, listener.foreign) == (vehicle.address, 1)
+        finally:
+            listener.close()
+
+
+def _heartbeat(component: int) -> bytes:
+    """By pymavlink's own codec."""
+    mav = common.MAVLink(None, srcSystem=1, srcComponent=component)
+    data: bytes = mav.heartbeat_encode(2, 12, 0x1D, 0x03040000, 3).pack(mav)
+    return data
 
 
 def test_udpout_to_this_machine_is_bound_to_loopback_only() -> None:

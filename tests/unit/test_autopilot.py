@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shipped import load_vehicle
 
-from flightstack.autopilot import as_read, autopilot_of, contradictions
+from flightstack.autopilot import autopilot_of
 from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle, vehicle_to_toml
@@ -67,18 +67,3 @@ def test_autopilot_that_is_no_table_is_refused() -> None:
     text = "autopilot = 3\n" + vehicle_to_toml(QUAD)
     with pytest.raises(InputError, match="autopilot must be a table"):
         parse_vehicle(text, "file")
-
-
-def test_a_difference_from_the_vehicle_is_one_line_for_each_key() -> None:
-    stated = parse_vehicle(with_table("mc_rollrate_p = 0.15\nmc_pitchrate_k = 0.8"), "file")
-    same = airframe_params(stated)
-    read = {param.name: same.get(param.name) for param in AUTOPILOT_PARAMS.values()}
-    assert contradictions(stated, read) == []  # 0.15 is what 32 bits hold of it
-    lines = contradictions(stated, read | {"MC_PITCHRATE_K": 1.0, "MC_YAWRATE_P": 0.3})
-    assert lines == ["autopilot.mc_pitchrate_k = 0.8 in the vehicle file, the vehicle has MC_PITCHRATE_K = 1"]
-
-
-def test_what_is_read_from_a_vehicle_is_taken_over() -> None:
-    read = as_read(QUAD, {"MC_ROLLRATE_K": 0.9, "MPC_THR_HOVER": 0.5})
-    assert dict(read.autopilot) == {"mc_rollrate_k": 0.9}
-    assert autopilot_of(read)["mc_rollrate_k"] == pytest.approx(0.9)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 import pytest
 
+from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.transport import machine
 
 linux = pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="there is no such scheduler")
@@ -17,6 +19,20 @@ def test_real_time_priority_is_taken_where_permitted_and_given_back() -> None:
     with machine.ahead_of_others() as is_ahead:
         assert is_ahead is (os.sched_getscheduler(0) == os.SCHED_FIFO)
     assert os.sched_getscheduler(0) == before
+
+
+@linux
+@pytest.mark.parametrize("real_time", [False, True])
+def test_a_loop_in_real_time_has_it_and_one_in_lockstep_does_not(real_time: bool) -> None:
+    before = os.sched_getscheduler(0)
+    with machine.ahead_of_others() as is_permitted:
+        pass
+    with undisturbed(real_time=real_time) as is_ahead:
+        assert is_ahead is (real_time and is_permitted)
+        assert (os.sched_getscheduler(0) == before) is not is_ahead
+        assert not gc.isenabled()
+    assert os.sched_getscheduler(0) == before
+    assert gc.isenabled()
 
 
 @linux

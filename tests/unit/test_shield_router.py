@@ -19,6 +19,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 from flightstack_sim.streams import LinkKind
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD
 from mavlink_bridge.framing import CRC, MAGIC_V1, ONE_BYTE, build_frame, mcrf4xx
 from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.link import Link
@@ -293,3 +294,24 @@ def test_what_is_no_setpoint_passes_whole(router: ShieldRouter) -> None:
     foreign = build_frame(b"\2" * 9, 54_321, 17, 0, 245, 190)
     for data in (HIDING, foreign, b"no MAVLink at all", frame_of(m.Heartbeat(6, 8, 0, 0, 4)) + foreign + HIDING):
         assert router.from_program(data, 0) == [data]
+
+
+def test_a_router_that_sees_nothing_any_more_says_nothing_so_that_the_dead_man_answers(rig: Rig) -> None:
+    """A program stops the attitude stream: words on an old attitude would be worse than none."""
+    assert (rig.router.flies, rig.router.has_spoken) == (True, True)
+    for name in (m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed):
+        rig.command(px4.Cmd.SET_MESSAGE_INTERVAL, float(m.id_of(name)), -1.0)
+    rig.run(0.16)
+    assert (rig.router.flies, rig.router.has_spoken) == (True, False)
+    record = rig.router.last_word(0)
+    assert record.flags == ACTIVE | IN_OFFBOARD
+    assert record.thrust_norm > 0.2
+    rig.run(3.0)  # the router asks for its streams again
+    assert rig.router.has_spoken
+
+
+def test_what_ends_the_router_hands_over_to_hold(rig: Rig) -> None:
+    assert not rig.router.hand_over(rig.server.t_us)
+    rig.run(0.2)
+    assert rig.router.hand_over(rig.server.t_us)
+    assert rig.router.view.custom_mode == px4.MODE_HOLD

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from certificates import certificate as certificate_with_premises
 from certified import certificate
 from shipped import load_scenario, load_vehicle
 
@@ -290,6 +291,13 @@ class _Certifies:
         return filtered.status, (certificate() if learner == 1 else None)
 
 
+class _CertifiesWithPremises(_Certifies):
+    def step(
+        self, state: object, learner: object, seen: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, object]:
+        return state, certificate_with_premises()
+
+
 def test_a_learner_and_a_filter_have_their_seams() -> None:
     stack = Stack(MODEL, learner=_Known())
     state, command, _ = stack.tick(stack.init(measurement(0)), measurement(), SETPOINT, 4000)
@@ -304,6 +312,16 @@ def test_a_learner_and_a_filter_have_their_seams() -> None:
     assert (record.filtered.status, state.certifier) == (3.0, 3.0), "the certifier hears what the filter said"
     assert not NoLearner.enabled
     assert not NoFilter.enabled
+
+
+def test_what_a_certificate_says_stays_with_its_flight() -> None:
+    """Beside no filter its premises are told as well, and not in the records of the process' other flights."""
+    alone = Stack(MODEL)
+    before = alone.tick(alone.init(measurement(0)), measurement(), SETPOINT, 4000)[2].digest
+    watched = Stack(MODEL, learner=_Known(), certifier=_CertifiesWithPremises())
+    record = watched.tick(watched.init(measurement(0)), measurement(), SETPOINT, 4000)[2]
+    assert (record.filtered.premise, record.filtered.ended_by) == (0.0, 0.0)
+    assert alone.tick(alone.init(measurement(0)), measurement(), SETPOINT, 4000)[2].digest == before
 
 
 def test_known_lag_is_led() -> None:

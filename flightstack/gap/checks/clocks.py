@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flightstack.gap.checks.grid import period_s
+from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
 from flightstack.gap.checks.say import refused, warning
 from flightstack.gap.records import Finding, Signal
 from flightstack.types import F64
@@ -15,7 +15,7 @@ SLOW = ("battery_v", "landed", "height_m")
 """Signals that may come as rarely as they like."""
 LEAST_S = 5.0
 SHORT_S = 15.0
-LEAST_HZ = 20.0
+LEAST_HZ = 5.0
 GOOD_HZ = 75.0
 _PX4 = "for PX4 record with SDLOG_PROFILE 25 (default, system identification, high rate)"
 _HELD = 0.02
@@ -91,9 +91,11 @@ def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> l
         if name not in signals or len(signals[name].t_s) < 4:
             continue
         rate = 1.0 / period_s(signals[name])
-        needed = name == "motor" or (name == "q_ned_frd" and "rate_frd_radps" not in signals) or (
-            name == "vel_ned_mps" and "accel_frd_mps2" not in signals)  # fmt: skip
-        if rate < LEAST_HZ and needed:
+        if rate * SLOWEST_MOTOR_S < 1.0 and name == "motor":
+            text = f"""motor: {rate:.3g} Hz shows their mean only: vertical force and torques are not compared (mass, \
+thrust, inertia, lag and centre of mass can't be told), the side force is. For the rest: {_PX4}"""
+            findings.append(warning("rate", text))
+        elif rate < LEAST_HZ:
             findings.append(refused("rate", f"{name}: {rate:.3g} Hz is too slow; it takes at least {LEAST_HZ:.0f}, "
                                     f"better 100 to 250 Hz: {_PX4}"))  # fmt: skip
         elif rate < GOOD_HZ and name in ("motor", "rate_frd_radps", "accel_frd_mps2"):

@@ -15,7 +15,7 @@ from flightstack_logs.turn import continuous
 
 GRID_HZ = (125.0, 250.0)
 """The grid's rate is the fastest of IMU, attitude and motors, kept within these."""
-_MOTORS_HZ = 19.0
+SLOWEST_MOTOR_S = 1.0 / 19.0
 """Motors slower than the rest, but not slower than this, set the grid's rate: what they did between is not known."""
 _GAP_PERIODS = 3.5
 _ENOUGH = 20_001
@@ -35,7 +35,7 @@ def grid_period_s(signals: dict[str, Signal]) -> float:
     periods = [period_s(signals[name]) for name in names if name in signals]
     fastest = min((period for period in periods if np.isfinite(period)), default=1.0 / GRID_HZ[0])
     motors = period_s(signals["motor"]) if "motor" in signals else np.inf
-    if fastest < motors < 1.0 / _MOTORS_HZ:
+    if fastest < motors < SLOWEST_MOTOR_S:
         fastest = motors
     least, most = 1.0 / GRID_HZ[1], 1.0 / GRID_HZ[0]
     if fastest < 0.8 * least:

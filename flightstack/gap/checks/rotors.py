@@ -55,7 +55,11 @@ def _order(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     dt_s = samples.dt_s
     rate = np.nan_to_num(samples.rate_frd_radps[:_LONGEST])
     valid = samples.valid[:_LONGEST]
-    if valid.sum() * dt_s < 3.0 or not np.isfinite(samples.rate_frd_radps[:_LONGEST][valid]).all():
+    if (
+        "motor" in samples.derived
+        or valid.sum() * dt_s < 3.0
+        or not np.isfinite(samples.rate_frd_radps[:_LONGEST][valid]).all()
+    ):
         return []
     high_hz = min(_HIGH_HZ, 0.25 / dt_s)
     inner = _inner(valid, round(_RINGS_S / dt_s))

@@ -8,9 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import flying
-from flightstack.gap.checks.grid import attitude_on_grid, grid_period_s, held, motors_on_grid, on_grid, period_s
+from flightstack.gap.checks.grid import (
+    SLOWEST_MOTOR_S,
+    attitude_on_grid,
+    grid_period_s,
+    held,
+    motors_on_grid,
+    on_grid,
+    period_s,
+)
 from flightstack.gap.checks.motion import rates_of
 from flightstack.gap.checks.noise import white_noise
+from flightstack.gap.checks.speeds import MEASURED
 from flightstack.gap.records import Samples, Signal
 from flightstack.gap.sources import DERIVED, DERIVED_HZ
 from flightstack.gap.voltage import quiet
@@ -117,8 +126,12 @@ def _columns(used: dict[str, Signal], t_s: F64, dt_s: float) -> tuple[dict[str, 
 
 
 def _derive(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, dt_s: float) -> list[str]:
-    """Fill what the log lacks from what it has."""
+    """Fill what the log lacks from what it has; motors too slow to say more than their mean count as derived."""
     derived = [name for name in columns if name in used and used[name].source.startswith(DERIVED)]
+    if "motor" in used and period_s(used["motor"]) > SLOWEST_MOTOR_S:
+        derived.append("motor")
+    if "motor" in used and used["motor"].source.startswith(MEASURED):
+        derived.append("command")
     if "vel_ned_mps" not in used and "pos_ned_m" in used:
         columns["vel_ned_mps"] = np.gradient(columns["pos_ned_m"], dt_s, axis=0)
         derived.append("vel_ned_mps")
@@ -170,7 +183,7 @@ def _noise(
 
 def _bandwidth(used: dict[str, Signal], dt_s: float) -> float:
     wanted: tuple[str, ...] = ("q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "motor")
-    names = [name for name in wanted if name in used]
+    names = [name for name in wanted if name in used and (name != "motor" or period_s(used[name]) < SLOWEST_MOTOR_S)]
     if "accel_frd_mps2" not in used:
         names += ["vel_ned_mps"] if "vel_ned_mps" in used else []
     own = _BANDWIDTH / max(dt_s, *(period_s(used[name]) for name in names))

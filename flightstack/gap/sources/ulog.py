@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from flightstack.gap.checks.speeds import linearised
 from flightstack.gap.records import Signal
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
@@ -21,6 +22,8 @@ _RESET_S = 0.05
 """Left out round a step that the estimator made in its own state."""
 _MOST = 1e6
 """What is greater is no measurement in SI units."""
+_FIRST_MOTOR = 101
+"""PX4's actuator_function of motor 1."""
 _QUARTER_TURN = 0.5 * math.pi
 
 
@@ -34,6 +37,7 @@ def signals(log: Log, vehicle: Vehicle) -> tuple[dict[str, Signal], list[str]]:
     _position(log, found, notes)
     _imu(log, found)
     _motors(log, parameters, found, notes)
+    _put(found, "rotor_speed_radps", _speeds(log))
     _put(found, "battery_v", _first(log, ("battery_status", "voltage_v"), ("battery_status", "voltage_filtered_v")))
     _put(found, "landed", _first(log, ("vehicle_land_detected", "landed")))
     if "landed" not in found:
@@ -206,12 +210,17 @@ def _motors(log: Log, parameters: dict[str, float], found: dict[str, Signal], no
             return
 
 
-def linearised(thrust: F64, factor: float) -> F64:
-    """PX4's undoing of a thrust curve: the command u with factor u^2 + (1 - factor) u = thrust (PX4, THR_MDL_FAC)."""
-    f = min(max(factor, 0.0), 1.0)
-    if f < 1e-6:
-        return thrust
-    return np.asarray((np.sqrt((1.0 - f) ** 2 + 4.0 * f * thrust) - (1.0 - f)) / (2.0 * f))
+def _speeds(log: Log) -> Signal | None:
+    """(N, 4) what the speed controllers report, by motor, where each tells its motor; rad/s."""
+    names = [f"esc[{i}].{what}" for what in ("esc_rpm", "actuator_function") for i in range(ROTORS)]
+    table = _table(log, "esc_status", *names)
+    if table is None:
+        return None
+    rpm = np.stack([table[name].astype(np.float64) for name in names[:ROTORS]], axis=-1)
+    motors = [int(np.median(table[name])) - _FIRST_MOTOR for name in names[ROTORS:]]
+    if sorted(motors) == list(range(ROTORS)):
+        rpm[:, motors] = rpm.copy()
+    return _signal(table, np.abs(rpm) * math.pi / 30.0, "esc_status esc_rpm") if np.any(rpm) else None
 
 
 def _from_outputs(output: F64, parameters: dict[str, float]) -> F64:

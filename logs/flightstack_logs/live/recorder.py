@@ -1,6 +1,6 @@
 """A recorder beside the log's: what is logged is also shown live, thinned, by threads of its own.
 
-The flight's thread appends to a bounded queue at most 20 times a second of its own and of this machine's time, and
+The flight's thread appends to a bounded queue at most 10 times a second of its own and of this machine's time, and
 waits for nobody.  A browser that is slow or goes away is the business of the servers' threads alone.
 """
 
@@ -22,7 +22,7 @@ from flightstack_logs.topics import Attachment
 from flightstack_logs.writer import FlightLog, Recorder
 
 DEFAULT_PORT = 8765
-_PERIOD_S = 0.05
+_PERIOD_S = 0.1
 _QUEUE = 500
 _SHOWN = frozenset({"/vehicle/status", "/vehicle/battery", "/clock"})
 

@@ -31,12 +31,14 @@ attitude = {{ columns = ["q_w", "q_x", "q_y", "q_z"] }}
 rates = {{ columns = ["rate_x_radps", "rate_y_radps", "rate_z_radps"] }}
 specific_force = {{ columns = ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"] }}
 motors = {{ columns = ["motor_1", "motor_2", "motor_3", "motor_4"] }}
+rotor_speeds = {{ columns = ["motor_rpm_1", "motor_rpm_2", "motor_rpm_3", "motor_rpm_4"] }}
 battery = {{ columns = ["battery_v"] }}
 landed = {{ columns = ["landed"] }}
 height = {{ columns = ["height_m"] }}
 """
 UNITS = {"pos_ned_m": "m", "vel_ned_mps": "m/s", "acc_ned_mps2": "m/s^2", "q_ned_frd": "1", "rate_frd_radps": "rad/s",
-         "accel_frd_mps2": "m/s^2", "motor": "1", "battery_v": "V", "height_m": "m", "landed": ""}  # fmt: skip
+         "accel_frd_mps2": "m/s^2", "motor": "1", "rotor_speed_radps": "rad/s",
+         "battery_v": "V", "height_m": "m", "landed": ""}  # fmt: skip
 _LATEST_S = 4e9
 _MOST_BACK = 50.0
 """Usual steps that time may go back by, in a few rows that came late."""

@@ -1,0 +1,65 @@
+"""Logs whose motors say less than commands: only their mean (PX4 by default), or only what the rotors turned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flightstack.gap.result import GapResult
+from flightstack.gap.workflow import analyse
+from flightstack_logs.readers.csv_file import HEADER
+from tests.gap_flights import Flown, fly, hidden, quad, wander
+
+DRAG = {"d_x_kgps": 0.45, "d_y_kgps": 0.35, "d_z_kgps": 0.4}
+PAYLOAD_KG = 0.2
+SLOW = 13
+"""Rows of 8 ms from one logged command to the next."""
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    truth = hidden(quad(), {"linear_drag": DRAG, "payload": {"mass_kg": PAYLOAD_KG}})
+    return fly(truth, quad(), wander(), seconds=30.0, seed=5)
+
+
+def found_in(flown: Flown, motors: np.ndarray, names: str, folder: Path) -> GapResult:
+    first = [flown.t_s[:, None], flown.pos, flown.vel, flown.q, flown.rate, flown.accel]
+    battery = flown.battery_v[:, None]
+    rows = np.hstack([*first, motors, battery])
+    header = ",".join(name.replace("motor_", names) for name in HEADER)
+    text = "\n".join(",".join("" if np.isnan(x) else f"{x:.7g}" for x in row) for row in rows)
+    log = folder / "flight.csv"
+    log.write_text(f"{header}\n{text}\n", encoding="utf-8")
+    return analyse([log], quad())
+
+
+def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Path) -> None:
+    slow = np.full_like(flown.motor, np.nan)
+    slow[::SLOW] = flown.motor[::SLOW]
+    result = found_in(flown, slow, "motor_", tmp_path)
+    named = {found.name: found for found in result.found}
+    assert set(named) == {"linear_drag"}
+    assert {"rotor_drag", "parasitic_drag"} <= set(named["linear_drag"].indistinguishable_from)
+    for parameter in ("d_x_kgps", "d_y_kgps"):  # of the mass that the file has: no log without motors shows another
+        told = named["linear_drag"].parameters[parameter]
+        assert told.low <= DRAG[parameter] * quad().mass_kg / (quad().mass_kg + PAYLOAD_KG) <= told.high
+    assert result.gap.before.one_step_radps2 is None
+    assert result.gap.closed is not None
+    assert result.gap.closed > 0.9
+    assert "vertical force and torques were not looked at" in result.report.sentence
+
+
+def test_measured_speeds_stand_for_commands(flown: Flown, tmp_path: Path) -> None:
+    rotors = quad().rotors
+    f = rotors.thrust_model_factor
+    rpm = rotors.max_speed_radps * np.sqrt(f * flown.true_u**2 + (1.0 - f) * flown.true_u) * 30.0 / np.pi
+    result = found_in(flown, rpm, "motor_rpm_", tmp_path)
+    named = {found.name: found for found in result.found}
+    assert set(named) == {"linear_drag", "payload"}
+    told = named["payload"].parameters["mass_kg"]
+    assert told.low <= PAYLOAD_KG <= told.high
+    assert not {"motor_lag", "transport_delay", "thrust_curve"} & set(named)
+    hidden_ = {row.effect: row.level for row in result.report.shown}
+    assert hidden_["motor_lag"] == "hidden"
