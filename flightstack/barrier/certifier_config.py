@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 
 STEER_PS = 10.0
-"""What the model does not know moves z by T E: with 1 / T = 6.5 paper-tracking engages 8 s later, with 14 no sooner."""
+"""1 / T of the filter's steering.  What the model does not know moves z by T E: with 6.5 seed 16 of paper-tracking
+engages 8 s later, with 14 no sooner."""
 
 
 class Thrust(NamedTuple):
