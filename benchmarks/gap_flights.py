@@ -13,15 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.gap_pilot import M_SIZE, OUTER_US, believed_row, inner, outer
-from flightstack.frames import quat_multiply
-from flightstack.jit import njit
-from flightstack.types import F64
-from flightstack.vehicle import Vehicle
-from flightstack_sim.effects import turbulence
-from flightstack_sim.layout import (
+from flightstack.effects import turbulence
+from flightstack.effects.row import (
     D_GAIN,
     D_INERTIA,
     EVALUATED,
+    PLACES,
     S_ANGULAR,
     S_COMMAND,
     S_FORCE,
@@ -32,13 +29,16 @@ from flightstack_sim.layout import (
     S_RATE,
     S_VEL,
     S_VOLTAGE,
-    p_effect,
 )
+from flightstack.frames import quat_multiply
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
 from flightstack_sim.plant import NativePlant, Plant
 from flightstack_sim.rigid_body import step_row
 
 DT_US = 1000
-_NORTH = p_effect("constant_force", "north_n")
+_NORTH = PLACES["constant_force", "north_n"]
 
 # --- outside the table: one row, zero where absent
 X_TETHER = 0  # anchor (3), free length m, stiffness N/m

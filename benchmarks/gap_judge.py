@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
 
@@ -58,7 +58,7 @@ def _parameters(effect: dict[str, Any], hidden: dict[str, float], believed: Vehi
     may show an offset along x and nothing along z) claims nothing and counts for its interval only.
     """
     off, change, width, within = [], [], [], []
-    for spec in EFFECT_SPECS[effect["name"]].params:
+    for spec in EFFECTS[effect["name"]].params:
         said = effect["parameters"].get(spec.name)
         before = value(believed, effect["name"], spec.name)
         true = hidden.get(spec.name, before if spec.null is None else spec.null)
@@ -124,7 +124,7 @@ def confusion(rows: list[Row]) -> list[dict[str, Any]]:
     """A line for each hidden effect (of cases that hide one alone), each thing outside the table, and none."""
     lines = []
     judged = [row for row in rows if "lost" not in row]
-    alone = {name: [row for row in judged if row["hidden"] == [name]] for name in EFFECT_SPECS}
+    alone = {name: [row for row in judged if row["hidden"] == [name]] for name in EFFECTS}
     outside = sorted({row["outside"] for row in judged if row["outside"]})
     groups = {"nothing": [row for row in judged if not row["hidden"] and not row["outside"]], **alone}
     groups |= {f"{name} (outside the table)": [r for r in judged if r["outside"] == name] for name in outside}

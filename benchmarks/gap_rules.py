@@ -21,7 +21,7 @@ _FILES = (
     "benchmarks/gap_judge.py",
     "benchmarks/gap_mcap.py",
     "benchmarks/gap_pilot.py",
-    "flightstack/effect_specs.py",
+    *sorted(path.relative_to(_ROOT).as_posix() for path in (_ROOT / "flightstack" / "effects").glob("*.py")),
     *sorted(
         path.relative_to(_ROOT).as_posix()
         for path in (_ROOT / "flightstack" / "gap").rglob("*.py")

@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from flightstack.effects.row import P_GROUND, S_FORCE, S_POS, S_Q, S_RATE, S_U, S_VEL, S_VOLTAGE
 from flightstack.flatness import _to_body
 from flightstack.frames import matrix_to_quat
 from flightstack.jit import njit
 from flightstack.model import Model, thrust_to_norm
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
 from flightstack.vehicle import Vehicle
-from flightstack_sim.layout import P_GROUND, S_FORCE, S_POS, S_Q, S_RATE, S_U, S_VEL, S_VOLTAGE
 from flightstack_sim.plant import NativePlant, evaluate_rows, state_rows
 
 _DT_US = 1000

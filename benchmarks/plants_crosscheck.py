@@ -26,6 +26,7 @@ import numpy as np
 from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.result import FlightResult
+from flightstack.effects.row import S_RING
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack_logs.reader import read
@@ -34,7 +35,6 @@ from flightstack_sim.autopilot.setpoint import OFF, ControlKind, ControlSetpoint
 from flightstack_sim.grade import EstimateGrade, Grade, ImuGrade, load_grade
 from flightstack_sim.jsbsim.earth import STILL, TURNING, Earth
 from flightstack_sim.jsbsim.plant import JsbsimPlant
-from flightstack_sim.layout import S_RING
 from flightstack_sim.plant import NativePlant
 from flightstack_sim.sensors import Sensors
 from flightstack_sim.simulated_vehicle import SimulatedVehicle

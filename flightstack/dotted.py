@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flightstack.autopilot_params import AUTOPILOT_PARAMS
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.errors import InputError
 from flightstack.toml_text import toml_text
 from flightstack.vehicle import TABLES, Vehicle, parse_vehicle, vehicle_to_toml
@@ -49,7 +49,7 @@ def flattened(data: Mapping[str, object], prefix: str = "") -> dict[str, object]
 def vehicle_keys() -> list[str]:
     """Every dotted key of a vehicle file that can be changed."""
     keys = [f"{table}.{key}" for table, rows in TABLES.items() for key in rows]
-    keys += [f"effects.{effect.name}.{param.name}" for effect in EFFECT_SPECS.values() for param in effect.params]
+    keys += [f"effects.{effect.name}.{param.name}" for effect in EFFECTS.values() for param in effect.params]
     return keys + [f"autopilot.{key}" for key in AUTOPILOT_PARAMS]
 
 

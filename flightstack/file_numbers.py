@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.types import F64
 from flightstack.vehicle import TABLES, Vehicle
 
@@ -57,7 +57,7 @@ def file_numbers(vehicle: Vehicle) -> tuple[FileNumber, ...]:
             values = np.asarray(_stored(vehicle, f"{table}.{key}"), dtype=np.float64)
             found += _numbers(vehicle, f"{table}.{key}", values, (allowed.minimum, allowed.maximum), allowed.unit)
     for effect, told in vehicle.effects.items():
-        for spec in EFFECT_SPECS[effect].params:
+        for spec in EFFECTS[effect].params:
             if spec.name in told and not spec.integer:
                 value = np.asarray(told[spec.name], dtype=np.float64)
                 key = f"effects.{effect}.{spec.name}"

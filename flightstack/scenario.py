@@ -15,7 +15,7 @@ import numpy as np
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.checked import load_toml, number, only, table, vector, words
 from flightstack.dotted import changed_vehicle, flattened
-from flightstack.effect_specs import check_effect
+from flightstack.effects import check_effect
 from flightstack.model import Limits
 from flightstack.moves import moves
 from flightstack.region import Region

@@ -164,7 +164,8 @@ class Stack:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        heading_rad = 2.0 * math.atan2(seen.q_ned_frd[3], seen.q_ned_frd[0])
+        w, _, _, z = seen.q_ned_frd
+        heading_rad = 2.0 * math.atan2(z, w)
         state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:
             return state, command, False

@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack import ranges as rng
 from flightstack.autopilot_params import AUTOPILOT_PARAMS
-from flightstack.effect_specs import EFFECT_SPECS, check_effect
+from flightstack.effects import EFFECTS, check_effect
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 
 SCHEMA = "flightstack.vehicle/1"
@@ -204,7 +204,7 @@ def with_effects(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]], *
     merged = {name: dict(values) for name, values in vehicle.effects.items()}
     for name, values in effects.items():
         merged[name] = check_effect(name, values, source)
-    ordered = {name: MappingProxyType(merged[name]) for name in EFFECT_SPECS if name in merged}
+    ordered = {name: MappingProxyType(merged[name]) for name in EFFECTS if name in merged}
     changed = replace(vehicle, effects=MappingProxyType(ordered))
     _check_together(changed, source)
     return changed

@@ -7,11 +7,8 @@ stack lives in the vehicle's time (`vehicle_clock`), in which stamps, delays and
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from flightstack.barrier.premise_watch import NAMES
 from flightstack.guard import stale
 from flightstack.mission import Mission, plan, run_up_of
 from flightstack.predictor import sampled
@@ -25,9 +22,10 @@ from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
 from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide, landing_limit_s
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, HandshakeEvent, State, transition
+from mavlink_bridge.hearing import Hearing
 from mavlink_bridge.last_word import companion_record, hover_at, state_now
-from mavlink_bridge.link import Link, Received
-from mavlink_bridge.notes import GuardNotes
+from mavlink_bridge.link import Link
+from mavlink_bridge.notes import BrokenPremise, GuardNotes
 from mavlink_bridge.onlookers import MissionPlanner, Observer
 from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
@@ -46,13 +44,6 @@ _MODE_KNOWN_US = 1_500_000
 """An older report of OFFBOARD may be out of date: nothing is commanded that a pilot might not want."""
 _BLIND = frozenset({"frozen-attitude", "stale-attitude", "attitude-against-gyro", "estimator-attitude"})
 """Rows after which the attitude is not trusted any more."""
-_AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
-"""After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
-_ANSWERS = (m.CommandAck, m.Timesync)
-_MODES = (m.Heartbeat, m.CurrentMode)
-_RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext})
-"""What is more to the companion than something to look at."""
-_RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
 class Companion:
@@ -94,7 +85,6 @@ class Companion:
         self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
-        self._mode_seen = -1
         self._mission_complete = False
         self._landing = False
         """PX4 has taken the command to land; that the mode falls back to OFFBOARD after it disarms means nothing."""
@@ -106,8 +96,8 @@ class Companion:
         """Row of the fault table that ended the flight; empty: none."""
         self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
-        self._resting_since_us = -1
-        """Vehicle time at which a broken premise ended the certificate; -1: none did."""
+        self._broken = BrokenPremise(observer)
+        self._hearing = Hearing(link, self._now, self._watch, self._voice, observer)
 
     # ---------------------------------------------------------------- outside
 
@@ -162,7 +152,7 @@ class Companion:
             now.entered_us = now_us
         self._watch.step(now_us)
         self._t_us = self.view.clock.vehicle_us(now_us)
-        self._read(now_us)
+        self._hearing.take_all(self._t_us, now_us)
         self._t_us = self.view.clock.vehicle_us(now_us)
         if not self.done:
             self._look(now_us)
@@ -172,6 +162,7 @@ class Companion:
             if after is None:
                 break
             self._enter(after, verdict.event, now_us)
+        now.parameters_changed = False  # judged
         self._act(now_us)
 
     def say_last_words(self, reason: str) -> None:
@@ -184,46 +175,6 @@ class Companion:
         self._observer.on_event(self._t_us, "fault", f"exception: {reason}: last words, asking for Hold", "warning")
         self._calm()
         self._commands.insist(set_mode(px4.MODE_HOLD))
-
-    # ---------------------------------------------------------------- read
-
-    def _read(self, now_us: int) -> None:
-        now = self._now
-        for received in self.link.take_events():
-            if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
-                self._take(received.message, now_us)
-            elif received.system == self.link.system and received.component == self.link.component:
-                now.rival = now.rival or "another companion is on this link (our own system and component speak)"
-            elif isinstance(received.message, _RIVALS) and received.system != now.system:
-                now.rival = now.rival or f"system {received.system} sends offboard setpoints on this link"
-            elif now.system == 0:
-                self._meet(received, now_us)
-            elif isinstance(received.message, m.Heartbeat) and received.message.autopilot == px4.AUTOPILOT_PX4:
-                now.foreign_system = received.system
-
-    def _meet(self, received: Received, now_us: int) -> None:
-        """Before anyone is identified only heartbeats of autopilots count."""
-        message = received.message
-        if isinstance(message, m.Heartbeat) and received.component == px4.COMPONENT_AUTOPILOT:
-            self._now.system = self._voice.system = received.system
-            self.link.expect_peer(received.system)
-            self._take(message, now_us)
-
-    def _take(self, message: Any, now_us: int) -> None:
-        t_us, kind, rare = self._t_us, type(message), type(message) in _RARE
-        if rare and kind in _ANSWERS and message.target_system not in (0, self.link.system):
-            return  # somebody else's answer
-        self.view.update(self._watch.see(message), now_us)
-        self._observer.on_message(t_us, message)
-        if not rare:
-            return
-        if kind is m.CommandAck:
-            self._commands.acknowledge(message)
-        elif kind is m.Statustext:
-            self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
-        elif kind in _MODES and self.view.custom_mode != self._mode_seen:
-            self._mode_seen = self.view.custom_mode
-            self._observer.on_event(t_us, "mode", f"vehicle is in {self.view.mode_name}", "info")
 
     def _look(self, now_us: int) -> None:
         """The state of the vehicle and of the mission at this step."""
@@ -271,8 +222,7 @@ class Companion:
                 self._commands.request(request, now_us)
         elif state is State.STREAMING:
             params = self.view.params
-            self._voice.thrust_model_factor = params.values["THR_MDL_FAC"]
-            self._voice.rate_max_radps = params.rate_max_radps
+            self._voice.heed(params)
             self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.RETAKING:
             self._observer.on_event(t_us, "fault", f"stalled: {self._now.stalls.words}; taking back", "warning")
@@ -389,31 +339,18 @@ class Companion:
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
-        self._end_at_rest(record)
+        if reason := self._broken.take(record):
+            self.stop(reason)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
 
-    def _end_at_rest(self, record: TickRecord) -> None:
-        """Once a certificate's premise has ended it, the flight ends when the vehicle has come to rest."""
-        ended = record.filtered.ended_by
-        if not ended > 0.0:
-            self._resting_since_us = -1
-            return
-        if self._resting_since_us < 0:
-            self._resting_since_us = record.t_us
-            text = f"premise broken: {NAMES[int(ended)]}: braking, to rest"
-            self._observer.on_event(record.t_us, "filter", f"filter: {text}", "warning")
-        calm = float(np.abs(record.measurement.vel_ned_mps).max()) < _AT_REST_MPS
-        waited_us = record.t_us - self._resting_since_us
-        if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
-            self.stop(f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed")
-
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
         self._stack_state, command, record = self._stack.tick(self._stack_state, measurement, setpoint, t_us)
         self._voice.fly(command)
+        self.view.latency.sent(command.t_us, command.thrust_norm)
         self._observer.on_tick(record)
         self.ticks += 1
         return record

@@ -78,6 +78,8 @@ class Situation:
     """Why the user wants to stop; empty: goes on."""
     fresh: bool = False
     """Attitude, position and IMU are there and not stale."""
+    parameters_changed: bool = False
+    """Since they were judged somebody set one."""
     unfit: str = ""
     """Row of the fault table that says that the state can't be flown with; empty: it can."""
     trouble: str = ""
@@ -164,11 +166,8 @@ def _standby(now: Situation, now_us: int) -> Decision | None:
             HandshakeEvent.BUSY,
             f"the vehicle is already armed (in {view.mode_name}), not by this companion: not taking over",
         )
-    if view.params.settled and not config.dry_run:  # a dry run goes on and tells everything that it finds
-        if danger := unsafe(view.params.values, dead_man=config.dead_man):
-            return Decision(HandshakeEvent.UNFIT, danger)
-        if wrong := config.contradictions(view.params.values):
-            return Decision(HandshakeEvent.UNFIT, "; ".join(wrong))
+    if view.params.settled and (wrong := _parameters_wrong(now)):
+        return Decision(HandshakeEvent.UNFIT, wrong)
     missing = _missing(now)
     if now.unfit:
         missing.append(FAULTS[now.unfit].what)
@@ -178,6 +177,15 @@ def _standby(now: Situation, now_us: int) -> Decision | None:
         reason = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}"
         return Decision(HandshakeEvent.TIMEOUT, reason + _says(view, now_us, 10))
     return None
+
+
+def _parameters_wrong(now: Situation) -> str:
+    """Why nobody should fly with the parameters as they are; empty where they are right, and in a dry run, which goes
+    on and tells everything that it finds."""
+    if now.config.dry_run:
+        return ""
+    values = now.view.params.values
+    return unsafe(values, dead_man=now.config.dead_man) or "; ".join(now.config.contradictions(values))
 
 
 def _missing(now: Situation) -> list[str]:
@@ -215,6 +223,8 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
         return Decision(HandshakeEvent.ENGAGED)
+    if now.parameters_changed and (wrong := _parameters_wrong(now)):
+        return Decision(HandshakeEvent.UNFIT, wrong)
     if now.unfit:
         return Decision(HandshakeEvent.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
     if slow := _too_slow(now):

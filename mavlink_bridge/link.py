@@ -175,6 +175,15 @@ class Link:
         self._outgoing.append(frame)
         self.stats.sent += 1
 
+    def queue(self, frames: bytes, ends: list[int]) -> None:
+        """Queue unsigned frames of this link's own, one after the other, each numbered on from `next_sequence`."""
+        begin = 0
+        for end in ends:
+            self._outgoing.append(frames[begin:end])
+            begin = end
+        self._next_sequence[self.component] = (self.next_sequence(self.component) + len(ends)) & 0xFF
+        self.stats.sent += len(ends)
+
     def next_sequence(self, component: int) -> int:
         """Sequence number of the next message as that component."""
         return self._next_sequence.get(component, 0)

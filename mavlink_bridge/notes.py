@@ -1,10 +1,42 @@
-"""What the guard and the watch of resets did in flight, told once each."""
+"""What the guard, the watch of resets and a certificate's premises did in flight, told once each."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from flightstack.barrier.premise_watch import NAMES
+from flightstack.types import TickRecord
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.onlookers import Observer
 from mavlink_bridge.watchdogs import ResetWatch
+
+_AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
+"""After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
+
+
+class BrokenPremise:
+    """Once a certificate's premise has ended it, the flight ends when the vehicle has come to rest."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._since_us = -1
+        """Vehicle time at which a premise was broken; -1: none was."""
+
+    def take(self, record: TickRecord) -> str:
+        """A tick; why the flight ends now, empty: it goes on."""
+        ended = record.filtered.ended_by
+        if not ended > 0.0:
+            self._since_us = -1
+            return ""
+        if self._since_us < 0:
+            self._since_us = record.t_us
+            text = f"premise broken: {NAMES[int(ended)]}: braking, to rest"
+            self._observer.on_event(record.t_us, "filter", f"filter: {text}", "warning")
+        calm = float(np.abs(record.measurement.vel_ned_mps).max()) < _AT_REST_MPS
+        waited_us = record.t_us - self._since_us
+        if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
+            return f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed"
+        return ""
 
 
 class GuardNotes:

@@ -8,6 +8,7 @@ from flightstack.types import F64, Command, Tuple3, Tuple4
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.link import Link
+from mavlink_bridge.vehicle_params import ParamReader
 
 RATES = 128
 """SET_ATTITUDE_TARGET: ignore the attitude, take body rates and thrust.  Never the throttle-ignore bit (64)."""
@@ -28,8 +29,17 @@ class Voice:
         """The vehicle's THR_MDL_FAC: the curve that PX4 undoes before the motors."""
         self.rate_max_radps: Tuple3 = (math.inf, math.inf, math.inf)
         """The vehicle's MC_*RATE_MAX, which PX4 itself does not apply to body rates."""
+        self.is_ground_station = True
+        """Whether it speaks as one, too: PX4 then tells it its texts, and takes a lost pilot's station for present."""
         self._heartbeat_due_us = 0
         self._timesync_due_us = 0
+
+    def heed(self, params: ParamReader) -> None:
+        """Go by the vehicle's parameters as they are now.  Whoever set NAV_DLL_ACT counts on PX4 noticing that the
+        ground station is gone."""
+        self.thrust_model_factor = params.values.get("THR_MDL_FAC", 0.0)
+        self.rate_max_radps = params.rate_max_radps
+        self.is_ground_station = not params.values.get("NAV_DLL_ACT", 0.0)
 
     def keep_in_touch(self, now_us: int) -> None:
         """Heartbeats as onboard controller and as a ground station (PX4 sends STATUSTEXT only to links that saw one);
@@ -39,7 +49,8 @@ class Voice:
         if now_us >= self._heartbeat_due_us:
             self._heartbeat_due_us = now_us + _HEARTBEAT_US
             self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-            self._link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)
+            if self.is_ground_station:
+                self._link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)
         if now_us >= self._timesync_due_us:
             self._timesync_due_us = now_us + _TIMESYNC_US
             self._link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))

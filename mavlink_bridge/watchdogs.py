@@ -173,8 +173,11 @@ class Watchdogs:
         """
         contradiction = self.estimate.trouble
         unfit = self._flags_trouble or contradiction
-        if self._flying and self._clock.jumps > self._clock_jumps:
-            return unfit, "reboot" if self._behind else "clock"
+        if self._clock.jumps > self._clock_jumps:
+            jump = "reboot" if self._behind else "clock"
+            if self._flying:
+                return unfit, jump
+            unfit = jump if self._behind else unfit
         return unfit, self._pace_trouble or self._flags_trouble or self.resets.trouble or contradiction
 
     @property

@@ -14,6 +14,7 @@ import numpy as np
 
 from flightstack.autopilot import autopilot_of, hover_command
 from flightstack.autopilot_params import AUTOPILOT_PARAMS
+from flightstack.effects.row import S_POS, S_RATE
 from flightstack.frames import quat_from_euler
 from flightstack.gap.records import Samples
 from flightstack.model import thrust_to_norm
@@ -24,7 +25,6 @@ from flightstack_sim.autopilot.params import Params
 from flightstack_sim.autopilot.rate_control import RateControl
 from flightstack_sim.fused import FusedRun
 from flightstack_sim.grade import load_grade
-from flightstack_sim.layout import S_POS, S_RATE
 from flightstack_sim.plant import NativePlant
 from flightstack_sim.sensors import Sensors
 

@@ -43,7 +43,7 @@ import numpy as np
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.records import MARGINS, Authority, Margin, Response
-from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic
+from flightstack.barrier.shapes import BRAKE, K_EE, K_EV, K_VV, REACTION, SCALE, SIGN, Barrier, Quadratic
 from flightstack.types import F64
 
 
@@ -134,8 +134,9 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
                 for v, out, u in sides
             ]
         else:
-            v, u = (barrier.box[3], low_mps2) if row[1] > 0.0 else (-barrier.box[2], high_mps2)
-            found = [(0.0, 1.0 / row[5] + row[K_VV] * abs(u), (row[3] + v / row[4]) / row[5])]
+            slowest, fastest = barrier.box[2:]
+            v, u = (fastest, low_mps2) if row[SIGN] > 0.0 else (-slowest, high_mps2)
+            found = [(0.0, 1.0 / row[SCALE] + row[K_VV] * abs(u), (row[REACTION] + v / row[BRAKE]) / row[SCALE])]
         for each in found:
             lost = (max(lost[0], each[0] / each[2]), max(lost[1], each[1] / each[2]), max(lost[2], each[2]))
     return float(lost[0]), float(lost[1]), float(lost[2])
@@ -164,10 +165,11 @@ def _steepest(barrier: Barrier, row: F64, eta: float) -> _Edge:
         h_v = -row[K_EV] * (e - barrier.centre_m) - row[K_VV] * (v - barrier.centre_mps)
         return v, h_e, h_v
     low, high = barrier.box[2:]
-    speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
+    sign, reaction, brake, scale = row[SIGN], row[REACTION], row[BRAKE], row[SCALE]
+    speed = max(-low, high) + eta * scale / reaction  # on the way to stop, of which eta takes its share of the scale
     v = np.array([-speed, speed])
-    h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
-    return v, np.full(2, -row[1] / row[5]), h_v
+    h_v = -sign / scale * (reaction + np.maximum(sign * v, -brake * reaction) / brake)
+    return v, np.full(2, -sign / scale), h_v
 
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.classes import splitting_manoeuvre
 from flightstack.gap.gusts import Gusts, as_found, gusts
@@ -135,8 +135,8 @@ def _wind(vehicle: Vehicle, naming: Naming) -> Found:
 
 
 def _whole(found: Found) -> dict[str, float]:
-    return {p.name: found.parameters[p.name].estimate for p in EFFECT_SPECS[found.name].params if p.integer}
+    return {p.name: found.parameters[p.name].estimate for p in EFFECTS[found.name].params if p.integer}
 
 
 def _is_force(found: Found) -> bool:
-    return EFFECT_SPECS[found.name].kind == "force"
+    return EFFECTS[found.name].kind == "force"

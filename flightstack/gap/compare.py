@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from flightstack.effects import accelerometer_bias, gyro_bias
 from flightstack.gap.checks.noise import white_noise
 from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
@@ -18,7 +19,6 @@ from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import multiply, rotate, turned
-from flightstack_sim.effects import accelerometer_bias, gyro_bias
 
 HORIZON_S = 1.0
 EVERY_S = 0.5

@@ -8,10 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.jit import njit_called
-from flightstack.types import F64
-from flightstack_sim.effects import battery_sag
-from flightstack_sim.layout import (
+from flightstack.effects import battery_sag
+from flightstack.effects.row import (
     E_FORCE,
     EVALUATED,
     INTEGRATED,
@@ -27,6 +25,8 @@ from flightstack_sim.layout import (
     S_VEL,
     S_VOLTAGE,
 )
+from flightstack.jit import njit_called
+from flightstack.types import F64
 from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
 

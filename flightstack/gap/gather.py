@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.add import companion
 from flightstack.gap.compare import residual, sensor_noise
@@ -126,7 +126,7 @@ def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
     for effect in dict.fromkeys(row.effect for row in rows):
         mine = [row for row in rows if row.effect == effect]
         worst = max(mine, key=lambda row: row.smallest / row.matters if row.matters > 0.0 else np.inf)
-        units = {p.name: p.unit for p in EFFECT_SPECS[effect].params}
+        units = {p.name: p.unit for p in EFFECTS[effect].params}
         level = "shown" if all(row.shown for row in mine) else "weak" if any(row.shown for row in mine) else "hidden"
         if np.isfinite(worst.smallest):
             words = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.records import Estimate, Found, Samples
@@ -302,7 +302,7 @@ def _profile(kernel: F64, blocks: _Blocks) -> _Profile:
 
 def _estimate(values: F64, weight: F64, parameter: str) -> Estimate:
     """Median and 95 % interval of a parameter by its posterior on the grid."""
-    spec = next(p for p in EFFECT_SPECS["turbulence"].params if p.name == parameter)
+    spec = next(p for p in EFFECTS["turbulence"].params if p.name == parameter)
     order = np.argsort(values)
     share, ordered = np.cumsum(weight[order]), values[order]
     low, middle, high = (float(ordered[min(int(np.searchsorted(share, q)), len(order) - 1)]) for q in _QUANTILES)

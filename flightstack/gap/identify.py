@@ -11,42 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.effects import EFFECTS
 from flightstack.gap.naming.design import Linearised
 from flightstack.gap.scales import natural_scale
 
 _DETECTABLE = 5.0
 """Standard deviations that an effect must stand out by to be named."""
 _ALIKE = 0.95
-
-MANOEUVRES: dict[str, str] = {
-    "payload": "a thrust chirp, and rate doublets for the torque channel",
-    "thrust_scale": "a thrust chirp, and rate doublets for the torque channel",
-    "thrust_curve": "hard climbs and fast descents: thrust from a third to all of it",
-    "rotor_fault": "hover, then rate doublets on all axes",
-    "com_offset": "climb hard and hover by turns",
-    "inertia": "rate doublets on all three axes",
-    "motor_lag": "rate doublets and a thrust chirp up to 8 Hz, logged at 250 Hz",
-    "transport_delay": "rate doublets and a thrust chirp up to 8 Hz, logged at 250 Hz",
-    "battery_sag": "the same manoeuvres on a fresh and on an empty battery, with the voltage in the log",
-    "linear_drag": "straight runs at 2 to 6 m/s, forwards, sideways and climbing",
-    "angular_damping": "rate doublets on all three axes, and a long turn",
-    "rotor_drag": "straight runs at 2 to 6 m/s and the same in hard turns",
-    "induced_inflow": "climbs and descents at 2 to 4 m/s",
-    "parasitic_drag": "straight runs as fast as it goes, forwards, sideways and climbing",
-    "translational_lift": "level runs at 4 to 8 m/s",
-    "blade_flapping": "straight runs at 3 to 6 m/s on two opposite headings",
-    "rotor_gyroscopic": "roll and pitch doublets while yawing",
-    "ground_effect": "passes at half, one and two rotor diameters over the ground",
-    "vortex_ring": "straight descents at the speed of the rotors' own wake (3 to 6 m/s)",
-    "steady_wind": "the same speed on two opposite headings for 10 s, by a vehicle whose drag is known",
-    "constant_force": "hover while turning by half a turn, then the same line to and fro",
-    "turbulence": "a minute of hover in it, by a vehicle whose drag is known",
-    "slung_load": "quick starts and stops, then hover for three swings",
-    "accelerometer_bias": "half a minute with velocity and attitude in the log",
-    "gyro_bias": "half a minute with attitude in the log",
-    "attitude_misalignment": "hover, then rate doublets, with velocity and attitude in the log",
-}
-"""What shows each effect best."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +56,7 @@ def identify(point: Linearised) -> tuple[Identifiable, ...]:
         near = float(cosine[i, nearest]) if informed else 0.0
         like = point.candidates[point.slots[nearest].candidate].effect if near > _ALIKE else ""
         row = Identifiable(
-            effect, slot.parameter, smallest, matters, smallest < 2.0 * matters, like, near, MANOEUVRES[effect]
+            effect, slot.parameter, smallest, matters, smallest < 2.0 * matters, like, near, EFFECTS[effect].manoeuvre
         )
         key = (effect, slot.parameter)
         if key not in found or row.smallest < found[key].smallest:

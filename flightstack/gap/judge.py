@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
 from flightstack.gap.naming.candidates import negligible, plausible
 from flightstack.gap.naming.estimate import CI, Estimates, estimate
@@ -85,7 +85,7 @@ def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
 def _size(state: SelectionState, best: Fit, effect: str) -> float:
     """The effect's largest change in negligible sizes."""
     sizes = []
-    for spec in EFFECT_SPECS[effect].params:
+    for spec in EFFECTS[effect].params:
         origin = value(state.start, effect, spec.name)
         if not spec.integer and not spec.required and np.isfinite(origin):
             change = abs(best.effects[effect][spec.name] - origin)
@@ -99,7 +99,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
     if not best.effects:
         return Judged((), made, {})
     found = []
-    count = len(EFFECT_SPECS)
+    count = len(EFFECTS)
     for effect in best.effects:
         fall = evidence(state, best, effect)
         p_value = _p_value(state, best, effect)
@@ -140,7 +140,7 @@ def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
 def parameters_of(state: SelectionState, made: Estimates, effect: str) -> dict[str, Estimate]:
     """An effect's parameters with their intervals; what the fit left as it was is not told."""
     found: dict[str, Estimate] = {}
-    for spec in EFFECT_SPECS[effect].params:
+    for spec in EFFECTS[effect].params:
         before = value(state.start, effect, spec.name)
         now = value(made.vehicle, effect, spec.name)
         if spec.integer:

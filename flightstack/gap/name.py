@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.across import Told, across, by_rows
 from flightstack.gap.classes import (
     POORLY_TOLD,
@@ -21,6 +21,7 @@ from flightstack.gap.classes import (
     has_gyro,
     in_classes,
     poorly_told,
+    together,
 )
 from flightstack.gap.compare import residual
 from flightstack.gap.held import corrected
@@ -143,6 +144,10 @@ class Naming:
             (bench, more[0]),
         )
 
+    def with_twins(self, name: str, others: tuple[str, ...]) -> Naming:
+        """The verdict where one name can't be told from these others either: it was found in their place."""
+        return replace(self, found=tuple(together(f, others) if f.name == name else f for f in self.found))
+
     def with_guessed_numbers(self) -> Naming:
         """The verdict with what the file only guesses in its intervals, and the common scale's class."""
         if self._behind is None or not is_touched(self._behind[1].start, self.found):
@@ -209,7 +214,7 @@ class Naming:
 
 def _is_mute(found: Found) -> bool:
     """Whether it is a force of which held-out data hold next to nothing."""
-    return EFFECT_SPECS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
+    return EFFECTS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
 
 
 def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], float]) -> Found:
@@ -307,7 +312,7 @@ def _rejected(
     base = members(point.candidates, best.effects)
     without = fit_subsets(gram, [base], point.columns, point.low, point.high)[0]
     out = []
-    for effect in EFFECT_SPECS:
+    for effect in EFFECTS:
         if effect in found:
             continue
         if effect in best.effects:

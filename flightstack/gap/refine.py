@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.special import stdtrit
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
@@ -100,8 +100,8 @@ def refine(
     unknowns = [
         (effect, p.name)
         for effect in effects
-        if EFFECT_SPECS[effect].kind != "sensor" and effect != "turbulence"
-        for p in EFFECT_SPECS[effect].params
+        if EFFECTS[effect].kind != "sensor" and effect != "turbulence"
+        for p in EFFECTS[effect].params
         if not p.integer and not math.isnan(value(vehicle, effect, p.name)) and (effect, p.name) not in fixed
     ]
     problem = _Problem(vehicle, unknowns, flights, masks)
@@ -142,7 +142,7 @@ def bounded(believed: Vehicle, effect: str, parameter: str, estimate: float, rea
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:
-    spec = next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    spec = next(p for p in EFFECTS[effect].params if p.name == parameter)
     return spec.minimum, spec.maximum
 
 

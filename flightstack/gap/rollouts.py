@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.gap.evaluated import run_windows
-from flightstack.gap.records import Samples
-from flightstack.gap.run import Run, first_command, later, params_row, true_attitude
-from flightstack.gap.track import Track, track
-from flightstack.types import F64
-from flightstack.vehicle import Vehicle
-from flightstack_logs.turn import multiply, rotate_inverse
-from flightstack_sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
-from flightstack_sim.layout import (
+from flightstack.effects import accelerometer_bias, attitude_misalignment, gyro_bias
+from flightstack.effects.row import (
     D_DELAY_STEPS,
     P_RESISTANCE,
     S_CHARGE,
@@ -28,6 +21,13 @@ from flightstack_sim.layout import (
     S_RING,
     S_VEL,
 )
+from flightstack.gap.evaluated import run_windows
+from flightstack.gap.records import Samples
+from flightstack.gap.run import Run, first_command, later, params_row, true_attitude
+from flightstack.gap.track import Track, track
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import multiply, rotate_inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)

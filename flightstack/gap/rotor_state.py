@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
-from flightstack.types import F64
-from flightstack_sim.battery import discharge
-from flightstack_sim.effects import slung_load, transport_delay
-from flightstack_sim.layout import (
+from flightstack.effects import slung_load, transport_delay
+from flightstack.effects.row import (
     D_LAG_FULL,
     D_MASS,
     EVALUATED,
@@ -24,6 +21,9 @@ from flightstack_sim.layout import (
     S_VOLTAGE,
     Vec,
 )
+from flightstack.jit import njit
+from flightstack.types import F64
+from flightstack_sim.battery import discharge
 from flightstack_sim.rigid_body import lagged
 
 _PINNED_KG = 1e9
@@ -91,6 +91,9 @@ def _corrected(p: F64, row: F64, pulled: Vec, seen: F64, turn: float, speed: flo
     slung_load.constrain(p, row)
 
 
+_ACC = 3
+
+
 @njit
 def run_load(p: F64, acc_ned: F64, seen: F64, adrift: bool, row: F64, work: F64, out: F64) -> None:
     """The load's direction and its rate (N, 6) into `out` under a vehicle that moves with `acc_ned` (N, 3), m/s^2.
@@ -105,7 +108,7 @@ def run_load(p: F64, acc_ned: F64, seen: F64, adrift: bool, row: F64, work: F64,
     h = p[P_DT]
     first, last = S_LOAD_DIR, S_LOAD_RATE + 3
     y, dy, mean = work[0], work[1], work[2]
-    acc = work[3]
+    acc = work[_ACC]
     count = out.shape[0]
     for k in range(count):
         for j in range(first, last):

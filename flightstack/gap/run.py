@@ -12,23 +12,23 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.effect_specs import EFFECT_SPECS
-from flightstack.gap.evaluated import evaluate_at
-from flightstack.gap.records import SIGNALS
-from flightstack.gap.rotor_state import load_work, run_battery, run_load, run_rotors
-from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands
-from flightstack.types import F64
-from flightstack.vehicle import Vehicle
-from flightstack_logs.turn import conjugate, multiply, rotate, rotate_inverse
-from flightstack_sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias, slung_load, turbulence
-from flightstack_sim.layout import (
+from flightstack.effects import (
+    EFFECTS,
+    PARAMS,
+    accelerometer_bias,
+    attitude_misalignment,
+    gyro_bias,
+    slung_load,
+    turbulence,
+)
+from flightstack.effects.row import (
     D_DELAY_STEPS,
     D_MASS,
     D_TAU,
     P_DT,
     P_FULL_V,
     P_HAS_BATTERY,
-    PARAMS,
+    PLACES,
     S_LOAD_DIR,
     S_POS,
     S_Q,
@@ -38,8 +38,14 @@ from flightstack_sim.layout import (
     S_U,
     S_VEL,
     S_VOLTAGE,
-    p_effect,
 )
+from flightstack.gap.evaluated import evaluate_at
+from flightstack.gap.records import SIGNALS
+from flightstack.gap.rotor_state import load_work, run_battery, run_load, run_rotors
+from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands
+from flightstack.types import F64
+from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import conjugate, multiply, rotate, rotate_inverse
 from flightstack_sim.parameters import derive, parameter_row
 from flightstack_sim.plant import evaluate_rows, state_rows
 
@@ -50,9 +56,7 @@ _FELT: dict[tuple[int, bytes], tuple[Track, F64]] = {}
 """Of the last few vehicles: many ropes are tried on each."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
-SENSORS = [
-    p_effect(effect, p.name) for effect, spec in EFFECT_SPECS.items() if spec.kind == "sensor" for p in spec.params
-]
+SENSORS = [PLACES[effect, p.name] for effect, spec in EFFECTS.items() if spec.kind == "sensor" for p in spec.params]
 """Places of the sensor effects' parameters in a row."""
 
 

@@ -16,14 +16,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
+from flightstack.effects import EFFECTS, ParamSpec
+from flightstack.effects.row import PLACES
 from flightstack.gap.records import Samples
 from flightstack.gap.run import SENSORS, Run, Turned, kinematic_rest, later, params_row
 from flightstack.gap.scales import natural_scale
 from flightstack.gap.track import COLUMNS, thinned, track
 from flightstack.types import F64
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
-from flightstack_sim.layout import p_effect
 from flightstack_sim.parameters import derive
 
 _TOGETHER = 12
@@ -31,37 +31,6 @@ _TOGETHER = 12
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
 _COARSE_S = 0.0105
-_OWN_RUN = ("motor_lag", "transport_delay", "slung_load")
-"""Effects that change the states that are remembered."""
-
-NEEDS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(
-        ("payload", "thrust_scale", "rotor_fault", "com_offset", "inertia", "rotor_gyroscopic"), ("motor",)
-    ),
-    **dict.fromkeys(("thrust_curve", "motor_lag", "transport_delay"), ("motor", "command")),
-    "battery_sag": ("battery_v", "motor", "command"),
-    "linear_drag": ("vel_ned_mps", "q_ned_frd"),
-    "angular_damping": (
-        "vel_ned_mps",
-        "q_ned_frd",
-        "motor",
-    ),  # drag at the hubs damps as well: it could not be told from that
-    "rotor_drag": ("vel_ned_mps", "q_ned_frd"),
-    "induced_inflow": ("vel_ned_mps", "q_ned_frd", "motor"),
-    "parasitic_drag": ("vel_ned_mps", "q_ned_frd"),
-    "translational_lift": ("vel_ned_mps", "q_ned_frd", "motor"),
-    "blade_flapping": ("vel_ned_mps", "q_ned_frd", "motor"),
-    "vortex_ring": ("vel_ned_mps", "q_ned_frd", "motor"),
-    "steady_wind": ("vel_ned_mps", "q_ned_frd"),
-    "turbulence": ("vel_ned_mps", "q_ned_frd"),
-    "ground_effect": ("height_m", "motor"),
-    "constant_force": ("q_ned_frd",),
-    "slung_load": ("q_ned_frd", "motor"),
-    "attitude_misalignment": ("q_ned_frd",),
-    "accelerometer_bias": ("accel_frd_mps2", "vel_ned_mps", "q_ned_frd"),
-    "gyro_bias": ("rate_frd_radps", "q_ned_frd"),
-}
-"""Signals without which a log can't show an effect, whatever is flown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +45,13 @@ class Knob:
 
 def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...]:
     """All continuous parameters of an effect (a fault's rotor and other whole numbers are choices: give them `at`)."""
-    return tuple(Knob(effect, p.name, dict(at or {})) for p in EFFECT_SPECS[effect].params if not p.integer)
+    return tuple(Knob(effect, p.name, dict(at or {})) for p in EFFECTS[effect].params if not p.integer)
 
 
 def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
     """Signals that the log lacks and without which it can't show this effect."""
     missing = track(samples).missing
-    return tuple(name for name in NEEDS.get(effect, ()) if name in missing)
-
-
-_QUICK = ("motor_lag", "transport_delay", "inertia", "angular_damping", "rotor_gyroscopic")
-"""Effects that show only in how soon and how fast a vehicle turns."""
+    return tuple(name for name in EFFECTS[effect].needs if name in missing)
 
 
 def untold(samples: Samples, effect: str) -> bool:
@@ -95,7 +60,7 @@ def untold(samples: Samples, effect: str) -> bool:
     An attitude out of the acceleration is the one at which there is no side force: it tells nothing of what blows or
     drags.  Differentiated twice it tells what tips a vehicle, not how soon: lags and damping are its filter's.
     """
-    return "q_ned_frd" in samples.derived and (effect in _QUICK or "q_ned_frd" in NEEDS.get(effect, ()))
+    return "q_ned_frd" in samples.derived and (EFFECTS[effect].turns_only or "q_ned_frd" in EFFECTS[effect].needs)
 
 
 def predict(vehicle: Vehicle, samples: Samples) -> F64:
@@ -142,8 +107,8 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     row = params_row(vehicle, flight.step_s)
     base = Run(row, flight)
     turned = [_turned(vehicle, row, knob) for knob in columns]
-    seen = [k for k, knob in enumerate(columns) if not flight.missing & set(NEEDS.get(knob.effect, ()))]
-    shared = [k for k in seen if columns[k].effect not in _OWN_RUN and not _is_sensor(columns[k])]
+    seen = [k for k, knob in enumerate(columns) if not flight.missing & set(EFFECTS[knob.effect].needs)]
+    shared = [k for k in seen if not EFFECTS[columns[k].effect].has_states and not _is_sensor(columns[k])]
     for begin in range(0, len(shared), _TOGETHER):
         part = shared[begin : begin + _TOGETHER]
         out[:, :6, part] = flight.smooth(base.changes([turned[k] for k in part]))[::every]
@@ -200,7 +165,7 @@ def _carried(vehicle: Vehicle, mass_kg: float) -> float:
 
 
 def _spec(effect: str, parameter: str) -> ParamSpec:
-    return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
 def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
@@ -212,13 +177,13 @@ def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
     centre, up, down = row.copy(), row.copy(), row.copy()
     for p, more in ((centre, {}), (up, {knob.parameter: high}), (down, {knob.parameter: low})):
         for name, x in {**knob.at, **more}.items():
-            p[p_effect(knob.effect, name)] = _carried(vehicle, x) if knob.effect == "payload" else x
+            p[PLACES[knob.effect, name]] = _carried(vehicle, x) if knob.effect == "payload" else x
         derive(p)
     return Turned(centre, up, down, high - low)
 
 
 def _is_sensor(knob: Knob) -> bool:
-    return EFFECT_SPECS[knob.effect].kind == "sensor"
+    return EFFECTS[knob.effect].kind == "sensor"
 
 
 def _difference(base: Run, turned: Turned, knob: Knob) -> F64:

@@ -15,18 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from flightstack.control.feedback import FeedbackGains, controller_rows
-from flightstack.model import Limits, Model, limiter_row
-from flightstack.types import F64, InputError, Learned
-from flightstack.vehicle import Vehicle
-from flightstack_sim.autopilot.flight_control import airframe_params
-from flightstack_sim.autopilot.rate_control import RateControl
-from flightstack_sim.batch_loop import STEPS, TICK_S, fly_blocks
-from flightstack_sim.batch_step import NAMES_IN_THE_LOOP, compiled_steps, run_blocks
-from flightstack_sim.effects import turbulence
-from flightstack_sim.lanes import LANES
-from flightstack_sim.layout import (
+from flightstack.effects import PARAMS, turbulence
+from flightstack.effects.row import (
     P_GROUND,
-    PARAMS,
     S_ANGULAR,
     S_COMMAND,
     S_FORCE,
@@ -38,6 +29,14 @@ from flightstack_sim.layout import (
     S_VEL,
     S_VOLTAGE,
 )
+from flightstack.model import Limits, Model, limiter_row
+from flightstack.types import F64, InputError, Learned
+from flightstack.vehicle import Vehicle
+from flightstack_sim.autopilot.flight_control import airframe_params
+from flightstack_sim.autopilot.rate_control import RateControl
+from flightstack_sim.batch_loop import STEPS, TICK_S, fly_blocks
+from flightstack_sim.batch_step import NAMES_IN_THE_LOOP, compiled_steps, run_blocks
+from flightstack_sim.lanes import LANES
 from flightstack_sim.parameters import parameter_row
 from flightstack_sim.plant import GustDraws, state_rows
 

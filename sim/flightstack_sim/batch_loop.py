@@ -9,13 +9,13 @@ import numpy as np
 
 from flightstack.control.attitude import PROPOSAL
 from flightstack.control.feedback import control_step
+from flightstack.effects.row import INTEGRATED, S_COMMAND, S_POS, S_RATE
 from flightstack.jit import njit, njit_called, njit_free
 from flightstack.model import limit_command
 from flightstack.types import F64
 from flightstack_sim.autopilot.rate_control import ROW, aim, motors_of, rate_step
 from flightstack_sim.batch_step import ROW_AT, load, scratch_block, step_block, store
 from flightstack_sim.lanes import LANES, across_lanes, lane
-from flightstack_sim.layout import INTEGRATED, S_COMMAND, S_POS, S_RATE
 
 TICK_S = 0.004
 STEPS = 4

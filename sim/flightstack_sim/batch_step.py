@@ -15,13 +15,8 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from flightstack.jit import njit, njit_called, njit_free
-from flightstack.types import F64
-from flightstack_sim import rigid_body
-from flightstack_sim.battery import discharge
-from flightstack_sim.effects import battery_sag, slung_load, turbulence
-from flightstack_sim.lanes import LANES, across_lanes, call, compiled_at, lane, vectorised
-from flightstack_sim.layout import (
+from flightstack.effects import EFFECTS, PARAMS, battery_sag, slung_load, turbulence
+from flightstack.effects.row import (
     D_DELAY_STEPS,
     D_GROUND_LEVEL,
     D_GROUND_REACH,
@@ -39,7 +34,6 @@ from flightstack_sim.layout import (
     M4,
     P_DT,
     P_GROUND,
-    PARAMS,
     S_ANGULAR,
     S_COMMAND,
     S_CURSOR,
@@ -54,6 +48,11 @@ from flightstack_sim.layout import (
     S_VEL,
     S_VOLTAGE,
 )
+from flightstack.jit import njit, njit_called, njit_free
+from flightstack.types import F64
+from flightstack_sim import composed, rigid_body
+from flightstack_sim.battery import discharge
+from flightstack_sim.lanes import LANES, across_lanes, call, compiled_at, lane, vectorised
 from flightstack_sim.rigid_body import step_row
 
 # where each field begins in a block's scratch
@@ -158,26 +157,16 @@ _IN_THE_AIR = {"ground": {"near": vectorised(lambda p, pos_d: False)}}
 _NO_EFFECT = {
     **_IN_THE_AIR,
     "turbulence": {"advance": _NOTHING, "gust": vectorised(lambda p, row: (0.0, 0.0, 0.0))},
-    "steady_wind": {"velocity": vectorised(lambda p: (0.0, 0.0, 0.0))},
+    "composed": dict.fromkeys(composed.SUMS, vectorised(lambda start, *arguments: start)),
     "battery_sag": {"factor": vectorised(lambda p, voltage: 1.0)},
-    "translational_lift": {"added_thrust": vectorised(lambda p, thrust, air: 0.0)},
-    "ground_effect": {"factor": vectorised(lambda p, height: 1.0)},
-    "vortex_ring": {"factor": vectorised(lambda p, thrust, descent: 1.0)},
-    "rotor_drag": {"hub_force": vectorised(lambda p, speed, air: (0.0, 0.0, 0.0))},
-    "induced_inflow": {"hub_force": vectorised(lambda p, speed, air: 0.0)},
-    "blade_flapping": {"torque": vectorised(lambda p, speed, air: (0.0, 0.0))},
     "rotor_gyroscopic": {
         "momentum": vectorised(lambda p, rotor, speed: 0.0), "torque": vectorised(lambda spin, x, y: (0.0, 0.0)),
     },
-    "linear_drag": {"force": vectorised(lambda p, air: (0.0, 0.0, 0.0))},
-    "parasitic_drag": {"force": vectorised(lambda p, air: (0.0, 0.0, 0.0))},
-    "angular_damping": {"torque": vectorised(lambda p, rate: (0.0, 0.0, 0.0))},
-    "constant_force": {"force": vectorised(lambda p: (0.0, 0.0, 0.0))},
     "slung_load": {"pull": vectorised(lambda p, y, force, dy: (0.0, 0.0, 0.0)), "constrain": _NOTHING},
 }  # fmt: skip
 _every_effect = across_lanes(advance_block, _IN_THE_AIR)
 _no_effect = across_lanes(advance_block, _NO_EFFECT)
-NAMES_IN_THE_LOOP = (*(name for name in _NO_EFFECT if name != "ground"), "transport_delay")
+NAMES_IN_THE_LOOP = ("transport_delay", *(e.name for e in EFFECTS.values() if e.place not in ("parameters", "sensor")))
 """The effects that the step itself computes; the others only change the parameters that it begins with."""
 
 

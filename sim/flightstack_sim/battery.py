@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
-from flightstack.types import F64
-from flightstack_sim.layout import (
+from flightstack.effects.row import (
     D_DISK,
     P_CAPACITY,
     P_DT,
@@ -22,6 +20,8 @@ from flightstack_sim.layout import (
     S_THRUST,
     S_VOLTAGE,
 )
+from flightstack.jit import njit
+from flightstack.types import F64
 
 FIGURE_OF_MERIT = 0.6
 

@@ -346,4 +346,6 @@ class Injector:
     @property
     def on_the_link(self) -> bool:
         """Whether any of them is a link fault."""
+        if not self.faults and not self.begun:
+            return False
         return any(fault.spec.start is None for fault in (*self.faults, *(fault for _, fault in self.begun)))

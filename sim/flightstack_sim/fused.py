@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from flightstack.effects import turbulence
+from flightstack.effects.row import EVALUATED, S_COMMAND, S_FORCE, S_NORMALS, S_POS, S_Q, S_RATE, S_VEL
 from flightstack.jit import njit
 from flightstack.types import F64
 from flightstack_sim.autopilot.rate_control import RateControl, motors_of, rate_step
-from flightstack_sim.effects import turbulence
-from flightstack_sim.layout import EVALUATED, S_COMMAND, S_FORCE, S_NORMALS, S_POS, S_Q, S_RATE, S_VEL
 from flightstack_sim.plant import NativePlant
 from flightstack_sim.rigid_body import step_row
 from flightstack_sim.sensors import GYRO, Sensors, sense

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
-from flightstack.types import F64
-from flightstack_sim.effects import slung_load
-from flightstack_sim.layout import (
+from flightstack.effects import slung_load
+from flightstack.effects.row import (
     D_ARM,
     D_GROUND_ARM,
     D_GROUND_C,
@@ -32,6 +30,8 @@ from flightstack_sim.layout import (
     S_VEL,
     Vec,
 )
+from flightstack.jit import njit
+from flightstack.types import F64
 
 FRICTION = 0.7
 

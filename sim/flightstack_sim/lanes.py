@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import FunctionType, ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -52,13 +52,12 @@ def lane(typing: Any, block: Any, place: Any) -> Any:
 
 
 def _call_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    places = [
-        context.make_array(kind)(context, builder, value).data
-        for kind, value in zip(signature.args[1:3], arguments[1:3], strict=True)
-    ]
-    words = [*places, arguments[3]]
+    address, *blocks, number = arguments
+    kinds = signature.args[1:3]
+    places = [context.make_array(kind)(context, builder, value).data for kind, value in zip(kinds, blocks, strict=True)]
+    words = [*places, number]
     function = ir.FunctionType(ir.VoidType(), [word.type for word in words])
-    builder.call(builder.inttoptr(arguments[0], function.as_pointer()), words)
+    builder.call(builder.inttoptr(address, function.as_pointer()), words)
     return context.get_dummy_value()
 
 
@@ -144,7 +143,8 @@ class _Copies:
         for name in python.__code__.co_names:
             if name in known:
                 known[name] = self.of(known[name])
-        return vectorised(FunctionType(python.__code__, known, python.__name__, python.__defaults__))
+        cells = tuple(CellType(self.of(cell.cell_contents)) for cell in python.__closure__ or ())
+        return vectorised(FunctionType(python.__code__, known, python.__name__, python.__defaults__, cells))
 
     def _module(self, module: ModuleType) -> ModuleType:
         copy = self._done[id(module)] = ModuleType(module.__name__)

@@ -6,27 +6,8 @@ import math
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
-from flightstack.jit import njit
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
-from flightstack.vehicle import Vehicle
-from flightstack_sim.effects import (
-    com_offset,
-    inertia,
-    motor_lag,
-    payload,
-    rotor_fault,
-    thrust_curve,
-    thrust_scale,
-    transport_delay,
-)
-from flightstack_sim.effects.angular_damping import K_X as DAMPING
-from flightstack_sim.effects.induced_inflow import K_Z as INFLOW
-from flightstack_sim.effects.linear_drag import D_X as LINEAR
-from flightstack_sim.effects.parasitic_drag import C_X as PARASITIC
-from flightstack_sim.effects.rotor_drag import K_D as ROTOR_DRAG
-from flightstack_sim.effects.slung_load import MASS as LOAD_MASS
-from flightstack_sim.layout import (
+from flightstack.effects import EFFECTS, PARAMS
+from flightstack.effects.row import (
     D_ARM,
     D_DISK,
     D_FACTOR,
@@ -56,18 +37,20 @@ from flightstack_sim.layout import (
     P_RESISTANCE,
     P_TAU,
     P_TORQUE_RATIO,
-    PARAMS,
+    PLACES,
     RHO_KGPM3,
-    p_effect,
 )
+from flightstack.effects.slung_load import MASS as LOAD_MASS
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
+from flightstack.vehicle import Vehicle
+from flightstack_sim import composed
 
 GROUND_RADPS = 2.0 * math.pi * 13.0
 """Vertical eigenfrequency of the vehicle on its contacts."""
 GROUND_DAMPING_RATIO = 0.6
 _GROUND_LARGEST_DECAY = 0.5
 """Of the contacts' damping, in one step: softer contacts for a vehicle light in turning, else the step diverges."""
-_LARGEST_DECAY = 1.0
-_TOP_SPEED_MPS = 50.0
 
 
 def parameter_row(vehicle: Vehicle, *, dt_us: int, ground: bool = True) -> F64:
@@ -89,11 +72,11 @@ def parameter_row(vehicle: Vehicle, *, dt_us: int, ground: bool = True) -> F64:
         p[P_CAPACITY], p[P_RESISTANCE] = battery.capacity_as, battery.resistance_ohm
     p[P_DT] = 1e-6 * dt_us
     p[P_GROUND] = float(ground)
-    for name, spec in EFFECT_SPECS.items():
+    for name, spec in EFFECTS.items():
         values = vehicle.effects.get(name, {})
         for param in spec.params:
             value = values.get(param.name, param.null)
-            p[p_effect(name, param.name)] = np.nan if value is None else value
+            p[PLACES[name, param.name]] = np.nan if value is None else value
     derive(p)
     _check_stiffness(p, vehicle.name)
     return p
@@ -112,14 +95,7 @@ def derive(p: F64) -> None:
     p[D_FACTOR] = p[P_FACTOR]
     p[D_TAU] = p[P_TAU]
     p[D_DISK] = 2.0 * RHO_KGPM3 * math.pi * p[P_RADIUS] * p[P_RADIUS]
-    payload.change(p)
-    thrust_scale.change(p)
-    thrust_curve.change(p)
-    rotor_fault.change(p)
-    com_offset.change(p)
-    inertia.change(p)
-    motor_lag.change(p)
-    transport_delay.change(p)
+    composed.change(p)
     _derive_ground(p)
 
 
@@ -154,20 +130,10 @@ def _derive_ground(p: F64) -> None:
 
 def _check_stiffness(p: F64, name: str) -> None:
     """Refuse damping that an explicit step of this length can't follow: its decay in one step must stay below 1."""
-    dt, mass, inertias = p[P_DT], p[D_MASS], p[D_INERTIA : D_INERTIA + 3]
-    top_speed = 4.0 * p[P_MAX_SPEED]
-    arms = p[D_ARM : D_ARM + 12].reshape(4, 3)
-    turning = (np.sum(arms**2, axis=0).max() * p[P_MAX_SPEED]) / inertias.min()
-    decays = {
-        "linear_drag": p[LINEAR : LINEAR + 3].max() / mass,
-        "parasitic_drag": 2.0 * _TOP_SPEED_MPS * p[PARASITIC : PARASITIC + 3].max() / mass,
-        "angular_damping": (p[DAMPING : DAMPING + 3] / inertias).max(),
-        "rotor_drag": p[ROTOR_DRAG] * max(top_speed / mass, turning),
-        "induced_inflow": p[INFLOW] * max(top_speed / mass, turning),
-    }
-    for effect, decay in decays.items():
-        if decay * dt > _LARGEST_DECAY:
+    for effect in EFFECTS.values():
+        decay = p[P_DT] * effect.decay_rate(p) if effect.decay_rate else 0.0
+        if decay > 1.0:
             raise InputError(
-                f"{name}: effects.{effect} is {decay * dt / _LARGEST_DECAY:.2g} times what a {dt * 1e3:g} ms step "
+                f"{name}: effects.{effect.name} is {decay:.2g} times what a {p[P_DT] * 1e3:g} ms step "
                 f"can follow for this mass and inertia; lower it by that factor"
             )

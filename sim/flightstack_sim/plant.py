@@ -11,10 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from flightstack.jit import njit
-from flightstack.types import F64, InputError, Tuple3, Tuple4
-from flightstack.vehicle import Vehicle, with_effects
-from flightstack_sim.effects import (
+from flightstack.effects import (
     accelerometer_bias,
     attitude_misalignment,
     battery_sag,
@@ -22,7 +19,7 @@ from flightstack_sim.effects import (
     slung_load,
     turbulence,
 )
-from flightstack_sim.layout import (
+from flightstack.effects.row import (
     E_FORCE,
     E_NORMAL,
     E_THRUST,
@@ -45,6 +42,9 @@ from flightstack_sim.layout import (
     S_VOLTAGE,
     S_WIND,
 )
+from flightstack.jit import njit
+from flightstack.types import F64, InputError, Tuple3, Tuple4
+from flightstack.vehicle import Vehicle, with_effects
 from flightstack_sim.parameters import parameter_row
 from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 

@@ -10,30 +10,8 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack_sim import ground
-from flightstack_sim.battery import discharge
-from flightstack_sim.effects import (
-    angular_damping,
-    battery_sag,
-    blade_flapping,
-    constant_force,
-    ground_effect,
-    induced_inflow,
-    linear_drag,
-    parasitic_drag,
-    rotor_drag,
-    rotor_gyroscopic,
-    slung_load,
-    steady_wind,
-    thrust_curve,
-    translational_lift,
-    transport_delay,
-    turbulence,
-    vortex_ring,
-)
-from flightstack_sim.layout import (
+from flightstack.effects import battery_sag, rotor_gyroscopic, slung_load, thrust_curve, transport_delay, turbulence
+from flightstack.effects.row import (
     D_ARM,
     D_FACTOR,
     D_GAIN,
@@ -67,6 +45,10 @@ from flightstack_sim.layout import (
     S_WIND,
     Vec,
 )
+from flightstack.jit import njit
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack_sim import composed, ground
+from flightstack_sim.battery import discharge
 
 _G = STANDARD_GRAVITY_MPS2
 _STANDING = 1e-9
@@ -77,10 +59,9 @@ Quad = tuple[float, float, float, float]
 @njit
 def _rotor_thrust(p: F64, rotor: int, curve_n: float, sag: float, hub_air: Vec, height_m: float) -> float:
     """Thrust (N) of one rotor: static curve, translational lift, then everything that multiplies."""
-    thrust = curve_n + translational_lift.added_thrust(p, curve_n, hub_air)
+    thrust = composed.added_thrust(curve_n, p, curve_n, hub_air)
     thrust *= p[D_GAIN + rotor] * sag
-    thrust *= ground_effect.factor(p, height_m)
-    return float(thrust * vortex_ring.factor(p, thrust, hub_air[2]))
+    return float(composed.thrust(thrust, p, hub_air, height_m))
 
 
 @njit
@@ -95,14 +76,9 @@ def _rotor(
     thrust = _rotor_thrust(p, i, p[P_MAX_THRUST] * speed * speed, sag, hub_air, hub_height)
     out[E_THRUST + i] = thrust
     speed *= p[P_MAX_SPEED]
-    fx, fy, fz = rotor_drag.hub_force(p, speed, hub_air)
-    fz += induced_inflow.hub_force(p, speed, hub_air) - thrust
-    flap = blade_flapping.torque(p, speed, hub_air)
-    torque = (
-        ay * fz - az * fy + flap[0],
-        az * fx - ax * fz + flap[1],
-        ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust,
-    )
+    fx, fy, fz = composed.hub_force((0.0, 0.0, -thrust), p, speed, hub_air)
+    lever = (ay * fz - az * fy, az * fx - ax * fz, ax * fy - ay * fx + p[P_TORQUE_RATIO + i] * thrust)
+    torque = composed.hub_torque(lever, p, speed, hub_air)
     return (fx, fy, fz), torque, rotor_gyroscopic.momentum(p, i, speed)
 
 
@@ -178,15 +154,8 @@ def evaluate(p: F64, y: F64, speeds: Quad, wind: Vec, sag: float, dy: F64) -> No
     rate = (y[S_RATE], y[S_RATE + 1], y[S_RATE + 2])
     down = _down(y)
     rotor_force, rotor_torque = _rotors(p, y, speeds, sag, air, down, dy)
-    linear, parasitic = linear_drag.force(p, air), parasitic_drag.force(p, air)
-    damping = angular_damping.torque(p, rate)
-    fx = rotor_force[0] + linear[0] + parasitic[0]
-    fy = rotor_force[1] + linear[1] + parasitic[1]
-    fz = rotor_force[2] + linear[2] + parasitic[2]
-    tx, ty, tz = rotor_torque[0] + damping[0], rotor_torque[1] + damping[1], rotor_torque[2] + damping[2]
-    fn, fe, fd = _to_world(y, (fx, fy, fz))
-    constant = constant_force.force(p)
-    fn, fe, fd = fn + constant[0], fe + constant[1], fd + constant[2]
+    tx, ty, tz = composed.body_torque(rotor_torque, p, rate)
+    fn, fe, fd = composed.world_force(_to_world(y, composed.body_force(rotor_force, p, air)), p)
     dy[E_NORMAL] = 0.0
     if ground.near(p, y[S_POS + 2]):
         normal, about_x, about_y, about_z = ground.push(p, y, down)
@@ -220,8 +189,7 @@ def _turning(p: F64, y: F64, rate: Vec, torque: Vec, dy: F64) -> None:
 @njit
 def air_velocity(p: F64, row: F64) -> Vec:
     """Velocity of the air (m/s, NED) at the vehicle, kept in the row's outputs."""
-    steady, gust = steady_wind.velocity(p), turbulence.gust(p, row)
-    wind = (steady[0] + gust[0], steady[1] + gust[1], steady[2] + gust[2])
+    wind: Vec = composed.wind(turbulence.gust(p, row), p)
     row[S_WIND], row[S_WIND + 1], row[S_WIND + 2] = wind
     return wind
 

@@ -248,7 +248,7 @@ class Server:
         if view.t_us >= self._next_slow_us:
             self._slow()
         for port in self._ports:
-            port.streams.emit(view, port.link.send)
+            port.streams.emit(view, port.link)
             port.send_parameters(vehicle.params)
 
     def answer(self) -> None:

@@ -152,6 +152,11 @@ class View:
         self._frozen = None
 
     @property
+    def frozen(self) -> bool:
+        """A fault keeps the reported place where it was."""
+        return self._frozen is not None
+
+    @property
     def stamp_us(self) -> int:
         """Time since boot as messages carry it."""
         stamp_us = self.t_us + self.clock_offset_us

@@ -32,7 +32,7 @@ def _site(folder: Path, text: str, name: str = "site.toml") -> Path:
 
 def _fly(folder: Path, text: str, scenario: str, **more: object) -> FlightResult:
     options = FlyOptions(scenario=scenario, out=folder, site=_site(folder, text), **more)  # type: ignore[arg-type]
-    return fly(options, stop_requested=lambda: "")
+    return fly(options, report_wanted=lambda result: False)
 
 
 @pytest.fixture(scope="module")

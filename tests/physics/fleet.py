@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from flightstack.effects import EFFECTS
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from flightstack_sim.plant import NativePlant
@@ -17,34 +18,7 @@ QUAD = parse_vehicle((FOLDER / "quad-x.toml").read_text(), "quad-x.toml")
 HIGH = np.array([0.0, 0.0, -1000.0])
 """Far from the ground."""
 
-TYPICAL: dict[str, dict[str, float]] = {
-    "payload": {"mass_kg": 0.3},
-    "thrust_scale": {"scale": 0.9},
-    "thrust_curve": {"thrust_model_factor": 0.4},
-    "rotor_fault": {"rotor": 3, "effectiveness": 0.8},
-    "com_offset": {"x_m": 0.02, "y_m": -0.015, "z_m": 0.03},
-    "inertia": {"scale_x": 1.2, "scale_y": 0.9, "scale_z": 1.1},
-    "motor_lag": {"time_constant_s": 0.05},
-    "transport_delay": {"delay_s": 0.0125},
-    "battery_sag": {"thrust_loss_per_v": 0.06},
-    "linear_drag": {"d_x_kgps": 0.3, "d_y_kgps": 0.4, "d_z_kgps": 0.2},
-    "angular_damping": {"k_x_nms": 0.01, "k_y_nms": 0.02, "k_z_nms": 0.03},
-    "rotor_drag": {"k_d_kg_per_rad": 1.6e-4},
-    "induced_inflow": {"k_z_kg_per_rad": 2e-4},
-    "parasitic_drag": {"c_x_kg_per_m": 0.02, "c_y_kg_per_m": 0.03, "c_z_kg_per_m": 0.05},
-    "translational_lift": {"k_h_kg_per_m": 0.008},
-    "blade_flapping": {"k_flap_nms2_per_rad_m": 5e-6},
-    "rotor_gyroscopic": {"rotor_inertia_kgm2": 5e-5},
-    "ground_effect": {"strength": 1.0},
-    "vortex_ring": {"strength": 0.4},
-    "steady_wind": {"north_mps": 4.0, "east_mps": -3.0, "down_mps": 0.5},
-    "constant_force": {"north_n": 1.2, "east_n": -0.4, "down_n": 0.2},
-    "turbulence": {"sigma_mps": 1.5, "length_m": 20.0},
-    "slung_load": {"mass_kg": 0.25, "length_m": 0.8},
-    "accelerometer_bias": {"x_mps2": 0.1, "y_mps2": -0.2, "z_mps2": 0.3},
-    "gyro_bias": {"x_radps": 0.01, "y_radps": 0.02, "z_radps": -0.03},
-    "attitude_misalignment": {"roll_rad": 0.02, "pitch_rad": -0.03, "yaw_rad": 0.05},
-}
+TYPICAL = {name: dict(effect.example) for name, effect in EFFECTS.items()}
 """One typical value for each effect."""
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
+from flightstack.effects.row import PLACES, S_FORCE
 from flightstack_sim.batch import BatchPlant
-from flightstack_sim.layout import S_FORCE, p_effect
 from flightstack_sim.parameters import derive_rows, parameter_row
 from flightstack_sim.plant import NativePlant, evaluate_rows
 
@@ -132,7 +132,7 @@ def test_rows_whose_raw_numbers_are_changed_and_derived_anew_are_the_changed_veh
     varied = np.stack([params[0], params[0]])
     for name, table in changed.items():
         for key, value in table.items():
-            varied[1, p_effect(name, key)] = value
+            varied[1, PLACES[name, key]] = value
     derive_rows(varied)
     assert np.array_equal(varied, params, equal_nan=True)
     rng = np.random.default_rng(3)

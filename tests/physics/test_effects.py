@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +12,11 @@ from fleet import QUAD, TYPICAL, matrix, quad, set_random_state, without_thrust_
 from oracle import RHO, G
 from scipy.integrate import quad as quadrature
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS, check_effect, turbulence
+from flightstack.effects.row import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
+from flightstack.gap.records import Samples
 from flightstack.types import F64, InputError
 from flightstack.vehicle import with_effects
-from flightstack_sim.effects import EFFECTS, turbulence
-from flightstack_sim.layout import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
 from flightstack_sim.plant import NativePlant
 
 SENSORS = ("accelerometer_bias", "gyro_bias", "attitude_misalignment")
@@ -35,17 +37,22 @@ def flight(effects: dict[str, dict[str, float]], background: dict[str, dict[str,
     return plant._state[0].copy()
 
 
-def test_the_table_has_a_row_with_physics_and_source_for_every_spec_in_its_order() -> None:
-    assert list(EFFECTS) == list(EFFECT_SPECS)
+def test_every_effect_is_a_file_of_its_own_with_all_that_is_known_of_it() -> None:
+    folder = Path(turbulence.__file__).parent
+    assert {path.stem for path in folder.glob("*.py")} - {"__init__", "record", "row", "expressions"} == set(EFFECTS)
     for name, effect in EFFECTS.items():
-        assert effect.spec is EFFECT_SPECS[name]
-        assert effect.physics.__module__ == f"flightstack_sim.effects.{name}"
-        assert len(effect.source) > 10
+        assert effect.name == name
+        assert effect.physics.__module__ == f"flightstack.effects.{name}"
+        assert min(len(effect.source), len(effect.equation), len(effect.manoeuvre)) > 5
+        assert effect.words
+        assert check_effect(name, effect.example, "example") == effect.example
+        assert not effect.is_null(effect.example)
+        assert set(effect.needs) <= {"command", *(field.name for field in fields(Samples))}
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_at_its_null_value_flies_bit_for_bit_like_none(name: str) -> None:
-    nulls = {p.name: p.null for p in EFFECTS[name].spec.params if p.null is not None}
+    nulls = {p.name: p.null for p in EFFECTS[name].params if p.null is not None}
     background = {} if name in DRAG else DRAG
     assert np.array_equal(flight({name: nulls}, background), flight({}, background))
     assert np.array_equal(flight({name: {}}, background), flight({}, background))

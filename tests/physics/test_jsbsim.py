@@ -13,11 +13,11 @@ from oracle import State, accelerations
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from flightstack import effect_specs
-from flightstack.effect_specs import EFFECT_SPECS, EffectSpec, ParamSpec
+from flightstack.effects import EFFECTS, ParamSpec
+from flightstack.effects.ground_effect import factor
+from flightstack.effects.row import P_EFFECTS, PLACES
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
-from flightstack_sim.effects.ground_effect import factor
 from flightstack_sim.jsbsim import aircraft
 from flightstack_sim.jsbsim.plant import JsbsimPlant
 from flightstack_sim.parameters import parameter_row
@@ -185,9 +185,10 @@ MOVING = [
 
 def test_an_effect_that_nobody_wrote_for_jsbsim_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new line of the table must not fly as if it were not there: the second physics would check nothing."""
-    spec = EffectSpec("magnus", (ParamSpec("k", "kg", 0.0, 0.0, 1.0),), "force", "known to no plant")
-    monkeypatch.setitem(EFFECT_SPECS, "magnus", spec)
-    monkeypatch.setitem(effect_specs._SLOTS, ("magnus", "k"), 0)
+    params = (ParamSpec("k", "kg", 0.0, 0.0, 1.0),)
+    magnus = replace(EFFECTS["rotor_gyroscopic"], name="magnus", params=params, decay_rate=None)
+    monkeypatch.setitem(PLACES, ("magnus", "k"), P_EFFECTS)
+    monkeypatch.setitem(EFFECTS, "magnus", magnus)
     JsbsimPlant(replace(QUAD, effects={"magnus": {"k": 0.0}}), seed=0)
     with pytest.raises(InputError, match=r"effects\.magnus .*not written for JSBSim"):
         JsbsimPlant(replace(QUAD, effects={"magnus": {"k": 0.5}}), seed=0)
@@ -205,7 +206,7 @@ def test_strong_ground_effects_are_those_of_the_documented_formula_on_both_plant
         pos_ned_m=pos.tolist(), vel_ned_mps=[0.0] * 3, euler_rad=[0.0] * 3, rate_frd_radps=[0.0] * 3, motor_u=u.tolist()
     )
     assert plant.specific_force_frd_mps2 == pytest.approx(force, rel=1e-6)
-    native = factor(parameter_row(vehicle, dt_us=1000), 0.12)
+    native = factor(parameter_row(vehicle, dt_us=1000), 1.0, (0.0, 0.0, 0.0), 0.12)
     assert native == pytest.approx(1.0 / (1.0 - min(strength / 16.0, 0.75)), rel=1e-12)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fleet import QUAD, TYPICAL, quad
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.types import InputError
 from flightstack_sim.jsbsim.aircraft import REFUSED
 from flightstack_sim.plant import PLANTS, Plant, make_plant
@@ -101,9 +101,9 @@ def test_sensor_effects_leave_the_motion_alone_and_show_as_their_values(name: st
     assert plant.misalignment_q[1] == pytest.approx(math.sin(0.01), rel=0.05)
 
 
-@pytest.mark.parametrize("effect", EFFECT_SPECS)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_every_effect_flies_and_acts_or_is_refused_by_its_name(name: str, effect: str) -> None:
-    spec = EFFECT_SPECS[effect]
+    spec = EFFECTS[effect]
     drag = {"linear_drag": {"d_x_kgps": 0.1, "d_y_kgps": 0.2, "d_z_kgps": 0.1}}
     vehicle = quad(**{**drag, effect: MODERATE[effect]})
     if name == "jsbsim" and effect in REFUSED:
@@ -116,9 +116,9 @@ def test_every_effect_flies_and_acts_or_is_refused_by_its_name(name: str, effect
     assert (with_it == plain) == (spec.kind == "sensor")
 
 
-@pytest.mark.parametrize("effect", [name for name in EFFECT_SPECS if name not in REFUSED])
+@pytest.mark.parametrize("effect", [name for name in EFFECTS if name not in REFUSED])
 def test_an_effect_at_its_null_value_flies_like_none(name: str, effect: str) -> None:
-    nulls = {p.name: p.null for p in EFFECT_SPECS[effect].params if p.null is not None}
+    nulls = {p.name: p.null for p in EFFECTS[effect].params if p.null is not None}
     assert flown(make_plant(name, quad(**{effect: nulls}), seed=3)) == flown(make_plant(name, QUAD, seed=3))
 
 

@@ -12,8 +12,8 @@ from oracle import G, State, accelerations
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from flightstack.effects.row import S_VOLTAGE
 from flightstack.types import F64
-from flightstack_sim.layout import S_VOLTAGE
 from flightstack_sim.plant import NativePlant
 
 OFF = np.zeros(4)

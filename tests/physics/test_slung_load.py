@@ -9,8 +9,8 @@ import pytest
 from fleet import QUAD, quad, without_thrust_or_ground
 from oracle import G
 
+from flightstack.effects.row import S_LOAD_DIR, S_LOAD_RATE
 from flightstack.types import F64
-from flightstack_sim.layout import S_LOAD_DIR, S_LOAD_RATE
 from flightstack_sim.plant import NativePlant
 
 OFF = np.zeros(4)

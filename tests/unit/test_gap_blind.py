@@ -34,7 +34,7 @@ from benchmarks.gap_rules import meaning, rules
 from benchmarks.gap_tables import BEGIN, END, present, tables
 from flightstack.cli.campaign.design import Design
 from flightstack.cli.campaign.spec import load_spec
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, with_effects
 from flightstack_sim.plant import NativePlant
@@ -52,7 +52,7 @@ def hover(seconds: float) -> F64:
 
 
 def test_every_effect_of_the_table_can_be_drawn_and_is_not_null_on_any_vehicle() -> None:
-    assert list(gap_draw.EFFECTS) == list(EFFECT_SPECS)
+    assert list(gap_draw.EFFECTS) == list(EFFECTS)
     for seed in range(20):
         rng = np.random.default_rng(seed)
         vehicle = gap_draw.vehicle(rng, drag=False)
@@ -61,7 +61,7 @@ def test_every_effect_of_the_table_can_be_drawn_and_is_not_null_on_any_vehicle()
                 continue
             values = draw(rng, vehicle)
             with_effects(vehicle, {name: values})  # in range
-            assert not EFFECT_SPECS[name].is_null(values)
+            assert not EFFECTS[name].is_null(values)
 
 
 def test_the_pilot_hovers_where_it_should_and_carries_what_its_model_lacks() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.name import name
 from tests import gap_flights
@@ -16,7 +16,7 @@ from tests.unit.test_gap_name_vehicle import KINDS, check_found
 
 
 @pytest.mark.parametrize(
-    "effect", [each for each, spec in EFFECT_SPECS.items() if spec.kind not in KINDS and each != "turbulence"]
+    "effect", [each for each, spec in EFFECTS.items() if spec.kind not in KINDS and each != "turbulence"]
 )
 def test_a_hidden_effect_is_found(effect: str) -> None:
     check_found(effect)

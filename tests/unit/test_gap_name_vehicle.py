@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from tests.gap_hidden import HIDDEN, flights, named
 
 KINDS = ("parameter", "command", "sensor")
@@ -22,7 +22,7 @@ def check_found(effect: str, tolerance: float = 0.1) -> None:
         assert value == verdict.found[0].parameters[parameter].estimate
 
 
-@pytest.mark.parametrize("effect", [name for name, spec in EFFECT_SPECS.items() if spec.kind in KINDS])
+@pytest.mark.parametrize("effect", [name for name, spec in EFFECTS.items() if spec.kind in KINDS])
 def test_a_hidden_effect_is_found(effect: str) -> None:
     check_found(effect)
 
@@ -31,4 +31,4 @@ def test_in_a_clean_flight_nothing_is_named() -> None:
     verdict = named(flights()[""])
     assert verdict.found == ()
     assert not verdict.unexplained.significant
-    assert {r.name for r in verdict.rejected} == set(EFFECT_SPECS)
+    assert {r.name for r in verdict.rejected} == set(EFFECTS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.gap.records import Samples
 from flightstack.gap.run import Run, params_row
@@ -177,18 +177,18 @@ def test_sensor_effects_are_shown_where_their_sensors_show_them() -> None:
 
 
 def knob_range(effect: str, parameter: str) -> tuple[float, float]:
-    spec = next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    spec = next(p for p in EFFECTS[effect].params if p.name == parameter)
     return spec.minimum, spec.maximum
 
 
-@pytest.mark.parametrize("effect", [name for name in EFFECT_SPECS if name != "turbulence"])
+@pytest.mark.parametrize("effect", [name for name in EFFECTS if name != "turbulence"])
 def test_sensitivities_are_the_derivatives_of_the_prediction(effect: str, flown: tuple[Samples, Samples]) -> None:
     samples = flown[0]
     drag = {"linear_drag": {"d_x_kgps": 0.3, "d_y_kgps": 0.3, "d_z_kgps": 0.2}}
     vehicle = quad() if effect == "linear_drag" else hidden(quad(), drag)  # wind needs something to blow on
     at = {"rotor_fault": {"rotor": 2}, "slung_load": {"mass_kg": 0.2, "length_m": 1.0}}.get(effect, {})
     if effect in ("linear_drag", "parasitic_drag"):
-        at = {p.name: 0.3 for p in EFFECT_SPECS[effect].params}
+        at = {p.name: 0.3 for p in EFFECTS[effect].params}
     flight, columns = track(samples), knobs(effect, at)
     got = sensitivities(vehicle, samples, columns)
     for k, knob in enumerate(columns):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.types import InputError
 from flightstack.vehicle import parse_vehicle, scaled, vehicle_to_toml, with_effects
 
@@ -167,8 +167,8 @@ def test_effects_are_replaced_by_name_and_kept_in_table_order() -> None:
     assert changed.effects["rotor_drag"]["k_d_kg_per_rad"] == 2e-4
     assert vehicle.effects["rotor_drag"]["k_d_kg_per_rad"] == 1.6e-4
     assert all(
-        list(with_effects(vehicle, {name: {}}).effects) == sorted({name, "rotor_drag"}, key=list(EFFECT_SPECS).index)
-        for name in EFFECT_SPECS
+        list(with_effects(vehicle, {name: {}}).effects) == sorted({name, "rotor_drag"}, key=list(EFFECTS).index)
+        for name in EFFECTS
     )
 
 

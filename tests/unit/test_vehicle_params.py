@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from companions import MODEL, build, flying
+from companions import MODEL, Notes, build, flying
 from fake_px4 import PARAMS, FakePx4, exchange
 from tlog import recording
 
 from flightstack.types import Command
 from mavlink_bridge import messages as m
+from mavlink_bridge.companion import Companion
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
 from mavlink_bridge.vehicle_params import NEEDED, Outputs, ParamReader, unsafe
@@ -150,3 +152,68 @@ def test_what_was_read_is_told_once_before_the_flight() -> None:
     assert "MPC_THR_HOVER 0.50" in told[0]
     assert f"{MODEL.hover_norm:.2f}" in told[0]
     assert "MC_BAT_SCALE_EN is on" in told[0]
+
+
+def _waiting() -> tuple[Companion, Notes, FakePx4, int]:
+    """A companion that streams and leaves arming to the pilot."""
+    companion, notes = build(arm=False)
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 10.0)
+    assert companion.state is State.STREAMING
+    return companion, notes, vehicle, now
+
+
+def _tell(vehicle: FakePx4, name: str, value: float) -> None:
+    """A ground station set it on a link of its own, and PX4 tells all."""
+    vehicle.params[name] = value
+    vehicle.link.send(m.ParamValue(name, m.param_bits(value, m.PARAM_REAL32), m.PARAM_REAL32, 875, 1))
+
+
+def test_parameters_that_are_changed_while_it_waits_are_judged_again() -> None:
+    companion, notes, vehicle, now = _waiting()
+    _tell(vehicle, "COM_OF_LOSS_T", 0.4)
+    now = exchange(companion, vehicle, 0.1, start_us=now)
+    assert companion.state is State.STREAMING
+    _tell(vehicle, "COM_OF_LOSS_T", 5.0)
+    exchange(companion, vehicle, 0.1, start_us=now)
+    assert companion.state is State.REFUSED
+    assert companion.reason.startswith("COM_OF_LOSS_T is 5 s")
+    assert "COM_OF_LOSS_T is 5 now, was 0.4: set by someone else" in notes.texts("parameters")
+
+
+def test_a_thrust_curve_that_is_changed_in_flight_is_followed_at_once() -> None:
+    companion, notes, vehicle, now = flying()
+    _tell(vehicle, "THR_MDL_FAC", 0.5)
+    exchange(companion, vehicle, 0.1, start_us=now)
+    wanted = notes.ticks[-1].command.thrust_norm
+    assert 0.2 < wanted < 0.8
+    assert vehicle.setpoints[-1].thrust_norm == pytest.approx(0.5 * wanted**2 + 0.5 * wanted, abs=1e-3)
+    assert companion.state is State.OFFBOARD
+    assert notes.texts("parameters")[-1] == "THR_MDL_FAC is 0.5 now, was 0: set by someone else"
+
+
+def test_a_vehicle_that_is_started_anew_while_it_waits_is_refused() -> None:
+    companion, _, vehicle, now = _waiting()
+
+    def younger(message: Any) -> Any:
+        stamp = "t_us" if isinstance(message, m.HighresImu) else "t_boot_us"
+        return message._replace(**{stamp: getattr(message, stamp) - 8_000_000})
+
+    vehicle.alter = younger
+    exchange(companion, vehicle, 0.1, start_us=now)
+    assert companion.state is State.REFUSED
+    assert "it started anew" in companion.reason
+
+
+@pytest.mark.parametrize(("action", "kinds"), [(0.0, {18, 6}), (2.0, {18})])
+def test_where_px4_is_to_notice_a_lost_ground_station_it_does_not_pose_as_one(action: float, kinds: set[int]) -> None:
+    """MAV_TYPE 6 is a ground station, 18 an onboard controller: PX4 counts the former on every link."""
+    link, ear = Link(240, 191), Link(1, 1)
+    voice, params = Voice(link), ParamReader()
+    voice.system = 1
+    params.take(m.ParamValue("NAV_DLL_ACT", m.param_bits(action, m.PARAM_REAL32), m.PARAM_REAL32, 875, 1))
+    voice.heed(params)
+    voice.keep_in_touch(0)
+    for data in link.datagrams_to_send():
+        ear.receive_datagram(data, 0)
+    assert {received.message.type for received in ear.take_events() if type(received.message) is m.Heartbeat} == kinds

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS, ParamSpec
+from flightstack.effects import EFFECTS, ParamSpec
 from flightstack.gap.scales import natural_scale
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
@@ -121,19 +121,19 @@ class Candidate:
 
 
 def _spec(effect: str, parameter: str) -> ParamSpec:
-    return next(p for p in EFFECT_SPECS[effect].params if p.name == parameter)
+    return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
 def has(vehicle: Vehicle, effect: str) -> bool:
     """Whether the effect acts in this vehicle."""
     values = vehicle.effects.get(effect, {})
-    return bool(values) and not EFFECT_SPECS[effect].is_null(values)
+    return bool(values) and not EFFECTS[effect].is_null(values)
 
 
 def candidates(vehicle: Vehicle) -> tuple[Candidate, ...]:
     """All candidates for this vehicle, in table order; an effect that it has is looked at as it is."""
     found = []
-    for effect, spec in EFFECT_SPECS.items():
+    for effect, spec in EFFECTS.items():
         if effect in STOCHASTIC or (effect == "battery_sag" and vehicle.battery is None):
             continue
         if has(vehicle, effect):
@@ -154,10 +154,10 @@ _VARIANTS: dict[str, tuple[dict[str, float], ...]] = {
 
 def fitted(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Candidate:
     """The candidate once it acts: all its parameters have columns but the whole numbers, which are held."""
-    free = tuple(p for p in EFFECT_SPECS[effect].params if not p.integer)
+    free = tuple(p for p in EFFECTS[effect].params if not p.integer)
     sizes = tuple(
         _REQUIRED_SHARE * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name) for p in free
     )
-    held = {p.name: float(values[p.name]) for p in EFFECT_SPECS[effect].params if p.integer}
+    held = {p.name: float(values[p.name]) for p in EFFECTS[effect].params if p.integer}
     ranges = {p.name: plausible(vehicle, effect, p.name) for p in free}
     return Candidate(effect, tuple(p.name for p in free), sizes, held, ranges)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import chdtrc
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.search import SelectionState, bounded_step
@@ -35,7 +35,7 @@ _ALLOWED_SPREAD = 0.1
 """Share by which a coefficient of a good model may differ from segment to segment."""
 CI = 1.959964
 """Standard deviations of a 95 % interval."""
-FICKLE_P = 1e-4 / len(EFFECT_SPECS)
+FICKLE_P = 1e-4 / len(EFFECTS)
 """Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
 _STEADY_MPS2 = 0.005
 """One standard deviation of a slow error of accelerometer or attitude: 3 to 8 mm/s^2 with the simulator's sensors."""

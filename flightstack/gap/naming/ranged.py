@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
@@ -51,7 +51,9 @@ def is_touched(start: Vehicle, found: Sequence[Found]) -> bool:
 def carried(state: SelectionState, found: tuple[Found, ...], vehicle: Vehicle) -> tuple[tuple[Found, ...], Vehicle]:
     """The names with what guessed numbers do to them, and the vehicle at their estimates; `vehicle` holds them."""
     start, layout, chosen = state.start, state.point.layout, state.point.fit_rows()
+    told = {(f.name, p) for f in found for p, e in f.parameters.items() if e.told}
     slots = [(f.name, p) for f in found for p in fitted(vehicle, f.name, vehicle.effects[f.name]).parameters]
+    slots = [slot for slot in slots if slot in told]
     numbers = {n.name: n for n in file_numbers(start)}
     raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
     x = layout.stack([np.nan_to_num(columns) for columns in raw])
@@ -117,7 +119,7 @@ def _told(
             k = place.get((each.name, name))
             if k is None:
                 continue
-            spec = next(p for p in EFFECT_SPECS[each.name].params if p.name == name)
+            spec = next(p for p in EFFECTS[each.name].params if p.name == name)
             now = float(np.clip(values[k], spec.minimum, spec.maximum))
             half = max(0.5 * (e.high - e.low), CI * float(sigma[k]))
             parameters[name] = Estimate(e.before, now, max(now - half, spec.minimum), min(now + half, spec.maximum))

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
@@ -242,7 +242,7 @@ def _key(group: Sequence[Candidate]) -> frozenset[str]:
 
 
 def _label(candidate: Candidate) -> str:
-    whole = {p.name for p in EFFECT_SPECS[candidate.effect].params if p.integer}
+    whole = {p.name for p in EFFECTS[candidate.effect].params if p.integer}
     return candidate.effect + "".join(f":{k}={v:g}" for k, v in candidate.variant.items() if k in whole)
 
 

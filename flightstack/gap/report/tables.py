@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.records import SIGNALS, Estimate, Found, Offset, Where
 from flightstack.gap.report import words
 from flightstack.gap.report.record import GapReport, LogQuality, RegimeRow
@@ -56,7 +56,7 @@ def _effect(found: Found) -> str:
 
 
 def _parameter(found: Found, name: str, value: Estimate) -> str:
-    spec = next((p for p in EFFECT_SPECS[found.name].params if p.name == name), None)
+    spec = next((p for p in EFFECTS[found.name].params if p.name == name), None)
     unit = words.unit(spec.unit) if spec is not None else ""
     whole = spec is not None and spec.integer
     width = value.high - value.low

@@ -4,38 +4,16 @@ from __future__ import annotations
 
 import math
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.gap.records import Estimate, Figures, Found, Gap, Unexplained
 
-_PLAIN = {
-    "thrust_scale": "a thrust scale",
-    "thrust_curve": "another thrust curve",
-    "rotor_fault": "a weak rotor",
-    "com_offset": "a shifted centre of mass",
-    "inertia": "another inertia",
-    "motor_lag": "another motor lag",
-    "transport_delay": "a transport delay",
-    "linear_drag": "linear drag",
-    "angular_damping": "angular damping",
-    "rotor_drag": "rotor drag",
-    "induced_inflow": "induced inflow",
-    "parasitic_drag": "parasitic drag",
-    "translational_lift": "translational lift",
-    "blade_flapping": "blade flapping",
-    "rotor_gyroscopic": "gyroscopic torque of the rotors",
-    "ground_effect": "ground effect",
-    "turbulence": "turbulence",
-    "battery_sag": "battery sag",
-    "accelerometer_bias": "an accelerometer bias",
-    "attitude_misalignment": "an attitude misalignment",
-}
 _IN_FULL = 2
 """Effects that the sentence gives with intervals and classes."""
 
 
 def effect(name: str) -> str:
     """An effect as one says it."""
-    return _PLAIN.get(name, f"a {name.replace('_', ' ')}")
+    return EFFECTS[name].words
 
 
 def number(value: float, like: float | None = None) -> str:
@@ -53,7 +31,7 @@ def parameter(found: Found, name: str) -> str:
     value = found.parameters[name]
     if not value.told:
         return f"{name} not told"
-    spec = next((p for p in EFFECT_SPECS[found.name].params if p.name == name), None)
+    spec = next((p for p in EFFECTS[found.name].params if p.name == name), None)
     shown = f" {unit(spec.unit)}" if spec is not None and spec.unit else ""
     if spec is not None and spec.integer:
         return f"{name} {value.estimate:.0f}"
@@ -104,7 +82,7 @@ def _in_full(found: Found) -> str:
 
 
 def _in_short(found: Found) -> str:
-    specs = {p.name: p for p in EFFECT_SPECS[found.name].params}
+    specs = {p.name: p for p in EFFECTS[found.name].params}
     units = list(dict.fromkeys(unit(specs[name].unit) for name in found.parameters if name in specs))
     values = ", ".join(
         f"{e.estimate:.0f}" if name in specs and specs[name].integer else number(e.estimate, _width(e))

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from flightstack.effects.expressions import cosine, exponential, greatest, minus, normal, prop, root, sine, times, total
 from flightstack_sim.jsbsim import text
-from flightstack_sim.jsbsim.text import FOOT_M, XYZ, minus, prop, times, total
+from flightstack_sim.jsbsim.text import FOOT_M, XYZ
 
 if TYPE_CHECKING:
     from flightstack_sim.jsbsim.aircraft import Effects
@@ -32,7 +33,7 @@ def body_air(axes: Collection[str], *, still: bool, speed: bool) -> str:
     ]
     if speed:
         squares = total(*(times(prop(f"air/{axis}"), prop(f"air/{axis}")) for axis in "xyz"))
-        parts.append(text.function("air/speed", text.root(squares)))
+        parts.append(text.function("air/speed", root(squares)))
     return "".join(parts)
 
 
@@ -53,9 +54,9 @@ def down_axis() -> str:
     """world/down-x, y, z: the world's down axis in the body."""
     phi, theta = prop("attitude/phi-rad"), prop("attitude/theta-rad")
     axis = {
-        "x": times(-1.0, text.sine(theta)),
-        "y": times(text.sine(phi), text.cosine(theta)),
-        "z": times(text.cosine(phi), text.cosine(theta)),
+        "x": times(-1.0, sine(theta)),
+        "y": times(sine(phi), cosine(theta)),
+        "z": times(cosine(phi), cosine(theta)),
     }
     return "".join(text.function(f"world/down-{name}", value) for name, value in axis.items())
 
@@ -107,10 +108,10 @@ def gusts(effects: Effects, dt_s: float, seed: int) -> GustComponents:
     draws = [float(value) for value in rng.standard_normal(5)]
     steady = effects.xyz("steady_wind")
     through = [minus(times(FOOT_M, prop(f"velocities/v-{n}-fps")), w) for n, w in zip(_NED, steady, strict=True)]
-    speed = text.greatest(text.root(total(*(times(v, v) for v in through))), _LEAST_AIRSPEED_MPS)
+    speed = greatest(root(total(*(times(v, v) for v in through))), _LEAST_AIRSPEED_MPS)
     components = [
-        text.state("gust/decay", text.exponential(times(-dt_s / length, speed))),
-        text.state("gust/noise", text.root(minus(1.0, times(prop("gust/decay"), prop("gust/decay"))))),
+        text.state("gust/decay", exponential(times(-dt_s / length, speed))),
+        text.state("gust/noise", root(minus(1.0, times(prop("gust/decay"), prop("gust/decay"))))),
     ]
     first = {"gust/decay": 1.0, "gust/noise": 0.0, "gust/along": draws[0]}
     components.append(_lag("along", seeds[0]))
@@ -127,7 +128,7 @@ def gusts(effects: Effects, dt_s: float, seed: int) -> GustComponents:
 
 def _lag(name: str, seed: int) -> str:
     """A state of unit variance that forgets by gust/decay in each step."""
-    value = total(times(prop("gust/decay"), prop(f"gust/{name}")), times(prop("gust/noise"), text.normal(seed)))
+    value = total(times(prop("gust/decay"), prop(f"gust/{name}")), times(prop("gust/noise"), normal(seed)))
     return text.state(f"gust/{name}", value)
 
 

@@ -11,22 +11,36 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
+from flightstack.effects.expressions import (
+    exponential,
+    greatest,
+    least,
+    minus,
+    over,
+    positive,
+    power,
+    prop,
+    root,
+    times,
+    total,
+)
+from flightstack.effects.ground_effect import MOST_LOST
+from flightstack.effects.record import NotInJsbsim, Place, Terms
+from flightstack.effects.row import D_GROUND_C, D_GROUND_K, RHO_KGPM3
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.battery import FIGURE_OF_MERIT
-from flightstack_sim.effects.ground_effect import MOST_LOST
 from flightstack_sim.ground import FRICTION
 from flightstack_sim.jsbsim import air, text
-from flightstack_sim.jsbsim.text import XYZ, minus, over, prop, times, total
-from flightstack_sim.layout import D_GROUND_C, D_GROUND_K, RHO_KGPM3
+from flightstack_sim.jsbsim.text import XYZ
 from flightstack_sim.parameters import parameter_row
 
 ROTORS = range(4)
 IDLE = ("Input", "MassBalance", "Aerodynamics", "BuoyantForces", "Output", "Atmosphere", "Propulsion")
 """Models of JSBSim that an aircraft of ours doesn't use; its mass doesn't change, no force depends on the pressure."""
-REFUSED = {"slung_load": "the load is a second body, and JSBSim's aircraft is one"}
-"""Effects that JSBSim can't express, and why; one that is not here and that no function reads is refused as well."""
+REFUSED = {e.name: e.jsbsim.why for e in EFFECTS.values() if isinstance(e.jsbsim, NotInJsbsim)}
+"""Effects that JSBSim can't express, and why."""
 _AXES: tuple[XYZ, XYZ, XYZ] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _RATES = tuple(prop(f"velocities/{letter}-rad_sec") for letter in "pqr")
 _LEAST_INDUCED_MPS = 1e-6
@@ -71,20 +85,36 @@ class Effects:
     def __call__(self, effect: str, parameter: str, own: float = math.nan) -> float:
         """The parameter's value; `own` where its null is the vehicle's own."""
         self.read.add(effect)
-        null = next(p.null for p in EFFECT_SPECS[effect].params if p.name == parameter)
+        null = next(p.null for p in EFFECTS[effect].params if p.name == parameter)
         value = self._effects.get(effect, {}).get(parameter, null)
         return own if value is None else float(value)
 
     def xyz(self, effect: str) -> XYZ:
         """The three parameters of an effect that has one for each axis."""
-        x, y, z = (self(effect, p.name) for p in EFFECT_SPECS[effect].params)
+        x, y, z = self.values(effect)
         return x, y, z
+
+    def values(self, effect: str) -> tuple[float, ...]:
+        """All parameters of an effect, in table order."""
+        return tuple(self(effect, p.name) for p in EFFECTS[effect].params)
+
+    def acts(self, effect: str) -> bool:
+        """Whether the effect is there and not null."""
+        return not EFFECTS[effect].is_null(self._effects.get(effect, {}))
+
+    def terms(self, where: Place, *arguments: object) -> list[Terms]:
+        """What the acting effects of one place write themselves."""
+        return [
+            effect.jsbsim(self.values(effect.name), *arguments)
+            for effect in EFFECTS.values()
+            if effect.place == where and callable(effect.jsbsim) and self.acts(effect.name)
+        ]
 
 
 def refuse(vehicle: Vehicle) -> None:
     """InputError where the vehicle has an effect that JSBSim can't express."""
     for name, why in REFUSED.items():
-        if not EFFECT_SPECS[name].is_null(vehicle.effects.get(name, {})):
+        if not EFFECTS[name].is_null(vehicle.effects.get(name, {})):
             raise _refusal(vehicle, name, why)
 
 
@@ -100,8 +130,8 @@ def write(vehicle: Vehicle, *, dt_us: int, gravity_mps2: float, seed: int, groun
     writer = _Writer(vehicle, dt_us, gravity_mps2, seed, ground)
     aircraft = writer.aircraft()
     for name, values in vehicle.effects.items():
-        spec = EFFECT_SPECS[name]
-        if spec.kind != "sensor" and not spec.is_null(values) and name not in writer.effects.read:
+        effect = EFFECTS[name]
+        if effect.place != "sensor" and not effect.is_null(values) and name not in writer.effects.read:
             raise _refusal(vehicle, name, "its physics is not written for JSBSim")
     return aircraft
 
@@ -127,15 +157,15 @@ class _Writer:
         self.seed = seed
         self.ground = ground
         self.com: XYZ = self.effects.xyz("com_offset")
-        across, along = ("rotor_drag", "translational_lift", "blade_flapping"), ("induced_inflow", "vortex_ring")
-        turning = ("rotor_drag", "induced_inflow", "blade_flapping", "rotor_gyroscopic")
-        self.hub_axes = ("xy" if any(map(self.acts, across)) else "") + ("z" if any(map(self.acts, along)) else "")
+        self.acts = self.effects.acts
+        written = repr(self._at_hub("hub force", 1) + self._at_hub("hub torque", 1))
+        of = {"x": "translational_lift", "y": "translational_lift", "z": "vortex_ring"}
+        self.hub_axes = "".join(a for a in of if f"rotor/air-{a}-1" in written or self.acts(of[a]))
         self.still = not (self.acts("steady_wind") or self.acts("turbulence"))
-        self.needs_speeds = any(map(self.acts, turning))
+        self.needs_speeds = "rotor/speed-1" in written or self.acts("rotor_gyroscopic")
 
-    def acts(self, effect: str) -> bool:
-        """Whether the effect is there and not null."""
-        return not EFFECT_SPECS[effect].is_null(self.vehicle.effects.get(effect, {}))
+    def _at_hub(self, where: Place, n: int) -> list[Terms]:
+        return self.effects.terms(where, [prop(f"rotor/air-{a}-{n}") for a in "xyz"], prop(f"rotor/speed-{n}"))
 
     def aircraft(self) -> Aircraft:
         vehicle, effects = self.vehicle, self.effects
@@ -222,26 +252,27 @@ class _Writer:
         if battery is None:
             return ""
         disk = 2.0 * RHO_KGPM3 * math.pi * self.vehicle.rotors.radius_m**2
-        induced = [text.power(text.greatest(prop(f"rotor/thrust-{i + 1}"), 0.0), 1.5) for i in ROTORS]
-        power = times(1.0 / (FIGURE_OF_MERIT * math.sqrt(disk)), total(*induced))
+        induced = [power(greatest(prop(f"rotor/thrust-{i + 1}"), 0.0), 1.5) for i in ROTORS]
+        watts = times(1.0 / (FIGURE_OF_MERIT * math.sqrt(disk)), total(*induced))
         drawn = over(prop("battery/power"), prop(_VOLTAGE))
         charge = minus(prop(_CHARGE), times(self.dt_s / battery.capacity_as, drawn))
         half_open = total(0.5 * battery.empty_v, times(0.5 * (battery.full_v - battery.empty_v), prop(_CHARGE)))
         half = prop("battery/half-open-circuit")
         inside = minus(times(half, half), times(battery.resistance_ohm, prop("battery/power")))
         return (
-            text.state("battery/power", power)
-            + text.state(_CHARGE, text.greatest(charge, 0.0))
+            text.state("battery/power", watts)
+            + text.state(_CHARGE, greatest(charge, 0.0))
             + text.state("battery/half-open-circuit", half_open)
-            + text.state(_VOLTAGE, total(half, text.root(text.greatest(inside, 0.0))))
+            + text.state(_VOLTAGE, total(half, root(greatest(inside, 0.0))))
         )
 
     # --- functions, once a step ---
 
     def _functions(self) -> str:
-        parasitic = self.acts("parasitic_drag")
-        axes = "xyz" if parasitic else {*self.hub_axes, *(axis for axis, _, _ in self._drags())}
-        parts = [air.body_air(axes, still=self.still, speed=parasitic)]
+        drags = repr(self._drags())
+        speed = "air/speed" in drags
+        axes = "xyz" if speed else {*self.hub_axes, *(a for a in "xyz" if f"air/{a}<" in drags)}
+        parts = [air.body_air(axes, still=self.still, speed=speed)]
         if self.acts("ground_effect"):
             parts.append(air.down_axis())
         for i in ROTORS:
@@ -255,7 +286,7 @@ class _Writer:
         u = prop(f"motor/u-{n}")
         parts = [text.function(f"rotor/share-{n}", times(u, total(1.0 - f, times(f, u))))]
         if self.needs_speeds:
-            speed = times(rotors.max_speed_radps, text.root(prop(f"rotor/share-{n}")))
+            speed = times(rotors.max_speed_radps, root(prop(f"rotor/share-{n}")))
             parts.append(text.function(f"rotor/speed-{n}", speed))
         parts.append(air.hub_air(n, self._arm(i), self.hub_axes))
         if self.acts("vortex_ring"):
@@ -275,7 +306,7 @@ class _Writer:
         curve = times(self.vehicle.rotors.max_thrust_n, prop(f"rotor/share-{n}"))
         if self.acts("translational_lift"):
             x, y = prop(f"rotor/air-x-{n}"), prop(f"rotor/air-y-{n}")
-            turning = text.positive(prop(f"rotor/share-{n}"))
+            turning = positive(prop(f"rotor/share-{n}"))
             lift = effects("translational_lift", "k_h_kg_per_m")
             curve = total(curve, times(lift, turning, total(times(x, x), times(y, y))))
         gain = effects("thrust_scale", "scale")
@@ -285,75 +316,63 @@ class _Writer:
         if self.acts("battery_sag") and self.vehicle.battery is not None:
             below = minus(self.vehicle.battery.reference_v, prop(_VOLTAGE))
             lost = times(effects("battery_sag", "thrust_loss_per_v"), below)
-            thrust = times(thrust, text.greatest(minus(1.0, lost), 0.0))
+            thrust = times(thrust, greatest(minus(1.0, lost), 0.0))
         if self.acts("ground_effect"):
             radius = self.vehicle.rotors.radius_m
-            height = text.greatest(air.hub_height(self._arm(i)), 0.5 * radius)
+            height = greatest(air.hub_height(self._arm(i)), 0.5 * radius)
             ratio = over(0.25 * radius, height)
-            lost = text.least(times(effects("ground_effect", "strength"), ratio, ratio), MOST_LOST)
+            lost = least(times(effects("ground_effect", "strength"), ratio, ratio), MOST_LOST)
             thrust = over(thrust, minus(1.0, lost))
         return thrust
 
     def _vortex(self, n: int) -> str:
         early = prop(f"rotor/early-{n}")
         disk = 2.0 * RHO_KGPM3 * math.pi * self.vehicle.rotors.radius_m**2
-        induced = text.greatest(text.root(times(1.0 / disk, text.greatest(early, 0.0))), _LEAST_INDUCED_MPS)
+        induced = greatest(root(times(1.0 / disk, greatest(early, 0.0))), _LEAST_INDUCED_MPS)
         off = minus(times(2.0, over(prop(f"rotor/air-z-{n}"), induced)), 2.0)
-        lost = times(self.effects("vortex_ring", "strength"), text.exponential(times(-1.0, off, off)))
+        lost = times(self.effects("vortex_ring", "strength"), exponential(times(-1.0, off, off)))
         return times(early, minus(1.0, lost))
 
     # --- forces and moments ---
 
     def _forces(self) -> str:
         parts = []
-        inflow, drag = self.effects("induced_inflow", "k_z_kg_per_rad"), self.effects("rotor_drag", "k_d_kg_per_rad")
         for i in ROTORS:
             n = i + 1
             x, y, z = (float(value) for value in self.vehicle.rotors.position_m[i])
-            speed = prop(f"rotor/speed-{n}")
             up = [prop(f"rotor/thrust-{n}")]
-            if inflow:
-                up.append(times(inflow, speed, prop(f"rotor/air-z-{n}")))
+            for k, terms in enumerate(self._at_hub("hub force", n)):
+                up += [times(-1.0, down) for down in terms[2:] if down]
+                for axis, along, value in zip("xy", _AXES, terms, strict=False):
+                    if value:
+                        parts.append(text.force(f"rotor-{k}-{axis}-{n}", (x, y, z), along, value))
             parts.append(text.force(f"rotor-{n}", (x, y, z), (0.0, 0.0, -1.0), total(*up)))
-            if drag:
-                for axis, along in zip("xy", _AXES, strict=False):
-                    through = prop(f"rotor/air-{axis}-{n}")
-                    parts.append(text.force(f"rotor-drag-{axis}-{n}", (x, y, z), along, speed, through, gain=-drag))
         for axis, along, value in self._drags():
             parts.append(text.force(f"drag-{axis}", self.com, along, value))
         return "".join(parts) + air.constant_force(self.effects, self.com)
 
     def _drags(self) -> list[tuple[str, XYZ, str]]:
-        """(axis, its direction, force) of linear and parasitic drag."""
+        """(axis, its direction, force) of all that drags at the CoM."""
+        effects = self.effects.terms("body force", [prop(f"air/{axis}") for axis in "xyz"], prop("air/speed"))
         found = []
-        linear, parasitic = self.effects.xyz("linear_drag"), self.effects.xyz("parasitic_drag")
-        for axis, along, d, c in zip("xyz", _AXES, linear, parasitic, strict=True):
-            parts = []
-            if d:
-                parts.append(times(-d, prop(f"air/{axis}")))
-            if c:
-                parts.append(times(-c, prop("air/speed"), prop(f"air/{axis}")))
-            if parts:
-                found.append((axis, along, total(*parts)))
+        for axis, along, *parts in zip("xyz", _AXES, *effects, strict=True):
+            if any(parts):
+                found.append((axis, along, total(*filter(None, parts))))
         return found
 
     def _moments(self) -> str:
         about: tuple[list[str], list[str], list[str]] = ([], [], [])
         for i, ratio in enumerate(self.vehicle.rotors.torque_ratio_m):
             about[2].append(times(float(ratio), prop(f"rotor/thrust-{i + 1}")))
-        if k := self.effects("blade_flapping", "k_flap_nms2_per_rad_m"):
-            for n in range(1, 5):
-                speed = prop(f"rotor/speed-{n}")
-                about[0].append(times(-k, speed, prop(f"rotor/air-y-{n}")))
-                about[1].append(times(k, speed, prop(f"rotor/air-x-{n}")))
+        turning = [terms for n in range(1, 5) for terms in self._at_hub("hub torque", n)]
         if inertia := self.effects("rotor_gyroscopic", "rotor_inertia_kgm2"):
             senses = [-math.copysign(1.0, ratio) if ratio else 0.0 for ratio in self.vehicle.rotors.torque_ratio_m]
             spin = total(*(times(inertia * s, prop(f"rotor/speed-{i + 1}")) for i, s in enumerate(senses)))
             about[0].append(times(-1.0, _RATES[1], spin))
             about[1].append(times(_RATES[0], spin))
-        for terms, k, rate in zip(about, self.effects.xyz("angular_damping"), _RATES, strict=True):
-            if k:
-                terms.append(times(-k, rate))
+        for terms in turning + self.effects.terms("body torque", _RATES):
+            for each, value in zip(about, terms, strict=True):
+                each += [value] if value else []
         return "".join(
             text.moment(f"about-{axis}", along, total(*terms))
             for axis, along, terms in zip("xyz", _AXES, about, strict=True)

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from flightstack.effect_specs import EFFECT_SPECS
+from flightstack.effects import EFFECTS
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.jsbsim import air, text
@@ -26,9 +26,9 @@ NAME: Final = "f450"
 _SECTIONS: Final = ("Metrics", "Gear", "Propulsion", "Effectors", "Aero")
 _ESC: Final = tuple(f"fcs/cmdEsc{place}_nd" for place in ("FR", "AL", "FL", "AR"))
 """Front right, aft left, front left, aft right: PX4's order."""
-EFFECTS: Final = frozenset(
+TAKEN: Final = frozenset(
     {"payload", "inertia", "steady_wind", "constant_force", "turbulence"}
-    | {name for name, spec in EFFECT_SPECS.items() if spec.kind == "sensor"}
+    | {name for name, spec in EFFECTS.items() if spec.kind == "sensor"}
 )
 """Effects that can be added to it."""
 GEAR_M: Final = 0.1524
@@ -44,10 +44,10 @@ _SPIN_UP_FRAMES: Final = 400
 def refuse(vehicle: Vehicle) -> None:
     """InputError where the vehicle has an effect that would change JSBSim's own model."""
     for name, values in vehicle.effects.items():
-        if name not in EFFECTS and not EFFECT_SPECS[name].is_null(values):
+        if name not in TAKEN and not EFFECTS[name].is_null(values):
             raise InputError(
                 f"{vehicle.name}: effects.{name} cannot be added to JSBSim's own F450 (its rotors, drag and gear are "
-                f"JSBSim's); it takes {', '.join(sorted(EFFECTS))}. Or fly --plant native"
+                f"JSBSim's); it takes {', '.join(sorted(TAKEN))}. Or fly --plant native"
             )
 
 
@@ -57,7 +57,7 @@ def write(vehicle: Vehicle, shipped: Path, *, dt_s: float, gravity_mps2: float, 
     sections = _shipped(shipped)
     _check_places(vehicle, sections["Propulsion.xml"])
     effects = Effects(vehicle)
-    still = EFFECT_SPECS["turbulence"].is_null(vehicle.effects.get("turbulence", {}))
+    still = EFFECTS["turbulence"].is_null(vehicle.effects.get("turbulence", {}))
     gusts = air.STILL if still else air.gusts(effects, dt_s, seed)
     ix, iy, iz = (a * b for a, b in zip(vehicle.inertia_kgm2.tolist(), effects.xyz("inertia"), strict=True))
     body = text.mass_balance(vehicle.mass_kg, (ix, iy, iz), (0.0, 0.0, 0.0), effects("payload", "mass_kg"))

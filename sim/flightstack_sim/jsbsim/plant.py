@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.effects import accelerometer_bias, attitude_misalignment, gyro_bias
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle, with_effects
-from flightstack_sim.effects import accelerometer_bias, attitude_misalignment, gyro_bias
 from flightstack_sim.jsbsim import f450
 from flightstack_sim.jsbsim.aircraft import Aircraft, write
 from flightstack_sim.jsbsim.earth import ALTITUDE_M, LATITUDE_RAD, LONGITUDE_RAD, TURNING, Earth
