@@ -116,7 +116,8 @@ class Stack:
             none = Command(measurement.t_us, 0.0, math.nan, np.zeros(3))
             return self.under_way.carry(self.under_way.init(), measurement, none, _NOT_LEARNING, now_us)
         sent = state.applied.of(state.sent)
-        return self.under_way.carry(state.under_way, measurement, sent, state.learned, now_us)
+        in_force = self.filter.in_force(state.filter)
+        return self.under_way.carry(state.under_way, measurement, sent, state.learned, now_us, in_force)
 
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int

@@ -100,7 +100,7 @@ class FlightScore:
             watched = self.prepared.protection.watched
             if watched is not None and watched.adopted:
                 off = None if true is None else [a - b for a, b in zip(true, state, strict=True)]
-                self._filter.judge(record.filtered, watched.adopted[-1].premises, off)
+                self._filter.judge(record.filtered, watched.adopted[-1], off)
         if not 0.0 <= track_s <= self._duration_s:
             return
         followed = record.reference
