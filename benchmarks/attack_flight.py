@@ -20,32 +20,29 @@ from typing import Any
 import numpy as np
 
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
+from benchmarks.attack_certifier import Held, suited, told
 from benchmarks.attack_worlds import TICK_MS, World
-from flightstack.barrier.certifier import OnlineCertifier
-from flightstack.barrier.certifier_config import CertifierConfig, Thrust
-from flightstack.barrier.falsify import Witness
-from flightstack.barrier.growing import GrowingCertifier
+from flightstack.barrier.margins import carried_off
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli import files
-from flightstack.cli.barrier_score import FALLBACKS, SOLVED, GivenCertificate, WatchedCertifier
+from flightstack.cli.barrier_score import FALLBACKS, SOLVED, WatchedCertifier
 from flightstack.cli.flight import FlyOptions, Setup, prepare
 from flightstack.frames import quat_to_matrix
 from flightstack.guard import Guard
 from flightstack.jit import njit
 from flightstack.mission import plan
-from flightstack.model import Limiter, Model
+from flightstack.model import Limiter
 from flightstack.predictor import Streams, sampled
 from flightstack.seams import NoFilter
 from flightstack.stack import StackState
-from flightstack.types import F64, Filtered, Learned, Measurement, TickRecord
+from flightstack.types import F64, Measurement, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.simulated_vehicle import simulated_vehicle
 
 HARMLESS = ("", "clip: command beyond its limits")
 """Of the guard: with any other name the companion lands."""
-_THRUSTS = (Thrust(), Thrust(most_hovers=1.6))
 _REST_TICKS = 250
 _SETTLING_US = 1_000_000
 """Engaged for so long before the attack begins."""
@@ -137,7 +134,7 @@ class AttackFlight:
         watched = setup.flight.protection.watched
         assert watched is not None, setup.flight.protection.words
         self.watched: WatchedCertifier = watched
-        self.held = Held(told(watched._certifier, lambda config: _for(config, world, planted)), before.model)
+        self.held = Held(told(watched._certifier, lambda config: suited(config, world, planted)), before.model)
         watched._certifier = self.held
         adversary = Adversary(
             before.controller, self.seen, seed, before.model.thrust_range_n(limits), np.array(limits.rate_max_radps)
@@ -219,11 +216,7 @@ class AttackFlight:
             reference = self.mission.reference(1e-6 * (now_us - self.start_us))
             measured = self._measured(self.state)
             self.state, command, record = self.stack.tick(self.state, measured, reference, now_us)
-            rates = (
-                float(command.rate_frd_radps[0]),
-                float(command.rate_frd_radps[1]),
-                float(command.rate_frd_radps[2]),
-            )
+            rates = tuple(command.rate_frd_radps.tolist())
             self._up.send(ControlSetpoint(ControlKind.RATE, rates, command.thrust_norm), now_us)
             self.record, self.seen.certificate = record, self.certificate
             if record.guard not in HARMLESS:
@@ -317,8 +310,7 @@ class AttackFlight:
         certificate = self.certificate
         if certificate is None or certificate.premises is None or not errors:
             return 0
-        bounds = certificate.premises.estimate
-        most = np.concatenate([np.broadcast_to(each, 3) for each in (bounds.pos_m, bounds.vel_mps, bounds.acc_mps2)])
+        most = np.concatenate([*carried_off(certificate), certificate.premises.estimate.acc_mps2])
         return int((np.array(errors) <= most).all(axis=1).sum())
 
     def _true_h(self, states: F64, in_force: np.ndarray) -> F64:
@@ -343,64 +335,6 @@ def _values(rows: F64, e: F64, v: F64) -> F64:
         for i in range(rows.shape[0]):
             h[k] = min(h[k], piece_at(rows[i], e[k], v[k])[0])
     return h
-
-
-class Held:
-    """A certifier that, once `hold` was called, keeps to what is in force, and only watches whether that holds.
-
-    For many attacks on one certificate: making the next ones takes more time than all the rest of a flight.
-    """
-
-    enabled = True
-
-    def __init__(self, inner: Any, model: Model) -> None:
-        self._inner, self._model = inner, model
-        self._given: GivenCertificate | None = None
-        self._watch: object = None
-
-    def init(self) -> Any:
-        """The inner one's."""
-        return self._inner.init()
-
-    def hold(self, certificate: Certificate) -> None:
-        """From now on."""
-        self._given, self._watch = GivenCertificate(certificate, self._model), Witness()
-
-    def step(
-        self, state: Any, learner: Any, measurement: Measurement, learned: Learned, filtered: Filtered
-    ) -> tuple[Any, Certificate | None]:
-        """The inner one's, or the watch."""
-        if self._given is None:
-            after: tuple[Any, Certificate | None] = self._inner.step(state, learner, measurement, learned, filtered)
-            return after
-        self._watch, ended = self._given.step(self._watch, learner, measurement, learned, filtered)
-        return state, ended
-
-
-def told(certifier: Any, change: Callable[[CertifierConfig], CertifierConfig]) -> Any:
-    """The certifier with other constants."""
-    if isinstance(certifier, GrowingCertifier):
-        certifier._first = told(certifier._first, change)
-        return certifier
-    if not isinstance(certifier, OnlineCertifier):
-        return certifier
-    return OnlineCertifier(
-        certifier.model, certifier.limits, certifier.region, initial=certifier.initial,
-        config=change(certifier.config), safe=certifier.safe,
-    )  # fmt: skip
-
-
-def _for(config: CertifierConfig, world: World, planted: str) -> CertifierConfig:
-    """How long a command may be held, and with less thrust where more does not close."""
-    spared = -math.inf  # the nominal path is no matter here
-    changes: dict[str, Any] = {"dt_s": max(world.held_s, config.dt_s), "spared_h": spared}
-    if config.thrusts == CertifierConfig().thrusts:
-        changes["thrusts"] = _THRUSTS
-    if hasattr(config, "jitter_s") and world.down_ms + world.jitter_ms > TICK_MS:
-        changes["jitter_s"] = max(config.jitter_s, 1e-3 * (world.down_ms + world.jitter_ms + TICK_MS))
-    if planted == "torque":
-        changes["governor"] = None
-    return dataclasses.replace(config, **changes)
 
 
 def _idle() -> ControlSetpoint:

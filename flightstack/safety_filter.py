@@ -34,6 +34,7 @@ from flightstack.barrier.assess import (
     settle,
     steer,
 )  # fmt: skip
+from flightstack.barrier.certifier_config import STEER_PS
 from flightstack.barrier.condition import doubt_of
 from flightstack.barrier.falsify import HAND_OVER
 from flightstack.barrier.packed import pack
@@ -85,7 +86,7 @@ class BarrierFilter:
     enabled = True
     __slots__ = ("_high", "_limiter", "_low", "_qp", "_rows", "_work", "attitude_p_ps", "limits", "model")
 
-    def __init__(self, model: Model, limits: Limits, attitude_p_ps: float = 6.5) -> None:
+    def __init__(self, model: Model, limits: Limits, attitude_p_ps: float = STEER_PS) -> None:
         """`attitude_p_ps`: how fast body rates steer the thrust axis to where it is wanted (1 / T), as the certificate
         of a lateral axis has it."""
         self.model, self.limits, self.attitude_p_ps = model, limits, attitude_p_ps
@@ -139,6 +140,10 @@ class BarrierFilter:
         if certificate is None or certificate.governor is None or state.handed_over:
             return None
         return certificate.governor.limits
+
+    def in_force(self, state: FilterState) -> F64 | None:
+        """The certificate, engaged or not."""
+        return None if state.certificate is None or state.handed_over else state.packed
 
     def bend(self, state: FilterState, setpoint: FlatOutput) -> FlatOutput:
         """While engaged, the reference brought to the nearest place of rest inside the region, where it is outside.

@@ -68,6 +68,10 @@ class SafetyFilter(Protocol):
         """What torque and thrust are to be kept in while what is adopted is in force; None: nothing."""
         ...
 
+    def in_force(self, state: Any) -> F64 | None:
+        """The certificate that is in force, for compiled code (`barrier.packed`); None: there is none."""
+        ...
+
     def bend(self, state: Any, setpoint: FlatOutput) -> FlatOutput:
         """The reference that the controller is to follow: one far outside the region would wind it up."""
         ...
@@ -127,6 +131,10 @@ class NoFilter:
 
     def governed(self, state: object) -> GovernorLimits | None:
         """Nothing is kept."""
+        return None
+
+    def in_force(self, state: object) -> F64 | None:
+        """None."""
         return None
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:

@@ -116,7 +116,8 @@ class Stack:
             none = Command(measurement.t_us, 0.0, math.nan, np.zeros(3))
             return self.under_way.carry(self.under_way.init(), measurement, none, _NOT_LEARNING, now_us)
         sent = state.applied.of(state.sent)
-        return self.under_way.carry(state.under_way, measurement, sent, state.learned, now_us)
+        in_force = self.filter.in_force(state.filter)
+        return self.under_way.carry(state.under_way, measurement, sent, state.learned, now_us, in_force)
 
     def tick(
         self, state: StackState, measurement: Measurement | None, setpoint: FlatOutput, now_us: int
@@ -164,7 +165,8 @@ class Stack:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        heading_rad = 2.0 * math.atan2(seen.q_ned_frd[3], seen.q_ned_frd[0])
+        w, _, _, z = seen.q_ned_frd
+        heading_rad = 2.0 * math.atan2(z, w)
         state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:
             return state, command, False

@@ -150,7 +150,7 @@ def _refine(state: F64, dt: float, anew: bool, new: bool, gains: F64, constants:
         turn[1] = -(acc[2] * e0 - acc[0] * e2) / size
         turn[2] = -(acc[0] * e1 - acc[1] * e0) / size
         turned = quat_multiply(quat_from_rotation_vector(turn), row[6:10])
-        norm = math.sqrt(turned[0] ** 2 + turned[1] ** 2 + turned[2] ** 2 + turned[3] ** 2)
+        norm = math.sqrt(np.sum(turned * turned))
         for i in range(4):
             row[6 + i] = turned[i] / norm
     return False

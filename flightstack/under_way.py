@@ -6,15 +6,18 @@ its file says: thrust after delay and rotors' lag, times the learned gain; roll 
 loop's lag; the rest of the force as the accelerometer measured it, fixed in the world (`barrier.response`).  Where
 others give the commands force and rates stay as they were measured.
 
-What is left of this is no line of a certificate's ledger: the carried state is scored as the estimate (premises), on
-the links and under the attacks of docs/barrier.md.  Commands that act later than believed put velocity off by that
-time times the change of thrust.
+While a certificate is in force its delay, gain and mean accelerations count instead, along its axes: then what the
+filter predicts from here on goes on with one prediction from the sample, off by what the certificate says of them.  The
+ledger's line `age` pays for it.  (Force as measured would be off by twice that and by the accelerometer's noise, and
+where rotors are not as believed by all that they owe.)
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from flightstack.barrier.assess import column_at
+from flightstack.barrier.packed import P_BOUNDS, P_CERTIFIED, P_CHAIN, table_of
 from flightstack.barrier.response import (
     C_CURVE,
     C_RATE_DELAY,
@@ -35,7 +38,7 @@ from flightstack.barrier.response import (
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
 from flightstack.model import Model, thrust_to_norm
-from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z
+from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z, VEL_D, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement
 
 _MOST_US = 50_000
@@ -43,6 +46,7 @@ _MOST_US = 50_000
 _PAUSE_US = 100_000.0
 """After a longer pause others give the commands."""
 _NEVER_S = 1e9
+_NONE = np.zeros(P_BOUNDS)
 
 
 class UnderWay:
@@ -60,15 +64,18 @@ class UnderWay:
         """Nothing was sent."""
         return new_memory()
 
-    def carry(self, memory: F64, measurement: Measurement, sent: Command, learned: Learned, now_us: int) -> Measurement:
-        """The state at `now_us`; `sent`: the newest command, as it was applied."""
+    def carry(
+        self, memory: F64, measurement: Measurement, sent: Command, learned: Learned, now_us: int,
+        in_force: F64 | None = None,
+    ) -> Measurement:  # fmt: skip
+        """The state at `now_us`; `sent`: the newest command, as applied; `in_force`: a certificate (`packed`)."""
         late_us = now_us - measurement.t_us
         delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s
         row = measurement.row.copy()
         times_us = (float(measurement.t_us), float(measurement.t_us + min(max(late_us, 0), _MOST_US)))
         _carry(
             memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
-            (float(sent.t_us), sent.thrust_norm), sent.rate_frd_radps, row,
+            (float(sent.t_us), sent.thrust_norm), sent.rate_frd_radps, row, _NONE if in_force is None else in_force,
         )  # fmt: skip
         if late_us <= 0:
             return measurement
@@ -81,24 +88,32 @@ class UnderWay:
 @njit
 def _carry(
     memory: F64, constants: F64, delay_us: float, gain: float, times_us: tuple[float, float],
-    sent: tuple[float, float], rate: F64, row: F64,
+    sent: tuple[float, float], rate: F64, row: F64, flat: F64,
 ) -> None:  # fmt: skip
-    """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second."""
+    """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second; `flat`: `packed`, or 0."""
     from_us, to_us = times_us
     remember(memory, sent[0], sent[1], rate)
     chain = constants.copy()
     chain[C_THRUST_DELAY] = chain[C_RATE_DELAY] = delay_us
+    ours = to_us - memory[RING, 0] <= _PAUSE_US
+    if flat[P_CERTIFIED : P_CERTIFIED + 3].max() > 0.0:
+        chain[:] = flat[P_CHAIN:P_BOUNDS]
     follow_rotors(memory, chain, from_us)
     if not to_us > from_us:
         return
-    if not to_us - memory[RING, 0] <= _PAUSE_US:
+    if not ours:
         chain[C_ROTOR_LAG] = chain[C_RATE_LAG] = _NEVER_S  # rotors and rates go on as they are
         memory[0, M_ROTORS] = thrust_to_norm(max(-row[FORCE_Z], 0.0) / gain, chain[C_SPECIFIC], chain[C_CURVE])
+    elif flat[P_CERTIFIED + 2] > 0.0:
+        gain = column_at(table_of(flat, 2), 2, row[VEL_D])
     r, offset, state = quat_to_matrix(row[ATTITUDE : ATTITUDE + 4]), np.empty(3), np.empty(STATE)
     along = row[FORCE_Z] + gain * thrust_of(chain, memory[0, M_ROTORS])
     for i in range(3):
         offset[i] = r[i, 0] * row[FORCE_X] + r[i, 1] * row[FORCE_Y] + r[i, 2] * along
     offset[2] += STANDARD_GRAVITY_MPS2
+    for i in range(3):
+        if ours and flat[P_CERTIFIED + i] > 0.0:
+            offset[i] = column_at(table_of(flat, i), 1, row[VEL_N + i])
     ahead(memory, chain, row, from_us, to_us, offset, gain, state)
     for i in range(13):
         row[i] = state[i]

@@ -350,6 +350,7 @@ class Companion:
         assert self._stack_state is not None
         self._stack_state, command, record = self._stack.tick(self._stack_state, measurement, setpoint, t_us)
         self._voice.fly(command)
+        self.view.latency.sent(command.t_us, command.thrust_norm)
         self._observer.on_tick(record)
         self.ticks += 1
         return record

@@ -124,7 +124,8 @@ class ParamReader:
         high = [self.values.get(f"PWM_MAIN_MAX{c + 1}", 2000.0) for c in channels]
         if not all(below < above for below, above in zip(low, high, strict=True)):
             return Outputs(channels)
-        return Outputs(channels, (low[0], low[1], low[2], low[3]), (high[0], high[1], high[2], high[3]))
+        (a, b, c, d), (e, f, g, h) = low, high
+        return Outputs(channels, (a, b, c, d), (e, f, g, h))
 
     def _channels(self) -> tuple[int, int, int, int] | None:
         found = {int(self.values.get(name, 0.0)): channel for channel, name in enumerate(_FUNCTIONS)}

@@ -9,6 +9,7 @@ from typing import Any
 
 from flightstack.predictor import Streams
 from mavlink_bridge import messages as m
+from mavlink_bridge.command_latency import CommandLatency
 from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
 from mavlink_bridge.vehicle_clock import VehicleClock
 from mavlink_bridge.vehicle_params import ParamReader
@@ -36,6 +37,7 @@ class VehicleView:
         self.accuracy_m = math.nan, math.nan
         """One standard deviation of position, across and down, as the estimator states it; NaN: not stated."""
         self.params = ParamReader()
+        self.latency = CommandLatency()
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
         self.battery_v = float("nan")
@@ -119,7 +121,9 @@ class VehicleView:
 
     def _on_motors(self, message: m.ServoOutputRaw, now_us: int) -> None:
         if message.port == 0:
-            self.streams.motors(message.t_us, self.params.outputs_now.commands(message.pwm_us))
+            commands = self.params.outputs_now.commands(message.pwm_us)
+            self.streams.motors(message.t_us, commands)
+            self.latency.reported(message.t_us, commands)
 
     def _on_landed(self, message: m.ExtendedSysState, now_us: int) -> None:
         self.landed_state = message.landed_state

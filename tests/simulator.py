@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
+import pytest
+
 HOST = "127.0.0.1"
 SPEED = 4
 SIM_ENDS_AFTER_S = 600.0
@@ -98,3 +100,9 @@ def simulator(port: int, gcs_port: int, *more: str, speed: float = SPEED) -> Ite
                 sim.wait(10.0)
             finally:
                 sim.kill()
+
+
+def skip_where_too_busy(said: str) -> None:
+    """Skip a test in real time whose flight ended because this machine gave it no time: nothing can be judged then."""
+    if any(reason in said for reason in ("overrun", "link too slow", "stalled-long", "stale-")):
+        pytest.skip(f"this machine is too busy for a flight in real time: {said.splitlines()[-1]}")

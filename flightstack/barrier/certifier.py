@@ -96,9 +96,10 @@ class OnlineCertifier:
         what a region can bear."""
         config, late = self.config, state.lateness
         dt_s, jitter_s = late.interval_s(config.dt_s), max(late.jitter_s, config.jitter_s)
-        if dt_s == config.dt_s and jitter_s == config.jitter_s:
+        age_s = max(late.age_s, config.doubts.age_s)
+        if (dt_s, jitter_s, age_s) == (config.dt_s, config.jitter_s, config.doubts.age_s):
             return self
-        doubts = config.doubts._replace(delay_s=config.doubts.delay_s + jitter_s - config.jitter_s)
+        doubts = config.doubts._replace(delay_s=config.doubts.delay_s + jitter_s - config.jitter_s, age_s=age_s)
         return OnlineCertifier(
             self.model, self.limits, self.region, initial=self.initial, safe=self.safe, elsewhere=self.elsewhere,
             config=replace(config, dt_s=dt_s, jitter_s=jitter_s, doubts=doubts),
@@ -285,6 +286,7 @@ class OnlineCertifier:
             ),
             delay_s=(max(delays) - self.doubts.delay_s, min(delays) + self.doubts.delay_s),
             jitter_s=config.jitter_s,
+            age_s=config.doubts.age_s,
             command_interval_s=config.dt_s,
             battery_v=ANY_BATTERY_V,
         )
@@ -382,7 +384,7 @@ def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 
 def _lateness(certificate: Certificate) -> float:
     """For how late commands and messages together a certificate holds, s."""
     premises = certificate.premises
-    return 0.0 if premises is None else premises.command_interval_s + premises.jitter_s
+    return 0.0 if premises is None else premises.command_interval_s + premises.jitter_s + premises.age_s
 
 
 def _three(values: F64) -> Tuple3:

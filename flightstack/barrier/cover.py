@@ -19,12 +19,28 @@ import numpy as np
 
 from flightstack.barrier.condition import NEAR_H, Reach, Setting, coefficients, doubt_of, interval
 from flightstack.barrier.records import Authority
-from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic, Stopping, piece_at
+from flightstack.barrier.shapes import (
+    BRAKE,
+    K_EE,
+    K_EV,
+    K_VV,
+    KIND,
+    REACTION,
+    SIGN,
+    STOPPING,
+    Barrier,
+    Quadratic,
+    Stopping,
+    piece_at,
+)
 from flightstack.jit import njit, njit_called
 from flightstack.types import F64
 
 CELL = 6
 """Numbers of a cell: e_low, e_high, v_low, v_high (m, m/s), u (m/s^2), q (1/s)."""
+_E_LOW, _E_HIGH, _V_LOW, _V_HIGH, _U, _Q = range(CELL)
+_A, _B, _C, _K, _M, _L, _N = range(7)
+"""What `condition.coefficients` gives."""
 _SLACK = 1e-9
 """Taken off every q, so that rounding can't make it too large; another arithmetic may differ by as much, 1/s."""
 _SMALLEST = 2.0**-18
@@ -95,6 +111,7 @@ def prove(rows: F64, box: F64, setting: Setting, reaches: F64, cells: F64) -> tu
     """Fill `cells`; (count, least q, 0, 0) when closed, else (-count - 1, least q, e, v) with where it failed."""
     count, worst = 0, np.inf
     cuts = _cuts(rows, box, reaches)
+    wide_e, wide_v = box[_E_HIGH] - box[_E_LOW], box[_V_HIGH] - box[_V_LOW]
     stack = np.empty((_STACK, 4))
     for i in range(cuts.size - 1):
         k = _band(reaches, cuts[i], cuts[i + 1])
@@ -114,19 +131,19 @@ def prove(rows: F64, box: F64, setting: Setting, reaches: F64, cells: F64) -> tu
                     if count == cells.shape[0]:
                         return -count - 1, worst, e, v
                     cell = cells[count]
-                    cell[0], cell[1], cell[2], cell[3], cell[4], cell[5] = e_low, e_high, v_low, v_high, u, q
+                    _set_box(cell, e_low, e_high, v_low, v_high)
+                    cell[_U], cell[_Q] = u, q
                     count, worst = count + 1, min(worst, q)
                     continue
             else:
-                along_v = (v_high - v_low) * (box[1] - box[0]) > (e_high - e_low) * (box[3] - box[2])
-            small_e = e_high - e_low < _SMALLEST * (box[1] - box[0])
-            small_v = v_high - v_low < _SMALLEST * (box[3] - box[2])
+                along_v = (v_high - v_low) * wide_e > (e_high - e_low) * wide_v
+            small_e = e_high - e_low < _SMALLEST * wide_e
+            small_v = v_high - v_low < _SMALLEST * wide_v
             if (small_e and small_v) or left + 2 > _STACK or _refuted(rows, e, v, setting, reach, known):
                 return -count - 1, worst, e, v
             along_v = (along_v and not small_v) or small_e
             for j in range(2):
-                new = stack[left + j]
-                new[0], new[1], new[2], new[3] = e_low, e_high, v_low, v_high
+                _set_box(stack[left + j], e_low, e_high, v_low, v_high)
             if along_v:
                 stack[left, 2], stack[left + 1, 3] = v, v
             else:
@@ -136,10 +153,15 @@ def prove(rows: F64, box: F64, setting: Setting, reaches: F64, cells: F64) -> tu
 
 
 @njit
+def _set_box(row: F64, e_low: float, e_high: float, v_low: float, v_high: float) -> None:
+    row[_E_LOW], row[_E_HIGH], row[_V_LOW], row[_V_HIGH] = e_low, e_high, v_low, v_high
+
+
+@njit
 def _cuts(rows: F64, box: F64, reaches: F64) -> F64:
     """The speeds at which boxes begin: the box's ends, the authority's nodes and the pieces' kinks between."""
     cuts = np.empty(reaches.shape[0] + 3 + rows.shape[0])
-    cuts[0], cuts[1], n = box[2], box[3], 2
+    cuts[0], cuts[1], n = box[_V_LOW], box[_V_HIGH], 2
     for i in range(reaches.shape[0] + 1 + rows.shape[0]):
         if i < reaches.shape[0]:
             v = reaches[i, 0]
@@ -147,8 +169,8 @@ def _cuts(rows: F64, box: F64, reaches: F64) -> F64:
             v = reaches[i - 1, 1]
         else:
             row = rows[i - reaches.shape[0] - 1]
-            v = -row[1] * row[4] * row[3] if row[0] == 1.0 else box[2]
-        if box[2] < v < box[3]:
+            v = -row[SIGN] * row[BRAKE] * row[REACTION] if row[KIND] == STOPPING else box[_V_LOW]
+        if box[_V_LOW] < v < box[_V_HIGH]:
             cuts[n] = v
             n += 1
     return np.unique(cuts[:n])
@@ -203,7 +225,7 @@ def best_command(
             corner = coefficients(rows[i], e, v, setting, reach, steep)
             for k in range(7):
                 quad[4 * i + j, k] = corner[k]
-            quad[4 * i + j, 2] -= lift + _SLACK
+            quad[4 * i + j, _C] -= lift + _SLACK
     span = reach.u_high - reach.u_low
     best_u, best_q = reach.u_low, -np.inf
     for k in range(_TRIES + 1):
@@ -235,8 +257,8 @@ def best_command(
 
 @njit
 def _at(quad: F64, u: float) -> float:
-    kinked = abs(quad[3] + quad[4] * u) + abs(quad[5] + quad[6] * u)
-    return float((quad[0] * u + quad[1]) * u + quad[2] - kinked)
+    kinked = abs(quad[_K] + quad[_M] * u) + abs(quad[_L] + quad[_N] * u)
+    return float((quad[_A] * u + quad[_B]) * u + quad[_C] - kinked)
 
 
 @njit

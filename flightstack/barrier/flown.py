@@ -62,13 +62,16 @@ class FlownPath:
 
 
 def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> float:
-    """Least h of places and speeds (n, 6), NED, as they are and looked ahead by lag and delay."""
+    """Least h of places and speeds (n, 6), NED, as they are and looked ahead by lag and delay, less what doubts of
+    speed may take there."""
     least = math.inf
     for axis in certificate.axes:
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         start = certificate.centre_ned_m[i] + (0.0 if origin_ned_m is None else float(origin_ned_m[i]))
         e, v, rows = states[:, i] - start, states[:, 3 + i], axis.barrier.rows
         here = values_at(rows, np.stack([e, v], axis=1)).min()
-        there = values_at(rows, np.stack([e + ahead * v, v], axis=1)).min() - axis.setting.inner
+        slower = np.stack([e + ahead * v, v], axis=1)
+        off = np.array([0.0, axis.setting.off_mps])
+        there = min(values_at(rows, slower + off).min(), values_at(rows, slower - off).min())
         least = min(least, here, there)
     return float(least)

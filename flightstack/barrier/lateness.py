@@ -1,10 +1,12 @@
 """How late the commands and the messages of a flight have been so far: what its certificates have to hold for.
 
-Two figures: the longest time between two ticks, and by how much messages come late, but for one tick in a hundred.  A
-stream is late from one and a half of its periods on.  Nobody can promise either for the time to come: what is later is
-a lapse (`premise_watch`).  Messages that late cost the estimate nothing that counts: turning at 10 rad/s^2 moves an
-attitude that is carried on for 4 ms more by 0.1 mrad, an acceleration that changes by 20 m/s^3 a velocity by 0.2 mm/s.
-What they stand for is the way of the commands, which nobody sees: the delay is known to so much less.
+Three figures: the longest time between two ticks, and, but for one tick in a hundred, the age of the newest sample and
+by how much messages come later than the quickest.  A stream is late from one and a half of its periods on, and by what
+the link takes besides: the least age of a newest sample so far, of which one IMU period is none.  Nobody can promise
+any of them for the time to come: what is later is a lapse (`premise_watch`).  Messages that late cost the estimate
+nothing that counts: turning at 10 rad/s^2 moves an attitude that is carried on for 4 ms more by 0.1 mrad, an
+acceleration that changes by 20 m/s^3 a velocity by 0.2 mm/s.  What they stand for is the way of the commands, which
+nobody sees: the delay is known to so much less.  What an age costs is a line of the ledger.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ ROUNDED_S = 0.0005
 """What a tick's own time may be rounded by."""
 _LATE_TICKS = 3
 """A loop that was late once is certified for commands that far apart: two deadlines missed in a row."""
-_STEP_S, _STEPS, _RARELY, _LEAST_TICKS = 0.001, 5, 0.01, 250
+_STEP_S, _STEPS, _OLDEST, _RARELY, _LEAST_TICKS = 0.001, 5, 51, 0.01, 250
 """Jitter is told in steps, up to 4 ms, by what so few ticks exceed, once there are some.  More is not certified for:
 quad-x as it is finds regions for paper-tracking with 4 ms and 12 ms between commands, none with 5 and 16."""
 
@@ -31,10 +33,12 @@ quad-x as it is finds regions for paper-tracking with 4 ms and 12 ms between com
 class Lateness:
     """Of the ticks so far; changed in place."""
 
-    __slots__ = ("_late", "_longest_s", "_seen_us")
+    __slots__ = ("_ages", "_late", "_longest_s", "_quickest_s", "_seen_us")
 
     def __init__(self) -> None:
-        self._seen_us, self._longest_s = -1, 0.0
+        self._seen_us, self._longest_s, self._quickest_s = -1, 0.0, math.inf
+        self._ages = np.zeros(_OLDEST)
+        """Ticks by the age of the newest sample; over the last nothing is carried."""
         self._late = np.zeros(_STEPS)
         """Ticks by how late the latest stream was; the last holds all that is beyond."""
 
@@ -43,8 +47,12 @@ class Lateness:
         if self._seen_us >= 0:
             self._longest_s = max(self._longest_s, 1e-6 * (measurement.t_us - self._seen_us))
         self._seen_us = measurement.t_us
-        step = math.ceil(lateness_s(ages_of(measurement)) / _STEP_S)
-        self._late[min(max(step, 0), _STEPS - 1)] += 1.0
+        ages_s = ages_of(measurement)
+        newest_s = float(ages_s.min())
+        self._quickest_s = min(self._quickest_s, newest_s)
+        late_s = lateness_s(ages_s) - always_s(self._quickest_s)
+        for ticks, of_s in ((self._late, late_s), (self._ages, newest_s)):
+            ticks[min(max(math.ceil(of_s / _STEP_S - 1e-6), 0), len(ticks) - 1)] += 1.0
 
     def interval_s(self, period_s: float) -> float:
         """For how long a command may be held: a loop's own period, or some of them where it was late."""
@@ -53,15 +61,29 @@ class Lateness:
     @property
     def jitter_s(self) -> float:
         """By how much messages come late."""
-        ticks = float(self._late.sum())
-        if ticks < _LEAST_TICKS:
-            return 0.0
-        return _STEP_S * int(np.searchsorted(np.cumsum(self._late), (1.0 - _RARELY) * ticks))
+        return _mostly_s(self._late)
+
+    @property
+    def age_s(self) -> float:
+        """How old the newest sample is."""
+        return _mostly_s(self._ages)
+
+
+def _mostly_s(ticks: F64) -> float:
+    """What all but few ticks keep within; 0 while there are too few to say."""
+    count = float(ticks.sum())
+    return _STEP_S * int(np.searchsorted(np.cumsum(ticks), (1.0 - _RARELY) * count)) if count >= _LEAST_TICKS else 0.0
 
 
 def ages_of(measurement: Measurement) -> F64:
     """(3,) ages of position, attitude and IMU, s."""
     return np.array([measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us]) * 1e-6
+
+
+@njit
+def always_s(quickest_s: float) -> float:
+    """What the link always takes, of a newest sample that old when it came quickest."""
+    return max(quickest_s - _PERIODS_S[2], 0.0)
 
 
 @njit

@@ -4,15 +4,24 @@ The condition (`condition`) is checked at a predicted state z^; what counts is t
 much z^ = (e, v) may be off: by (eps_e, eps_v), and *along the motion* by a time t: (t v, t a), a an acceleration in
 reach.  S is the span between the ends of the command, A the hardest of them, E the greatest doubt of the acceleration:
 
-    estimate   position + (c1 + delay) velocity + c2 acceleration, velocity + (c1 + delay) acceleration, as reported
+    estimate   position + (c1 + delay) velocity + (c2 + c1 delay + delay^2 / 2) acceleration,
+               velocity + (c1 + delay) acceleration, as reported
     delay      t = d, the doubt of the time until a command has acted, in which commands act that were not counted, with
-               d E; and the model's error over the delay itself, delay^2 E / 2 and delay E
+               d E; and the model's error over the delay itself, (delay^2 / 2 + c1 delay) E and delay E
+    age        the newest sample is A old: over this time too the model predicts (`under_way`), with the commands that
+               were sent and the means of this certificate.  The state at the sample is as the estimate says, so the
+               delay's and the lags' doubts are what they are without an age; velocity adds A velocity to the position,
+               and the whole error E (the attitude's part in it) what it gives in A more: (A delay + A^2 / 2 + A c1) E
+               and A E
     rotor lag  the learner fits the delay with the lag as believed, so what it knows is their sum: a lag longer by l
                comes with a delay shorter by l.  The velocity that a command gives then follows another course to the
                same end; the two differ by l / e at most on either side, so z's speed is off by l S / e, and its
                position by A (c1 + l / 2) l, from the second moments.  Sideways thrust's lag is not in the way, and the
                delay there is off by l as well
     steering   the rate loop's lag is off by r, seen through T = c1: T r S / 2, and r S, as jerk is at most S / T
+    lead       z_e grows by z_v and by w: by the acceleration that the model does not know, c1 E, and on lateral axes by
+               thrust that is not the F0 with which z is built (`response`), `coupling`.  So much the speed of z is off:
+               w, a part of rotor lag and steering
 
 Measurement-robust barrier functions: all sources together are a box about z^ in which the true state lies.  The
 condition itself takes from q what may be lost in that box (`condition`: off); h may be less there by
@@ -27,10 +36,8 @@ each of these is greatest on its edge; a stopping way's are greatest at the grea
 A margin in m/s^2 is what its source takes from q, with gamma times its part of eta, where braking is hardest, over
 sup |dh/dv| there: on an ellipse at e = 0 and the greatest speed that there is there.
 
-Between z and (p, v).  (p, v) follows z through the low pass 1 / (c1 s + 1) if v + c1 v' = z_v.  Two things come
-between: the acceleration that the model does not know, c1 E, and on lateral axes thrust that is not the F0 with which
-z is built (`response`), `coupling`.  Both are bounded offsets of v that do not add up, w in all: z keeps h at least
-inner = sup |dh/dv| w, then (p, v) keeps h at least 0.  That costs gamma w of acceleration at a given h.
+Between z and (p, v).  p + c1 v is z_e and v + c1 v' is z_v + w: (p, v) follows (z_e, z_v + w) through the low pass
+1 / (c1 s + 1), is a weighted mean of where that has been, and that lies in the box about z^ in which h is at least 0.
 """
 
 from __future__ import annotations
@@ -42,8 +49,8 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.records import MARGINS, Authority, Margin, Response
-from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic
+from flightstack.barrier.records import MARGINS, Authority, Certificate, Margin, Response
+from flightstack.barrier.shapes import BRAKE, K_EE, K_EV, K_VV, REACTION, SCALE, SIGN, Barrier, Quadratic
 from flightstack.types import F64
 
 
@@ -67,6 +74,8 @@ class Doubts(NamedTuple):
     """Of the rate loop's lag."""
     rotor_lag_s: float = 0.0
     """The rotors' time constant as believed: what its doubt puts wrong into the delay counts on the lateral axes."""
+    age_s: float = 0.002
+    """Greatest age of the newest sample: a premise, watched."""
 
 
 USUAL = Doubts()
@@ -74,6 +83,26 @@ _Edge = tuple[F64, F64, F64]
 """Speeds and slopes of one piece of h, as `_steepest` has them."""
 KNOWN = Accuracy(0.0, 0.0, 0.0)
 """The state is the truth itself."""
+
+
+def carried_off(certificate: Certificate) -> tuple[F64, F64]:
+    """(3,), (3,): how far position and velocity may be off at a tick, of a sample as old as the certificate allows.
+
+    Beyond the estimate's bounds along each certified axis: the model's error E over the age A, and commands that act
+    by d later or sooner than believed: A E + min(A, d) S of velocity, and what that and the velocity's bound give.
+    """
+    premises = certificate.premises
+    assert premises is not None
+    pos, vel = np.array(premises.estimate.pos_m), np.array(premises.estimate.vel_mps)
+    old, (soonest, latest) = premises.age_s, premises.delay_s
+    late = min(old, 0.5 * (latest - soonest))
+    for each in certificate.axes:
+        table, i = each.authority, each.axis
+        error = max(table.error_low_mps2.max(), table.error_high_mps2.max())
+        more = old * error + late * (table.u_high_mps2 - table.u_low_mps2).max()
+        pos[i] += old * (vel[i] + more)
+        vel[i] += more
+    return pos, vel
 
 
 class Slopes(NamedTuple):
@@ -134,8 +163,9 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
                 for v, out, u in sides
             ]
         else:
-            v, u = (barrier.box[3], low_mps2) if row[1] > 0.0 else (-barrier.box[2], high_mps2)
-            found = [(0.0, 1.0 / row[5] + row[K_VV] * abs(u), (row[3] + v / row[4]) / row[5])]
+            slowest, fastest = barrier.box[2:]
+            v, u = (fastest, low_mps2) if row[SIGN] > 0.0 else (-slowest, high_mps2)
+            found = [(0.0, 1.0 / row[SCALE] + row[K_VV] * abs(u), (row[REACTION] + v / row[BRAKE]) / row[SCALE])]
         for each in found:
             lost = (max(lost[0], each[0] / each[2]), max(lost[1], each[1] / each[2]), max(lost[2], each[2]))
     return float(lost[0]), float(lost[1]), float(lost[2])
@@ -164,10 +194,11 @@ def _steepest(barrier: Barrier, row: F64, eta: float) -> _Edge:
         h_v = -row[K_EV] * (e - barrier.centre_m) - row[K_VV] * (v - barrier.centre_mps)
         return v, h_e, h_v
     low, high = barrier.box[2:]
-    speed = max(-low, high) + eta * row[5] / row[3]  # on the way to stop, of which eta takes its share of the scale
+    sign, reaction, brake, scale = row[SIGN], row[REACTION], row[BRAKE], row[SCALE]
+    speed = max(-low, high) + eta * scale / reaction  # on the way to stop, of which eta takes its share of the scale
     v = np.array([-speed, speed])
-    h_v = -row[1] / row[5] * (row[3] + np.maximum(row[1] * v, -row[4] * row[3]) / row[4])
-    return v, np.full(2, -row[1] / row[5]), h_v
+    h_v = -sign / scale * (reaction + np.maximum(sign * v, -brake * reaction) / brake)
+    return v, np.full(2, -sign / scale), h_v
 
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
@@ -190,8 +221,6 @@ class _Source(NamedTuple):
     eps_v: float
     late_s: float
     """Offset along the motion: by this time."""
-    claim: float
-    """Offset of v that only the claim on (p, v) has to bear, m/s."""
     because: str
 
 
@@ -226,11 +255,10 @@ def ledger(
         at = _slopes(rows, edges, (least, most), error, dt_s)
         eta = _eta_together(edges, (least, most), sources)
     offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
-    claim = sum(source.claim for source in sources)
     per_m, per_mps, steep = brakes(barrier, least, most)
     priced = {
         s.name: (
-            per_m * off_m + per_mps * off_mps + gamma_ps * (_eta(at, s) / steep + s.claim),
+            per_m * off_m + per_mps * off_mps + gamma_ps * _eta(at, s) / steep,
             s.because,
         )
         for s, (off_m, off_mps) in zip(sources, offsets, strict=True)
@@ -252,7 +280,7 @@ def ledger(
     lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
     margins = tuple(Margin(name, *lines[name]) for name in MARGINS)
     off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))
-    return Setting(gamma_ps, eta, 0.0, dt_s, off_m, at.h_v * claim, inside_ps, off_mps), margins
+    return Setting(gamma_ps, eta, 0.0, dt_s, off_m, 0.0, inside_ps, off_mps), margins
 
 
 def _sources(
@@ -262,36 +290,43 @@ def _sources(
     c1, delay = response.c1_s, response.delay_s
     t = doubts.delay_s + (0.0 if axis == DOWN else doubts.lag_share * doubts.rotor_lag_s)
     late = _Source(
-        "delay", 0.5 * delay * delay * error, (t + delay) * error, t, 0.0,
+        "delay", (0.5 * delay + c1) * delay * error, (t + delay) * error, t,
         f"{1e3 * delay:.3g} ms known to {1e3 * t:.3g} ms; the model's error over it",
     )  # fmt: skip
-    rotor = attitude = _Source("", 0.0, 0.0, 0.0, 0.0, "")
+    rotor = attitude = _Source("", 0.0, 0.0, 0.0, "")
+    apart = c1 * error + coupling_mps
     if axis == DOWN:
         lag = doubts.lag_share * c1
         rotor = _Source(
-            "rotor_lag", hardest * (c1 + 0.5 * lag) * lag, lag * span / math.e, 0.0, c1 * error,
-            f"{1e3 * c1:.3g} ms known to {100 * doubts.lag_share:.3g} %; v within {c1 * error:.2g} m/s of what z keeps",
+            "rotor_lag", hardest * (c1 + 0.5 * lag) * lag, lag * span / math.e + apart, 0.0,
+            f"{1e3 * c1:.3g} ms known to {100 * doubts.lag_share:.3g} %; z moves {apart:.2g} m/s apart from its speed",
         )  # fmt: skip
-        attitude = _Source("attitude_lag", 0.0, 0.0, 0.0, 0.0, "the lean is part of what thrust gives along down")
+        attitude = _Source("attitude_lag", 0.0, 0.0, 0.0, "the lean is part of what thrust gives along down")
     else:
         lag = doubts.rate_lag_share * (response.c2_s2 / c1 if c1 > 0.0 else 0.0)
-        claim = c1 * error + coupling_mps
         attitude = _Source(
-            "attitude_lag", 0.5 * c1 * lag * span, lag * span, 0.0, claim,
-            f"rate loop known to {1e3 * lag:.3g} ms; v within {claim:.2g} m/s of what z keeps: unknown acceleration "
-            f"over {1e3 * c1:.3g} ms of steering, and thrust that is not the one steered with",
+            "attitude_lag", 0.5 * c1 * lag * span, lag * span + apart, 0.0,
+            f"rate loop known to {1e3 * lag:.3g} ms; z moves {apart:.2g} m/s apart from its speed: acceleration "
+            f"unknown over {1e3 * c1:.3g} ms of steering, and thrust that is not the one steered with",
         )  # fmt: skip
         rotor = _Source(
-            "rotor_lag", 0.0, 0.0, 0.0, 0.0, "thrust's lag moves lateral force by its share of the lean: attitude_lag"
+            "rotor_lag", 0.0, 0.0, 0.0, "thrust's lag moves lateral force by its share of the lean: attitude_lag"
         )
+    old, whole = doubts.age_s, error + accuracy.acc_mps2
+    age = _Source(
+        "age",
+        old * (accuracy.vel_mps + (c1 + delay + 0.5 * old) * whole), old * whole, 0.0,
+        f"the newest sample {1e3 * old:.3g} ms old, over which the model may be off by {whole:.2g} m/s^2",
+    )  # fmt: skip
+    seen = response.c2_s2 + (c1 + 0.5 * delay) * delay
     estimate = _Source(
         "estimate_error",
-        accuracy.pos_m + (c1 + delay) * accuracy.vel_mps + response.c2_s2 * accuracy.acc_mps2,
-        accuracy.vel_mps + (c1 + delay) * accuracy.acc_mps2, 0.0, 0.0,
+        accuracy.pos_m + (c1 + delay) * accuracy.vel_mps + seen * accuracy.acc_mps2,
+        accuracy.vel_mps + (c1 + delay) * accuracy.acc_mps2, 0.0,
         f"position {1e3 * accuracy.pos_m:.3g} mm, velocity {1e2 * accuracy.vel_mps:.3g} cm/s, "
         f"acceleration {accuracy.acc_mps2:.2g} m/s^2",
     )  # fmt: skip
-    return late, rotor, attitude, estimate
+    return late, age, rotor, attitude, estimate
 
 
 def _eta(at: Slopes, source: _Source) -> float:

@@ -10,7 +10,8 @@ any state inside.  Such a lapse is told and counted, and ends the certificate wh
 not inside with the h that the filter engages at (then braking is all that is left), or where lapses add up to
 LAPSED_S: of an interval what is beyond the certificate's, of late messages the ticks.  Nothing is promised meanwhile.
 
-Stream ages are compared with one and a half of each stream's periods and the certificate's jitter; of the rest each is
+The newest sample's age is compared with the certificate's, the streams' with one and a half of each one's periods, the
+jitter, and what the link always takes (`lateness`), as far as the age shows it; of the rest each is
 compared with its own range (`premises`).  What the estimate is off by cannot be seen here: its bound is scored against
 the truth in simulation.
 
@@ -30,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.assess import CHANGED, ENGAGE_H, PASSED, column_at
-from flightstack.barrier.lateness import ROUNDED_S, ages_of, lateness_s
+from flightstack.barrier.lateness import ROUNDED_S, ages_of, always_s, lateness_s
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
@@ -92,7 +93,7 @@ class Seen(NamedTuple):
     """At the tick before the filter found the vehicle inside with the h that it engages at."""
 
 
-_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG = 6, 7, 15, 16, 17, 19
+_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 7, 15, 16, 17, 19, 22
 """Of a watch's numbers, after the speeds: what has a range takes two."""
 
 
@@ -113,7 +114,7 @@ def watched(
     numbers = [
         *low, *high, premises.lean, *premises.thrust_mps2, *premises.applied_share, *premises.thrust_gain,
         *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
-        *drag_per_s,
+        *drag_per_s, premises.age_s,
     ]  # fmt: skip
     return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), down)
 
@@ -208,7 +209,8 @@ def _broken(
     for i, value in enumerate(ranged):
         if value < p[_THRUST + 2 * i] - 1e-9 or value > p[_THRUST + 1 + 2 * i] + 1e-9:
             return 6 + i
-    if lateness_s(ages_s) > p[_JITTER]:
+    always = always_s(p[_AGE] - p[_JITTER])
+    if ages_s.min() > p[_AGE] + ROUNDED_S or lateness_s(ages_s) - always > p[_JITTER] + 1e-9:
         return _LATE_LINK
     if interval_s > p[_INTERVAL] + ROUNDED_S:
         return _LATE_COMMAND

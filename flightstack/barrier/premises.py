@@ -8,7 +8,8 @@ scored against the truth in simulation.
     speeds      of the vehicle as estimated, each axis; on an axis that is not certified nothing else limits it
     lean        of the thrust axis to north and to east, each
     thrust      specific thrust that is commanded, and which share of it the motors report as applied
-    link        time from sending a command to its effect, and by how much messages may come later than the quickest
+    link        time from sending a command to its effect, by how much messages may come later than the quickest, and
+                the age of the newest sample
     interval    longest time between two commands
     battery     voltage; what it does to thrust was learned at these voltages
     vehicle     hash of the believed vehicle's file; what it carries and its state are in the learned thrust gain
@@ -56,6 +57,8 @@ class Premises:
     """From sending a command to its first effect."""
     jitter_s: float
     """By how much a message may come later than the quickest, either way."""
+    age_s: float
+    """Of the newest sample."""
     command_interval_s: float
     battery_v: Range
 
@@ -105,6 +108,7 @@ def parse_premises(value: object, where: str) -> Premises:
         thrust_gain=ranges["thrust_gain"],
         delay_s=ranges["delay_s"],
         jitter_s=number(table["jitter_s"], f"{where}.jitter_s", 0.0, _LARGEST),
+        age_s=number(table["age_s"], f"{where}.age_s", 0.0, _LARGEST),
         command_interval_s=number(table["command_interval_s"], f"{where}.command_interval_s", 0.0, _LARGEST),
         battery_v=ranges["battery_v"],
     )

@@ -76,6 +76,10 @@ class PublishedFilter:
         """Nothing: the paper knows no torque."""
         return None
 
+    def in_force(self, state: PublishedState) -> F64 | None:
+        """Nothing: the paper knows no age of samples."""
+        return None
+
     def adopt(self, state: PublishedState, certificate: Certificate) -> PublishedState:
         """From now on this region; one that is not made of quadratics is not taken."""
         if all(isinstance(axis.barrier, Quadratic) for axis in certificate.axes):

@@ -20,8 +20,8 @@ from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
 MARGINS = (
-    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
-    "estimate_error", "torque",
+    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "age", "rotor_lag",
+    "attitude_lag", "estimate_error", "torque",
 )  # fmt: skip
 """Every margin that a ledger names, in its order."""
 

@@ -30,7 +30,7 @@ CENTRE_E, CENTRE_V, P11, P12, P22 = 1, 2, 3, 4, 5
 """Of a quadratic's."""
 SIGN, LIMIT, REACTION, BRAKE, SCALE = 1, 2, 3, 4, 5
 """Of a stopping piece's."""
-_QUADRATIC, _STOPPING = 0.0, 1.0
+_QUADRATIC, STOPPING = 0.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ class Stopping:
     def rows(self) -> F64:
         """(2, ROW) towards high_m, towards low_m; scaled so that h is 1 in the middle at rest."""
         scale = 0.5 * (self.high_m - self.low_m)
-        high = [_STOPPING, 1.0, self.high_m, self.reaction_s, self.brake_high_mps2, scale]
-        low = [_STOPPING, -1.0, -self.low_m, self.reaction_s, self.brake_low_mps2, scale]
+        high = [STOPPING, 1.0, self.high_m, self.reaction_s, self.brake_high_mps2, scale]
+        low = [STOPPING, -1.0, -self.low_m, self.reaction_s, self.brake_low_mps2, scale]
         return np.array([[*row, 0.0, 0.0, 1.0 / (row[BRAKE] * scale)] for row in (high, low)])
 
     @property

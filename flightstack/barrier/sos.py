@@ -176,7 +176,8 @@ class _Programme:
 
     def _shape(self) -> list[Any]:
         cp, h = self.cp, self.h
-        shape = [self.at_centre @ h == 1.0, cp.bmat([[-h[3], -h[4] / 2], [-h[4] / 2, -h[5]]]) >> 0]
+        square_e, cross, square_v = h[3:]
+        shape = [self.at_centre @ h == 1.0, cp.bmat([[-square_e, -cross / 2], [-cross / 2, -square_v]]) >> 0]
         return [*shape, h[1:3] == 0.0] if self.centred else shape
 
     def _searches(self) -> Any:
@@ -319,7 +320,8 @@ def _rounded(h: F64, *, centred: bool) -> ExactPolynomial:
 
 def _shape_of(h: F64) -> tuple[F64, F64, float]:
     """P, centre and greatest value of h = h0 + g^T x - x^T P x."""
-    p = np.array([[-h[3], -0.5 * h[4]], [-0.5 * h[4], -h[5]]])
+    square_e, cross, square_v = h[3:]
+    p = np.array([[-square_e, -0.5 * cross], [-0.5 * cross, -square_v]])
     centre = 0.5 * np.linalg.pinv(p) @ h[1:3]
     return p, centre, float(h[0] + 0.5 * h[1:3] @ centre)
 

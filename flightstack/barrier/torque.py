@@ -58,6 +58,9 @@ UNMODELLED = 1.06
 NOISE_SIGMA = 4.0
 LINE_MOST_MPS2 = 0.12
 """Specific thrust that torque may add: 0.15 m/s^2 for a true mass of 0.8 times the believed one."""
+LEAST_WEIGHTS = 0.25
+"""Thrust of a powerful vehicle is let down to this: with 0.8 of the believed mass and a force of 0.15 g upwards a climb
+is then still braked by half the weight."""
 _STEP_S = 0.001
 _STEPS = 1500
 """Of a kernel; beyond, roll's and pitch's have ended, and yaw's add 5 % of themselves at most, at little thrust."""
@@ -124,12 +127,13 @@ class GovernorTerms:
 def governor_terms(
     vehicle: Vehicle, model: Model, limits: Limits, gyro_noise_radps_rthz: Tuple3, trim: float = 0.0
 ) -> GovernorTerms:
-    """The greatest r_max whose D leaves the flight's greatest thrust, and all that follows from it.
+    """The greatest r_max whose D leaves the flight's greatest thrust and LEAST_WEIGHTS, and all that follows from it.
 
-    Where even the least r_max needs more, D is what that needs, and thrust is bounded by 1 - D.
+    Where even the least r_max needs more, D is what that needs, and thrust is bounded by D and 1 - D.
     """
     loop, scale = _Loop(vehicle), model.max_thrust_n / model.mass_kg
-    room = max(1.0 - loop.setpoint(model.norm_of(model.thrust_range_n(limits)[1])), 0.02)
+    greatest, least = model.thrust_range_n(limits)[1], LEAST_WEIGHTS * model.weight_n
+    room = max(min(1.0 - loop.setpoint(model.norm_of(greatest)), loop.setpoint(model.norm_of(least))), 0.02)
     tilt, turn = np.hypot(loop.mix[:, 0], loop.mix[:, 1]), np.abs(loop.mix[:, 2])
     margin, r_max, y_max, figures = room, 0.0, 0.0, (1.0, 1.0, 0.0, 0.0)
     for _ in range(_ROUNDS):  # chi and noise grow a little where commands may come nearer to the ends

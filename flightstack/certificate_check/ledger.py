@@ -3,17 +3,18 @@
 A source puts the predicted (e, v) off by (x, y), or along the motion by a time t: by (t v, t a), a the acceleration.
 E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of delay, rotors' lag and rate loop.
 
-    delay           delay^2 E / 2,  (t + delay) E,  t = d; lateral t = d + l of the rotors
-    rotor_lag       vertical: A (c1 + l / 2) l,  l S / e
-    attitude_lag    lateral: c1 r S / 2,  r S
-    estimate_error  pos + (c1 + delay) vel + c2 acc,  vel + (c1 + delay) acc
+    delay           (delay^2 / 2 + c1 delay) E,  (t + delay) E,  t = d; lateral t = d + l of the rotors
+    age             o (vel + (c1 + delay + o / 2) (E + acc)),  o (E + acc);  o: the newest sample's age
+    rotor_lag       vertical: A (c1 + l / 2) l,  l S / e + w
+    attitude_lag    lateral: c1 r S / 2,  r S + w
+    estimate_error  pos + (c1 + delay) vel + (c2 + c1 delay + delay^2 / 2) acc,  vel + (c1 + delay) acc
 
     off_m, off_mps = sum of x + t sup |v|,  sum of y + t A
     eta = sup (|dh/de| x + |dh/dv| y + t |dh/de v + dh/dv a|), x, y, t the sums of all, over {h >= -eta}
-    inner = sup |dh/dv| w,  w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
+    w = c1 E, lateral also c1 S / 2 times the share by which thrust is not the lead's
     its part of eta = sup |dh/de| x + sup |dh/dv| y + t sup |dh/de v + dh/dv a|
     a margin in m/s^2 = (what `off` takes for its x + t sup |v| and y + t A where braking is hardest, without the small
-    parts, + gamma its part of eta) / sup |dh/dv| there; to the lag's comes gamma w
+    parts, + gamma its part of eta) / sup |dh/dv| there
 
 Each supremum is on the edge of an ellipse, and at the greatest speed of a stopping distance; braking is hardest at the
 greatest speed that there is at the centre's e, and at the greatest speed of a stopping distance.
@@ -35,12 +36,12 @@ from .knowledge import StatedKnowledge, torque_of
 from .reading import Refused, number, numbers, table_of
 
 MARGINS = (
-    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "rotor_lag", "attitude_lag",
-    "estimate_error", "torque",
+    "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "age", "rotor_lag",
+    "attitude_lag", "estimate_error", "torque",
 )  # fmt: skip
 N_LOW, N_HIGH, N_ERROR_LOW = 3, 4, 5
 """Rows of the authority's columns, with those of the errors last."""
-_DOUBTS = ("delay_s", "lag_share", "rate_lag_share", "rotor_lag_s")
+_DOUBTS = ("delay_s", "lag_share", "rate_lag_share", "rotor_lag_s", "age_s")
 _AXES = ("north", "east", "down")
 _CLOSE = 1e-3
 """Share by which a stated constant may differ; beyond it, whatever lies between three rounds of eta and all of them."""
@@ -67,8 +68,10 @@ def check_ledger(
     doubts = known.data.get("doubts")
     if doubts is None:
         raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
-    claim, eta = _claim(name == "down", response, nodes, known, acc), 0.0
-    sources, hardest = _sources(name == "down", response, nodes, doubts, estimate), float(np.abs(nodes[3:5]).max())
+    sources, eta = _sources(name == "down", response, nodes, doubts, estimate), 0.0
+    lag, hardest = "rotor_lag" if name == "down" else "attitude_lag", float(np.abs(nodes[3:5]).max())
+    x, y, t = sources[lag]
+    sources[lag] = x, y + _apart(name == "down", response, nodes, known, acc), t
     per_m, per_mps, steep = _hardest(condition, nodes)
     rounds = list[tuple[tuple[float, float, float, float], dict[str, float]]]()
     for _ in range(30):  # eta widens the region whose suprema it comes from
@@ -77,11 +80,10 @@ def check_ledger(
         off = {key: (x + t * at["speed"], y + t * hardest) for key, (x, y, t) in sources.items()}
         eta = min(_eta_together(condition, nodes, eta, sources), 1.0)
         found = {key: per_m * x + per_mps * y + condition.gamma * eta_of[key] / steep for key, (x, y) in off.items()}
-        found["rotor_lag" if name == "down" else "attitude_lag"] += condition.gamma * claim
         found["estimate_error"] += acc
         found |= {"discretisation": 0.0, "zero_order_hold": at["hold"] / at["hv"]}
         off_m, off_mps = (sum(each[i] for each in off.values()) for i in range(2))
-        rounds.append(((eta, off_m, at["hv"] * claim, off_mps), found))
+        rounds.append(((eta, off_m, 0.0, off_mps), found))
     for key in rounds[2][1]:
         ends = sorted(rounds[i][1][key] for i in (2, -1))
         if not (1.0 - _CLOSE) * ends[0] - _NEAR <= stated[key] <= (1.0 + _CLOSE) * ends[1] + _NEAR:
@@ -118,8 +120,8 @@ def _sources(
 ) -> dict[str, tuple[float, float, float]]:
     """(x, y, t) by name."""
     pos, vel, acc = (float(each) for each in estimate)
-    late, share, rate_share, rotor = numbers(doubts, _DOUBTS, "knowledge.doubts")
-    if min(late, share, rate_share, rotor) < 0.0:
+    late, share, rate_share, rotor, old = numbers(doubts, _DOUBTS, "knowledge.doubts")
+    if min(late, share, rate_share, rotor, old) < 0.0:
         raise Refused("knowledge.doubts must be at least 0")
     c1, c2, delay = response
     error, span = float(nodes[5:].max()) - acc, float((nodes[N_HIGH] - nodes[N_LOW]).max())
@@ -127,15 +129,20 @@ def _sources(
     most, none = float(np.abs(nodes[3:5]).max()), (0.0, 0.0, 0.0)
     late += 0.0 if vertical else share * rotor
     return {
-        "delay": (0.5 * delay**2 * error, (late + delay) * error, late),
+        "delay": ((0.5 * delay**2 + c1 * delay) * error, (late + delay) * error, late),
+        "age": (old * vel + (old * c1 + old * delay + 0.5 * old**2) * (error + acc), old * (error + acc), 0.0),
         "rotor_lag": (most * (c1 + 0.5 * lag) * lag, lag * span / math.e, 0.0) if vertical else none,
         "attitude_lag": none if vertical else (0.5 * c1 * turn * span, turn * span, 0.0),
-        "estimate_error": (pos + (c1 + delay) * vel + c2 * acc, vel + (c1 + delay) * acc, 0.0),
+        "estimate_error": (
+            pos + (c1 + delay) * vel + (c2 + c1 * delay + 0.5 * delay**2) * acc,
+            vel + (c1 + delay) * acc,
+            0.0,
+        ),
     }
 
 
-def _claim(vertical: bool, response: list[float], nodes: F64, known: StatedKnowledge, acc: float) -> float:
-    """How far v may be from what z keeps, m/s: acceleration that is not known, and thrust that is not the lead's."""
+def _apart(vertical: bool, response: list[float], nodes: F64, known: StatedKnowledge, acc: float) -> float:
+    """By how much z moves apart from its speed, m/s: acceleration not known, thrust that is not the lead's."""
     error, span = float(nodes[5:].max()) - acc, float((nodes[N_HIGH] - nodes[N_LOW]).max())
     apart = max(known.box.high - known.lead, known.lead - known.box.low) / known.lead
     return response[0] * error + (0.0 if vertical else response[0] * 0.5 * span * apart)

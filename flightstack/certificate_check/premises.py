@@ -9,6 +9,7 @@ thrust_mps2         within the budget
 thrust_gain         the gain at the nodes of down, widened by its error over the greatest thrust
 delay_s             the response's delay and the ledger's doubt about it
 jitter_s            within that doubt
+age_s               within the ledger's
 command_interval_s  within every axis' dt
 vehicle_hash        the knowledge's, where that names one
 """
@@ -26,7 +27,7 @@ from .reading import Refused, number, rows, table_of
 
 _KEYS = (
     "sensors", "vehicle_hash", "estimate", "speeds_mps", "lean", "thrust_mps2", "applied_share", "thrust_gain",
-    "delay_s", "jitter_s", "command_interval_s", "battery_v",
+    "delay_s", "jitter_s", "age_s", "command_interval_s", "battery_v",
 )  # fmt: skip
 _SLACK = 1e-9
 _BOUNDS = ("pos_m", "vel_mps", "acc_mps2")
@@ -75,6 +76,8 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: S
             number(table["command_interval_s"], "premises.command_interval_s"), dt, "premises.command_interval_s", "dt"
         )
     _most(number(table["jitter_s"], "premises.jitter_s"), delay_doubt, "premises.jitter_s", "the delay's doubt")
+    age = number(doubts.get("age_s"), "knowledge.doubts.age_s")
+    _most(number(table["age_s"], "premises.age_s"), age, "premises.age_s", "the ledger's age")
     return (
         f"premises: sensors {table['sensors'][:40]} ({pos.max():.3g} m, {vel.max():.3g} m/s, "
         f"{acc.max():.3g} m/s^2 at {table['estimate']['k_sigma']:.3g} sigma), "

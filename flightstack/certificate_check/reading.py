@@ -12,7 +12,7 @@ import numpy as np
 from . import bounds
 from .intervals import F64
 
-SCHEMA = "flightstack.certificate/3"
+SCHEMA = "flightstack.certificate/4"
 
 
 class Refused(Exception):

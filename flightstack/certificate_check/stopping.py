@@ -162,12 +162,17 @@ def _greatest(a: F64, x: F64, bounds: F64, begun: F64) -> float:
 
 
 def _braking(value: Any, prior: tuple[float, float, float]) -> None:
-    """With the least gain, thrust carries the weight, the force from any side and the braking."""
-    thrust, across, up, down = numbers(value, ("thrust_mps2", "across_mps2", "up_mps2", "down_mps2"), "braking")
-    _, high, force_g = prior
+    """With the least gain, thrust carries the weight, the force from any side and the braking; with the greatest, the
+    least thrust leaves what brakes a climb beside a force upwards."""
+    names = ("thrust_mps2", "least_thrust_mps2", "across_mps2", "up_mps2", "down_mps2")
+    thrust, idle, across, up, down = numbers(value, names, "braking")
+    low, high, force_g = prior
     force, least = force_g * _GRAVITY, thrust / high
-    if not (across > 0.0 and up > 0.0 and 0.0 < down < _GRAVITY):
-        raise Refused("braking: nothing of it may be 0, and a climb is braked by less than the weight")
+    if not (across > 0.0 and up > 0.0 and down > 0.0 and idle >= 0.0):
+        raise Refused("braking: nothing of it may be 0, and thrust is not negative")
+    left = _GRAVITY - idle / low - force
+    if not down <= left:
+        raise Refused(f"braking: the least thrust and the force leave {left:.3f} m/s^2 of the weight, not {down:.3f}")
     phi = np.linspace(0.0, 0.5 * np.pi, 91)
     needed = np.hypot(_GRAVITY + force * np.sin(phi) + up, across + force * np.cos(phi))
     if not float(needed.max()) <= least + 1e-9:

@@ -19,7 +19,7 @@ import numpy as np
 from flightstack.barrier.certifier_config import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
-from flightstack.barrier.premises import Premises
+from flightstack.barrier.margins import carried_off
 from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import values_at
@@ -76,6 +76,10 @@ class TimedFilter:
     def governed(self, state: object) -> GovernorLimits | None:
         """The filter's own."""
         return self._filter.governed(state)
+
+    def in_force(self, state: object) -> F64 | None:
+        """The filter's own."""
+        return self._filter.in_force(state)
 
     def bend(self, state: object, setpoint: FlatOutput) -> FlatOutput:
         """The filter's own."""
@@ -308,6 +312,8 @@ class FilterScore:
     """Engaged ticks in which a premise did not hold: as measured, or, of the estimate, by the truth."""
     spans: list[tuple[float, float]] = field(default_factory=list)
     """From when to when (s after take-off) the command was one that the certificate allows."""
+    _judged: Certificate | None = None
+    _bounds: Sequence[float] = ()
     _ticks: int = 0
     _solved: int = 0
     _protecting: bool = False
@@ -329,12 +335,13 @@ class FilterScore:
             self.spans.append((flight_s, flight_s))
         self._protecting = protecting
 
-    def judge(self, filtered: Filtered, premises: Premises | None, off: Sequence[float] | None) -> None:
+    def judge(self, filtered: Filtered, certificate: Certificate, off: Sequence[float] | None) -> None:
         """The premises at one tick; `off` (6,): truth less estimate, position and velocity, None where unknown."""
-        if premises is None or not filtered.status >= SOLVED:
+        if certificate.premises is None or not filtered.status >= SOLVED:
             return
-        bounds = (*premises.estimate.pos_m, *premises.estimate.vel_mps)
-        strayed = off is not None and any(abs(x) > bound for x, bound in zip(off, bounds, strict=True))
+        if certificate is not self._judged:
+            self._judged, self._bounds = certificate, [float(x) for each in carried_off(certificate) for x in each]
+        strayed = off is not None and any(abs(x) > bound for x, bound in zip(off, self._bounds, strict=True))
         self.premises_broken += strayed or filtered.premise > 0.0
 
     @property

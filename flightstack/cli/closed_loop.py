@@ -13,7 +13,7 @@ import numpy as np
 
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
-from flightstack.predictor import Streams, predict
+from flightstack.predictor import Streams, sampled
 from flightstack.scenario import Scenario
 from flightstack.stack import Stack
 from flightstack.types import F64, TickRecord
@@ -108,15 +108,18 @@ def fly(
     for _ in range(20 + latency_ticks):
         vehicle.advance(ControlSetpoint(ControlKind.RATE, thrust_norm=0.0), TICK_MS)
         wire.sample(vehicle)
-    first = predict(wire.streams, vehicle.t_us)
+    first = sampled(wire.streams, vehicle.t_us)
     assert first is not None
+    first = stack.carried(None, first, vehicle.t_us)
     mission = plan(scenario, first.pos_ned_m)
     state, start_us = stack.init(first), vehicle.t_us
     events = sorted(scenario.events, key=lambda event: event.time_s)
     errors, heights, records, truths = [], [], [], []
     while mission.phase(t := (vehicle.t_us - start_us) * 1e-6) != "done":
         reference = mission.reference(t)
-        state, command, record = stack.tick(state, predict(wire.streams, vehicle.t_us), reference, vehicle.t_us)
+        seen = sampled(wire.streams, vehicle.t_us)
+        measured = seen and stack.carried(state, seen, vehicle.t_us)
+        state, command, record = stack.tick(state, measured, reference, vehicle.t_us)
         records.append(record)
         truths.append(vehicle.plant.truth())
         while events and events[0].time_s <= t - mission.track_start_s:

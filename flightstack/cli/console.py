@@ -174,9 +174,12 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
         trip = result.link["round_trip_us"]
         if trip["p50"] is not None:
             dropped = sum(result.link["dropped"].values())
+            latency_s = result.link["command_latency_s"]
+            told = "age not evident" if latency_s is None else f"{1e3 * latency_s:.1f} ms old"
             yield (
                 "link",
                 f"round trip {trip['p50'] / 1e3:.1f} ms (p50), {trip['p99'] / 1e3:.1f} ms (p99); "
+                f"commands at the motors: {told}; "
                 f"{result.link['lost']} messages lost, {dropped} dropped, {result.link['received']} taken",
             )
     for check in result.checks:

@@ -148,12 +148,14 @@ NO_QP: dict[str, Any] = {
 }
 NO_LINK: dict[str, Any] = {
     "round_trip_us": {"p50": None, "p99": None, "max": None},
+    "command_latency_s": None,
     "received": None,
     "lost": None,
     "dropped": None,
     "signed": None,
 }
-"""The MAVLink link: TIMESYNC round trips by the local clock, messages, and how many were dropped for which reason."""
+"""The MAVLink link: TIMESYNC round trips by the local clock, how old the commands are that the motors follow (null: not
+evident), messages, and how many were dropped for which reason."""
 NO_REGION: dict[str, Any] = {
     "of": None,
     "engaged_s": None,

@@ -100,7 +100,7 @@ class FlightScore:
             watched = self.prepared.protection.watched
             if watched is not None and watched.adopted:
                 off = None if true is None else [a - b for a, b in zip(true, state, strict=True)]
-                self._filter.judge(record.filtered, watched.adopted[-1].premises, off)
+                self._filter.judge(record.filtered, watched.adopted[-1], off)
         if not 0.0 <= track_s <= self._duration_s:
             return
         followed = record.reference
@@ -178,10 +178,11 @@ class FlightScore:
 
 def link_summary(companion: Companion) -> dict[str, object]:
     """The JSON's `link`."""
-    stats = companion.link.stats.as_dict()
+    stats, latency_s = companion.link.stats.as_dict(), companion.view.latency.latency_s
     reasons = ("bad_crc", "bad_length", "bad_signature", "unsigned", "replayed", "unknown_id", "not_finite")
     return {
         "round_trip_us": percentiles(companion.view.round_trips_us),
+        "command_latency_s": None if math.isnan(latency_s) else latency_s,
         "received": stats["received"],
         "lost": stats["lost"],
         "dropped": {name: stats[name] for name in reasons if stats[name]},

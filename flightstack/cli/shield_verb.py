@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flightstack.cli.exits import FAILED
+from flightstack.cli.exits import FAILED, INTERRUPTED
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import CertificateOption, JsonOption, SensorsOption, VehicleOption
 
@@ -50,3 +50,5 @@ def shield(
     if not result["vehicle_heard"]:
         console.say_error(f"no PX4 was heard at {connect}")
         raise typer.Exit(FAILED)
+    if interrupts.requested():
+        raise typer.Exit(INTERRUPTED)

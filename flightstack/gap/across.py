@@ -74,3 +74,8 @@ def across(start: Vehicle, vehicle: Vehicle, told: Mapping[str, Told]) -> tuple[
 def differing(rows: Sequence[Across]) -> tuple[str, ...]:
     """Effects that are not the same in each flight, the clearest first."""
     return tuple(dict.fromkeys(a.effect for a in sorted(rows, key=lambda a: a.p_value) if not a.same))
+
+
+def confirmed(rows: Sequence[Across]) -> set[str]:
+    """Effects that each of several flights shows alone, the same in all."""
+    return {a.effect for a in rows} - set(differing(rows))

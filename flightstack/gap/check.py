@@ -69,6 +69,9 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     findings += more
     samples, more = stopped.leave_out(samples, vehicle)
     findings += more
+    if not samples.valid.any():
+        findings.append(_not_flying())
+        return Checked(read, None, tuple(findings), offsets)
     if "motor" in signals:
         if not moves(samples):
             findings.append(refused("flight", f"the motors never move: this is not a flight. Record one ({_PX4})"))

@@ -69,8 +69,10 @@ def poorly_told(effects: Collection[str]) -> set[str]:
 def beside_a_poor_model(found: Found) -> Found:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
     for effects in POORLY_TOLD:
-        found = _together(found, effects)
-    return found
+        found = together(found, effects) if found.name in effects else found
+    return (
+        together(found, ("com_offset",)) if found.name == "blade_flapping" else found
+    )  # drag above the centre of mass
 
 
 def confused_with(gone: Collection[Found]) -> set[str]:
@@ -97,14 +99,16 @@ def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Fo
     """
     if not has_gyro(flights):
         found = tuple(beside_a_poor_model(f) for f in found)
-    return tuple(_together(f, DRAGS) for f in found) if without_motors(flights) else found
+    if without_motors(flights):
+        found = tuple(together(f, DRAGS) if f.name in DRAGS else f for f in found)
+    return found
 
 
-def _together(found: Found, group: tuple[str, ...]) -> Found:
-    """The effect with all of a group as its twins, where it is one of it."""
-    if found.name not in group:
+def together(found: Found, others: tuple[str, ...]) -> Found:
+    """The effect with all of these as its twins."""
+    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in others if e != found.name))))
+    if twins == found.indistinguishable_from:
         return found
-    twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in group if e != found.name))))
     return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 

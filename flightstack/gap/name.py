@@ -21,6 +21,7 @@ from flightstack.gap.classes import (
     has_gyro,
     in_classes,
     poorly_told,
+    together,
 )
 from flightstack.gap.compare import residual
 from flightstack.gap.held import corrected
@@ -142,6 +143,10 @@ class Naming:
             self.proposed,
             (bench, more[0]),
         )
+
+    def with_twins(self, name: str, others: tuple[str, ...]) -> Naming:
+        """The verdict where one name can't be told from these others either: it was found in their place."""
+        return replace(self, found=tuple(together(f, others) if f.name == name else f for f in self.found))
 
     def with_guessed_numbers(self) -> Naming:
         """The verdict with what the file only guesses in its intervals, and the common scale's class."""

@@ -32,25 +32,30 @@ GUARD_S = 2.0
 _HELD_SHARE = 1.0 / 3.0
 
 
-def split(flights: Sequence[Samples], kept: Sequence[Samples]) -> Split:
-    """Flights to learn from and flights that were kept; without any kept, the last third of what each one flew."""
+def split(flights: Sequence[Samples], kept: Sequence[Samples], *, first: bool = False) -> Split:
+    """Flights to learn from and flights that were kept; without any kept, the last (or first) third of each one."""
     if kept:
         whole = [np.array(s.valid) for s in (*flights, *kept)]
         chosen = [k < len(flights) for k in range(len(whole))]
         fit = tuple(m & c for m, c in zip(whole, chosen, strict=True))
         return Split((*flights, *kept), fit, tuple(m & ~f for m, f in zip(whole, fit, strict=True)))
-    parts = [_last_third(s) for s in flights]
+    parts = [_third(s, first=first) for s in flights]
     return Split(tuple(flights), tuple(fit for fit, _ in parts), tuple(held for _, held in parts))
 
 
-def _last_third(samples: Samples) -> tuple[Mask, Mask]:
+def _third(samples: Samples, *, first: bool) -> tuple[Mask, Mask]:
     rows = np.flatnonzero(samples.valid)
     if not len(rows):
         nothing = np.zeros(len(samples.t_s), np.bool_)
         return nothing, nothing
-    first, last = float(samples.t_s[rows[0]]), float(samples.t_s[rows[-1]])
-    begin = last - _HELD_SHARE * (last - first)
-    return samples.valid & (samples.t_s < begin - GUARD_S), samples.valid & (samples.t_s >= begin)
+    begin, end = float(samples.t_s[rows[0]]), float(samples.t_s[rows[-1]])
+    if first:
+        kept = samples.t_s < begin + _HELD_SHARE * (end - begin)
+        learned = samples.t_s >= begin + _HELD_SHARE * (end - begin) + GUARD_S
+    else:
+        kept = samples.t_s >= end - _HELD_SHARE * (end - begin)
+        learned = samples.t_s < end - _HELD_SHARE * (end - begin) - GUARD_S
+    return samples.valid & learned, samples.valid & kept
 
 
 def figures(vehicle: Vehicle, of: Split) -> Figures:

@@ -91,6 +91,9 @@ def _corrected(p: F64, row: F64, pulled: Vec, seen: F64, turn: float, speed: flo
     slung_load.constrain(p, row)
 
 
+_ACC = 3
+
+
 @njit
 def run_load(p: F64, acc_ned: F64, seen: F64, adrift: bool, row: F64, work: F64, out: F64) -> None:
     """The load's direction and its rate (N, 6) into `out` under a vehicle that moves with `acc_ned` (N, 3), m/s^2.
@@ -105,7 +108,7 @@ def run_load(p: F64, acc_ned: F64, seen: F64, adrift: bool, row: F64, work: F64,
     h = p[P_DT]
     first, last = S_LOAD_DIR, S_LOAD_RATE + 3
     y, dy, mean = work[0], work[1], work[2]
-    acc = work[3]
+    acc = work[_ACC]
     count = out.shape[0]
     for k in range(count):
         for j in range(first, last):

@@ -187,13 +187,14 @@ def _in_the_air(believed: Vehicle, truth: Vehicle, flight: Track, first: int, st
 
 
 def _setpoint(now: Sequence[float]) -> ControlSetpoint:
+    n, e, d, vn, ve, vd, an, ae, ad, yaw_rad, yaw_rate_radps = now
     return ControlSetpoint(
         ControlKind.POSITION,
-        pos_ned_m=(now[0], now[1], now[2]),
-        vel_ned_mps=(now[3], now[4], now[5]),
-        acc_ned_mps2=(now[6], now[7], now[8]),
-        yaw_rad=math.remainder(now[9], 2.0 * math.pi),
-        yaw_rate_radps=now[10],
+        pos_ned_m=(n, e, d),
+        vel_ned_mps=(vn, ve, vd),
+        acc_ned_mps2=(an, ae, ad),
+        yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi),
+        yaw_rate_radps=yaw_rate_radps,
     )
 
 

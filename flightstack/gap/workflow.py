@@ -12,7 +12,7 @@ from pathlib import Path
 
 from flightstack.effects import EFFECTS
 from flightstack.gap import gather, pooled
-from flightstack.gap.across import Told, differing
+from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
@@ -54,36 +54,20 @@ def analyse(
     logs without motor commands: then only sensor effects can be named.
     """
     checked, kept = _checked(logs, holdout, vehicle, columns, ground_d_m, kinematics_only, on_progress)
-    of = pooled.split([_usable(c) for c in checked], [_usable(c) for c in kept])
+    flights, held = [_usable(c) for c in checked], [_usable(c) for c in kept]
+    of = pooled.split(flights, held)
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
-    on_progress(0.2, "naming")
-    naming = name(vehicle, of.flights, of.fit, of.holdout)
-    naming, of, gap = _judged(vehicle, naming, of, on_progress)
-    naming, of, gap = _same_in_each(vehicle, naming, of, gap)
-    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
-        naming = naming.without([f.name for f in naming.found], "leaves most of the gap as it was")
-        gap = _verdict(vehicle, naming, of)
-    carried = naming.with_guessed_numbers()
-    if carried is not naming:
-        naming = carried
-        gap = _verdict(vehicle, naming, of)
-    unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
-    if unlike:
-        raise InputError(
-            f"log {logs[0]}: this log does not look like {vehicle_name or vehicle.name}: {unlike}; name the file of "
-            "the vehicle that flew"
-        )
-    if naming.found and not naming.unexplained.significant and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
-        naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
-    naming, gap = with_turbulence(vehicle, naming, of, gap)
-    naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
+    called = vehicle_name or vehicle.name
+    naming, of, gap = _concluded(vehicle, of, called, on_progress)
+    if not (held or naming.found) and naming.unexplained.significant:
+        naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
     report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),
-        vehicle_name or vehicle.name,
+        called,
         naming.where,
         naming.found,
         gap,
@@ -92,6 +76,52 @@ def analyse(
         naming.vehicle,
         report,
     )
+
+
+def _concluded(vehicle: Vehicle, of: Split, called: str, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
+    """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
+    on_progress(0.2, "naming")
+    naming = name(vehicle, of.flights, of.fit, of.holdout)
+    naming, of, gap = _judged(vehicle, naming, of, on_progress)
+    naming, of, gap = _same_in_each(vehicle, naming, of, gap)
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
+        gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
+        naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
+        gap = _verdict(vehicle, naming, of)
+    carried = naming.with_guessed_numbers()
+    if carried is not naming:
+        naming = carried
+        gap = _verdict(vehicle, naming, of)
+    unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
+    if unlike:
+        raise InputError(
+            f"log {of.flights[0].name}: this log does not look like {called}: {unlike}; name the file of the vehicle "
+            "that flew"
+        )
+    if naming.found and not naming.unexplained.significant and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
+        naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
+    naming, gap = with_turbulence(vehicle, naming, of, gap)
+    naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
+    return naming, of, gap
+
+
+def _turned_round(
+    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Naming, Split, Gap], called: str
+) -> tuple[Naming, Split, Gap]:
+    """The verdict with the first third of each flight held out, where that explains all; else what was said.
+
+    What acts in the last third only (one low pass before landing) can't be named from the first two.  Learned from, it
+    must close the gap there, and must leave nothing open in the first third.
+    """
+    of = pooled.split(flights, (), first=True)
+    try:
+        naming, of, gap = _concluded(vehicle, of, called, lambda share, phase: None)
+    except InputError:
+        return said
+    if not naming.found or naming.unexplained.significant:
+        return said
+    closed = _verdict(vehicle, naming, replace(said[1], flights=of.flights)).closed
+    return said if closed is None or closed < MOSTLY_CLOSED else (naming, of, gap)
 
 
 def usable_flights(
@@ -137,7 +167,9 @@ def _usable(checked: Checked) -> Samples:
 
 def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str] | None = None) -> tuple[Naming, Split]:
     """The named effects' parameters (or some) by output error through the simulator, and when commands really acted."""
-    used = [k for k, mask in enumerate(of.fit) if mask.any()]
+    used = [k for k, mask in enumerate(of.fit) if mask.any() and not without_motors([of.flights[k]])]
+    if not used:
+        return naming, of
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
     refined = refine(vehicle, naming.vehicle, flights, masks, names, _fixed(naming))
@@ -250,7 +282,7 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
         (new,) = {f.name for f in more.found} - {f.name for f in named.found}
         open_.remove(new)
         if not proxies(vehicle, more.found, more.constant):
-            named = more
+            named = more.with_twins(new, tuple(f.name for f in stood if new in confused_with([f])))
     return named
 
 

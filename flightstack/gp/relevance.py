@@ -42,18 +42,46 @@ def spread(points: F64, count: int) -> NDArray[np.int64]:
         raise InputError("spread: points must be finite")
     if count >= len(points):
         return np.arange(len(points))
-    scale = points.std(axis=0)
-    moving = scale > 1e-9 * (1.0 + np.abs(points).max(axis=0))
-    z = (points[:, moving] - points[:, moving].mean(axis=0)) / scale[moving]
-    pairs = [(i, j) for i in range(z.shape[1]) for j in range(i)]
-    along = [z, *(z[:, [i]] + sign * z[:, [j]] for i, j in pairs for sign in (1.0, -1.0))]
-    directions = np.hstack(along)
-    each = 3 * count // (5 * 2 * max(directions.shape[1], 1))
-    ends = np.concatenate([np.arange(each), np.arange(len(points) - each, len(points))])
-    chosen = np.unique(np.argpartition(directions, (each, len(points) - each - 1), axis=0)[ends])
-    rest = np.setdiff1d(np.arange(len(points)), chosen)
-    evenly = np.round(np.linspace(0, len(rest) - 1, count - len(chosen))).astype(np.int64)
-    return np.sort(np.concatenate([chosen, rest[evenly]]))
+    choice = Spread(points, count)
+    while choice.carry_on():
+        pass
+    return choice.chosen()
+
+
+class Spread:
+    """`spread` in small steps, for points that stay as they are meanwhile: `carry_on` until it says False."""
+
+    __slots__ = ("_count", "_directions", "_each", "_ends", "_z")
+
+    def __init__(self, points: F64, count: int) -> None:
+        scale = points.std(axis=0)
+        moving = scale > 1e-9 * (1.0 + np.abs(points).max(axis=0))
+        self._z = (points[:, moving] - points[:, moving].mean(axis=0)) / scale[moving]
+        self._count = count
+        inputs = self._z.shape[1]
+        pairs = [(i, j, sign) for i in range(inputs) for j in range(i) for sign in (1.0, -1.0)]
+        self._directions = [*((i, i, 0.0) for i in range(inputs)), *pairs]
+        """One input plus so many times another one."""
+        self._each = 3 * count // (5 * 2 * max(len(self._directions), 1))
+        self._ends: list[NDArray[np.int64]] = []
+
+    def carry_on(self) -> bool:
+        """The extremes of one more direction; whether there was one."""
+        if len(self._ends) == len(self._directions):
+            return False
+        i, j, sign = self._directions[len(self._ends)]
+        along = self._z[:, i] + sign * self._z[:, j]
+        order = np.argpartition(along, (self._each, len(along) - self._each - 1))
+        self._ends.append(np.concatenate([order[: self._each], order[len(along) - self._each :]]))
+        return True
+
+    def chosen(self) -> NDArray[np.int64]:
+        """The indices, in order."""
+        size = len(self._z)
+        chosen = np.unique(np.concatenate(self._ends)) if self._ends else np.arange(0)
+        rest = np.setdiff1d(np.arange(size), chosen)
+        evenly = np.round(np.linspace(0, len(rest) - 1, self._count - len(chosen))).astype(np.int64)
+        return np.sort(np.concatenate([chosen, rest[evenly]]))
 
 
 def _some(gp: RecursiveGP) -> None:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
+from flightstack.gp.relevance import Spread
 from flightstack.jit import njit
 from flightstack.learning.priors import StorePrior
 from flightstack.types import F64
@@ -135,8 +136,8 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans", "_successor",
-        "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
+        "_age", "_block", "_choice", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans",
+        "_successor", "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -169,6 +170,8 @@ class Store:
         self._spans = np.zeros((_POOL, 2), np.int64)
         self._pooled = 0
         """Points in the pool."""
+        self._choice: Spread | None = None
+        """Which of its older points stay when it is full: made up a little with every point from `_THINNED` on."""
 
     @property
     def renewing(self) -> bool:
@@ -224,7 +227,7 @@ class Store:
             self._wanted = 0
             self._successor = None
             self.gp.clear()
-            self._pooled = 0
+            self._pooled, self._choice = 0, None
             self._levels[_OUTLIER] = 0.0
             self.excess[:] = self.calm_excess
             for point in self._fresh:
@@ -251,13 +254,14 @@ class Store:
             self._next += 1
             self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
             self._pooled += 1
-            if self._pooled >= _POOL:
-                self._thin()
+            if self._pooled == _THINNED:
+                self._choice = Spread(self._places[:_THINNED], _KEPT)
+            elif self._choice is not None and not self._choice.carry_on() and self._pooled >= _POOL:
+                self._thin(self._choice)
 
-    def _thin(self) -> None:
-        chosen = spread(self._places[:_THINNED], _KEPT)
-        kept = np.concatenate([chosen, np.arange(_THINNED, self._pooled)])
-        self._pooled = len(kept)
+    def _thin(self, choice: Spread) -> None:
+        kept = np.concatenate([choice.chosen(), np.arange(_THINNED, self._pooled)])
+        self._pooled, self._choice = len(kept), None
         for held in (self._places, self._values, self._spans):
             held[: self._pooled] = held[kept]
 

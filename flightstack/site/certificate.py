@@ -36,6 +36,7 @@ def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors:
         **loops,
         "braking": {
             "thrust_mps2": made.thrust_mps2,
+            "least_thrust_mps2": made.least_mps2,
             "across_mps2": float(least[b.ACROSS]),
             "up_mps2": float(least[b.UP]),
             "down_mps2": float(least[b.DOWN]),

@@ -124,6 +124,10 @@ class SiteFilter:
         """Those of the certificate, always."""
         return self.certificate.governor.limits
 
+    def in_force(self, state: SiteState) -> F64 | None:
+        """None of a region."""
+        return None
+
     def bend(self, state: SiteState, setpoint: FlatOutput) -> FlatOutput:
         """The reference, led along what it would go through; from the second tick on: the first tells where one is."""
         row, out = setpoint.row.copy(), np.empty(17)

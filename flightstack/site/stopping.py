@@ -17,7 +17,10 @@ Authority: with the least gain g_l, thrust F carries weight and force in every d
 
     across = min over phi of sqrt((g_l F)^2 - (g + OVER f sin phi + up)^2) - DEMAND f cos phi
 
-and `up` is a stated share of what thrust leaves beyond weight and force.
+and `up` is a stated share of what thrust leaves beyond weight and force.  A climb is braked by what the greatest gain
+g_h and the least thrust F_low that the governor lets through leave of weight and force, a stated share of it again:
+
+    down = min(2, 0.4 (g - g_h F_low - OVER f))
 """
 
 from __future__ import annotations
@@ -44,7 +47,8 @@ from flightstack.vehicle import Vehicle
 MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2 = 0.15, 0.15
 """Set, not derived: flights against adversaries stay within it (`tests/attack/test_fence.py`, docs/site.md)."""
 _OVER, _DEMAND = 1.05, 1.5
-_UP_SHARE, _UP_MOST, _DOWN = 0.3, 3.0, 2.0
+_UP_SHARE, _UP_MOST = 0.3, 3.0
+_DOWN_SHARE, _DOWN_LEAST, _DOWN_MOST = 0.4, 0.5, 2.0
 _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
@@ -107,6 +111,8 @@ class StoppingCertificate:
     lags_s: tuple[float, float]
     thrust_mps2: float
     """The most that the believed vehicle has, within the governor's limits."""
+    least_mps2: float
+    """The least."""
 
     @property
     def radius_m(self) -> float:
@@ -157,7 +163,7 @@ def stopping(
     """
     prior = prior or Prior()
     limits = within(limits, model, governor)
-    high_n = model.thrust_range_n(limits)[1]
+    least, high = (each / model.mass_kg for each in model.thrust_range_n(limits))
     force = prior.force_g * G
     hardest = _ACROSS_MOST_CALM if prior.force_g <= _CALM_G else _ACROSS_MOST
     lean = math.atan((hardest + force) / G)
@@ -181,13 +187,13 @@ def stopping(
     tubes = across(lag_across, doubts[0]), along(lag_along, doubts[1])
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    high = high_n / model.mass_kg
+    down = _down(vehicle, prior, least)
     snap = _SNAP_SHARE * governor.roll_pitch_max * _alpha(vehicle, model) * G
-    rows, soft = _rows(prior, high, hardest, limits, tubes, snap, lag_across, told)
+    rows, soft = _rows(prior, (high, down), hardest, limits, tubes, snap, lag_across, told)
     chain, response = _answer(model, limits)
     made = StoppingCertificate(
         prior, ledger, *tubes, first, rows, soft, chain, response, governor,
-        told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high,
+        told * (force + MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high, least,
     )  # fmt: skip
     if gain_low * high < (1.0 + prior.force_g) * G:
         raise InputError(
@@ -199,6 +205,19 @@ def stopping(
     return made
 
 
+def _down(vehicle: Vehicle, prior: Prior, least_mps2: float) -> float:
+    """What a climb is braked by; InputError where the vehicle can't come down."""
+    gain = prior.gain[1]
+    down = min(_DOWN_SHARE * (G - gain * least_mps2 - _OVER * prior.force_g * G), _DOWN_MOST)
+    if down < _DOWN_LEAST:
+        raise InputError(
+            f"vehicle {vehicle.name}: {least_mps2 / G:.2f} times the believed weight is the least thrust that leaves "
+            f"its rotors room to turn it; with {prior.mass_low:g} times the believed mass and a force of "
+            f"{prior.force_g:g} g a climb is not braked: nothing keeps it below a ceiling"
+        )
+    return down
+
+
 def _alpha(vehicle: Vehicle, model: Model) -> float:
     """Angular acceleration of roll and pitch at full torque, rad/s^2, the lesser of both."""
     alpha = float(torque_per_slope(vehicle)[:2].min())
@@ -206,24 +225,25 @@ def _alpha(vehicle: Vehicle, model: Model) -> float:
 
 
 def _rows(
-    prior: Prior, high: float, hardest: float, limits: Limits, tubes: tuple[Tube, Tube], snap: float, lag_across: float,
-    told: float,
+    prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], snap: float,
+    lag_across: float, told: float,
 ) -> tuple[F64, F64]:  # fmt: skip
-    """`backup` and `slide` parameters for each gain of the prior, the least first; `high`: the most thrust, m/s^2."""
-    rows, soft, force = [], [], prior.force_g * G
+    """`backup` and `slide` parameters for each gain of the prior, the least first; `ends`: the most thrust, and what a
+    climb is braked by, m/s^2."""
+    rows, soft, force, (high, brake) = [], [], prior.force_g * G, ends
     gain_low, gain_high = prior.gain
     gains, down = tubes[0].gains, tubes[1].gains
     for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
-        a, up, lean_most = _authority(gain * high, force, hardest, limits)
+        a, up, lean_most = _authority(gain * high, force, hardest, (brake, limits))
         rows.append([
-            a, up, _DOWN, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            a, up, brake, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
             down.vel_ps2, down.pos_ps3, lean_most, told * _LATE_S, lag_across, gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
             told * _OVER * force,
         ])  # fmt: skip
         soft.append([
             tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
-            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * _DOWN,
+            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * brake,
         ])  # fmt: skip
     return np.array(rows), np.array(soft)
 
@@ -246,15 +266,19 @@ def _seen(ledger: tuple[Line, ...], way: int, told: float) -> tuple[float, float
     return sum(sizes[:2]), sum(sizes[2:])
 
 
-def _authority(most_mps2: float, force_mps2: float, hardest_mps2: float, limits: Limits) -> tuple[float, float, float]:
-    """Braking across, of a fall, and the greatest acceleration by lean, with so much thrust."""
+def _authority(
+    most_mps2: float, force_mps2: float, hardest_mps2: float, allowed: tuple[float, Limits]
+) -> tuple[float, float, float]:
+    """Braking across, of a fall, and the greatest acceleration by lean, with so much thrust; `allowed`: what a climb is
+    braked by, and the flight's limits."""
+    down, limits = allowed
     spare = most_mps2 - G - _OVER * force_mps2
     up = min(max(_UP_SHARE * spare, _UP_LEAST), _UP_MOST)
     phi = np.linspace(0.0, 0.5 * math.pi, 46)
     carried = G + _OVER * force_mps2 * np.sin(phi) + up
     left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
     a = min(max(float(left.min()), _ACROSS_LEAST), hardest_mps2)
-    tilted = min((G - _DOWN) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
+    tilted = min((G - down) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
     return a, up, min(float(math.sqrt(max(most_mps2**2 - (G + up) ** 2, 1.0))), tilted)
 
 

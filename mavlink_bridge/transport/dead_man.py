@@ -30,6 +30,10 @@ _PACKAGE: Final = Path(__file__).resolve().parents[2]
 _READY_S: Final = 5.0
 _ENDS_WITHIN_S: Final = 1.0
 _LOOK_TICKS: Final = 25
+_STILL_US: Final = 500_000
+"""It wakes every 50 ms at least; whoever has not for so long answers nobody's silence."""
+_STILL_LOOKS: Final = 2
+"""In a row: after a stall of both the companion may be the first to look."""
 _AUTOPILOT: Final = 1
 NO_DEAD_MAN: Final[dict[str, Any]] = {"running": False, "acted": 0, "taken_back": 0}
 
@@ -140,7 +144,7 @@ class DeadManWatch:
 
     def __init__(self, process: DeadManProcess, companion: Commander, transport: Transport) -> None:
         self._process, self._companion, self._transport = process, companion, transport
-        self._acts = self._ticks = 0
+        self._acts = self._ticks = self._still = 0
         self.ended = ""
         """Why there is none any more; empty while there is."""
         self.report = NOBODY
@@ -160,8 +164,12 @@ class DeadManWatch:
             link = self._companion.link
             link.skip_sequence(report.sequence, link.component)
         self._ticks += 1
-        if not self.ended and self._ticks % _LOOK_TICKS == 0 and self._process.has_ended:
-            self.ended = "the dead-man's process has ended"
+        if not self.ended and self._ticks % _LOOK_TICKS == 0:
+            self._still = self._still + 1 if monotonic_us() - report.alive_ns // 1000 > _STILL_US else 0
+            if self._process.has_ended:
+                self.ended = "the dead-man's process has ended"
+            elif self._still >= _STILL_LOOKS:
+                self.ended = "the dead-man's process stands still"
         self._companion.hear_dead_man(report, self.ended)
 
     def tell(self) -> None:

@@ -1,12 +1,15 @@
 """What stalled a tick: the time between two ticks, and what the process did meanwhile.
 
-The system's accounts (processor time, page faults, context switches) are read once a tick, which costs 2 us, and held
-against the tick before where the time between the two is too long.
+The system's accounts (processor time, page faults, context switches, time for which the thread could run and was not
+let) are read once a tick, which costs 5 us, and held against the tick before where the time between the two is too
+long.  A thread of real-time priority is not let, too, where all of them together took 0.95 s of a second of a
+processor: Linux then stops them for the rest of it (sched_rt_runtime_us), 50 ms by default.
 """
 
 from __future__ import annotations
 
 import gc
+import os
 import resource
 import time
 from types import TracebackType
@@ -17,6 +20,8 @@ from mavlink_bridge.transport.clock import monotonic_us
 _WHO = getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)
 _HALF = 0.5
 WAITING = "waiting for the deadline"
+_SCHEDSTAT = "/proc/thread-self/schedstat"
+"""Linux: nanoseconds that the thread ran, and that it could run and did not."""
 
 
 class _Accounts(NamedTuple):
@@ -27,13 +32,24 @@ class _Accounts(NamedTuple):
     minor: int
     voluntary: int
     involuntary: int
+    held_back_us: float
+    """For which this thread could run and was not let; 0 where the system does not say."""
 
 
-def _read() -> _Accounts:
+def _read(schedstat: int) -> _Accounts:
     used = resource.getrusage(_WHO)
     thread_us = 1e6 * (used.ru_utime + used.ru_stime)
     process_us = 1e-3 * time.process_time_ns()
-    return _Accounts(thread_us, process_us, used.ru_majflt, used.ru_minflt, used.ru_nvcsw, used.ru_nivcsw)
+    held_back_us = 1e-3 * int(os.pread(schedstat, 64, 0).split()[1]) if schedstat >= 0 else 0.0
+    return _Accounts(thread_us, process_us, used.ru_majflt, used.ru_minflt, used.ru_nvcsw, used.ru_nivcsw, held_back_us)
+
+
+def _opened() -> int:
+    """The file of this thread's accounts; -1 where there is none."""
+    try:
+        return os.open(_SCHEDSTAT, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return -1
 
 
 class Stall(NamedTuple):
@@ -57,7 +73,8 @@ class StallWatch:
         self._period_us = period_us
         self._last_us = self._marked_us = -1
         self._phase, self._longest = WAITING, (0, WAITING)
-        self._before = _read()
+        self._schedstat = _opened()
+        self._before = _read(self._schedstat)
         self._gc_us = self._gc_began_us = 0
 
     def __enter__(self) -> StallWatch:
@@ -68,6 +85,9 @@ class StallWatch:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         gc.callbacks.remove(self._on_gc)
+        if self._schedstat >= 0:
+            os.close(self._schedstat)
+            self._schedstat = -1
 
     def mark(self, phase: str) -> None:
         """Our own code begins something else."""
@@ -79,7 +99,7 @@ class StallWatch:
         """A tick begins; what stalled it, where something did."""
         now_us = monotonic_us()
         self._end_phase(now_us)
-        after = _read()
+        after = _read(self._schedstat)
         before, self._before = self._before, after
         self.between_us = now_us - self._last_us if self._last_us >= 0 else 0
         stall = Stall(self.between_us, self._words(before, after)) if self.between_us > self._limit_us else None
@@ -101,8 +121,9 @@ class StallWatch:
         return (
             f"{1e-3 * self.between_us:.0f} ms between two ticks: {self._cause(spent, late_us)}; "
             f"{1e-3 * held_us:.0f} ms of it while {phase}; processor {1e-3 * spent.thread_us:.1f} ms (all threads "
-            f"{1e-3 * spent.process_us:.1f}), {spent.involuntary} involuntary and {spent.voluntary} voluntary "
-            f"switches, page faults {spent.major} from disk, {spent.minor} else, gc {1e-3 * self._gc_us:.1f} ms"
+            f"{1e-3 * spent.process_us:.1f}), not let for {1e-3 * spent.held_back_us:.1f} ms, {spent.involuntary} "
+            f"involuntary and {spent.voluntary} voluntary switches, page faults {spent.major} from disk, "
+            f"{spent.minor} else, gc {1e-3 * self._gc_us:.1f} ms"
         )
 
     def _cause(self, spent: _Accounts, late_us: int) -> str:
@@ -112,6 +133,8 @@ class StallWatch:
             return f"our own code, {self._longest[1]}"
         if spent.process_us > _HALF * late_us:
             return "another thread of ours"
+        if spent.held_back_us > _HALF * late_us:
+            return "other programs had the processor, or real time its fill of it"
         if spent.major:
             return "page faults from disk"
         if spent.involuntary:

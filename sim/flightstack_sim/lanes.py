@@ -52,13 +52,12 @@ def lane(typing: Any, block: Any, place: Any) -> Any:
 
 
 def _call_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    places = [
-        context.make_array(kind)(context, builder, value).data
-        for kind, value in zip(signature.args[1:3], arguments[1:3], strict=True)
-    ]
-    words = [*places, arguments[3]]
+    address, *blocks, number = arguments
+    kinds = signature.args[1:3]
+    places = [context.make_array(kind)(context, builder, value).data for kind, value in zip(kinds, blocks, strict=True)]
+    words = [*places, number]
     function = ir.FunctionType(ir.VoidType(), [word.type for word in words])
-    builder.call(builder.inttoptr(arguments[0], function.as_pointer()), words)
+    builder.call(builder.inttoptr(address, function.as_pointer()), words)
     return context.get_dummy_value()
 
 

@@ -183,7 +183,7 @@ def test_a_link_slower_than_a_certificate_holds_for_is_refused_before_take_off(
     any_speed, anything = ((-9.0, 9.0),) * 3, (0.0, 99.0)
     premises = Premises(
         "mocap", "", EstimateBounds((0.02,) * 3, (0.1,) * 3, (0.2,) * 3, 4.3), any_speed, 1.0,
-        anything, anything, anything, (0.004, 0.008), 0.002, 0.004, anything,
+        anything, anything, anything, (0.004, 0.008), 0.002, 0.002, 0.004, anything,
     )  # fmt: skip
     path = write(folder / "late.json", replace(given, premises=premises), load_vehicle(None)[0])
     arguments = ["fly", "paper-tracking", "--duration", "2", "--certificate", str(path), "--out", str(folder / "late")]

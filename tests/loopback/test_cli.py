@@ -26,7 +26,7 @@ from flightstack.cli import main as cli
 from flightstack.cli.controllers import CONTROLLERS
 from flightstack_logs.info import info
 from flightstack_logs.reader import read
-from tests.simulator import free_tcp_pair, watching
+from tests.simulator import free_tcp_pair, skip_where_too_busy, watching
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -342,6 +342,8 @@ def test_two_processes_fly_a_scenario_and_are_watched(tmp_path: Path) -> None:
             _, errors = flight.communicate(timeout=120)
         assert flight.returncode in (0, 1), errors  # 1: a busy machine may fail the scenario's own accuracy check
         result = json.loads((tmp_path / "r.json").read_text())
+        if not result["completed"]:
+            skip_where_too_busy(result["reason"])
         assert result["completed"], result["reason"]
         assert result["tracking"]["of"] == "estimate"
         assert result["tracking"]["rmse_m"] < 0.3

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulator import ENVIRONMENT, HOST, free_ports, simulator
+from simulator import ENVIRONMENT, HOST, free_ports, simulator, skip_where_too_busy
 
 from flightstack.cli.replay import replay
 from flightstack_logs.reader import read
@@ -45,8 +45,7 @@ def _until_said(process: subprocess.Popen[str], words: str) -> None:
         if words in line:
             return
         assert time.monotonic() < deadline, said
-    if any(reason in said for reason in ("overrun", "link too slow", "stalled-long", "stale-")):
-        pytest.skip(f"this machine is too busy for a flight in real time: {said.splitlines()[-1]}")
+    skip_where_too_busy(said)
     raise AssertionError(said)
 
 

@@ -6,14 +6,13 @@ at most a cycle of its checks, ground station COM_DL_LOSS_T 10 s and COM_FAIL_AC
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from benchmarks.faults import fly_fault
 from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.main import main
 from mavlink_bridge.handshake import State
 
 CYCLE_S = 0.1
@@ -81,7 +80,7 @@ def test_a_counted_reset_ends_nothing() -> None:
 
 def _tracked(fault: str | None, folder: Path, *, seed: int = 0) -> dict[str, object]:
     options = FlyOptions(scenario="figure8", duration_s=8.0, fault=fault, seed=seed, out=folder, learning=False)
-    return fly(options, stop_requested=lambda: "").as_json()
+    return fly(options, report_wanted=lambda result: False).as_json()
 
 
 def test_tracking_degrades_gracefully_on_a_bad_link(tmp_path: Path) -> None:
@@ -99,7 +98,7 @@ def test_tracking_degrades_gracefully_on_a_bad_link(tmp_path: Path) -> None:
 def test_delay_doubles_disorder_and_damage_together_end_no_flight(tmp_path: Path) -> None:
     fault = "link-delay:10,link-duplicate:0.2,link-reorder:0.2,link-corrupt:0.05"
     options = FlyOptions(scenario="hover", duration_s=2.0, fault=fault, out=tmp_path, learning=False)
-    result = fly(options, stop_requested=lambda: "").as_json()
+    result = fly(options, report_wanted=lambda result: False).as_json()
     assert result["completed"] is True
     assert result["tracking"]["max_m"] < 0.15
 
@@ -107,21 +106,17 @@ def test_delay_doubles_disorder_and_damage_together_end_no_flight(tmp_path: Path
 def test_the_same_seed_flies_the_same_bad_link_bit_for_bit(tmp_path: Path) -> None:
     def figures(folder: str) -> object:
         options = FlyOptions(scenario="hover", duration_s=1.0, fault="link-degraded", out=tmp_path / folder, seed=4)
-        return fly(options, stop_requested=lambda: "").as_json()["tracking"]
+        return fly(options, report_wanted=lambda result: False).as_json()["tracking"]
 
     assert figures("a") == figures("b")
 
 
-def test_an_unknown_fault_is_one_line_and_code_2(tmp_path: Path) -> None:
+def test_an_unknown_fault_is_one_line_and_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for verb in (["fly", "hover", "--out", str(tmp_path)], ["sim", "--duration", "1"]):
-        done = subprocess.run(
-            [sys.executable, "-m", "flightstack.cli.main", *verb, "--fault", "meteorite"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 2
-        (line,) = done.stderr.strip().splitlines()
+        with pytest.raises(SystemExit) as stop:
+            main([*verb, "--fault", "meteorite"])
+        assert stop.value.code == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
         assert line.startswith("error: fault 'meteorite'")
         assert "setpoint-loss" in line
 
@@ -130,7 +125,7 @@ def test_a_flight_with_a_fault_fails_and_says_so_in_its_log(tmp_path: Path) -> N
     from flightstack_logs.reader import read
 
     options = FlyOptions(scenario="hover", fault="setpoint-loss@1", out=tmp_path)
-    result = fly(options, stop_requested=lambda: "")
+    result = fly(options, report_wanted=lambda result: False)
     assert not result.passed
     events = read(tmp_path / "flight.mcap").tables["/events"]
     assert ("fault", "setpoint-loss begins") in list(zip(events["name"], events["text"], strict=True))

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def flown(tmp_path: Path, scenario: str, **options: object) -> tuple[FlightResult, Log]:
     asked = FlyOptions(scenario=scenario, out=tmp_path, plant="jsbsim", **options)  # type: ignore[arg-type]
-    result = fly(asked, stop_requested=lambda: "")
+    result = fly(asked, report_wanted=lambda result: False)
     return result, read(tmp_path / "flight.mcap")
 
 

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def _fly(folder: Path, scenario: str, **options: object) -> tuple[FlightResult, Log]:
     folder.mkdir(exist_ok=True)
-    result = fly(FlyOptions(scenario=scenario, out=folder, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
+    result = fly(FlyOptions(scenario=scenario, out=folder, **options), report_wanted=lambda result: False)  # type: ignore[arg-type]
     assert result.completed, result.reason
     return result, read(folder / "flight.mcap")
 

@@ -26,7 +26,7 @@ from flightstack_logs.writer import FlightLog
 
 
 def flown(folder: Path, **options: Any) -> Path:
-    result = fly(FlyOptions(out=folder, **options), stop_requested=lambda: "")
+    result = fly(FlyOptions(out=folder, **options), report_wanted=lambda result: False)
     assert result.completed, result.reason
     return folder / "flight.mcap"
 

@@ -49,7 +49,7 @@ def narrower(before: dict[str, Any], data: dict[str, Any]) -> bool:
     ranges = [(a, b) for key in ("thrust_mps2", "delay_s") for a, b in [(old[key], new[key])]]
     ranges += list(zip(old["speeds_mps"], new["speeds_mps"], strict=True))
     inside = all(a[0] - 1e-8 <= b[0] <= b[1] <= a[1] + 1e-8 for a, b in ranges)
-    single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "command_interval_s"))
+    single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "age_s", "command_interval_s"))
     down = all(new["estimate"][key][2] == old["estimate"][key][2] for key in Accuracy._fields)  # alone is certified
     return inside and single and down and new["thrust_gain"] == old["thrust_gain"]
 

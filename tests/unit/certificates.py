@@ -34,7 +34,7 @@ ESTIMATE = EstimateBounds((0.0005,) * 3, (0.002,) * 3, (0.01,) * 3, 4.3)
 def uniform_cells(barrier: Barrier, setting: Setting, table: Authority, across: int = 40) -> F64:
     """Equal cells over the barrier's box, cut at the nodes, each with the best of some commands by its corners."""
     low_e, high_e, low_v, high_v = barrier.box
-    grow_e, grow_v = 0.02 * (high_e - low_e), 0.02 * (high_v - low_v)
+    grow_e, grow_v = 0.2 * (high_e - low_e), 0.1 * (high_v - low_v)
     es = np.linspace(low_e - grow_e, high_e + grow_e, across + 1)
     kinks = [-s * b * barrier.reaction_s for s, b in _brakes(barrier)]
     vs = np.linspace(low_v - grow_v, high_v + grow_v, across + 1)
@@ -153,7 +153,8 @@ def premises_for(known: Knowledge) -> Premises:
         "made up", "", ESTIMATE, (north, east, down), float(lean),
         (box.low_mps2, box.thrust_max_mps2),
         (0.97, 1.03), (float(table.gain.min() - off), float(table.gain.max() + off)),
-        (RESPONSE.delay_s - DOUBTS.delay_s, RESPONSE.delay_s + DOUBTS.delay_s), DOUBTS.delay_s, 0.004, (14.0, 16.8),
+        (RESPONSE.delay_s - DOUBTS.delay_s, RESPONSE.delay_s + DOUBTS.delay_s), DOUBTS.delay_s, DOUBTS.age_s, 0.004,
+        (14.0, 16.8),
     )  # fmt: skip
 
 

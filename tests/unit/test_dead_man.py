@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from companions import build
 from fastcrc.crc16 import mcrf4xx
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,8 +28,9 @@ from mavlink_bridge.dead_man import GIVE_UP_NS, MS, SILENCE_NS, WATCH_NS, DeadMa
 from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.link import Link
 from mavlink_bridge.signing import STAMPS_PER_SECOND, SecretKey, Signer
-from mavlink_bridge.transport.dead_man import DeadManProcess
-from mavlink_bridge.transport.udp import LOOPBACK
+from mavlink_bridge.transport import dead_man
+from mavlink_bridge.transport.dead_man import DeadManProcess, DeadManWatch
+from mavlink_bridge.transport.udp import LOOPBACK, UdpSocket
 
 KEY = bytes(range(32))
 NOW_NS = 1_000_000 * MS
@@ -339,6 +341,22 @@ def test_its_process_speaks_within_milliseconds_after_silence_is_small_and_ends(
         os.kill(process.pid, signal.SIGINT)  # Ctrl-C is the companion's business
         assert not process.has_ended
     assert process.has_ended
+
+
+@pytest.mark.parametrize("still_ms", [0, 700])
+def test_a_process_that_stands_still_is_noticed_and_one_late_look_is_not_taken_for_it(
+    wire: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch, still_ms: int
+) -> None:
+    """Our clock is put ahead in place of waiting; a first look after a stall of ours finds it late, too."""
+    companion, _ = build()
+    ours, _ = wire
+    with UdpSocket.bind(LOOPBACK, 0) as transport, DeadManProcess(ours.fileno()) as process:
+        watch = DeadManWatch(process, companion, transport)
+        later_ms = iter([700, still_ms, still_ms])
+        monkeypatch.setattr(dead_man, "monotonic_us", lambda: process.read().alive_ns // 1000 + 1000 * next(later_ms))
+        for _ in range(75):
+            watch.hear()
+        assert watch.ended == ("the dead-man's process stands still" if still_ms else "")
 
 
 def test_its_process_signs_with_the_companions_key(wire: tuple[socket.socket, socket.socket]) -> None:

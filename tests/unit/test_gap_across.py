@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from flightstack.gap import pooled
-from flightstack.gap.across import across, differing
+from flightstack.gap.across import across, confirmed, differing
 from flightstack.gap.name import Naming, name
 from flightstack.gap.naming.estimate import same
 from flightstack.gap.records import Estimate, Found
@@ -56,6 +56,8 @@ def test_flights_that_agree_within_a_tenth_are_the_same_and_others_are_not(vehic
     assert not differ.same
     assert vague.same
     assert differing([agree, differ]) == ("payload",)
+    assert confirmed([agree]) == {"payload"}  # stays named beside a gap that nothing explains
+    assert confirmed([agree, differ]) == set()
     assert across(vehicle, loaded, {"a": told(0.2, 0.01), "b": {}}) == ()
 
 

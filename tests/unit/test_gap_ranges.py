@@ -57,6 +57,10 @@ def test_guessed_numbers_are_corrected_with_intervals_as_wide_as_their_common_sc
     scale = told.vehicle.effects.get("thrust_scale", {}).get("scale", 1.0)
     flown = quad().rotors.max_thrust_n / quad().mass_kg
     assert believed.rotors.max_thrust_n * scale / told.vehicle.total_mass_kg == pytest.approx(flown, rel=0.01)
+    slot = (told.found[0].name, next(iter(told.found[0].parameters)))
+    hidden = before.without_telling([slot]).with_guessed_numbers().found[0].parameters[slot[1]]
+    assert not hidden.told  # what the logs don't tell, no guess tells either
+    assert hidden.estimate == hidden.before
 
 
 def test_a_plain_file_s_single_wrong_number_keeps_its_narrow_interval() -> None:

@@ -1,10 +1,16 @@
 """One definition of a gap and of what is left: CONTRACT's `closed`, and that nothing left open goes unsaid."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
 import pytest
 
-from flightstack.gap.records import Figures, Unexplained
+from flightstack.gap import pooled, workflow
+from flightstack.gap.records import Figures, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.verdict import gap_of, unexplained
+from flightstack.vehicle import Vehicle
 
 NOTHING = Unexplained(False)
 DRIVEN = Unexplained(True, ("airspeed",), 0.4)
@@ -46,3 +52,36 @@ def test_beside_names_the_share_left_is_what_is_not_closed(
     left = unexplained(rest, gap_of(of_force(before), of_force(after), of_force(0.8)), named=True)
     assert (left.significant, left.depends_on) == (expected.significant, expected.depends_on)
     assert left.fraction == pytest.approx(expected.fraction)
+
+
+def test_the_first_third_can_be_held_out_in_place_of_the_last() -> None:
+    t_s = np.arange(0.0, 30.0, 0.01)
+    flight = cast(Samples, SimpleNamespace(t_s=t_s, valid=np.ones(len(t_s), bool)))
+    last, first = pooled.split([flight], []), pooled.split([flight], [], first=True)
+    assert t_s[last.holdout[0]].min() == pytest.approx(20.0, abs=0.02)
+    assert t_s[first.holdout[0]].max() == pytest.approx(10.0, abs=0.02)
+    for each in (last, first):  # two seconds apart
+        apart = np.abs(t_s[each.fit[0]][:, None] - t_s[each.holdout[0]][None, ::50]).min()
+        assert apart >= 1.98
+
+
+@pytest.mark.parametrize(
+    ("named", "significant", "closed", "adopted"),
+    [
+        (True, False, 0.95, True),
+        (True, False, 0.5, False),
+        (True, True, 0.95, False),
+        (False, False, 0.95, False),
+        (True, False, None, False),
+    ],
+)
+def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
+    monkeypatch: pytest.MonkeyPatch, named: bool, significant: bool, closed: float | None, adopted: bool
+) -> None:
+    turned = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(significant))
+    of = pooled.Split((), (), ())
+    monkeypatch.setattr(workflow, "_concluded", lambda *given: (turned, given[1], None))
+    monkeypatch.setattr(workflow, "_verdict", lambda *given: SimpleNamespace(closed=closed))
+    said = (SimpleNamespace(), of, None)
+    got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
+    assert (got is not said) == adopted

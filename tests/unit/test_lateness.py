@@ -58,6 +58,19 @@ def test_few_ticks_say_nothing_of_messages_and_no_more_than_four_milliseconds_ar
     assert after([4.0] * 1000).jitter_s == 0.0
 
 
+def test_a_link_that_is_always_late_makes_samples_old_but_not_jittery() -> None:
+    """20 to 23 ms: the age is that of all but one in a hundred, the jitter what comes beyond the quickest."""
+    rng, late = np.random.default_rng(5), Lateness()
+    for k, extra_us in enumerate(rng.integers(0, 3001, 2000).tolist()):
+        seen = at(4000 * k, 20_000 + extra_us)
+        seen.position_age_us, seen.attitude_age_us = 24_000 + extra_us, 20_000 + extra_us
+        late.take(seen)
+    assert late.age_s == pytest.approx(0.023)
+    assert late.jitter_s <= 0.003
+    assert after([], [0] * 600).age_s == 0.0
+    assert after([], [90_000] * 600).age_s == pytest.approx(0.004), "the newest of the streams counts"
+
+
 def test_the_latest_of_the_three_streams_counts_by_its_own_period() -> None:
     for ages_s, late_s in (((0.015, 0.0, 0.0), 0.003), ((0.0, 0.0095, 0.001), 0.002), ((0.012, 0.0075, 0.0), 0.0)):
         assert lateness_s(np.array(ages_s)) == pytest.approx(late_s, abs=1e-12)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from flightstack.gp import RecursiveGP, SquaredExponential
+from flightstack.gp import RecursiveGP, SquaredExponential, spread
+from flightstack.gp.relevance import Spread
 from flightstack.learning.priors import StorePrior
 from flightstack.learning.store import Store
 from flightstack.types import F64
@@ -68,6 +70,23 @@ def test_what_was_seen_once_far_out_is_not_forgotten_however_long_it_hovers_afte
     np.testing.assert_array_equal(
         store.evidence().pooled(400)[0], near[-400:], err_msg="the newest are all there, in their order"
     )
+
+
+def test_a_full_pool_is_thinned_a_little_with_every_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[int] = []
+    carry_on = Spread.carry_on
+    monkeypatch.setattr(
+        Spread, "carry_on", lambda self: (steps.append(len(store.evidence().places)), carry_on(self))[1]
+    )
+    store = Store(PRIOR, inputs=2, outputs=1, capacity=10, floor=0.01)
+    near = np.random.default_rng(6).normal(size=(2000, 2))
+    for x in near:
+        store.take(x, np.zeros(1))
+    places = store.evidence().pooled()[0]
+    assert len(steps) > 3
+    assert len(steps) == len(set(steps)), "two directions with one point"
+    monkeypatch.undo()
+    np.testing.assert_array_equal(places, np.concatenate([near[:1500][spread(near[:1500], 500)], near[1500:]]))
 
 
 def test_learning_on_does_not_change_a_certificate_set() -> None:

@@ -26,7 +26,7 @@ from flightstack_sim.grade import load_grade
 MASS_KG = 1.2
 PREMISES = Premises(
     "mocap", "", BENCH, ((-0.5, 0.5), (-0.4, 0.4), (-1.5, 1.5)), 0.2, (5.0, 15.0), (0.97, 1.03), (0.6, 0.8),
-    (0.0, 0.01), 0.002, 0.004, (14.0, 16.8),
+    (0.0, 0.01), 0.002, 0.004, 0.004, (14.0, 16.8),
 )  # fmt: skip
 
 
@@ -102,6 +102,7 @@ LAPSES: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("link", {"position_age_us": 20_000}, {}, 50),
     ("link", {"attitude_age_us": 10_000}, {}, 50),
     ("link", {"imu_age_us": 9_000}, {}, 50),
+    ("link", {"position_age_us": 5_000, "attitude_age_us": 5_000, "imu_age_us": 5_000}, {}, 50),
     ("command interval", {}, {"interval_s": 0.009}, 40),
 ]
 """Name, what is late, and after how many such ticks 0.2 s of it are reached: of an interval what is beyond 4 ms."""

@@ -173,7 +173,7 @@ def test_the_ledger_has_every_margin_of_every_axis_with_its_reason(tmp_path: Pat
     assert rows[3][2] == "0.030"  # the third margin of east
     assert "figure 2 &lt;of 1&gt;" in page  # its reason, escaped
     assert "<of 1>" not in page
-    assert rows[1 + len(MARGINS)] == ["together", *["0.450"] * 3]
+    assert rows[1 + len(MARGINS)] == ["together", *["0.550"] * 3]
 
 
 def test_a_flight_that_left_its_region_says_so_at_the_top(tmp_path: Path) -> None:

@@ -37,11 +37,11 @@ inside = [[-5.0, -4.0], [5.0, -4.0], [5.0, 4.0], [-5.0, 4.0]]
 class Rig:
     """A simulated PX4, the router, and a program that speaks as MAVSDK does, all on one clock."""
 
-    def __init__(self, site: Path) -> None:
-        believed, _ = files.load_vehicle(None)
+    def __init__(self, site: Path, vehicle: str | None = None) -> None:
+        believed, _ = files.load_vehicle(vehicle)
         self.vehicle = simulated_vehicle(believed, believed, load_grade("mocap"), seed=0)
         self.server = Server(self.vehicle, links=(LinkKind.ONBOARD,))
-        options = ShieldOptions(connect="udpin:127.0.0.1:1", serve="udpin:127.0.0.1:2", site=site)
+        options = ShieldOptions(connect="udpin:127.0.0.1:1", serve="udpin:127.0.0.1:2", site=site, vehicle=vehicle)
         self.router = ShieldRouter(*shield_stack(options, None))
         self.program = Link(245, 190)
         self.heard: list[Any] = []
@@ -315,3 +315,20 @@ def test_what_ends_the_router_hands_over_to_hold(rig: Rig) -> None:
     rig.run(0.2)
     assert rig.router.hand_over(rig.server.t_us)
     assert rig.router.view.custom_mode == px4.MODE_HOLD
+
+
+def test_a_powerful_vehicle_stays_below_the_ceiling_and_holds_its_height(site: Path, tmp_path: Path) -> None:
+    """Room to turn rotors once left no thrust below the weight: it climbed for as long as it was held."""
+    powerful = tmp_path / "powerful.toml"
+    text = files.load_vehicle("px4-sihsim-quadx")[1].text
+    assert "max_thrust_n = 5.0" in text
+    powerful.write_text(text.replace("max_thrust_n = 5.0", "max_thrust_n = 10.0"))
+    rig = Rig(site, str(powerful))
+    rig.take_off()
+    rig.say = lambda: velocity(0.0, 0.0, -2.0)
+    rig.run(4.0)
+    assert 3.5 < -min(place[2] for place in rig.places) < 5.0
+    before_m = -rig.places[-1][2]
+    rig.say = lambda: None
+    rig.run(4.0)
+    assert -rig.places[-1][2] == pytest.approx(before_m, abs=0.3)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import gc
+import os
 import select
+import subprocess
+import sys
 import threading
 import time
+
+import pytest
 
 from flightstack.cli.result import LoopTiming
 from mavlink_bridge.transport.stall_watch import Stall, StallWatch
@@ -73,6 +78,30 @@ def test_a_process_that_is_not_woken_is_named() -> None:
         stall = _stalled(watch)
     assert "while waiting for the deadline" in stall.words
     assert "stopped or not woken" in stall.words or "other programs" in stall.words
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/thread-self/schedstat"), reason="the system does not tell")
+def test_what_could_run_and_was_not_let_is_told_apart() -> None:
+    """Beside a program on the same processor: whoever never waits either runs or is held back."""
+    before, one = os.sched_getaffinity(0), {min(os.sched_getaffinity(0))}
+    os.sched_setaffinity(0, one)
+    with subprocess.Popen(
+        [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
+    ) as other:
+        try:
+            assert other.stdout is not None
+            other.stdout.readline()
+            with StallWatch(PERIOD_US, told_from_us=TOLD_US) as watch:
+                watch.tick("receiving")
+                _spin(0.1)
+                stall = _stalled(watch)
+        finally:
+            other.kill()
+            os.sched_setaffinity(0, before)
+    held_back_ms = float(stall.words.partition("not let for ")[2].partition(" ms")[0])
+    ran_ms = float(stall.words.partition("processor ")[2].partition(" ms")[0])
+    assert held_back_ms > 10.0
+    assert abs(1e-3 * stall.between_us - ran_ms - held_back_ms) < 10.0
 
 
 def test_garbage_collection_is_named() -> None:

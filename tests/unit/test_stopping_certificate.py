@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,7 +18,8 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
 from flightstack.site.certificate import as_json, prior_of, require_same
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
-from flightstack.types import InputError
+from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
+from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
 
 LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0}
@@ -132,7 +134,7 @@ def test_for_whom_it_holds(made: StoppingCertificate, text: str) -> None:
         with pytest.raises(InputError, match="made for"):
             prior_of(text, "a.json", *other)
     with pytest.raises(InputError, match="certify --site"):
-        prior_of('{"schema": "flightstack.certificate/3"}', "a.json", "hash", "mocap")
+        prior_of('{"schema": "flightstack.certificate/4"}', "a.json", "hash", "mocap")
     table = json.loads(text)
     table["across"]["acc_ps"] *= 1.1
     with pytest.raises(InputError, match="does not follow"):
@@ -147,3 +149,39 @@ def test_what_a_flight_leaves_open_stays_within_the_prior() -> None:
     assert wild.mass_low >= 0.8
     assert wild.mass_high <= 1.5
     assert wild.force_g == 0.15
+
+
+def _powerful(weights: float) -> tuple[Vehicle, Model]:
+    """A vehicle with rotors whose thrust is linear in the command, as PX4's internal simulator has them."""
+    believed, _ = files.load_vehicle("px4-sihsim-quadx")
+    most_n = weights * believed.mass_kg * STANDARD_GRAVITY_MPS2 / 4.0
+    rotors = dataclasses.replace(believed.rotors, max_thrust_n=most_n)
+    vehicle = dataclasses.replace(believed, rotors=rotors)
+    return vehicle, Model.from_vehicle(vehicle)
+
+
+@pytest.mark.parametrize("weights", [2.9, 4.0, 5.0])
+def test_a_powerful_vehicle_is_let_down(weights: float) -> None:
+    """The lightest of the prior beside its force upwards: what thrust at D leaves of the weight brakes a climb."""
+    vehicle, model = _powerful(weights)
+    governor = governor_for(vehicle, model, Limits(), "mocap")
+    estimate = estimate_bounds(error_statistics(load_grade("mocap")))
+    prior = Prior()
+    least_mps2 = weights * STANDARD_GRAVITY_MPS2 * governor.margin  # linear: thrust by command
+    left = STANDARD_GRAVITY_MPS2 * (1.0 - prior.force_g) - least_mps2 / prior.mass_low
+    made = stopping(vehicle, model, Limits(), estimate, governor)
+    text = as_json(made, vehicle.name, "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0})
+    assert 0.4 < json.loads(text)["braking"]["down_mps2"] < left
+    assert check(text).valid, check(text).lines
+    forged = json.loads(text)
+    forged["braking"]["least_thrust_mps2"] = prior.mass_low * STANDARD_GRAVITY_MPS2
+    assert not check(json.dumps(forged)).valid
+
+
+def test_one_that_can_not_come_down_is_refused() -> None:
+    """At ten weights and with a noisy gyro what rotors need to turn it carries the lightest vehicle of the prior."""
+    vehicle, model = _powerful(10.0)
+    governor = governor_for(vehicle, model, Limits(), "px4-sih-ekf")
+    assert 10.0 * governor.margin > 0.7
+    with pytest.raises(InputError, match="a climb is not braked"):
+        stopping(vehicle, model, Limits(), estimate_bounds(error_statistics(load_grade("mocap"))), governor)

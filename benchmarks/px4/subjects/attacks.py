@@ -363,5 +363,5 @@ ATTACKS: dict[str, Attack] = {
     "SIGHUP": Attack(_signalled((signal.SIGHUP, 0.0)), codes=(130,)),
     "SIGINT twice": Attack(_signalled((signal.SIGINT, 0.3), (signal.SIGINT, 0.0)), codes=(130,)),
     "the dead-man killed": Attack(_dead_man(signal.SIGKILL)),
-    "the dead-man stopped": Attack(_dead_man(signal.SIGSTOP), codes=(0, 1)),
+    "the dead-man stopped": Attack(_dead_man(signal.SIGSTOP)),
 }

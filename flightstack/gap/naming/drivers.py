@@ -73,14 +73,15 @@ def block_means(
                 fold,
             )
         )
-    shared = [name for name in DRIVERS if all(name in part[3] for part in parts)]
+    body, world, slopes, drivers, remembered, folds_of = zip(*parts, strict=True)
+    shared = [name for name in DRIVERS if all(name in each for each in drivers)]
     return Blocks(
-        np.concatenate([p[0] for p in parts]),
-        np.concatenate([p[1] for p in parts]),
-        np.concatenate([p[2] for p in parts]),
-        {name: np.concatenate([p[3][name] for p in parts]) for name in shared},
-        {name: np.concatenate([p[4][name] for p in parts]) for name in _REMEMBERED if name in shared},
-        np.concatenate([p[5] for p in parts]),
+        np.concatenate(body),
+        np.concatenate(world),
+        np.concatenate(slopes),
+        {name: np.concatenate([each[name] for each in drivers]) for name in shared},
+        {name: np.concatenate([each[name] for each in remembered]) for name in _REMEMBERED if name in shared},
+        np.concatenate(folds_of),
     )
 
 

@@ -51,7 +51,9 @@ def is_touched(start: Vehicle, found: Sequence[Found]) -> bool:
 def carried(state: SelectionState, found: tuple[Found, ...], vehicle: Vehicle) -> tuple[tuple[Found, ...], Vehicle]:
     """The names with what guessed numbers do to them, and the vehicle at their estimates; `vehicle` holds them."""
     start, layout, chosen = state.start, state.point.layout, state.point.fit_rows()
+    told = {(f.name, p) for f in found for p, e in f.parameters.items() if e.told}
     slots = [(f.name, p) for f in found for p in fitted(vehicle, f.name, vehicle.effects[f.name]).parameters]
+    slots = [slot for slot in slots if slot in told]
     numbers = {n.name: n for n in file_numbers(start)}
     raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
     x = layout.stack([np.nan_to_num(columns) for columns in raw])

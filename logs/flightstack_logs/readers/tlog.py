@@ -27,6 +27,7 @@ _EARLIEST_US, _LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
 """The years 2000 to 2100."""
 _SIGNED = 1
 _NO_AUTOPILOT = 8
+_AUTOPILOT = 5  # byte of a HEARTBEAT's payload
 _FLOAT, _DENORMAL = 9, 1e-30
 """MAV_PARAM_TYPE_REAL32; integers sent as their bits look like floats smaller than any parameter."""
 _TYPES = {"uint8_t": "u1", "int8_t": "i1", "uint16_t": "<u2", "int16_t": "<i2", "uint32_t": "<u4", "int32_t": "<i4",
@@ -166,7 +167,8 @@ def _vehicle(heard: dict[Sender, _Heard]) -> tuple[int, int]:
     autopilots = set()
     for (number, system, component), one in heard.items():
         told[system, component] += len(one.payloads)
-        if number == 0 and any(len(payload) > 5 and payload[5] != _NO_AUTOPILOT for payload in one.payloads[:5]):
+        kinds = {payload[_AUTOPILOT] for payload in one.payloads[:5] if len(payload) > _AUTOPILOT}
+        if number == 0 and kinds - {_NO_AUTOPILOT}:
             autopilots.add((system, component))
     return max(autopilots or told, key=lambda who: told[who])
 

@@ -59,7 +59,8 @@ def mended(data: bytes) -> Frames:
     blank = flags[:8] + bytes(_FLAG_BYTES - 8)
     head = data[:HEADER_BYTES] + (_FRAME.pack(_FLAG_BYTES, _FLAGS) + blank if len(flags) >= 8 else b"")
     damage = [f"damaged or cut off: {walk.lost} bytes could not be read"] if walk.lost else []
-    if len(flags) >= 16 and (flags[8] & ~1 or any(flags[9:16])):
+    incompatible = flags[8:16]
+    if len(incompatible) == 8 and (incompatible[0] & ~1 or any(incompatible[1:])):
         damage.append("of a newer format than this program knows; what it knows was read")
     return Frames(head + b"".join(walk.definitions) + b"".join(kept), damage)
 

@@ -1,0 +1,73 @@
+"""Any offboard program behind `flightstack shield`: pymavlink, velocities only, and no idea of the site.
+
+    flightstack sim
+    flightstack shield --connect udpin:127.0.0.1:14540 --serve udpout:127.0.0.1:14640 --site site.toml
+    python examples/behind_the_shield.py udpin:127.0.0.1:14640 [HEIGHT_M]
+
+Takes off and races north and south at 4 m/s, 15 m to each side or as far as the site goes, until Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from pymavlink import mavutil
+
+MAV = mavutil.mavlink
+SPEED_MPS, REACH_M, HEIGHT_M = 4.0, 15.0, "2.5"
+POSITION, VELOCITY = 0b1001_1111_1000, 0b1001_1100_0111
+OFFBOARD = 6 << 16
+
+
+class Program:
+    """The vehicle as a program sees it, and what it asks for."""
+
+    def __init__(self, address: str) -> None:
+        self.link: Any = mavutil.mavlink_connection(address, source_system=245, source_component=190)
+        self.vehicle = self.link.wait_heartbeat(timeout=60).get_srcSystem()
+        self.mode, self.armed, self.north_m, self.height_m, self.speed_mps = 0, False, 0.0, 0.0, 0.0
+
+    def ask(self, mask: int, north: float, down: float) -> None:
+        """Send a setpoint, then listen for 20 ms."""
+        place = (north, 0.0, down) * 2
+        self.link.mav.set_position_target_local_ned_send(0, self.vehicle, 1, 1, mask, *place, 0, 0, 0, 0, 0)
+        ends_s = time.monotonic() + 0.02
+        while (left_s := ends_s - time.monotonic()) > 0.0:
+            message = self.link.recv_match(type=["HEARTBEAT", "LOCAL_POSITION_NED"], blocking=True, timeout=left_s)
+            if message is None or (message.get_srcSystem(), message.get_srcComponent()) != (self.vehicle, 1):
+                continue
+            if message.get_type() == "HEARTBEAT":
+                self.mode, self.armed = message.custom_mode, bool(message.base_mode & MAV.MAV_MODE_FLAG_SAFETY_ARMED)
+            else:
+                self.north_m, self.height_m, self.speed_mps = message.x, -message.z, message.vx
+
+    def command(self, number: int, *params: float) -> None:
+        """Send a command and wait for nothing."""
+        given = (*params, *(0.0,) * (7 - len(params)))
+        self.link.mav.command_long_send(self.vehicle, 1, number, 0, *given)
+
+
+def main(address: str, height_m: float) -> None:
+    """Until somebody ends it."""
+    program, ticks, sign, fast = Program(address), 0, 1.0, 0.0
+    while program.height_m < 0.9 * height_m:
+        program.ask(POSITION, 0.0, -height_m)
+        ticks += 1
+        if ticks % 50 == 0 and program.mode != OFFBOARD:
+            program.command(MAV.MAV_CMD_DO_SET_MODE, 1.0, 6.0)
+        elif ticks % 50 == 0 and not program.armed:
+            program.command(MAV.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    print("up", flush=True)
+    while True:
+        program.ask(VELOCITY, sign * SPEED_MPS, 0.0)
+        if sign * program.north_m > REACH_M:
+            sign = -sign
+        if sign * program.speed_mps > 0.75 * SPEED_MPS and fast != sign:
+            fast = sign
+            print("north" if sign > 0.0 else "south", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], float((*sys.argv, HEIGHT_M)[2]))
