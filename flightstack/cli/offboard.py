@@ -41,7 +41,7 @@ from mavlink_bridge.transport.address import (
     parse_address,
 )
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
-from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, Commander, DeadManProcess, DeadManWatch
+from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch, SetpointSource
 from mavlink_bridge.transport.key_file import KeyFile
 
 _LEAST_BAUD = 500_000
@@ -258,7 +258,7 @@ def _key(path: Path | None) -> Iterator[Signer | None]:
 
 
 @contextmanager
-def last_words(companion: Commander, transport: Transport) -> Iterator[None]:
+def last_words(companion: SetpointSource, transport: Transport) -> Iterator[None]:
     """Whatever ends the flight (a bug, a second Ctrl-C): a vehicle that is ours is levelled and given to PX4's Hold."""
     try:
         yield

@@ -116,7 +116,7 @@ class DeadManProcess:
             time.sleep(0.001)
 
 
-class Commander(Protocol):
+class SetpointSource(Protocol):
     """Whoever streams setpoints: a companion, or the shield's router."""
 
     link: Link
@@ -142,7 +142,7 @@ class Commander(Protocol):
 class DeadManWatch:
     """Who commands, and the dead-man beside: `hear` before each step, `tell` once its words have gone out."""
 
-    def __init__(self, process: DeadManProcess, companion: Commander, transport: Transport) -> None:
+    def __init__(self, process: DeadManProcess, companion: SetpointSource, transport: Transport) -> None:
         self._process, self._companion, self._transport = process, companion, transport
         self._acts = self._ticks = self._still = 0
         self.ended = ""
