@@ -187,6 +187,7 @@ def main() -> None:
                 (folder / target).write_text(mutated(source, mutant))
                 if notices(folder, tests):
                     killed += 1
+                    print(f"killed    {where}", flush=True)
                 elif where in EQUAL:
                     print(f"equal     {where}: {EQUAL[where]}", flush=True)
                 else:

@@ -49,7 +49,6 @@ from flightstack.barrier.shapes import (
 from flightstack.region import Region
 from flightstack.types import F64
 
-FAMILIES = ("quadratic", "centred", "mu", "stopping")
 _MOST_CELLS = 4000
 """What a proof may cost; beyond, the barrier is made smaller instead."""
 _FEW_CELLS = 1500

@@ -46,11 +46,6 @@ class EstimateBounds:
         """At rest at the place of take-off estimates of position are no further apart; learning begins beyond."""
         return max(AWAY_M, 2.0 * math.hypot(*self.pos_m))
 
-    def at_thrust(self, share: float) -> EstimateBounds:
-        """The same for so much more thrust: the error of the acceleration goes with it."""
-        north, east, down = (share * each for each in self.acc_mps2)
-        return EstimateBounds(self.pos_m, self.vel_mps, (north, east, down), self.k_sigma)
-
 
 BENCH = EstimateBounds((0.002,) * 3, (0.01,) * 3, (0.035,) * 3, 0.0)
 """Where no sensors are named: made up, for what never flies."""

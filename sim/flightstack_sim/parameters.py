@@ -100,13 +100,6 @@ def derive(p: F64) -> None:
 
 
 @njit
-def derive_rows(params: F64) -> None:
-    """`derive` for each row of (N, PARAMS)."""
-    for i in range(params.shape[0]):
-        derive(params[i])
-
-
-@njit
 def _derive_ground(p: F64) -> None:
     """Contacts at the rotors' places in the CoM's plane: stiffness and damping for the mass that rests on them."""
     mass = p[D_MASS] + p[LOAD_MASS]

@@ -205,11 +205,6 @@ class Plans:
         """The geofence."""
         return self._items[FENCE]
 
-    @property
-    def rally(self) -> tuple[Item, ...]:
-        """The rally points."""
-        return self._items[RALLY]
-
     def store(self, kind: int, items: tuple[Item, ...], current: int = 0) -> None:
         """Replace a plan; the same once more changes nothing, as on PX4."""
         number = checksum(items)

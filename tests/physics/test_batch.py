@@ -7,7 +7,7 @@ from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
 from flightstack.effects.row import PLACES, S_FORCE
 from flightstack_sim.batch import BatchPlant
-from flightstack_sim.parameters import derive_rows, parameter_row
+from flightstack_sim.parameters import derive, parameter_row
 from flightstack_sim.plant import NativePlant, evaluate_rows
 
 SHOWN = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "specific_force_frd_mps2", "motor_u")
@@ -133,7 +133,7 @@ def test_rows_whose_raw_numbers_are_changed_and_derived_anew_are_the_changed_veh
     for name, table in changed.items():
         for key, value in table.items():
             varied[1, PLACES[name, key]] = value
-    derive_rows(varied)
+    derive(varied[1])
     assert np.array_equal(varied, params, equal_nan=True)
     rng = np.random.default_rng(3)
     plant = NativePlant(QUAD, seed=0, ground=False)

@@ -209,6 +209,13 @@ def test_without_leave_it_neither_arms_nor_flies_with_deadly_parameters() -> Non
     assert event(situation(State.STANDBY, safe, config=CompanionConfig()), 0.1) is E.READY  # a dead-man is there
 
 
+def test_times_are_those_that_the_safety_page_promises() -> None:
+    """Half a second without a usable state, 20 ms each way, half a second of setpoints before OFFBOARD."""
+    times = CompanionConfig()
+    assert (times.blind_s, times.round_trip_max_s, times.stream_before_offboard_s) == (0.5, 0.04, 0.5)
+    assert (times.tick_s, times.link_loss_s) == (0.004, 3.0)
+
+
 def test_a_stall_that_ends_the_flight_is_a_fault_of_its_own() -> None:
     for state, stalls, after_s in ((State.OFFBOARD, {"is_held": True}, 0.5), (State.RETAKING, {}, 1.5)):
         now = situation(state, AWAY, stalls=stalls)

@@ -71,7 +71,7 @@ class Campaign:
     ) -> None:  # fmt: skip
         self.spec, self.out, self.journal, self.planner = spec, out, journal, planner
         self._stop, self._on_progress = stop, on_progress
-        self._began_s, self._flown, self._failed = time.monotonic(), 0, 0
+        self._began_s, self._flown = time.monotonic(), 0
         self.expected = spec.count
         self.executor: Executor | None = None
 
