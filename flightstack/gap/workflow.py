@@ -167,7 +167,9 @@ def _usable(checked: Checked) -> Samples:
 
 def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str] | None = None) -> tuple[Naming, Split]:
     """The named effects' parameters (or some) by output error through the simulator, and when commands really acted."""
-    used = [k for k, mask in enumerate(of.fit) if mask.any()]
+    used = [k for k, mask in enumerate(of.fit) if mask.any() and not without_motors([of.flights[k]])]
+    if not used:
+        return naming, of
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
     refined = refine(vehicle, naming.vehicle, flights, masks, names, _fixed(naming))

@@ -24,21 +24,28 @@ def flown() -> Flown:
     return fly(truth, quad(), wander(), seconds=30.0, seed=5)
 
 
-def found_in(flown: Flown, motors: np.ndarray, names: str, folder: Path) -> GapResult:
+def written(flown: Flown, motors: np.ndarray, names: str, log: Path) -> Path:
     first = [flown.t_s[:, None], flown.pos, flown.vel, flown.q, flown.rate, flown.accel]
     battery = flown.battery_v[:, None]
     rows = np.hstack([*first, motors, battery])
     header = ",".join(name.replace("motor_", names) for name in HEADER)
     text = "\n".join(",".join("" if np.isnan(x) else f"{x:.7g}" for x in row) for row in rows)
-    log = folder / "flight.csv"
     log.write_text(f"{header}\n{text}\n", encoding="utf-8")
-    return analyse([log], quad())
+    return log
+
+
+def found_in(flown: Flown, motors: np.ndarray, names: str, folder: Path) -> GapResult:
+    return analyse([written(flown, motors, names, folder / "flight.csv")], quad())
+
+
+def slow(flown: Flown) -> np.ndarray:
+    motors = np.full_like(flown.motor, np.nan)
+    motors[::SLOW] = flown.motor[::SLOW]
+    return motors
 
 
 def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Path) -> None:
-    slow = np.full_like(flown.motor, np.nan)
-    slow[::SLOW] = flown.motor[::SLOW]
-    result = found_in(flown, slow, "motor_", tmp_path)
+    result = found_in(flown, slow(flown), "motor_", tmp_path)
     named = {found.name: found for found in result.found}
     assert set(named) == {"linear_drag"}
     assert {"rotor_drag", "parasitic_drag"} <= set(named["linear_drag"].indistinguishable_from)
@@ -63,3 +70,10 @@ def test_measured_speeds_stand_for_commands(flown: Flown, tmp_path: Path) -> Non
     assert not {"motor_lag", "transport_delay", "thrust_curve"} & set(named)
     hidden_ = {row.effect: row.level for row in result.report.shown}
     assert hidden_["motor_lag"] == "hidden"
+
+
+def test_a_log_with_slow_motors_beside_a_whole_one_is_no_hindrance(flown: Flown, tmp_path: Path) -> None:
+    logs = [
+        written(flown, motors, "motor_", tmp_path / f"{k}.csv") for k, motors in enumerate((flown.motor, slow(flown)))
+    ]
+    assert {found.name for found in analyse(logs, quad()).found} >= {"linear_drag", "payload"}

@@ -208,5 +208,6 @@ def _offset(offset: Offset) -> str:
     if not math.isfinite(offset.offset_s):
         return f"stamps of {name}: no offset can be told"
     low, high = 1e3 * offset.low_s, 1e3 * offset.high_s
-    text = f"stamps of {name} are {1e3 * offset.offset_s:+.1f} ms late ({low:+.1f} to {high:+.1f})"
+    reach = f"{low:+.1f} to {high:+.1f}" if math.isfinite(high - low) else "interval unknown"
+    text = f"stamps of {name} are {1e3 * offset.offset_s:+.1f} ms late ({reach})"
     return text.replace("-", "−")
