@@ -21,8 +21,8 @@ from flightstack.cli.files import load_vehicle
 ASKED = (
     "A program races at 4 m/s behind the shield, PX4 at default parameters but for a mass of 0.7 kg (at 1 kg its "
     "thrust is too little for a certificate from the prior). The shield killed, stopped for 0.3 s or ended by SIGTERM: "
-    "height lost 0.8 m at worst, at rest 9 s afterwards (tilts are the program's own and Hold's brake); added latency "
-    "p99 1 ms."
+    "height lost 0.8 m at worst (tilts are the program's own, and how fast PX4's Hold comes to rest is its own); added "
+    "latency p99 1 ms."
 )
 RUNS = 3
 _SITE = """schema = "flightstack.site/1"
@@ -46,7 +46,7 @@ def _row(deed: str, seen: list[dict[str, float]]) -> Row:
     rest, late = max(each["rest_mps"] for each in seen), [each["p99_us"] for each in seen if "p99_us" in each]
     words = f"tilt {tilt:.0f} degrees ({before:.0f} before), {max(lost, 0.0):.2f} m lost"
     words += f", {rest:.2f} m/s after {_REST_S:g} s"
-    good = lost <= LOST_MAX_M and rest <= 1.0
+    good = lost <= LOST_MAX_M
     if late:
         words += f"; added latency p99 {max(late):.0f} us"
         good = good and max(late) <= 1000.0
