@@ -19,7 +19,7 @@ import numpy as np
 
 from flightstack.effects.row import P_GROUND, S_FORCE, S_POS, S_Q, S_RATE, S_U, S_VEL, S_VOLTAGE
 from flightstack.flatness import _to_body
-from flightstack.frames import matrix_to_quat
+from flightstack.frames import rotation, rotation_to_quat
 from flightstack.jit import njit
 from flightstack.model import Model, thrust_to_norm
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
@@ -32,7 +32,6 @@ _STEP_S = 0.002
 _ITERATIONS_MAX = 30
 _TOLERANCE_MPS2 = 1e-7
 _FAR_UP_M = 1000.0
-_FLAT = 17
 _HIGHEST_SHARE, _LOWEST_SHARE = 1.2, 0.8
 """Of the believed weight: the thrusts whose slope is the gain."""
 
@@ -122,29 +121,31 @@ def _fixed_point(
     point: F64, jerk: F64, hint: F64, gain: float, model: F64, params: F64, row: F64, d: F64
 ) -> None:  # fmt: skip
     """d (3,) at one point of the reference, from the guess in it."""
-    flat, r = np.empty(_FLAT), np.empty((3, 3))
+    upright = rotation(hint)
     for _ in range(_ITERATIONS_MAX):
-        _to_body(
-            (point[3:6], point[6:9], point[9:12], point[12:15]), (point[15], point[16]), (d, jerk), hint, model[0],
-            model[3:6], STANDARD_GRAVITY_MPS2, flat,
+        (force, _), rate, _, (x, y, z) = _to_body(
+            (point[3:6], point[6:9], point[9:12], point[12:15]), (point[15], point[16]), (d, jerk), upright, model[0],
+            model[3:6], STANDARD_GRAVITY_MPS2,
         )  # fmt: skip
-        for i in range(9):
-            r[i // 3, i % 3] = flat[8 + i]
-        thrust = flat[0] / gain
+        r = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+        q = rotation_to_quat(r)
+        thrust = force / gain
         row[0, S_POS : S_POS + 3] = point[0:3]
         row[0, S_VEL : S_VEL + 3] = point[3:6]
-        row[0, S_Q : S_Q + 4] = matrix_to_quat(r)
-        row[0, S_RATE : S_RATE + 3] = flat[2:5]
+        for i in range(4):
+            row[0, S_Q + i] = q[i]
+        for i in range(3):
+            row[0, S_RATE + i] = rate[i]
         _command(row, thrust, model)
         evaluate_rows(row, params)
         change = 0.0
         unexplained = np.empty(3)
         for i in range(3):
-            air = r[0, i] * point[3] + r[1, i] * point[4] + r[2, i] * point[5]
+            air = r[0][i] * point[3] + r[1][i] * point[4] + r[2][i] * point[5]
             unexplained[i] = row[0, S_FORCE + i] + model[3 + i] * air / model[0]
         unexplained[2] += gain * thrust / model[0]
         for i in range(3):
-            found = r[i, 0] * unexplained[0] + r[i, 1] * unexplained[1] + r[i, 2] * unexplained[2]
+            found = r[i][0] * unexplained[0] + r[i][1] * unexplained[1] + r[i][2] * unexplained[2]
             change = max(change, abs(found - d[i]))
             d[i] = found
         if change < _TOLERANCE_MPS2:

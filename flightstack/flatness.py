@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.frames import matrix_to_quat, quat_to_matrix
+from flightstack.frames import Rows3, matrix_to_quat, quat_to_matrix, rotation
 from flightstack.jit import njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, FlatOutput, Tuple3
 
@@ -76,20 +76,19 @@ def to_body(
     time derivative: they are fed forward.  `hint_q_ned_frd` (4,) settles the heading where the reference leaves it
     open.  Finite for every finite input.
     """
-    out = np.empty(_OUT)
-    _to_body(
+    (thrust, thrust_rate), rate, angular, axes = _to_body(
         (point.vel_ned_mps, point.acc_ned_mps2, point.jerk_ned_mps3, point.snap_ned_mps4),
         (float(point.yaw_rad), float(point.yaw_rate_radps)),
         (np.asarray(learned_acc_ned_mps2, dtype=np.float64), np.asarray(learned_jerk_ned_mps3, dtype=np.float64)),
-        np.asarray(hint_q_ned_frd, dtype=np.float64), mass_kg, np.asarray(drag_kgps, dtype=np.float64), gravity_mps2,
-        out,
+        rotation(np.asarray(hint_q_ned_frd, dtype=np.float64)), mass_kg, np.asarray(drag_kgps, dtype=np.float64),
+        gravity_mps2,
     )  # fmt: skip
     return BodyMotion(
-        thrust_n=float(out[0]),
-        thrust_rate_nps=float(out[1]),
-        q_ned_frd=matrix_to_quat(np.ascontiguousarray(out[8:17].reshape(3, 3))),
-        rate_frd_radps=out[2:5].copy(),
-        angular_acceleration_frd_radps2=out[5:8].copy(),
+        thrust_n=thrust,
+        thrust_rate_nps=thrust_rate,
+        q_ned_frd=matrix_to_quat(np.array(axes).T.copy()),
+        rate_frd_radps=np.array(rate),
+        angular_acceleration_frd_radps2=np.array(angular),
     )
 
 
@@ -125,129 +124,121 @@ def to_flat(
     )
 
 
-_OUT, _THRUST, _RATE, _ANGULAR = 17, 0, 2, 5
-"""Flat result of the compiled map: thrust, its rate, body rates (3), angular accelerations (3), R (9, row by row)."""
-
-
-# A vector with its first two time derivatives is a (3, 3) array: order, axis.
+@njit
+def _dot(a: Tuple3, b: Tuple3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit
-def _dot(a: F64, b: F64) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
+def _added(onto: Tuple3, scale: float, a: Tuple3, b: Tuple3) -> Tuple3:
+    """onto + scale a x b."""
+    return (
+        onto[0] + scale * (a[1] * b[2] - a[2] * b[1]),
+        onto[1] + scale * (a[2] * b[0] - a[0] * b[2]),
+        onto[2] + scale * (a[0] * b[1] - a[1] * b[0]),
+    )
 
 
 @njit
-def _add_cross(scale: float, a: F64, b: F64, out: F64) -> None:
-    out[0] += scale * (a[1] * b[2] - a[2] * b[1])
-    out[1] += scale * (a[2] * b[0] - a[0] * b[2])
-    out[2] += scale * (a[0] * b[1] - a[1] * b[0])
+def _cross(a: Rows3, b: Rows3) -> Rows3:
+    """Cross product of two vectors with their derivatives (Leibniz)."""
+    none = (0.0, 0.0, 0.0)
+    first = _added(_added(none, 1.0, a[1], b[0]), 1.0, a[0], b[1])
+    second = _added(_added(_added(none, 1.0, a[2], b[0]), 2.0, a[1], b[1]), 1.0, a[0], b[2])
+    return _added(none, 1.0, a[0], b[0]), first, second
 
 
 @njit
-def _cross(a: F64, b: F64) -> F64:
-    """Cross product with its derivatives (Leibniz); (3, 3), (3, 3) -> (3, 3)."""
-    out = np.zeros((3, 3))
-    _add_cross(1.0, a[0], b[0], out[0])
-    _add_cross(1.0, a[1], b[0], out[1])
-    _add_cross(1.0, a[0], b[1], out[1])
-    _add_cross(1.0, a[2], b[0], out[2])
-    _add_cross(2.0, a[1], b[1], out[2])
-    _add_cross(1.0, a[0], b[2], out[2])
-    return out
-
-
-@njit
-def _unit(v: F64, size: float) -> F64:
-    """v / size with its derivatives, size = |v| or -|v|; (3, 3) -> (3, 3)."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        out[0, i] = v[0, i] / size
-    first = _dot(out[0], v[1])
-    for i in range(3):
-        out[1, i] = (v[1, i] - first * out[0, i]) / size
-    second = _dot(out[1], v[1]) + _dot(out[0], v[2])
-    for i in range(3):
-        out[2, i] = (v[2, i] - 2.0 * first * out[1, i] - second * out[0, i]) / size
-    return out
+def _unit(v: Rows3, size: float) -> Rows3:
+    """v / size with its derivatives, size = |v| or -|v|."""
+    u = (v[0][0] / size, v[0][1] / size, v[0][2] / size)
+    first = _dot(u, v[1])
+    w = ((v[1][0] - first * u[0]) / size, (v[1][1] - first * u[1]) / size, (v[1][2] - first * u[2]) / size)
+    second = _dot(w, v[1]) + _dot(u, v[2])
+    x = (v[2][0] - 2.0 * first * w[0] - second * u[0]) / size
+    y = (v[2][1] - 2.0 * first * w[1] - second * u[1]) / size
+    z = (v[2][2] - 2.0 * first * w[2] - second * u[2]) / size
+    return u, w, (x, y, z)
 
 
 @njit
 def _to_body(
-    motion: tuple[F64, F64, F64, F64], heading: tuple[float, float], unexplained: tuple[F64, F64],
-    hint_q: F64, mass: float, drag: F64, gravity: float, out: F64,
-) -> None:  # fmt: skip
-    """The map of the module's header; `out` (17,) as _OUT says.
+    motion: tuple[F64, F64 | Tuple3, F64, F64], heading: tuple[float, float], unexplained: tuple[F64, F64],
+    hint: Rows3, mass: float, drag: F64, gravity: float,
+) -> tuple[tuple[float, float], Tuple3, Tuple3, Rows3]:  # fmt: skip
+    """The map of the module's header: thrust and its rate, body rates, their derivatives, body axes x, y, z.
 
-    motion: velocity to snap; heading: yaw and its rate; unexplained: acceleration and jerk.
+    motion: velocity to snap; heading: yaw and its rate; unexplained: acceleration and jerk; hint: a rotation matrix.
+    Plain numbers: nothing is allocated.
     """
     (vel, acc, jerk, snap), (yaw, yaw_rate), (learned, learned_rate) = motion, heading, unexplained
-    hint = quat_to_matrix(hint_q)
     d = 0.5 * (drag[0] + drag[1]) / mass
-    t = np.empty((3, 3))
-    for i in range(3):
-        t[0, i] = learned[i] - acc[i] - d * vel[i]
-        t[1, i] = learned_rate[i] - jerk[i] - d * acc[i]
-        t[2, i] = -snap[i] - d * jerk[i]
-    t[0, 2] += gravity
-    size = math.sqrt(_dot(t[0], t[0]))
-    if size < _FREE_FALL_MPS2:
-        z = np.zeros((3, 3))
-        for i in range(3):
-            z[0, i] = hint[i, 2]
-    else:
+    t = (
+        (
+            learned[0] - acc[0] - d * vel[0],
+            learned[1] - acc[1] - d * vel[1],
+            learned[2] - acc[2] - d * vel[2] + gravity,
+        ),
+        (
+            learned_rate[0] - jerk[0] - d * acc[0],
+            learned_rate[1] - jerk[1] - d * acc[1],
+            learned_rate[2] - jerk[2] - d * acc[2],
+        ),
+        (-snap[0] - d * jerk[0], -snap[1] - d * jerk[1], -snap[2] - d * jerk[2]),
+    )
+    size, none = math.sqrt(_dot(t[0], t[0])), (0.0, 0.0, 0.0)
+    z = ((hint[0][2], hint[1][2], hint[2][2]), none, none)
+    if not size < _FREE_FALL_MPS2:
         z = _unit(t, size)
     extra = drag[2] - 0.5 * (drag[0] + drag[1])
-    out[_THRUST] = mass * size - extra * _dot(z[0], vel)
-    out[_THRUST + 1] = mass * _dot(z[0], t[1]) - extra * (_dot(z[1], vel) + _dot(z[0], acc))
+    speed, change = (vel[0], vel[1], vel[2]), (acc[0], acc[1], acc[2])
+    thrust = mass * size - extra * _dot(z[0], speed)
+    thrust_rate = mass * _dot(z[0], t[1]) - extra * (_dot(z[1], speed) + _dot(z[0], change))
     x = _forward(z, yaw, yaw_rate, hint)
     y = _cross(z, x)
-    out[_RATE] = -_dot(y[0], z[1])
-    out[_RATE + 1] = _dot(x[0], z[1])
-    out[_RATE + 2] = _dot(y[0], x[1])
-    out[_ANGULAR] = -_dot(y[1], z[1]) - _dot(y[0], z[2])
-    out[_ANGULAR + 1] = _dot(x[1], z[1]) + _dot(x[0], z[2])
-    out[_ANGULAR + 2] = _dot(y[1], x[1]) + _dot(y[0], x[2])
-    for i in range(3):
-        out[8 + 3 * i] = x[0, i]
-        out[9 + 3 * i] = y[0, i]
-        out[10 + 3 * i] = z[0, i]
+    rate = (-_dot(y[0], z[1]), _dot(x[0], z[1]), _dot(y[0], x[1]))
+    angular = (
+        -_dot(y[1], z[1]) - _dot(y[0], z[2]),
+        _dot(x[1], z[1]) + _dot(x[0], z[2]),
+        _dot(y[1], x[1]) + _dot(y[0], x[2]),
+    )
+    return (thrust, thrust_rate), rate, angular, (x[0], y[0], z[0])
 
 
 @njit
-def _forward(z: F64, yaw: float, yaw_rate: float, hint: F64) -> F64:
+def _forward(z: Rows3, yaw: float, yaw_rate: float, hint: Rows3) -> Rows3:
     """Body x axis with its derivatives for a thrust axis with its own, a heading and the hint's axes (columns)."""
     c, s = math.cos(yaw), math.sin(yaw)
-    east = np.zeros((3, 3))
-    east[0, 0], east[0, 1] = -s, c
-    east[1, 0], east[1, 1] = -c * yaw_rate, -s * yaw_rate
-    east[2, 0], east[2, 1] = s * yaw_rate * yaw_rate, -c * yaw_rate * yaw_rate
+    east = (
+        (-s, c, 0.0),
+        (-c * yaw_rate, -s * yaw_rate, 0.0),
+        (s * yaw_rate * yaw_rate, -c * yaw_rate * yaw_rate, 0.0),
+    )
     cross = _cross(east, z)
     size = math.sqrt(_dot(cross[0], cross[0]))
     if size < _HEADING_SINE:
         return _carried(z, c, s, hint)
-    if z[0, 2] < 0.0 and cross[0, 0] * hint[0, 0] + cross[0, 1] * hint[1, 0] + cross[0, 2] * hint[2, 0] < 0.0:
+    if z[0][2] < 0.0 and cross[0][0] * hint[0][0] + cross[0][1] * hint[1][0] + cross[0][2] * hint[2][0] < 0.0:
         size = -size
     return _unit(cross, size)
 
 
 @njit
-def _carried(z: F64, cosine: float, sine: float, hint: F64) -> F64:
+def _carried(z: Rows3, cosine: float, sine: float, hint: Rows3) -> Rows3:
     """Where heading is undefined: the hint's x axis (else the heading) projected, carried along without turning."""
-    x = np.zeros((3, 3))
-    x[0, 0], x[0, 1], x[0, 2] = hint[0, 0], hint[1, 0], hint[2, 0]
-    if abs(_dot(x[0], z[0])) > 1.0 - 1e-9:  # the hint's x axis is this z axis; the heading is nearly normal to it here
-        x[0, 0], x[0, 1], x[0, 2] = cosine, sine, 0.0
-    along = _dot(x[0], z[0])
-    for i in range(3):
-        x[0, i] -= along * z[0, i]
-    size = math.sqrt(_dot(x[0], x[0]))
-    for i in range(3):
-        x[0, i] /= size
-    first, second = _dot(x[0], z[1]), _dot(x[0], z[2])
-    for i in range(3):
-        x[1, i] = -first * z[0, i]
-    cross = _dot(x[1], z[1])
-    for i in range(3):
-        x[2, i] = -(second + cross) * z[0, i] - first * z[1, i]
-    return x
+    x = (hint[0][0], hint[1][0], hint[2][0])
+    if abs(_dot(x, z[0])) > 1.0 - 1e-9:  # the hint's x axis is this z axis; the heading is nearly normal to it here
+        x = (cosine, sine, 0.0)
+    x = _less(x, _dot(x, z[0]), z[0])
+    size = math.sqrt(_dot(x, x))
+    x = (x[0] / size, x[1] / size, x[2] / size)
+    first, second = _dot(x, z[1]), _dot(x, z[2])
+    turned = (-first * z[0][0], -first * z[0][1], -first * z[0][2])
+    along = -(second + _dot(turned, z[1]))
+    return x, turned, _less((along * z[0][0], along * z[0][1], along * z[0][2]), first, z[1])
+
+
+@njit
+def _less(a: Tuple3, share: float, b: Tuple3) -> Tuple3:
+    """a - share b."""
+    return a[0] - share * b[0], a[1] - share * b[1], a[2] - share * b[2]

@@ -2,7 +2,7 @@
 
 NED world, FRD body, Hamilton quaternions (w, x, y, z), body to world.  Viewers want ENU and FLU: `ned_to_enu`,
 `frd_to_flu` and `q_ned_frd_to_enu_flu` are the one way there.
-Compiled functions take and return float64 arrays; `*_into` writes its result to avoid an allocation.
+Compiled functions take and return float64 arrays; `rotation` and `rotation_to_quat` plain numbers, to allocate nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,10 @@ import numpy as np
 
 from flightstack.jit import njit
 from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
-from flightstack.types import F64
+from flightstack.types import F64, Tuple3, Tuple4
+
+Rows3 = tuple[Tuple3, Tuple3, Tuple3]
+"""Of a matrix; or a vector and its first two derivatives."""
 
 
 @njit
@@ -34,51 +37,51 @@ def quat_conjugate(q: F64) -> F64:
 
 
 @njit
+def rotation(q: F64) -> Rows3:
+    """Rotation matrix of a unit quaternion (4,), row by row, as plain numbers: nothing is allocated."""
+    w, x, y, z = q[Q_W], q[Q_X], q[Q_Y], q[Q_Z]
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@njit
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrix R (3, 3) of a unit quaternion: v_world = R v_body; its columns are the body axes in the world."""
-    w, x, y, z = q[Q_W], q[Q_X], q[Q_Y], q[Q_Z]
-    r = np.empty((3, 3))
-    r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    r[0, 1] = 2.0 * (x * y - w * z)
-    r[0, 2] = 2.0 * (x * z + w * y)
-    r[1, 0] = 2.0 * (x * y + w * z)
-    r[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    r[1, 2] = 2.0 * (y * z - w * x)
-    r[2, 0] = 2.0 * (x * z - w * y)
-    r[2, 1] = 2.0 * (y * z + w * x)
-    r[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    rows, r = rotation(q), np.empty((3, 3))
+    for i in range(3):
+        r[i, 0], r[i, 1], r[i, 2] = rows[i]
     return r
 
 
 @njit
 def matrix_to_quat(r: F64) -> F64:
-    """Unit quaternion (4,) with w >= 0 of a rotation matrix (3, 3); Shepperd's choice of the largest pivot."""
-    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    """Unit quaternion (4,) with w >= 0 of a rotation matrix (3, 3)."""
     q = np.empty(4)
-    if trace >= r[0, 0] and trace >= r[1, 1] and trace >= r[2, 2]:
-        q[Q_W] = 1.0 + trace
-        q[Q_X] = r[2, 1] - r[1, 2]
-        q[Q_Y] = r[0, 2] - r[2, 0]
-        q[Q_Z] = r[1, 0] - r[0, 1]
-    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
-        q[Q_W] = r[2, 1] - r[1, 2]
-        q[Q_X] = 1.0 + 2.0 * r[0, 0] - trace
-        q[Q_Y] = r[1, 0] + r[0, 1]
-        q[Q_Z] = r[0, 2] + r[2, 0]
-    elif r[1, 1] >= r[2, 2]:
-        q[Q_W] = r[0, 2] - r[2, 0]
-        q[Q_X] = r[1, 0] + r[0, 1]
-        q[Q_Y] = 1.0 + 2.0 * r[1, 1] - trace
-        q[Q_Z] = r[2, 1] + r[1, 2]
+    q[0], q[1], q[2], q[3] = rotation_to_quat(
+        ((r[0, 0], r[0, 1], r[0, 2]), (r[1, 0], r[1, 1], r[1, 2]), (r[2, 0], r[2, 1], r[2, 2]))
+    )
+    return q
+
+
+@njit
+def rotation_to_quat(r: Rows3) -> Tuple4:
+    """The same of plain numbers (w, x, y, z); Shepperd's choice of the largest pivot."""
+    a, b, c = r[0][0], r[1][1], r[2][2]
+    trace = a + b + c
+    if trace >= a and trace >= b and trace >= c:
+        w, x, y, z = 1.0 + trace, r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
+    elif a >= b and a >= c:
+        w, x, y, z = r[2][1] - r[1][2], 1.0 + 2.0 * a - trace, r[1][0] + r[0][1], r[0][2] + r[2][0]
+    elif b >= c:
+        w, x, y, z = r[0][2] - r[2][0], r[1][0] + r[0][1], 1.0 + 2.0 * b - trace, r[2][1] + r[1][2]
     else:
-        q[Q_W] = r[1, 0] - r[0, 1]
-        q[Q_X] = r[0, 2] + r[2, 0]
-        q[Q_Y] = r[2, 1] + r[1, 2]
-        q[Q_Z] = 1.0 + 2.0 * r[2, 2] - trace
-    norm = math.sqrt(q[Q_W] * q[Q_W] + q[Q_X] * q[Q_X] + q[Q_Y] * q[Q_Y] + q[Q_Z] * q[Q_Z])
-    if q[Q_W] < 0.0:
-        norm = -norm
-    return q / norm
+        w, x, y, z = r[1][0] - r[0][1], r[0][2] + r[2][0], r[2][1] + r[1][2], 1.0 + 2.0 * c - trace
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    norm = -norm if w < 0.0 else norm
+    return w / norm, x / norm, y / norm, z / norm
 
 
 @njit

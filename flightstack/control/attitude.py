@@ -16,14 +16,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from flightstack.flatness import _to_body
-from flightstack.frames import matrix_to_quat
+from flightstack.frames import Rows3, rotation_to_quat
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rows import YAW, YAW_RATE
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3
 
 PROPOSAL = 20
 """Numbers of a Proposal's row."""
@@ -58,7 +56,7 @@ def vehicle_rows(model: Model, limits: Limits, gains: AttitudeGains) -> list[tup
 
 
 @njit
-def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> F64:
+def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> Tuple3:
     """The acceleration nearest to `acc` whose thrust the limits allow: height first, then tilt, then sideways."""
     drag = vehicle[_DRAG]
     d = 0.5 * (drag[0] + drag[1]) / vehicle[_MASS, 0]
@@ -70,45 +68,44 @@ def reachable(acc: F64, learned: F64, vel: F64, gain: float, vehicle: F64) -> F6
     sideways = math.sqrt(north * north + east * east)
     allowed = min(slope * down, math.sqrt(high * high - down * down))
     share = 0.0 if sideways <= allowed else 1.0 - allowed / sideways
-    out = np.empty(3)
-    out[0] = acc[0] + share * north
-    out[1] = acc[1] + share * east
-    out[2] = acc[2] + wanted - down
-    return out
+    return acc[0] + share * north, acc[1] + share * east, acc[2] + wanted - down
 
 
 @njit
 def follow(
-    vehicle: F64, acc: F64, jerk: F64, reference: F64, learned: F64, gain: float, present: tuple[F64, F64, F64],
+    vehicle: F64, acc: Tuple3, jerk: F64, reference: F64, learned: F64, gain: float, present: tuple[Rows3, F64],
     out: F64,
 ) -> None:  # fmt: skip
     """Feed-forward and attitude feedback for `acc`, `jerk` (3,) and the reference's velocity, snap and yaw.
 
     `vehicle` (5, 3) of `vehicle_rows`; `reference` (17,) and `learned` (33,): rows of FlatOutput and Learned; `gain`:
-    delivered over believed thrust; `present`: attitude (4,) and (3, 3), body rates (3,).
+    delivered over believed thrust; `present`: attitude (`frames.rotation`) and body rates (3,).
     Into `out` (20,), a Proposal's row: thrust_ff, rate_ff, rate_fb, attitude_error.
     """
-    mass, (q, r, rate) = vehicle[_MASS, 0], present
-    flat = np.empty(17)
-    _to_body(
+    mass, (r, rate) = vehicle[_MASS, 0], present
+    (thrust, thrust_rate), rate_d, angular_d, (x, y, z) = _to_body(
         (reference[3:6], acc, jerk, reference[12:15]), (reference[YAW], reference[YAW_RATE]),
-        (learned[0:3], learned[3:6]), q, mass, vehicle[_DRAG], STANDARD_GRAVITY_MPS2, flat,
+        (learned[0:3], learned[3:6]), r, mass, vehicle[_DRAG], STANDARD_GRAVITY_MPS2,
     )  # fmt: skip
-    turn = np.empty((3, 3))  # desired body axes, seen from the present ones
-    for i in range(3):
-        for k in range(3):
-            turn[i, k] = r[0, i] * flat[8 + k] + r[1, i] * flat[11 + k] + r[2, i] * flat[14 + k]
-    aligned = max(turn[2, 2], 0.0)
-    out[0] = aligned * (flat[0] + vehicle[_MASS, 1] * flat[1]) / gain
-    q_error = matrix_to_quat(turn)  # w >= 0: the shorter way round
+    turn = (_seen(r, 0, x, y, z), _seen(r, 1, x, y, z), _seen(r, 2, x, y, z))  # wanted body axes, from the present ones
+    aligned = max(turn[2][2], 0.0)
+    out[0] = aligned * (thrust + vehicle[_MASS, 1] * thrust_rate) / gain
+    q_error = rotation_to_quat(turn)  # w >= 0: the shorter way round
     for i in range(3):
         out[8 + i] = 2.0 * q_error[1 + i]
         wanted = lead = 0.0
         for k in range(3):
-            wanted += turn[i, k] * flat[2 + k]
-            lead += turn[i, k] * flat[5 + k]
+            wanted += turn[i][k] * rate_d[k]
+            lead += turn[i][k] * angular_d[k]
         out[2 + i] = wanted + vehicle[_MASS, 2] * lead
         out[5 + i] = vehicle[_P, i] * out[8 + i] + vehicle[_THRUST, 0] * (wanted - rate[i])
+
+
+@njit
+def _seen(r: Rows3, i: int, x: Tuple3, y: Tuple3, z: Tuple3) -> Tuple3:
+    """Component of x, y and z along body axis `i`."""
+    a, b, c = r[0][i], r[1][i], r[2][i]
+    return a * x[0] + b * x[1] + c * x[2], a * y[0] + b * y[1] + c * y[2], a * z[0] + b * z[1] + c * z[2]
 
 
 @njit

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reachable, together, vehicle_rows
-from flightstack.frames import quat_to_matrix
+from flightstack.frames import Rows3, rotation
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rows import L_CONFIDENCE, L_GAIN
@@ -139,13 +139,13 @@ def control_step(
     scale = 1.0 - (1.0 - constants[_CONFIDENT, 0]) * learned[L_CONFIDENCE]
     wanted = pos_d, vel_d, acc_d, jerk_d
     nominal_step(correction, scale * constants[0], constants[1], wanted, (pos, vel), dt, acc, jerk)
-    r = quat_to_matrix(q)
+    r = rotation(q)
     reached = reachable(acc, learned[0:3], vel_d, gain, vehicle)
-    follow(vehicle, reached, jerk, reference, learned, gain, (q, r, rate), out)
+    follow(vehicle, reached, jerk, reference, learned, gain, (r, rate), out)
     along_p = along_d = 0.0
     for i in range(3):
-        along_p += r[i, 2] * (pos_d[i] - pos[i])
-        along_d += r[i, 2] * (vel_d[i] - vel[i])
+        along_p += r[i][2] * (pos_d[i] - pos[i])
+        along_d += r[i][2] * (vel_d[i] - vel[i])
     force = scale * scale * constants[_ALONG, 0] * along_p + scale * constants[_ALONG, 1] * along_d
     out[1] = -vehicle[2, 0] * force / gain
     c, s = _heading(r)
@@ -157,9 +157,9 @@ def control_step(
 
 
 @njit
-def _heading(r: F64) -> tuple[float, float]:
+def _heading(r: Rows3) -> tuple[float, float]:
     """Cosine and sine of the body x axis' heading; north where it points straight up or down."""
-    size = math.sqrt(r[0, 0] * r[0, 0] + r[1, 0] * r[1, 0])
+    size = math.sqrt(r[0][0] * r[0][0] + r[1][0] * r[1][0])
     if size < 1e-6:
         return 1.0, 0.0
-    return r[0, 0] / size, r[1, 0] / size
+    return r[0][0] / size, r[1][0] / size

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reachable, together, vehicle_rows
-from flightstack.frames import quat_to_matrix
+from flightstack.frames import Rows3, rotation
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rows import L_GAIN
@@ -110,10 +110,10 @@ def pid_constants(model: Model, limits: Limits, attitude: AttitudeGains, gains: 
 
 
 @njit
-def filter_acceleration(r: F64, specific_force: F64, keep: float, filtered: F64) -> None:
+def filter_acceleration(r: Rows3, specific_force: F64, keep: float, filtered: F64) -> None:
     """Low-pass of the acceleration that the specific force tells; `filtered` (3,) NED in place, `keep` of the old."""
     for i in range(3):
-        acc = r[i, 0] * specific_force[0] + r[i, 1] * specific_force[1] + r[i, 2] * specific_force[2]
+        acc = r[i][0] * specific_force[0] + r[i][1] * specific_force[1] + r[i][2] * specific_force[2]
         if i == 2:
             acc += STANDARD_GRAVITY_MPS2
         filtered[i] = acc + keep * (filtered[i] - acc)
@@ -124,7 +124,7 @@ def pid_step(constants: F64, memory: F64, dt: float, reference: F64, measured: F
     """One step, `memory` (6,) in place: total thrust, its parts in `out`; rows as in `follow`, `measured` (20,)."""
     q, rate, integral, filtered = measured[6:10], measured[10:13], memory[0:3], memory[3:6]
     acc, jerk, vehicle = out[11:14], out[14:17], constants[4:9]
-    r = quat_to_matrix(q)
+    r = rotation(q)
     filter_acceleration(r, measured[13:16], math.exp(-dt * _FILTER_RADPS), filtered)
     wanted = np.empty(3)
     for i in range(3):
@@ -144,5 +144,5 @@ def pid_step(constants: F64, memory: F64, dt: float, reference: F64, measured: F
             more = integral[i] + constants[_I, i] * error * dt
             integral[i] = min(max(more, -constants[_MOST, i]), constants[_MOST, i])
     out[1] = 0.0
-    follow(vehicle, reached, jerk, reference, learned, learned[L_GAIN], (q, r, rate), out)
+    follow(vehicle, reached, jerk, reference, learned, learned[L_GAIN], (r, rate), out)
     return together(out)

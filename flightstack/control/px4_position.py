@@ -23,7 +23,7 @@ import numpy as np
 
 from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reachable, together, vehicle_rows
 from flightstack.control.pid import Remembered, filter_acceleration
-from flightstack.frames import quat_to_matrix
+from flightstack.frames import Rows3, rotation
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rows import L_GAIN
@@ -107,7 +107,7 @@ def _step(
     """One step, `memory` (10,) in place; rows as in `follow`, `measured` (20,) a Measurement's."""
     q, rate, vehicle = measured[6:10], measured[10:13], constants[5:10]
     acc, jerk, integral, filtered = out[11:14], out[14:17], memory[0:3], memory[_FILTERED:_HOVER]
-    r = quat_to_matrix(q)
+    r = rotation(q)
     filter_acceleration(r, measured[13:16], math.exp(-dt * _FILTER_RADPS), filtered)
     _hover_thrust(r, sent_n / vehicle[2, 0], measured, dt / (dt + constants[_HOVER_LAG, 0]), memory)
     gain = learned[L_GAIN] / memory[_HOVER]
@@ -130,22 +130,22 @@ def _step(
         integral[i] = min(max(integral[i], -STANDARD_GRAVITY_MPS2), STANDARD_GRAVITY_MPS2)
     memory[_ACC_DOWN] = acc[2]
     out[1] = 0.0
-    follow(vehicle, reached, jerk, reference, learned, gain, (q, r, rate), out)
+    follow(vehicle, reached, jerk, reference, learned, gain, (r, rate), out)
     return together(out)
 
 
 @njit
-def _hover_thrust(r: F64, sent_mps2: float, measured: F64, share: float, memory: F64) -> None:
+def _hover_thrust(r: Rows3, sent_mps2: float, measured: F64, share: float, memory: F64) -> None:
     """Estimate the ratio of true to believed hover thrust; keep (a_z - g) * hover, hence thrust, by the integral."""
     f = measured[13:16]
-    load_factor = -(r[2, 0] * f[0] + r[2, 1] * f[1] + r[2, 2] * f[2]) / STANDARD_GRAVITY_MPS2
+    load_factor = -(r[2][0] * f[0] + r[2][1] * f[1] + r[2][2] * f[2]) / STANDARD_GRAVITY_MPS2
     if memory[_STAGE] == _UNSEEN:
         memory[_GROUND], memory[_STAGE] = measured[2], _LOW
     if measured[2] < memory[_GROUND] - _RISEN_M:
         memory[_STAGE] = _AIRBORNE
     if memory[_STAGE] != _AIRBORNE or load_factor < _LEAST_LOAD_FACTOR:
         return
-    sample = sent_mps2 * r[2, 2] / STANDARD_GRAVITY_MPS2 / load_factor
+    sample = sent_mps2 * r[2][2] / STANDARD_GRAVITY_MPS2 / load_factor
     before = memory[_HOVER]
     memory[_HOVER] += share * (min(max(sample, _HOVER_RANGE[0]), _HOVER_RANGE[1]) - before)
     asked = memory[_ACC_DOWN] - STANDARD_GRAVITY_MPS2
