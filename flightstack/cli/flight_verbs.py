@@ -107,6 +107,9 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
 class _Fly:
     scenario: ScenarioArgument = "paper-tracking"
     waypoints: WaypointsArgument = None
+    named: Annotated[str | None, typer.Option("--scenario", help="The same as SCENARIO, as other verbs have it.")] = (
+        None
+    )
     realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False
     plant: PlantOption = PlantName.native
     sensors: SensorsOption = None
@@ -120,6 +123,7 @@ class _Fly:
 @asks(_Fly, _Flight)
 def fly(given: SimpleNamespace) -> None:
     """Fly a scenario: simulator and companion in one process, over MAVLink/UDP on loopback."""
+    given.scenario = vars(given).pop("named") or given.scenario
     require_names(given.scenario, given.controller, given.vehicle, given.truth)
     from flightstack.cli.flight import FlyOptions
     from flightstack.cli.flight import fly as run

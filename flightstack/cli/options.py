@@ -29,11 +29,20 @@ class PlantName(StrEnum):
     jsbsim = "jsbsim"
 
 
+def _no_option(path: Path | None) -> Path | None:
+    """A file, not the next option: `--json --no-learning` forgot it."""
+    if path is not None and str(path).startswith("-"):
+        raise typer.BadParameter(f"a file is expected, not {path}: write ./{path} for one of that name")
+    return path
+
+
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario, a .toml file, or `waypoints`.")]
 WaypointsArgument = Annotated[str | None, typer.Argument(help="The file of `waypoints` (.toml or .csv).")]
 VehicleOption = Annotated[str | None, typer.Option(help="Vehicle that the controller believes in: name or .toml file.")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the machine-readable result to this file.")]
-LogOption = Annotated[Path | None, typer.Option("--log", help="Write the log to this file.")]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", callback=_no_option, help="Write the machine-readable result to this file.")
+]
+LogOption = Annotated[Path | None, typer.Option("--log", callback=_no_option, help="Write the log to this file.")]
 LogWireOption = Annotated[
     bool, typer.Option("--log-wire", help="Log every MAVLink datagram too (some 30 kB more a second).")
 ]
@@ -44,7 +53,10 @@ LiveOption = Annotated[
         help="Show it while it flies, on this machine only: Foxglove WebSocket on PORT (8765), a page on PORT + 1.",
     ),
 ]  # fmt: skip
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder for log and report (default: new, in runs/).")]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", callback=_no_option, help="Folder for log and report (default: new, in runs/)."),
+]
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]
 ControllerOption = Annotated[str, typer.Option(help="Controller: one of those named below.", metavar="NAME")]

@@ -59,6 +59,10 @@ def plain(view: View, link: Link) -> bool:
     return not (view.silenced or view.frozen or link.signing) and view.stamp_us < _HIGHEST_US
 
 
+_PRESSURE, _ALTITUDE, _TEMPERATURE, _FIELDS = 11, 13, 14, 30
+"""Places in HIGHRES_IMU, of floats and (the last) of 16 bits."""
+
+
 @njit
 def _write(
     order: int, stamp_us: int, state: tuple[F64, F64, F64, F64], air: tuple[float, float, float, float, float],
@@ -77,7 +81,9 @@ def _write(
             for i in range(3):
                 floats[2 + i], floats[5 + i] = imu[3 + i], imu[i]
                 floats[8 + i] = air[i]
-            floats[11], floats[13], floats[14], halves[30] = air[3], air[4], 15.0, fields
+            _, _, _, pressure_hpa, altitude_m = air
+            floats[_PRESSURE], floats[_ALTITUDE] = pressure_hpa, altitude_m
+            floats[_TEMPERATURE], halves[_FIELDS] = 15.0, fields
         elif kind == _MOTORS:
             words[0] = min(stamp_us, 0xFFFF_FFFF)
             for i in range(8):

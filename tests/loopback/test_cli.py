@@ -239,6 +239,8 @@ def test_a_bad_vehicle_file_is_one_line_that_names_the_key(
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
+        (("fly", "--json", "--no-learning"), "a file is expected, not --no-learning"),
+        (("fly", "--scenario", "nowhere"), "no scenario named 'nowhere'"),
         (("fly", "nowhere"), "nowhere"),
         (("fly", "hover", "--vehicle", "no-such.toml"), "no-such.toml"),
         (("fly", "hover", "--plant", "gazebo"), "gazebo"),
