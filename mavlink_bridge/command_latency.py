@@ -50,7 +50,8 @@ class CommandLatency:
         """Normalised motor commands at a vehicle time; those that say nothing are left out."""
         if not (min(motors) > _ENDS and max(motors) < 1.0 - _ENDS):
             return
-        thrust = 0.25 * (motors[0] + motors[1] + motors[2] + motors[3])
+        a, b, c, d = motors
+        thrust = 0.25 * (a + b + c + d)
         places = np.searchsorted(self._t_us, t_us - GRID_S * 1e6, side="right") - 1
         if places[-1] < 0:
             return
