@@ -75,7 +75,7 @@ class UnderWay:
         times_us = (float(measurement.t_us), float(measurement.t_us + min(max(late_us, 0), _MOST_US)))
         _carry(
             memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
-            (float(sent.t_us), sent.thrust_norm), sent.rate_frd_radps, row, _NONE if in_force is None else in_force,
+            (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, _NONE if in_force is None else in_force,
         )  # fmt: skip
         if late_us <= 0:
             return measurement
@@ -88,11 +88,11 @@ class UnderWay:
 @njit
 def _carry(
     memory: F64, constants: F64, delay_us: float, gain: float, times_us: tuple[float, float],
-    sent: tuple[float, float], rate: F64, row: F64, flat: F64,
+    sent: tuple[float, float, F64], row: F64, flat: F64,
 ) -> None:  # fmt: skip
     """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second; `flat`: `packed`, or 0."""
     from_us, to_us = times_us
-    remember(memory, sent[0], sent[1], rate)
+    remember(memory, *sent)
     chain = constants.copy()
     chain[C_THRUST_DELAY] = chain[C_RATE_DELAY] = delay_us
     ours = to_us - memory[RING, 0] <= _PAUSE_US

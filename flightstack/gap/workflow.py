@@ -102,6 +102,9 @@ def _concluded(vehicle: Vehicle, of: Split, called: str, on_progress: OnProgress
         naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
     naming, gap = with_turbulence(vehicle, naming, of, gap)
     naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
+    if naming.can_be_fitted and not naming.found and not naming.unexplained.significant:
+        learned = _verdict(vehicle, naming, replace(of, fit=of.holdout, holdout=of.fit))
+        naming = replace(naming, unexplained=unexplained(naming.unexplained, learned, named=False))
     return naming, of, gap
 
 

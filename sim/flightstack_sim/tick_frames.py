@@ -31,13 +31,14 @@ _UNUSED_PWM = 900
 class TickFrames:
     """Writes the frames of one link; its memory is its own."""
 
-    __slots__ = ("_ends", "_out", "_payload")
+    __slots__ = ("_ends", "_memory", "_out")
 
     def __init__(self) -> None:
         self._out = np.zeros(_LONGEST * len(KINDS), np.uint8)
         self._ends = np.zeros(len(KINDS), np.int64)
         data = np.zeros(_LONGEST // 8, np.int64)
-        self._payload = data, data.view(np.float32), data.view(np.uint16), data.view(np.uint8)
+        payload = data, data.view(np.float32), data.view(np.uint16), data.view(np.uint8)
+        self._memory = payload, self._out, self._ends
 
     def send(self, order: int, view: View, link: Link) -> None:
         """Queue the messages whose numbers (1 to 4, as in KINDS) are the octal digits of `order`, in their order."""
@@ -48,7 +49,7 @@ class TickFrames:
             order, view.stamp_us,
             (vehicle.sensors.state, vehicle.rate_frd_radps, vehicle.sensors.mean_imu, vehicle.motor_command), air,
             view.fields_updated, spinning, (link.next_sequence(link.component), link.system, link.component),
-            self._payload, self._out, self._ends,
+            self._memory,
         )  # fmt: skip
         link.queue(self._out.tobytes(), self._ends.tolist()[:count])
 
@@ -65,10 +66,10 @@ _PRESSURE, _ALTITUDE, _TEMPERATURE, _FIELDS = 11, 13, 14, 30
 @njit
 def _write(
     order: int, stamp_us: int, state: tuple[F64, F64, F64, F64], air: tuple[float, float, float, float, float],
-    fields: int, spinning: bool, sender: tuple[int, int, int], payload: Any, out: NDArray[np.uint8], ends: Any,
+    fields: int, spinning: bool, sender: tuple[int, int, int], memory: Any,
 ) -> int:  # fmt: skip
     estimate, rate, imu, motors = state
-    words, floats, halves, data = payload
+    (words, floats, halves, data), out, ends = memory
     digits, number, count, at = 0, order, 0, 0
     while number:
         digits, number = digits * 8 + number % 8, number // 8
