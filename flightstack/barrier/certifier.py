@@ -21,7 +21,7 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -86,10 +86,7 @@ class OnlineCertifier:
 
     def asked(self, safe: Mapping[int, SafeSet]) -> OnlineCertifier:
         """The same for other safe sets."""
-        return OnlineCertifier(
-            self.model, self.limits, self.region, initial=self.initial, config=self.config, safe=safe,
-            elsewhere=self.elsewhere,
-        )  # fmt: skip
+        return self._but(safe=safe)
 
     def paced(self, state: CertifierState) -> OnlineCertifier:
         """The same for commands as far apart, in whole ticks, and messages as late as they have been so far, within
@@ -100,16 +97,15 @@ class OnlineCertifier:
         if (dt_s, jitter_s, age_s) == (config.dt_s, config.jitter_s, config.doubts.age_s):
             return self
         doubts = config.doubts._replace(delay_s=config.doubts.delay_s + jitter_s - config.jitter_s, age_s=age_s)
-        return OnlineCertifier(
-            self.model, self.limits, self.region, initial=self.initial, safe=self.safe, elsewhere=self.elsewhere,
-            config=replace(config, dt_s=dt_s, jitter_s=jitter_s, doubts=doubts),
-        )  # fmt: skip
+        return self._but(config=replace(config, dt_s=dt_s, jitter_s=jitter_s, doubts=doubts))
 
     def here(self) -> OnlineCertifier:
         """The same that does the work itself."""
-        return OnlineCertifier(
-            self.model, self.limits, self.region, initial=self.initial, config=self.config, safe=self.safe
-        )
+        return self._but(elsewhere=None)
+
+    def _but(self, **changes: Any) -> OnlineCertifier:
+        given = {"initial": self.initial, "config": self.config, "safe": self.safe, "elsewhere": self.elsewhere}
+        return OnlineCertifier(self.model, self.limits, self.region, **given | changes)
 
     def init(self) -> CertifierState:
         """Nothing certified yet."""
