@@ -23,7 +23,7 @@ floor_m = 0.3
 ceiling_m = 6.0
 inside = [[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]]
 """
-PROGRAM = Path(__file__).parents[2] / "examples" / "behind_the_shield.py"
+PROGRAM = Path(__file__).parents[1] / "client" / "shielded_program.py"
 TILT_MAX_DEG, LOST_MAX_M, HEIGHT_M = 35.0, 0.8, 2.5
 STALL_S, AFTER_S = 0.3, 3.0
 

@@ -1,4 +1,4 @@
-"""The shield between a real PX4 and a stranger's program (`examples/behind_the_shield.py`), by ground truth."""
+"""The shield between a real PX4 and a stranger's program (`tests/client/shielded_program.py`), by ground truth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ceiling_m = 20.0
 inside = [[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]]
 """
 _MASS_KG, _PORT = 0.7, 14640
-_PROGRAM = Path(__file__).parents[3] / "examples" / "behind_the_shield.py"
+_PROGRAM = Path(__file__).parents[3] / "tests" / "client" / "shielded_program.py"
 _KILLED, _STOPPED, _ENDED = _DEEDS = ("killed", "stopped for 0.3 s", "ended by SIGTERM")
 _WATCH_S, _REST_S, _LIMIT_S = 1.0, 9.0, 60.0
 

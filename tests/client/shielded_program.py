@@ -2,7 +2,7 @@
 
     flightstack sim
     flightstack shield --connect udpin:127.0.0.1:14540 --serve udpout:127.0.0.1:14640 --site site.toml
-    python examples/behind_the_shield.py udpin:127.0.0.1:14640 [HEIGHT_M]
+    python tests/client/shielded_program.py udpin:127.0.0.1:14640 [HEIGHT_M]
 
 Takes off and races north and south at 4 m/s, 15 m to each side or as far as the site goes, until Ctrl-C.
 """
