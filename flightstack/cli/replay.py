@@ -30,8 +30,8 @@ from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
 from flightstack_logs.tables import Log
-from flightstack_logs.topics import CERTIFICATE
-from flightstack_logs.writer import FlightLog
+from flightstack_logs.topics import CERTIFICATE, RESULT
+from flightstack_logs.writer import COMPACT_FLUSH_PERIOD_US, FlightLog
 from mavlink_bridge import messages
 from mavlink_bridge.companion import Companion, MissionPlanner
 from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
@@ -60,11 +60,23 @@ def replay(
         again = Path(folder) / "again.mcap"
         _run(log, _flight_of(log, settings, Path(folder)), again, on_progress)
         new = read(again)
-    found = differences_of(log, new, tolerance)
+    until_us = _whole_until_us(log)
+    found = differences_of(log, new, tolerance, until_us)
     digest = next((each for each in found if each.field == DIGEST), None)
     differing = [each for each in found if each is not digest]
     first_s = digest.first_s if digest is not None and tolerance == 0.0 else None
-    return Replayed(str(path), len(log.tables["/tick"]), tolerance == 0.0, differing, first_s)
+    until_s = None if until_us is None else 1e-6 * until_us
+    return Replayed(str(path), len(log.tables["/tick"]), tolerance == 0.0, differing, first_s, until_s)
+
+
+def _whole_until_us(log: Log) -> int | None:
+    """Up to when a log that was cut off (or mended since) holds everything; None where the flight wrote its end.
+
+    What is packed of all topics is written together: only the last of these times may be there in part.
+    """
+    if log.complete and log.attachment(RESULT) is not None:
+        return None
+    return log.span_us[1] - COMPACT_FLUSH_PERIOD_US
 
 
 def _settings(log: Log) -> Mapping[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ class Replayed:
     """The one that begins first leads."""
     first_s: float | None = None
     """The first tick of which anything differs, logged or not; null where nothing does, or with a tolerance."""
+    until_s: float | None = None
+    """Of a log that was cut off: up to when it holds everything, and was compared; null where it is whole."""
 
     @property
     def same(self) -> bool:
@@ -51,9 +53,10 @@ class Replayed:
     @property
     def lines(self) -> list[str]:
         """In words: what differs, the first tick that does, and by how much."""
+        cut = [] if self.until_s is None else [f"cut off: compared up to {self.until_s:.3f} s, where all is there"]
         if self.same:
-            return [f"{self.ticks} ticks: the same" + (", bit for bit" if self.exact else "")]
-        told = []
+            return [f"{self.ticks} ticks: the same" + (", bit for bit" if self.exact else ""), *cut]
+        told = cut
         if self.first_s is not None:
             told.append(f"first tick that differs: {self.first_s:.3f} s")
         if not self.differences:
@@ -77,15 +80,16 @@ class Replayed:
             "ticks": self.ticks,
             "same": self.same,
             "first_s": self.first_s,
+            "until_s": self.until_s,
             "differences": rows,
         }
 
 
-def differences_of(recorded: Log, replayed: Log, tolerance: float) -> list[Difference]:
-    """Every field that differs, by the time from which it does; InputError where the formats do."""
+def differences_of(recorded: Log, replayed: Log, tolerance: float, until_us: int | None = None) -> list[Difference]:
+    """Every field that differs, by the time from which it does, up to `until_us`; InputError where the formats do."""
     found = []
     for topic in COMPARED:
-        then, now = recorded.tables.get(topic), replayed.tables.get(topic)
+        then, now = (_until(log.tables.get(topic), until_us) for log in (recorded, replayed))
         if then is None and now is None:
             continue
         if then is None or now is None:
@@ -96,6 +100,14 @@ def differences_of(recorded: Log, replayed: Log, tolerance: float) -> list[Diffe
             continue
         found += _of_table(topic, then, now, tolerance)
     return sorted(found, key=lambda each: each.first_s)
+
+
+def _until(table: Table | None, until_us: int | None) -> Table | None:
+    if table is None or until_us is None:
+        return table
+    rows = int(np.searchsorted(table.t_us, until_us, side="right"))
+    columns = {name: values[:rows] for name, values in table.columns.items()}
+    return replace(table, t_us=table.t_us[:rows], columns=columns) if rows else None
 
 
 def _of_table(topic: str, then: Table, now: Table, tolerance: float) -> list[Difference]:

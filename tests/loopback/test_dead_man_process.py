@@ -21,8 +21,6 @@ from flightstack_logs.reader import read
 
 TILT_MAX_DEG, LOST_MAX_M = 35.0, 0.8
 LIMIT_S = 120.0
-CUT_S = 0.3
-"""A topic's block of the log holds so much at most."""
 STALL_S, AFTER_STALL_S, AFTER_KILL_S = 0.2, 3.0, 2.0
 
 
@@ -71,10 +69,9 @@ def test_a_companion_stopped_and_then_killed_in_a_figure_of_eight_ends_in_hold(t
     assert longest_ms >= 1e3 * STALL_S - 1.0  # counted as what it was
     assert any(text.startswith("stalled: no setpoint for") for text in told)
     again = replay(tmp_path / "flight.mcap")  # in real time, over a stall and OFFBOARD taken back, cut off by the kill
-    whole_s = 1e-6 * float(read(tmp_path / "flight.mcap").tables["/step"].t_us[-1]) - CUT_S
+    assert again.same, again.lines
+    assert again.until_s is not None
     assert again.ticks > 1000
-    first_s = [again.first_s, *(each.first_s for each in again.differences)]
-    assert again.same or min(filter(None, first_s)) > whole_s, again.lines
     truth = read(truth_log).tables["/truth"]
     t_s = 1e-6 * np.asarray(truth.t_us)
     height = -np.asarray(truth["pos_ned_m"])[:, 2]
