@@ -26,7 +26,7 @@ from flightstack.cli import main as cli
 from flightstack.cli.controllers import CONTROLLERS
 from flightstack_logs.info import info
 from flightstack_logs.reader import read
-from tests.simulator import free_tcp_pair, skip_where_too_busy, watching
+from tests.simulator import bare_loop, free_tcp_pair, skip_where_too_busy, watching
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -337,7 +337,7 @@ def test_two_processes_fly_a_scenario_and_are_watched(tmp_path: Path) -> None:
     sim, port = _start_sim(tmp_path, f"--live={pages[0]}")
     try:
         arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
-        with watching(pages[0]) as simulated, watching(pages[1]) as flown:
+        with watching(pages[0]) as simulated, watching(pages[1]) as flown, bare_loop() as bare_s:
             flight = _start(
                 "offboard", "--connect", f"udpin:127.0.0.1:{port}", f"--live={pages[1]}", *arguments, cwd=tmp_path
             )
@@ -345,7 +345,7 @@ def test_two_processes_fly_a_scenario_and_are_watched(tmp_path: Path) -> None:
         assert flight.returncode in (0, 1), errors  # 1: a busy machine may fail the scenario's own accuracy check
         result = json.loads((tmp_path / "r.json").read_text())
         if not result["completed"]:
-            skip_where_too_busy(result["reason"])
+            skip_where_too_busy(result["reason"], bare_s)
         assert result["completed"], result["reason"]
         assert result["tracking"]["of"] == "estimate"
         assert result["tracking"]["rmse_m"] < 0.3

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulator import ENVIRONMENT, HOST, free_ports, simulator, skip_where_too_busy
+from simulator import ENVIRONMENT, HOST, bare_loop, free_ports, simulator, skip_where_too_busy
 
 from flightstack.cli.replay import replay
 from flightstack_logs.reader import read
@@ -38,12 +38,13 @@ def _until_said(process: subprocess.Popen[str], words: str) -> None:
     deadline = time.monotonic() + LIMIT_S
     said = ""
     assert process.stdout is not None
-    for line in process.stdout:
-        said += line
-        if words in line:
-            return
-        assert time.monotonic() < deadline, said
-    skip_where_too_busy(said)
+    with bare_loop() as bare_s:
+        for line in process.stdout:
+            said += line
+            if words in line:
+                return
+            assert time.monotonic() < deadline, said
+    skip_where_too_busy(said, bare_s)
     raise AssertionError(said)
 
 
