@@ -13,6 +13,7 @@ from typing import Any
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
+from flightstack.cli.console import say
 from flightstack.cli.controllers import build
 from flightstack.cli.given_certificate import require_checked
 from flightstack.cli.offboard import last_words
@@ -42,6 +43,8 @@ from mavlink_bridge.transport.udp import UdpSocket
 PERIOD_US = 4_000
 PORT_STEP = 40
 _SCENARIO = "hover"
+_MOST_AT_ONCE = 32
+"""Datagrams of the program between two looks at the clock: whatever it pours out, the vehicle gets its setpoints."""
 _HAND_OVER_US = 2_000_000
 """PX4 takes Hold within some milliseconds; after so long its own failsafe has to do."""
 
@@ -129,7 +132,7 @@ def _route(
     """Until it is to end and the vehicle is out of the router's hands; what passing a batch took, microseconds."""
     vehicle, program = links
     latencies: list[float] = []
-    next_us, ends_us = monotonic_us(), 0
+    next_us, ends_us, told = monotonic_us(), 0, False
     while True:
         select([vehicle.fileno(), program.fileno()], [], [], max(next_us - monotonic_us(), 0) * 1e-6)
         came = time.perf_counter_ns()
@@ -138,7 +141,7 @@ def _route(
             for kept in router.from_vehicle(data, now_us):
                 program.send(kept)
                 passed += 1
-        for data in program.receive_all():
+        for data in program.receive_all(_MOST_AT_ONCE):
             for kept in router.from_program(data, now_us):
                 vehicle.send(kept)
                 passed += 1
@@ -152,6 +155,9 @@ def _route(
             if router.hand_over(now_us) or now_us > ends_us:
                 return latencies
         dead_man.hear()
+        if dead_man.ended and not told:
+            told = True
+            say(f"{dead_man.ended}: nobody would answer for the shield, so PX4's Hold has the vehicle")
         for data in router.step(now_us):
             vehicle.send(data)
         if router.has_spoken or not router.flies:  # where it can't speak its silence is answered

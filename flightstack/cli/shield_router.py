@@ -95,6 +95,8 @@ class ShieldRouter:
         """The dead-man's deeds."""
         self.has_spoken = False
         """Whether a setpoint went out in the newest step."""
+        self._is_alone = False
+        """There is no dead-man any more."""
         self._retaking_us = -1
         """Since when OFFBOARD is being taken back; -1: it is not."""
         self._flies = self._is_certain = self._is_laid = False
@@ -168,6 +170,7 @@ class ShieldRouter:
         """Take what the dead-man did of late, before each step."""
         self.stalls.hear(report)
         self.view.note_mode(report.mode, report.mode_ns // 1000)
+        self._is_alone = bool(ended)
 
     def last_word(self, sent_us: int) -> CompanionRecord:
         """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
@@ -221,6 +224,8 @@ class ShieldRouter:
             self._keep_in_touch(now_us)
             self._take_back(now_us)
             self._fly(now_us)
+            if self._is_alone and self.view.params.needs_dead_man:
+                self.hand_over(now_us)
             self._commands.step(now_us, self.system)
         return self.link.datagrams_to_send()
 

@@ -23,6 +23,9 @@ Address = tuple[str, int]
 _RECEIVE_BUFFER_BYTES: Final = 4 << 20
 _LARGEST: Final = 4096  # MAVLink datagrams stay below an Ethernet frame; a larger buffer costs time at every call
 LOOPBACK: Final = "127.0.0.1"
+_MOST: Final = 1000
+"""Datagrams, strangers' too, that one call looks at: two ticks' backlog after a stall of a second is taken, and a flood
+does not hold the loop."""
 
 
 @final
@@ -105,7 +108,7 @@ class UdpSocket:
 
     def receive_from(self) -> tuple[bytes, Address] | None:
         """The same with its sender's address."""
-        while True:
+        for _ in range(_MOST):
             try:
                 data, sender = self._socket.recvfrom(_LARGEST)
             except BlockingIOError:
@@ -118,11 +121,13 @@ class UdpSocket:
                 if not self._admit(data, sender):
                     continue
             return data, sender
+        return None
 
-    def receive_all(self) -> list[bytes]:
-        """Everything that has arrived, in order."""
-        datagrams = []
-        while (data := self.receive()) is not None:
+    def receive_all(self, most: int = _MOST) -> list[bytes]:
+        """What has arrived, in order; of a flood, a stranger's too, the first `most`, the rest in calls to come."""
+        datagrams: list[bytes] = []
+        dropped = self.foreign
+        while len(datagrams) + self.foreign - dropped < most and (data := self.receive()) is not None:
             datagrams.append(data)
         return datagrams
 

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from flightstack.types import InputError
 from mavlink_bridge.framing import DatagramFraming, StreamFraming
+from mavlink_bridge.transport import udp
 from mavlink_bridge.transport.address import Serial, UdpIn, UdpOut, framing_for, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us, sleep_until_us
 from mavlink_bridge.transport.serial import SerialPort
@@ -101,6 +102,24 @@ def test_a_peer_given_beforehand_is_sent_to_until_someone_else_speaks_first() ->
             other.send(b"first")
             assert near.receive_exactly(1, WAIT_S) == [b"first"]
             assert near.peer == other.address
+
+
+def test_a_flood_does_not_hold_the_reader_whoever_sends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(udp, "_MOST", 12)
+    with UdpSocket.bind(HOST, 0, drop_foreign=True) as near, _peer_of(near) as first, _peer_of(near) as second:
+        first.send(b"peer")
+        assert near.wait(WAIT_S)
+        assert near.receive_all() == [b"peer"]
+        for _ in range(20):
+            second.send(b"foreign")
+        for number in range(20):
+            first.send(b"%d" % number)
+        assert near.wait(WAIT_S)
+        assert near.receive_all(8) == []
+        assert near.foreign == 12, "strangers' datagrams take time as well"
+        assert near.receive_all(12) == [b"%d" % number for number in range(4)]
+        assert near.receive_all(8) == [b"%d" % number for number in range(4, 12)]
+        assert near.receive_all(100) == [b"%d" % number for number in range(12, 20)]
 
 
 def test_foreign_datagrams_are_dropped_and_counted_where_asked() -> None:

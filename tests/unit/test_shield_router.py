@@ -19,7 +19,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 from flightstack_sim.streams import LinkKind
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
-from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD
+from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD, NOBODY
 from mavlink_bridge.framing import CRC, MAGIC_V1, ONE_BYTE, build_frame, mcrf4xx
 from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.link import Link
@@ -332,3 +332,11 @@ def test_a_powerful_vehicle_stays_below_the_ceiling_and_holds_its_height(site: P
     rig.say = lambda: None
     rig.run(4.0)
     assert -rig.places[-1][2] == pytest.approx(before_m, abs=0.3)
+
+
+def test_without_its_dead_man_the_router_hands_over(rig: Rig) -> None:
+    """A stock PX4 goes on with the last body rates for a second: the next stall would have nobody to answer it."""
+    rig.router.hear_dead_man(NOBODY, "the dead-man's process has ended")
+    rig.run(0.3)
+    assert rig.router.view.custom_mode == px4.MODE_HOLD
+    assert rig.router.score.handed_over
