@@ -20,6 +20,7 @@ Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -71,10 +72,13 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lag_s: float, doubts: LoopBounds) -> Tube:
-    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched."""
+def across(lag_s: float, doubts: LoopBounds, most_ps: float = math.inf) -> Tube:
+    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched, no
+    faster than `most_ps`."""
     found = []
     for pole in _ACROSS_POLES:
+        if pole > max(most_ps, _ACROSS_POLES[0]):
+            break
         gains = Gains(3.0 * pole, 3.0 * pole**2, pole**3)
         matrix = np.zeros((5, 5))
         matrix[[0, 1, 2], [1, 2, 3]] = 1.0
