@@ -182,7 +182,7 @@ class StoppingCertificate:
         return float(np.max(way[:count, 0] + way[:count, WAY_RADIUS])) if count else math.inf
 
 
-def steady_pole_ps(snap_mps4: float, motor_lag_s: float) -> float:
+def steady_pole_ps(snap_mps4: float, motor_lag_s: float = 0.0) -> float:
     """The fastest pole of a loop that does not swing where jerk changes by so much at most: at a pole p the jerk of an
     acceleration A changes by p^2 A.  Torque that comes late takes more: A is measured (docs/site.md)."""
     return math.sqrt(snap_mps4 / (_SWING_MPS2 * max(motor_lag_s / _SWING_LAG_S, 1.0)))
@@ -218,7 +218,7 @@ def stopping(
     lag_across = slower * model.rate_lag_s + held_s
     lag_along = slower * model.motor_lag_s + held_s + 0.01
     snap = governor.roll_pitch_max * _alpha(vehicle, model) * G
-    tubes = across(lag_across, doubts[0], steady_pole_ps(snap, model.motor_lag_s)), along(lag_along, doubts[1])
+    tubes = across(lag_across, doubts[0], steady_pole_ps(snap)), along(lag_along, doubts[1])
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     down = _down(vehicle, prior, governor, least)
@@ -321,7 +321,7 @@ def _authority(
     left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
     a = min(max(float(left.min()), _ACROSS_LEAST), hardest_mps2)
     tilted = min((G - down) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
-    return a, up, min(float(math.sqrt(max(most_mps2**2 - (G + up) ** 2, 1.0))), tilted)
+    return a, up, min(a + _DEMAND * force_mps2, tilted)
 
 
 def _slow_s(row: F64, tube: F64) -> float:
