@@ -76,8 +76,8 @@ class Voice:
             self._setpoint(t_us, LEVEL, heading, rest, thrust_norm)
 
     def stay(self, t_us: int, thrust_norm: float, q_ned_frd: Tuple4) -> None:
-        """The attitude that is, before PX4 is asked for a mode of its own: until that mode's loop has run once, its
-        attitude loop goes by the last attitude that it was told, which is that of before the take-off, without thrust."""
+        """The attitude that is, before PX4 is asked for a mode of its own: for a cycle or two its attitude loop goes by
+        the last attitude that it was told, which would be that of before the take-off, without thrust."""
         self._setpoint(t_us, LEVEL, q_ned_frd, (0.0, 0.0, 0.0), thrust_norm)
 
     def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
