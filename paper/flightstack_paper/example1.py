@@ -22,8 +22,9 @@ from importlib import resources
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from flightstack.barrier import sos
-from flightstack.barrier.exact import (
+from flightstack.types import F64, InputError
+from flightstack_paper import sos
+from flightstack_paper.exact import (
     ExactPolynomial,
     Proof,
     along,
@@ -33,7 +34,6 @@ from flightstack.barrier.exact import (
     proof_from_dict,
     proof_to_dict,
 )
-from flightstack.types import F64, InputError
 
 FIELD = (
     ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}),
