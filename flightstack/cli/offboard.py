@@ -128,7 +128,7 @@ def _offboard(
     wanted = files.load_params(options.set_params).values
     with (
         undisturbed(real_time=True) as is_ahead,
-        closing(open_address(address)) as transport,
+        closing(open_address(address, signer)) as transport,
         parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)
