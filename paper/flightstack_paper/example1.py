@@ -35,10 +35,7 @@ from flightstack_paper.exact import (
     proof_to_dict,
 )
 
-FIELD = (
-    ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}),
-    ExactPolynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}),
-)
+FIELD = (ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}), ExactPolynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}))
 V_PUBLISHED = ExactPolynomial({(2, 0): "1.343", (1, 1): "0.5155", (0, 2): "1.152"})
 H_PUBLISHED = ExactPolynomial(
     {(0, 0): 1, (1, 0): "-0.4254", (0, 1): "-0.3248", (0, 2): "-0.7549", (2, 0): "-0.8616", (1, 1): "-0.2846"}
