@@ -20,6 +20,7 @@ from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
 from flightstack_logs.reader import Log, read
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
+from mavlink_bridge.voice import LEVEL
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGHT_MODEL = ("hover", "figure8", "minimum-snap")
@@ -44,12 +45,15 @@ def _sent_setpoints(log: Log) -> list[m.SetAttitudeTarget]:
 
 
 def _assert_flew(log: Log, least_height_m: float) -> None:
-    """Armed by the vehicle's word, in the air by the truth, moved by setpoints that were on the wire."""
+    """Armed by the vehicle's word, in the air by the truth, moved by rates that were on the wire; once, before PX4's
+    Land, the attitude that is."""
     assert bool(np.any(log.tables["/vehicle/status"]["armed"]))
     assert -log.tables["/truth"]["pos_ned_m"][:, 2].min() > least_height_m
-    flown = [point for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
-    assert len(flown) > 1000
-    assert all(point.type_mask == 128 for point in flown)
+    masks = [point.type_mask for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
+    assert len(masks) > 1000
+    assert sorted(set(masks)) == [LEVEL, 128]
+    assert masks[:-10].count(LEVEL) == 0
+    assert masks.count(LEVEL) == 1
     end = {name: column[-1] for name, column in log.tables["/truth"].columns.items()}
     assert bool(end["on_ground"])
     assert np.abs(end["vel_ned_mps"]).max() < 0.01
