@@ -172,7 +172,7 @@ class DeadMan:
         if (holds or now_ns - self._rates_ns >= _RATES_NS) and companion.thrust_norm > 0.0:
             self._rates_ns = now_ns
             words = self._levelling(now_ns, companion)
-            if holds:  # PX4 goes by it in Hold's first cycles: else by an attitude of before the take-off, without thrust
+            if holds:  # Hold's first cycles go by it: else by an attitude of before the take-off, without thrust
                 attitude = (words[0], *self._q, *words[5:-1], _ATTITUDE_ONLY)
                 out.append(self._frame(SET_ATTITUDE_TARGET, attitude, companion))
             out.append(self._frame(SET_ATTITUDE_TARGET, words, companion))
