@@ -25,7 +25,7 @@ from mavlink_bridge.handshake import FINAL, HandshakeEvent, State, transition
 from mavlink_bridge.hearing import Hearing
 from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link
-from mavlink_bridge.notes import BrokenPremise, GuardNotes
+from mavlink_bridge.notes import BrokenPremise, GuardNotes, Swinging
 from mavlink_bridge.onlookers import MissionPlanner, Observer
 from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
@@ -96,7 +96,7 @@ class Companion:
         """Row of the fault table that ended the flight; empty: none."""
         self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
-        self._broken = BrokenPremise(observer)
+        self._broken, self._swinging = BrokenPremise(observer), Swinging()
         self._hearing = Hearing(link, self._now, self._watch, self._voice, observer)
 
     # ---------------------------------------------------------------- outside
@@ -340,7 +340,7 @@ class Companion:
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
-        if reason := self._broken.take(record):
+        if reason := self._broken.take(record) or self._swinging.take(record):
             self.stop(reason)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
