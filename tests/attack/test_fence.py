@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.attack_worlds import World
 from benchmarks.fence_flight import DITHER, NOMINAL, PUSH, RANDOM, THROUGH, Attack, FenceFlight, Outcome
-from benchmarks.fence_vehicles import flight
+from benchmarks.fence_vehicles import flight, planted
 from benchmarks.fence_worlds import HOVER
 from flightstack.trajectory import hover
 
@@ -159,3 +159,11 @@ def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> No
     row = flight({"kind": "lifter", "seconds": 3.5}, 900006, tmp_path)
     assert row["exits"] == 0
     assert row["changed"] > 0
+
+
+@pytest.mark.parametrize(("away", "leaves"), [("all", True), ("nothing", False)])
+def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves: bool) -> None:
+    """The way out alone, truth at the edge of what is declared, the estimate off by all of it: exits can be seen."""
+    row = planted({"away": away, "slid": False, "seconds": 6.0}, 910003, tmp_path)
+    assert (row["exits"] > 0) is leaves
+    assert row["stopped"] > 100
