@@ -371,6 +371,7 @@ def test_real_time_is_paced_and_its_lateness_reported(tmp_path: Path) -> None:
     code = _run("fly", "paper-barrier", *arguments)
     result = json.loads((tmp_path / "r.json").read_text())
     assert code == 0, result["reason"]
+    assert result["protection"] == "none"  # in one second nothing is certified, and that is allowed
     assert result["loop"]["rate_hz"] == 250
     assert result["loop"]["lateness_us"]["p50"] >= 0.0
     assert 0.5 < result["realtime_factor"] <= 1.05  # paced: never faster than real time
@@ -383,7 +384,7 @@ def test_real_time_is_paced_and_its_lateness_reported(tmp_path: Path) -> None:
 
 
 def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
-    flight = _start("fly", "paper-tracking", "--out", tmp_path, cwd=tmp_path)
+    flight = _start("fly", "figure8", "--no-learning", "--duration", 300, "--out", tmp_path, cwd=tmp_path)
     log_file = tmp_path / "flight.mcap"
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline and not (log_file.exists() and log_file.stat().st_size > 1_000_000):
@@ -394,7 +395,7 @@ def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
     log = read(log_file)
     assert not log.complete
     assert len(log.tables["/truth"]) > 200
-    assert log.metadata["settings"]["scenario"] == "paper-tracking"
+    assert log.metadata["settings"]["scenario"] == "figure8"
     assert log.attachment("vehicle.toml")
     assert _run("log", "info", log_file) == 0
 
@@ -412,8 +413,6 @@ def test_a_flight_that_asked_for_protection_and_had_none_has_failed_unless_that_
     assert (result["completed"], result["passed"], result["protection"]) == (True, False, "none")
     assert result["barrier"]["protected"] == []
     assert '<header class="bad">' in (tmp_path / "report.html").read_text()
-    assert _run(*arguments, "--unprotected-ok") == 0
-    assert json.loads((tmp_path / "r.json").read_text())["protection"] == "none"
     assert _run(*arguments, "--no-learning") == 0
     result = json.loads((tmp_path / "r.json").read_text())
     assert (result["protection"], result["protection_words"][:4]) == ("off", "off:")
