@@ -212,14 +212,18 @@ def _dataflash(tables: Found, first_us: int) -> Found:
         _put(found, "/vehicle/attitude", attitude.t_us, attitude.t_us, q, turning)
     filtered = next((t for n in ("XKF1", "NKF1", "EKF1") if (t := tables.get(n)) is not None), None)
     if filtered is not None and _has(filtered, ("PN", "PE", "PD", "VN", "VE", "VD")):
-        place, speed = _columns(filtered, "PN", "PE", "PD"), _columns(filtered, "VN", "VE", "VD")
-        _put(found, "/vehicle/local_position", filtered.t_us, filtered.t_us, place, speed)
+        state = _columns(filtered, "PN", "PE", "PD", "VN", "VE", "VD")
+        runs = np.any(state != 0.0, axis=1)  # a filter that has not begun, or has nothing to go by, logs zeros
+        if runs.any():
+            t_us = filtered.t_us[runs]
+            _put(found, "/vehicle/local_position", t_us, t_us, state[runs, :3], state[runs, 3:])
     if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")):
         force, turning = _columns(imu, "AccX", "AccY", "AccZ"), _columns(imu, "GyrX", "GyrY", "GyrZ")
         _put(found, "/vehicle/imu", imu.t_us, imu.t_us, force, turning)
     outputs = tables.get("RCOU")
     if outputs is not None:
-        names = [f"C{i}" for i in range(1, _OUTPUTS + 1) if _has(outputs, (f"C{i}",))]
+        before_3_4 = "Ch" if _has(outputs, ("Ch1",)) else "C"  # ArduCopter's name of a channel changed
+        names = [name for i in range(1, _OUTPUTS + 1) if _has(outputs, (name := f"{before_3_4}{i}",))]
         wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
         if names:
             wide[:, : len(names)] = _columns(outputs, *names)
