@@ -297,8 +297,9 @@ class Companion:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
         elif state is State.STANDBY:
             self.view.params.ask(self.link, system, now_us)
-        elif state is State.STREAMING and not self._config.dry_run:
-            self._stream_idle()
+        elif state is State.STREAMING and not (self._config.dry_run or self._watch.pace.has_slept(now_us)):
+            if not self.view.would_return:
+                self._stream_idle()
             if self._config.arm:
                 self._ask_for_offboard_and_arm(now_us)
         elif state is State.LANDING:
