@@ -31,15 +31,7 @@ from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
-from mavlink_bridge.transport.address import (
-    Serial,
-    Transport,
-    UdpIn,
-    UdpOut,
-    framing_for,
-    open_address,
-    parse_address,
-)
+from mavlink_bridge.transport.address import Serial, Transport, UdpIn, UdpOut, framing_for, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
 from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch, SetpointSource
 from mavlink_bridge.transport.key_file import KeyFile

@@ -43,6 +43,11 @@ def negligible(vehicle: Vehicle, effect: str, parameter: str) -> float:
     return _SHARES.get(effect, _SHARE) * natural_scale(vehicle, effect, parameter)
 
 
+def trifle(effect: str, share: float) -> float:
+    """Share of its negligible size at which an effect is taken to be there: `share`, where no log's errors set it."""
+    return 1.0 if effect in _SHARES else share
+
+
 _INERTIA = (1.0 / 3.0, 3.0)
 """Of an inertia's scale: a rod, a disc and a ball of the same mass and reach differ by less."""
 

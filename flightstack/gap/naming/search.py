@@ -9,7 +9,7 @@ search would take a proxy first and never let go of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -116,9 +116,14 @@ def _bar(state: SelectionState) -> bool:
     return bool(at_ends)
 
 
-def search(bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = ()) -> SelectionState:
-    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together."""
-    point = linearise(bench, start, start)
+def search(
+    bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False
+) -> SelectionState:
+    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together.
+
+    `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
+    """
+    point = linearise(bench, replace(start) if steady else start, start)  # only `start` itself is linearised as such
     state = SelectionState(bench, start, point, metric_of(point), apart=apart)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
