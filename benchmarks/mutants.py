@@ -36,7 +36,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "flightstack/guard.py": (UNIT + "test_guard.py",),
     "flightstack/safety_filter.py": (UNIT + "test_filter_rest.py", UNIT + "test_safety_filter.py"),
     "flightstack/barrier/condition.py": (UNIT + "test_barrier_condition.py",),
-    "flightstack/barrier/margins.py": (UNIT + "test_margins.py",),
+    "flightstack/barrier/margins.py": (
+        UNIT + "test_margins.py",
+        UNIT + "test_certificate_check.py::test_a_true_certificate_is_valid",
+    ),
     "flightstack/governor.py": (UNIT + "test_governor.py",),
     "flightstack/certificate_check/ledger.py": CHECKER,
     "flightstack/certificate_check/condition.py": CHECKER,
