@@ -21,7 +21,10 @@ OFF_M, ROOM_H = 0.01, 0.05
 MADE = dataclasses.replace(
     certified(4000),
     centre_ned_m=tuple(CENTRE),
-    axes=tuple(dataclasses.replace(axis, setting=axis.setting._replace(off_m=OFF_M)) for axis in certified(4000).axes),
+    axes=tuple(
+        dataclasses.replace(axis, setting=axis.setting._replace(off_m=OFF_M, inner=0.15))
+        for axis in certified(4000).axes
+    ),
 )
 
 
