@@ -60,7 +60,12 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     """
     spec = _spec(effect, parameter)
     arm = float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)))
-    own = {"inertia": _INERTIA, "com_offset": (-arm, arm), "payload": (-0.5 * vehicle.mass_kg, spec.maximum)}
+    own = {
+        "inertia": _INERTIA,
+        "com_offset": (-arm, arm),
+        "payload": (-0.5 * vehicle.mass_kg, spec.maximum),
+        "blade_flapping": (0.0, spec.maximum),  # a disk tilts away from the wind
+    }
     low, high = own.get(effect, (spec.minimum, spec.maximum))
     return max(low, spec.minimum), min(high, spec.maximum)
 
