@@ -19,7 +19,6 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.records import Authority, Budget, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Stopping, value
-from flightstack.cli.closed_loop import fly
 from flightstack.control.feedback import FlatnessController
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model
@@ -36,6 +35,7 @@ from flightstack.safety_filter import (
 from flightstack.seams import SafetyFilter
 from flightstack.stack import Stack
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, changed
+from tests.closed_loop import fly
 
 TILT = math.radians(25.0)
 LIMITS = Limits(tilt_max_rad=TILT)
@@ -315,7 +315,7 @@ def test_a_yaw_rate_that_asks_for_little_torque_passes_through_an_intervention()
     ("present", "wanted", "sent"),
     [
         (0.0, 1.3, 0.2), (0.0, -1.3, -0.2), (0.5, 2.0, 0.7), (-0.5, -2.0, -0.7), (1.0, -2.0, 0.6), (-1.0, 2.0, -0.6),
-        (9.0, -2.0, 2.0),
+        (9.0, -2.0, 2.0), (0.5, -1.0, 0.1), (0.3, -1.0, 0.0), (0.1, -1.0, -0.1),
     ],
 )  # fmt: skip
 def test_an_engaged_filter_lets_yaw_turn_gently_only_and_thrust_as_it_was(present, wanted, sent):

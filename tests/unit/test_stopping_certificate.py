@@ -11,6 +11,7 @@ import pytest
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.certificate_check import check
+from flightstack.certificate_check import stopping as stopping_check
 from flightstack.cli import files
 from flightstack.cli.certify_site import narrowed
 from flightstack.cli.protection import governor_for
@@ -108,6 +109,22 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, 
         yield path, float(value)
 
 
+@pytest.fixture
+def radii_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the checker finds of a loop is kept: most changes leave one of the two as it was, or both."""
+    kept: dict[Any, float] = {}
+    radius = stopping_check._radius
+
+    def once(loop: dict[str, float], is_across: bool) -> float:
+        key = (*loop.values(), is_across)
+        if key not in kept:
+            kept[key] = radius(loop, is_across)
+        return kept[key]
+
+    monkeypatch.setattr(stopping_check, "_radius", once)
+
+
+@pytest.mark.usefixtures("radii_kept")
 def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, text: str) -> None:
     """What the checker cannot know (vehicle, sensors) is compared with what follows from the file's own prior."""
     count = 0
@@ -185,3 +202,15 @@ def test_one_that_can_not_come_down_is_refused() -> None:
     assert 10.0 * governor.margin > 0.7
     with pytest.raises(InputError, match="a climb is not braked"):
         stopping(vehicle, model, Limits(), estimate_bounds(error_statistics(load_grade("mocap"))), governor)
+
+
+def test_a_refusal_says_what_is_missing() -> None:
+    estimate = estimate_bounds(error_statistics(load_grade("mocap")))
+    vehicle, model = _powerful(1.7)
+    with pytest.raises(InputError, match=r"its rotors give 1\.70.* 0\.15 g take 1\.72: .*a certificate of less mass"):
+        stopping(vehicle, model, Limits(), estimate, governor_for(vehicle, model, Limits(), "mocap"))
+    vehicle, model = _powerful(4.0)
+    governor = governor_for(vehicle, model, Limits(), "mocap")
+    ringing = dataclasses.replace(governor, chi=90.0, margin=0.49)
+    with pytest.raises(InputError, match=r"torque up to 90 times what is modelled.*MC_ROLLRATE_K"):
+        stopping(vehicle, model, Limits(), estimate, ringing)
