@@ -8,6 +8,7 @@ import operator
 import os
 import subprocess
 import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,13 @@ import numba
 import numpy as np
 import pytest
 
+from flightstack.cli import compiled
 from flightstack.jit import njit
-from flightstack.typed_once import typed_once
+from flightstack.quick_compiling import quick_compiling, typed_once
 
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
+from flightstack.cli import compiled
 from flightstack.jit import njit
 from benchmarks.called import scale
 
@@ -112,3 +115,58 @@ def test_a_function_compiled_with_remembered_operations_computes_the_same() -> N
         quick = numba.njit(error_model="numpy")(work)(*arguments)
     for a, b in zip(plain, quick, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def _fresh(function: Any) -> Any:
+    """The same function as one that nobody compiled yet, for Python and for compiled callers."""
+    code = types.FunctionType(function.__code__, function.__globals__, function.__name__)
+    code.__module__, code.__qualname__ = function.__module__, function.__qualname__
+    return numba.njit(no_cfunc_wrapper=True, error_model="numpy")(code)
+
+
+def test_code_without_its_callees_machine_code_computes_the_same() -> None:
+    v = np.linspace(0.1, 2.0, 7)
+
+    def work(v: Any) -> Any:
+        turned = v[::-1].copy()
+        if turned[0] < 0.0:
+            raise ValueError("below zero")
+        return turned, _sum_of_powers(v[3]), turned.sum()
+
+    plain = _fresh(work)(v)
+    with quick_compiling():
+        quick = _fresh(work)
+        answer = quick(v)
+        with pytest.raises(ValueError, match="below zero"):
+            quick(-v)
+        by_address = numba.cfunc("float64(float64)")(lambda x: _power(x, 3))
+        assert by_address.ctypes(2.0) == 8.0
+    for a, b in zip(plain, answer, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def compiling(*parts: str) -> subprocess.Popen[str]:
+        asked.append(parts)
+        for part in parts:
+            compiled._marker(part).touch()
+        return subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compiled, "_compiling", compiling)
+    for parts in ((), ("simulator",), ("jsbsim", "flight"), ("jsbsim",)):
+        compiled.ensure_compiled(lambda text: None, *parts)
+    assert asked == [("flight",), ("jsbsim",)]
+
+
+def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> None:
+    half = compiled._compiling(compiled._UNFILTERED)
+    assert half.stdin is not None
+    half.stdin.close()
+    assert half.wait(60.0) == 1
+    assert half.stdout is not None
+    half.stdout.close()
