@@ -81,7 +81,7 @@ test: $(BIN)/.installed-dev
 	@$(BIN)/python -m flightstack.cli.compiled flight jsbsim >/dev/null 2>&1 & compiling=$$!; \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports; checked=$$?; \
 	  wait $$compiling; exit $$checked
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 format: $(BIN)/.installed-dev
 	$(BIN)/ruff format .

@@ -45,7 +45,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from flightstack.cli import controllers, files
-from flightstack.cli.closed_loop import fly
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.gains import GAINS, Group, Tuned, gains_to_toml
 from flightstack.control.pid import PidGains
@@ -54,6 +53,7 @@ from flightstack.scenario import Scenario, TimedEvent
 from flightstack.stack import Stack, StackState
 from flightstack.types import F64, Command, FlatOutput, Measurement, TickRecord
 from flightstack.vehicle import Vehicle, with_effects
+from tests.closed_loop import fly
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSION = "tune/2"

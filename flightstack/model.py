@@ -29,6 +29,8 @@ MC_RATE_D = 0.003
 """PX4's default MC_ROLLRATE_D and MC_PITCHRATE_D."""
 _LEAST_THRUST_TO_WEIGHT = 1.1
 _RATE_LAG_RANGE_S = (0.01, 0.15)
+PARASITIC_AT_MPS = 2.0
+"""Airspeed at which the model's linear drag is what a parasitic drag makes there: more below it, less above."""
 _EXPRESSED = frozenset(
     {
         "payload",
@@ -39,6 +41,7 @@ _EXPRESSED = frozenset(
         "linear_drag",
         "rotor_drag",
         "induced_inflow",
+        "parasitic_drag",
         "inertia",
     }
 )
@@ -89,7 +92,8 @@ class Model:
     transport_delay_s: float
     """How late a command begins to act."""
     drag_kgps: Tuple3
-    """Drag along the body axes, force = -D v_body: the frame's, and the rotors' at the speed at which they hover."""
+    """Drag along the body axes, force = -D v_body: the frame's (its parasitic one as at 2 m/s), and the rotors' at the
+    speed at which they hover."""
     rotor_radius_m: float
     """Scale of height for what a rotor does near the ground."""
     left_to_learner: tuple[str, ...]
@@ -196,13 +200,16 @@ def thrust_to_norm(thrust_n: float, max_thrust_n: float, thrust_model_factor: fl
 
 
 def _drag_kgps(vehicle: Vehicle, max_thrust_n: float) -> Tuple3:
-    """Linear drag, rotor drag and induced inflow: the latter two go with the rotors' speed, here that of hover."""
+    """Linear drag; rotor drag and induced inflow, which go with the rotors' speed, here that of hover; and parasitic
+    drag, which goes with the airspeed, here `PARASITIC_AT_MPS`."""
     effects = vehicle.effects
     hover_radps = vehicle.rotors.max_speed_radps * math.sqrt(vehicle.weight_n / max_thrust_n)
     across = 4.0 * hover_radps * effects.get("rotor_drag", {}).get("k_d_kg_per_rad", 0.0)
     along = 4.0 * hover_radps * effects.get("induced_inflow", {}).get("k_z_kg_per_rad", 0.0)
     x, y, z = (effects.get("linear_drag", {}).get(f"d_{axis}_kgps", 0.0) for axis in "xyz")
-    return x + across, y + across, z + along
+    c_x, c_y, c_z = (effects.get("parasitic_drag", {}).get(f"c_{axis}_kg_per_m", 0.0) for axis in "xyz")
+    fast = PARASITIC_AT_MPS
+    return x + across + fast * c_x, y + across + fast * c_y, z + along + fast * c_z
 
 
 def _rate_lag_s(vehicle: Vehicle, thrust_per_command_n: float) -> float:

@@ -25,7 +25,7 @@ from mavlink_bridge.handshake import FINAL, HandshakeEvent, State, transition
 from mavlink_bridge.hearing import Hearing
 from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link
-from mavlink_bridge.notes import BrokenPremise, GuardNotes
+from mavlink_bridge.notes import BrokenPremise, GuardNotes, Swinging
 from mavlink_bridge.onlookers import MissionPlanner, Observer
 from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
@@ -96,7 +96,7 @@ class Companion:
         """Row of the fault table that ended the flight; empty: none."""
         self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
-        self._broken = BrokenPremise(observer)
+        self._broken, self._swinging = BrokenPremise(observer), Swinging()
         self._hearing = Hearing(link, self._now, self._watch, self._voice, observer)
 
     # ---------------------------------------------------------------- outside
@@ -135,10 +135,9 @@ class Companion:
 
     def last_word(self, sent_us: int) -> CompanionRecord:
         """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
-        state = self._stack_state
-        carried = self._stack.model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n
-        thrust = self._stack.model.norm_of(carried)
-        return companion_record(self._now, self._voice, self.link, self._measurement, thrust, (sent_us, self._t_us))
+        sent = (sent_us, self._t_us)
+        record = companion_record(self._now, self._voice, self.link, self._measurement, self._carrying_norm(), sent)
+        return record._replace(flags=0) if self._landing else record  # PX4 lands: silence is meant, to disarmed and on
 
     @property
     def stalls(self) -> Stalls:
@@ -239,6 +238,8 @@ class Companion:
             self._now.landing_for = "" if self._mission_complete else self.reason
             self._fault = self._now.trouble if event is HandshakeEvent.FAULT_LAND else ""
             self._set_phase("land", t_us)
+            if not self._fault and self._measurement is not None:
+                self._voice.stay(t_us, self._carrying_norm(), tuple(self._measurement.q_ned_frd.tolist()))
             self._command_mode(px4.MODE_LAND, now_us)
         elif state in (State.HOLDING, State.LOST):
             self.land_command_us = t_us if self.land_command_us < 0 else self.land_command_us
@@ -339,7 +340,7 @@ class Companion:
         record = self._tick(self._measurement, self.mission.reference(t_s), self._t_us)
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
-        if reason := self._broken.take(record):
+        if reason := self._broken.take(record) or self._swinging.take(record):
             self.stop(reason)
         if record.filtered.handed_over:
             self.stop("handed over: what kept the flight in its region was falsified by what was measured")
@@ -370,11 +371,14 @@ class Companion:
 
     def _calm(self, *, turning: bool = False) -> None:
         """Safe words: what PX4 may go on with until its own failsafe acts; `turning`: body rates, zero."""
-        state, model = self._stack_state, self._stack.model
-        carried = model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n
         measurement = self._measurement if self._fault not in _BLIND and not turning else None
         yaw_rad = None if measurement is None else yaw_of(measurement.q_ned_frd)
-        self._voice.calm(self._t_us, model.norm_of(carried), yaw_rad)
+        self._voice.calm(self._t_us, self._carrying_norm(), yaw_rad)
+
+    def _carrying_norm(self) -> float:
+        """Normalised thrust that carried the vehicle of late."""
+        state, model = self._stack_state, self._stack.model
+        return model.norm_of(model.weight_n if state is None or not np.isfinite(state.carried_n) else state.carried_n)
 
     def _mission_time_s(self) -> float:
         return (self._t_us - self.flight_start_us) / SECOND_US

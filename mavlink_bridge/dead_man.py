@@ -51,7 +51,7 @@ _LEVEL_PER_S = 6.0
 _RATE_MAX_RADPS = 3.0
 _LEAST_COSINE = 0.7
 """Thrust is raised by 1 / cos(tilt) up to here."""
-_RATES_ONLY = 128
+_RATES_ONLY, _ATTITUDE_ONLY = 128, 7
 _OFFBOARD_MAIN = 6
 _HOLD_MODE = 0x03040000
 _DO_SET_MODE, _ARM_DISARM, _REQUEST_MESSAGE = 176, 400, 512
@@ -166,15 +166,20 @@ class DeadMan:
     def _words(self, now_ns: int, companion: CompanionRecord) -> list[bytes]:
         """Rates that level, the question for the mode, the command to hold: what is due of them."""
         out: list[bytes] = []
-        if now_ns - self._rates_ns >= _RATES_NS and companion.thrust_norm > 0.0:
+        answered = self._mode >= 0 and self._mode_at_ns > self._asked_ns
+        waited = now_ns - self._asked_ns >= ANSWER_NS and (self._mode >= 0 or bool(companion.flags & IN_OFFBOARD))
+        holds = self._asked_ns and (answered or waited or self._hold_ns) and now_ns - self._hold_ns >= _HOLD_AGAIN_NS
+        if (holds or now_ns - self._rates_ns >= _RATES_NS) and companion.thrust_norm > 0.0:
             self._rates_ns = now_ns
-            out.append(self._frame(SET_ATTITUDE_TARGET, self._levelling(now_ns, companion), companion))
+            words = self._levelling(now_ns, companion)
+            if holds:  # Hold's first cycles go by it: else by an attitude of before the take-off, without thrust
+                attitude = (words[0], *self._q, *words[5:-1], _ATTITUDE_ONLY)
+                out.append(self._frame(SET_ATTITUDE_TARGET, attitude, companion))
+            out.append(self._frame(SET_ATTITUDE_TARGET, words, companion))
         if not self._asked_ns:
             self._asked_ns = now_ns
             out.append(self._command(_REQUEST_MESSAGE, (float(CURRENT_MODE),), companion))
-        answered = self._mode >= 0 and self._mode_at_ns > self._asked_ns
-        waited = now_ns - self._asked_ns >= ANSWER_NS and (self._mode >= 0 or bool(companion.flags & IN_OFFBOARD))
-        if (answered or waited or self._hold_ns) and now_ns - self._hold_ns >= _HOLD_AGAIN_NS:
+        if holds:
             self._hold_ns = now_ns
             if not self.record.hold_ns:
                 self.record = self.record._replace(hold_ns=now_ns)

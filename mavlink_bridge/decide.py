@@ -223,6 +223,12 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
         return Decision(HandshakeEvent.ENGAGED)
+    if view.armed and view.intends_offboard and view.intended_at_us >= view.mode_at_us:
+        return Decision(
+            HandshakeEvent.TOOK_OVER,
+            f"the vehicle went from OFFBOARD into {view.mode_name} before this companion flew it, and setpoints would "
+            "bring it back: hands off",
+        )
     if now.parameters_changed and (wrong := _parameters_wrong(now)):
         return Decision(HandshakeEvent.UNFIT, wrong)
     if now.unfit:
@@ -248,6 +254,9 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
 def _why_refused(now: Situation, command: px4.Cmd, now_us: int) -> str:
     result = now.commands.status(command).result
     answer = "no answer" if result is None else px4.describe_result(result)
+    if result == 0:
+        disarmed = command is px4.Cmd.COMPONENT_ARM_DISARM and not now.view.armed
+        answer = "accepted, and then the vehicle was disarmed" if disarmed else answer
     return answer + (_says(now.view, now_us, 12) or " (the vehicle gave no reason)")
 
 

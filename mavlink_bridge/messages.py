@@ -119,12 +119,7 @@ _TELEMETRY: tuple[Row, ...] = (
         vel_ned_mps=_VEL_CM,
         heading_deg=wire("hdg", per=100.0, unknown=_U16),
     ),
-    row(
-        ev.ServoOutputRaw,
-        rate_hz=10.0,
-        t_us="time_usec",
-        pwm_us=" ".join(f"servo{i}_raw" for i in range(1, 17)),
-    ),
+    row(ev.ServoOutputRaw, rate_hz=10.0, t_us="time_usec", pwm_us=" ".join(f"servo{i}_raw" for i in range(1, 17))),
     row(ev.ActuatorOutputStatus, t_us="time_usec", outputs="actuator"),
     row(
         ev.VfrHud,
@@ -272,12 +267,7 @@ _SETPOINTS: tuple[Row, ...] = (
 
 _PROTOCOLS: tuple[Row, ...] = (
     row(ev.Ping, rate_hz=1.0, t_us="time_usec"),
-    row(
-        ev.Timesync,
-        rate_hz=10.0,
-        tc1_ns="tc1",
-        ts1_ns="ts1",
-    ),
+    row(ev.Timesync, rate_hz=10.0, tc1_ns="tc1", ts1_ns="ts1"),
     row(ev.SetMode),
     row(ev.ParamRequestRead),
     row(ev.ParamRequestList),
@@ -291,17 +281,10 @@ _PROTOCOLS: tuple[Row, ...] = (
     row(ev.RequestDataStream, req_message_rate_hz="req_message_rate"),
     row(ev.Statustext),
     row(ev.RadioStatus),
-    row(
-        ev.Event,
-        t_boot_us=wire("event_time_boot_ms", times=1000),
-    ),
+    row(ev.Event, t_boot_us=wire("event_time_boot_ms", times=1000)),
     row(ev.CurrentEventSequence, rate_hz=1.0 / 3.0),
-    row(
-        ev.RequestEvent,
-    ),
-    row(
-        ev.ResponseEventError,
-    ),
+    row(ev.RequestEvent),
+    row(ev.ResponseEventError),
 )
 
 _INFORMATION: tuple[Row, ...] = (
@@ -309,17 +292,9 @@ _INFORMATION: tuple[Row, ...] = (
     row(ev.AvailableModes),
     row(ev.AvailableModesMonitor),
     row(ev.AutopilotVersion),
-    row(
-        ev.ProtocolVersion,
-    ),
-    row(
-        ev.ComponentInformation,
-        t_boot_us=_T_BOOT,
-    ),
-    row(
-        ev.ComponentMetadata,
-        t_boot_us=_T_BOOT,
-    ),
+    row(ev.ProtocolVersion),
+    row(ev.ComponentInformation, t_boot_us=_T_BOOT),
+    row(ev.ComponentMetadata, t_boot_us=_T_BOOT),
     row(
         ev.FlightInformation,
         t_boot_us=_T_BOOT,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from flightstack.barrier.premise_watch import NAMES
@@ -12,6 +14,11 @@ from mavlink_bridge.watchdogs import ResetWatch
 
 _AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
 """After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
+
+_SWING_RAD, _SWING_US = 0.4, 3_000_000
+"""Of the attitude's error (rms), and over how long."""
+_SWING_MOST, _SWING_GAP_US = 0.5, 100_000
+"""What a tick and a gap between two count for at most (rad^2, us): a single tumble is the guard's."""
 
 
 class BrokenPremise:
@@ -37,6 +44,31 @@ class BrokenPremise:
         if waited_us > _REST_MOST_US or (calm and waited_us > _REST_LEAST_US):
             return f"premise of the certificate broken: {NAMES[int(ended)]}; braked, then landed"
         return ""
+
+
+class Swinging:
+    """Whether the vehicle turns as it is told: the mean square of the attitude's error, forgotten over some seconds.
+
+    Measured on a real PX4: at most 0.13 rad (rms over 2 s) at default parameters; 0.73 rad with a third of its rate
+    gains, swinging by 45 to 80 degrees from there to the end of the flight.
+    """
+
+    def __init__(self) -> None:
+        self._square = 0.0
+        self._t_us = 0
+
+    def take(self, record: TickRecord) -> str:
+        """A tick; why the flight ends now, empty: it goes on."""
+        error = record.proposal.attitude_error_rad
+        square = float(error @ error)
+        share = min(record.t_us - self._t_us, _SWING_GAP_US) / _SWING_US
+        self._t_us = record.t_us
+        if square >= 0.0:  # no number where there was nothing to control by
+            self._square += share * (min(square, _SWING_MOST) - self._square)
+        if self._square < _SWING_RAD * _SWING_RAD:
+            return ""
+        error_rad = math.sqrt(self._square)
+        return f"swinging: the vehicle turns {error_rad:.1f} rad (rms) otherwise than told: look at PX4's rate gains"
 
 
 class GuardNotes:

@@ -115,18 +115,28 @@ class Signer:
 
     def judge(self, frame: bytes, signed: bool, number: int, now_us: int) -> str:
         """Empty where a received frame (whole, signature included) may be used, else the counter it belongs to."""
+        fault, stream, stamp = self._weigh(frame, signed, number)
+        if stream is not None:
+            self.seen[stream] = stamp
+            self.next_stamp = max(self.next_stamp, min(stamp, _STAMP_MAX))  # a peer with the better clock leads
+        return fault
+
+    def vouches(self, frame: bytes, signed: bool) -> bool:
+        """Whether a frame that nobody has taken yet is rightly signed and new; it is still to be judged."""
+        return self._weigh(frame, signed, -1)[0] == ""
+
+    def _weigh(self, frame: bytes, signed: bool, number: int) -> tuple[str, Stream | None, int]:
+        """The counter it belongs to, empty where it is good; its stream and stamp where they count from now on."""
         if not signed:
-            return "" if number == RADIO_STATUS else "unsigned"
+            return "" if number == RADIO_STATUS else "unsigned", None, 0
         body, head, given = frame[:-SIGNATURE_SIZE], frame[-SIGNATURE_SIZE:-_HASH_SIZE], frame[-_HASH_SIZE:]
         if not compare_digest(self._key.hash_of(body, head), given):
-            return "bad_signature"
+            return "bad_signature", None, 0
         stamp = int.from_bytes(head[1:], "little")
         stream = (*body[_SENDER], head[0])
         last = self.seen.get(stream)
         if last is None:
             last = max(self._stamp_now(), self.next_stamp) - _NEW_STREAM_BEHIND - 1
         if stamp <= last:
-            return "replayed"
-        self.seen[stream] = stamp
-        self.next_stamp = max(self.next_stamp, min(stamp, _STAMP_MAX))  # a peer with the better clock leads
-        return ""
+            return "replayed", None, 0
+        return "", stream, stamp

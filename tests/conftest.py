@@ -8,12 +8,37 @@ import threading
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it, and before numpy: sums in one order
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     # Begun in a shell's background: every process of a test would inherit that Ctrl-C is ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")  # how soon examples are drawn is the machine's business
+
+LONGEST = (
+    "loopback/test_provenance.py", "unit/test_certificate_check.py", "client/test_mavsdk.py", "loopback/test_fly.py",
+    "loopback/test_cli.py", "unit/test_gap_recorded.py", "unit/test_campaign_cluster.py",
+    "loopback/test_before_flight.py", "loopback/test_jsbsim_flights.py", "loopback/test_gap_flights.py",
+    "loopback/test_campaign.py", "loopback/test_set_params.py", "unit/test_gap_held.py",
+    "unit/test_gap_name_forces.py", "unit/test_gap_gusts.py", "unit/test_safety_filter.py", "unit/test_certifier.py",
+    "unit/test_explore.py", "unit/test_gap_voltage.py",
+)  # fmt: skip
+"""Files of 15 s and more, about the longest first: two processes end together where the last files are short."""
+IN_TWO_PROCESSES = "loopback/test_reproduce_quick.py"
+"""Uses both processors by itself: the very last, when no other file is left."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, the others as they come."""
+    tests = Path(__file__).parent
+    places = {tests / name: place for place, name in enumerate(LONGEST)}
+    places[tests / IN_TWO_PROCESSES] = len(LONGEST) + 1
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from benchmarks.px4.records import Bench
 from benchmarks.px4.station import OFFBOARD_PORT, Px4
 
 SOFT_MPS = 1.5
-AIRBORNE_M, FLOWN_S = 1.5, 6.0
+AIRBORNE_M, FLOWN_S, TRACK_S = 1.5, 6.0, 20.0
 LIMIT_S = 100.0
 OFFBOARD, SET_MODE = 6, 176
 
@@ -42,7 +42,7 @@ class Scene:
 
     def begin(self, *more: str, scenario: str = "figure8") -> None:
         """Start the companion and let it fly for a while."""
-        self.process = start(self.px4, self.folder, scenario, *more)
+        self.process = start(self.px4, self.folder, scenario, "--duration", f"{TRACK_S:g}", *more)
         if not self.px4.wait(lambda: self.px4.height_m > AIRBORNE_M or self.ended, LIMIT_S):
             self.notes.append("did not take off")
         time.sleep(FLOWN_S)

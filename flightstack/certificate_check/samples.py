@@ -35,6 +35,8 @@ WANTED = {"/tick": (*TICK, "delay_s"), "/command": ("thrust_norm", "rate_frd_rad
 WINDOW = 15
 """Samples whose mean is a point."""
 _SAME_S = 5e-7
+_PARASITIC_AT_MPS = 2.0
+"""Airspeed as at which a parasitic drag is believed to be linear."""
 _GAP_S, AWAY_M, _FORCE_MPS2, _LEAST_WEIGHTS, _MOST_MPS2 = 0.05, 0.1, 40.0, 0.3, 0.8 * G
 
 
@@ -65,13 +67,15 @@ class Believed:
             turning = 4.0 * float(rotors["max_speed_radps"]) * np.sqrt(mass_kg * G / max_thrust_n)  # of all, in hover
             k_d = effects.get("rotor_drag", {}).get("k_d_kg_per_rad", 0.0)
             k_z = effects.get("induced_inflow", {}).get("k_z_kg_per_rad", 0.0)
+            parasitic = [effects.get("parasitic_drag", {}).get(f"c_{axis}_kg_per_m", 0.0) for axis in "xyz"]
             return cls(
                 mass_kg,
                 max_thrust_n,
                 float(effects.get("thrust_curve", {}).get("thrust_model_factor", rotors["thrust_model_factor"])),
                 max(float(effects.get("motor_lag", {}).get("time_constant_s", rotors["time_constant_s"])), 1e-4),
                 np.array([float(drag.get(f"d_{axis}_kgps", 0.0)) for axis in "xyz"])
-                + turning * np.array([k_d, k_d, k_z]),
+                + turning * np.array([k_d, k_d, k_z])
+                + _PARASITIC_AT_MPS * np.array(parasitic),
                 float(rotors["radius_m"]),
                 {
                     "position_m": rotors["position_m"],

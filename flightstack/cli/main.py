@@ -177,4 +177,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from flightstack.cli.start import main as start
+
+    start()

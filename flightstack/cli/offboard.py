@@ -31,15 +31,7 @@ from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.signing import Signer
-from mavlink_bridge.transport.address import (
-    Serial,
-    Transport,
-    UdpIn,
-    UdpOut,
-    framing_for,
-    open_address,
-    parse_address,
-)
+from mavlink_bridge.transport.address import Serial, Transport, UdpIn, UdpOut, framing_for, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us, utc_us
 from mavlink_bridge.transport.dead_man import NO_DEAD_MAN, DeadManProcess, DeadManWatch, SetpointSource
 from mavlink_bridge.transport.key_file import KeyFile
@@ -128,7 +120,7 @@ def _offboard(
     wanted = files.load_params(options.set_params).values
     with (
         undisturbed(real_time=True) as is_ahead,
-        closing(open_address(address)) as transport,
+        closing(open_address(address, signer)) as transport,
         parameters_set(VehicleLink(transport, address, signer, options.heartbeat_timeout_s), wanted, say) as change,
     ):
         out = options.out or files.new_run_folder(scenario.name, None)

@@ -54,8 +54,7 @@ LiveOption = Annotated[
     ),
 ]  # fmt: skip
 OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", callback=_no_option, help="Folder for log and report (default: new, in runs/)."),
+    Path | None, typer.Option("--out", callback=_no_option, help="Folder for log and report (default: new, in runs/).")
 ]
 DurationOption = Annotated[float | None, typer.Option(help="Track for so many seconds instead of the scenario's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness: the same seed flies the same flight.")]

@@ -28,12 +28,7 @@ from flightstack.barrier.torque import GovernorTerms, governor_terms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import AS_PUBLISHED, GivenCertificate, TimedFilter, WatchedCertifier
 from flightstack.cli.checking import read_bounded
-from flightstack.cli.given_certificate import (
-    certificate_for,
-    require_checked,
-    require_premises,
-    round_trip_max_s,
-)
+from flightstack.cli.given_certificate import certificate_for, require_checked, require_premises, round_trip_max_s
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.site import SitePlan, given_prior, load_site, plan_site
 from flightstack.cli.workshop import Workshop
@@ -181,10 +176,7 @@ def _in_site(
 ) -> Protection:
     """Kept in a site: no region counts then."""
     assert options.site is not None
-    for name, is_given in (
-        ("--no-filter", not options.filtering),
-        ("--as-published", options.as_published),
-    ):
+    for name, is_given in (("--no-filter", not options.filtering), ("--as-published", options.as_published)):
         if is_given:
             raise InputError(f"--site is kept by a filter of its own: leave out {name}")
     estimate = estimate_bounds(error_statistics(load_grade(sensors)))

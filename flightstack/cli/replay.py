@@ -44,10 +44,7 @@ _LOST = "filter: certifies nothing more"
 
 
 def replay(
-    path: Path,
-    *,
-    tolerance: float = 0.0,
-    on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    path: Path, *, tolerance: float = 0.0, on_progress: Callable[[float, str], None] = lambda share, phase: None
 ) -> Replayed:
     """Replay the flight of a log; InputError, one line, where it holds none that can be replayed.
 

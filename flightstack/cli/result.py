@@ -40,7 +40,7 @@ class TrackingScore:
     def summary(self) -> dict[str, Any]:
         """The JSON's `tracking`; null figures where nothing was tracked."""
         if not self._positions:
-            return {"of": self.of, "rmse_m": None, "max_m": None, "rmse_settled_m": None}
+            return {"of": self.of} | dict.fromkeys(("rmse_m", "max_m", "rmse_settled_m"))
         distance = np.array(list(map(math.dist, _relative(self._positions), _relative(self._references))))
         settled = distance[len(distance) // 2 :]
         return {
@@ -91,82 +91,53 @@ class LoopTiming:
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `loop`."""
-        late = percentiles(self.lateness_us)
         return {
-            "rate_hz": self.rate_hz,
-            "lateness_us": late,
-            "missed": self.missed,
-            "stalls": self.stalls,
-            "dead_man": self.dead_man,
-            "real_time_priority": self.is_ahead,
-        }
+            "rate_hz": self.rate_hz, "lateness_us": percentiles(self.lateness_us), "missed": self.missed,
+            "stalls": self.stalls, "dead_man": self.dead_man, "real_time_priority": self.is_ahead,
+        }  # fmt: skip
 
 
 def percentiles(values: Collection[float]) -> dict[str, float | None]:
     """p50, p99 and maximum; null where there is nothing."""
     if not values:
-        return {"p50": None, "p99": None, "max": None}
+        return dict.fromkeys(("p50", "p99", "max"))
     array = np.array(list(values), dtype=np.float64)
     return {"p50": float(np.percentile(array, 50)), "p99": float(np.percentile(array, 99)), "max": float(array.max())}
 
 
-NO_LOOP: dict[str, Any] = {"rate_hz": None, "lateness_us": {"p50": None, "p99": None, "max": None}, "missed": None}
-NO_BARRIER: dict[str, Any] = {
-    "enabled": False,
-    "min_h_truth": None,
-    "min_h_estimate": None,
-    "violations": None,
-    "interventions": None,
-    "protected": None,
-    "engaged_share": None,
-    "governor_share": None,
-    "premises_broken": None,
-}
+_NO_TIMES = percentiles(())
+NO_LOOP: dict[str, Any] = {"rate_hz": None, "lateness_us": _NO_TIMES, "missed": None}
+NO_BARRIER: dict[str, Any] = {"enabled": False} | dict.fromkeys(
+    ("min_h_truth", "min_h_estimate", "violations", "interventions", "protected", "engaged_share", "governor_share",
+     "premises_broken")
+)  # fmt: skip
 """`protected`: from when to when (s after take-off) the filter kept to a certificate; `engaged_share`: its share of the
 ticks from the end of the climb to the command to land; `governor_share`: of the engaged ticks, those in which the
 governor of rate commands changed the command; `premises_broken`: engaged ticks in which one did not hold."""
 NO_GP: dict[str, Any] = {
-    "enabled": False,
-    "points": None,
-    "fed": None,
-    "step_us": {"p50": None, "p99": None, "max": None},
-    "coverage_3sigma": None,
-    "coverage_3sigma_axes": None,
-    "coverage_simultaneous": None,
-    "conformal": None,
-    "thrust_gain": None,
-    "thrust_gain_sigma": None,
-    "latency_s": None,
-    "refused": None,
-    "changes": None,
-}
+    "enabled": False, "points": None, "fed": None, "step_us": _NO_TIMES, **dict.fromkeys(
+        ("coverage_3sigma", "coverage_3sigma_axes", "coverage_simultaneous", "conformal", "thrust_gain",
+         "thrust_gain_sigma", "latency_s", "refused", "changes")
+    ),
+}  # fmt: skip
 """Every field of a learner, null; `conformal` is quantile_sigma, coverage_heldout, alpha."""
-NO_QP: dict[str, Any] = {
-    "solve_us": {"p50": None, "p99": None, "max": None},
-    "infeasible": None,
-    "histogram": None,
-}
-NO_LINK: dict[str, Any] = {
-    "round_trip_us": {"p50": None, "p99": None, "max": None},
-    "command_latency_s": None,
-    "received": None,
-    "lost": None,
-    "dropped": None,
-    "signed": None,
-}
+NO_QP: dict[str, Any] = {"solve_us": _NO_TIMES, "infeasible": None, "histogram": None}
+NO_LINK: dict[str, Any] = {"round_trip_us": _NO_TIMES} | dict.fromkeys(
+    ("command_latency_s", "received", "lost", "dropped", "signed")
+)
 """The MAVLink link: TIMESYNC round trips by the local clock, how old the commands are that the motors follow (null: not
 evident), messages, and how many were dropped for which reason."""
-NO_REGION: dict[str, Any] = {
-    "of": None,
-    "engaged_s": None,
-    "min_h_truth": None,
-    "min_h_estimate": None,
-    "violations": None,
-    "left_s": None,
-    "filtered_ticks": None,
-}
+NO_REGION: dict[str, Any] = dict.fromkeys(
+    ("of", "engaged_s", "min_h_truth", "min_h_estimate", "violations", "left_s", "filtered_ticks")
+)
 """How the region was kept to, with a filter or without: `of` is scenario, certificate or null; times since take-off;
 `filtered_ticks`: in so many the filter was engaged itself, under a certificate."""
+_FIELDS = (
+    "scenario", "seed", "log", "report", "completed", "passed", "protection", "protection_words", "reason", "flown",
+    "flight_time_s", "wall_time_s", "realtime_factor", "plant", "controller", "tracking", "barrier", "gp", "qp",
+    "region", "loop", "link", "estimator", "checks", "checklist", "parameters_set", "estimate", "contradictions",
+)  # fmt: skip
+"""Of `flightstack.flight/1`, in its order."""
 
 
 @dataclass(slots=True)
@@ -294,38 +265,13 @@ class FlightResult:
 
     def as_json(self) -> dict[str, Any]:
         """The `flightstack.flight/1` object."""
-        return {
-            "schema": "flightstack.flight/1",
-            "scenario": self.scenario,
-            "seed": self.seed,
-            "log": self.log,
-            "report": self.report,
-            "completed": self.completed,
-            "passed": self.passed,
-            "protection": self.protection,
-            "protection_words": self.protection_words,
-            "reason": self.why,
-            "flown": self.flown,
-            "flight_time_s": self.flight_time_s,
-            "wall_time_s": self.wall_time_s,
-            "realtime_factor": self.clock_time_s / self.wall_time_s if self.wall_time_s > 0 else None,
-            "plant": self.plant,
-            "controller": self.controller,
-            "tracking": self.tracking,
-            "barrier": self.barrier,
-            "gp": self.gp,
-            "qp": self.qp,
-            "region": self.region,
-            "loop": self.loop,
-            "link": self.link,
-            "estimator": self.estimator,
-            "checks": self.checks,
-            "checklist": self.checklist,
-            "parameters_set": self.parameters_set,
-            "estimate": self.estimate,
-            "contradictions": self.contradictions,
-            "log_complete": not self.log_problem,
-        }
+        told = {name: getattr(self, name) for name in _FIELDS} | {"reason": self.why}
+        return {"schema": "flightstack.flight/1", **told, "log_complete": not self.log_problem}
+
+    @property
+    def realtime_factor(self) -> float | None:
+        """How much faster than the vehicle's clock it was; None where it took no time."""
+        return self.clock_time_s / self.wall_time_s if self.wall_time_s > 0 else None
 
 
 def is_measured(name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, qp_summary
@@ -164,7 +165,7 @@ class FlightScore:
             region=region,
             link=link_summary(companion),
             estimator=self.estimate.summary(),
-            flown=flown.as_json(),
+            flown=asdict(flown),
             protection=protection_of(asked, self._filter.spans, region, exits),
             filter_words=prepared.protection.words,
             unprotected_because=prepared.protection.unattainable or (watched.hindrance if watched else ""),

@@ -285,10 +285,7 @@ def simulate(
 
 
 def _loop(
-    instances: list[Instance],
-    options: SimOptions,
-    stop_requested: Callable[[], str],
-    on_fault: Callable[[str], None],
+    instances: list[Instance], options: SimOptions, stop_requested: Callable[[], str], on_fault: Callable[[str], None]
 ) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     first = instances[0].shell.server

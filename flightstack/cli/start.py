@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 
@@ -18,7 +19,13 @@ def main() -> None:
 
     if not ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    run()
+    try:
+        run()
+    finally:
+        # Compiled modules leave a million objects in cycles, which the interpreter would look through one last time:
+        # 0.6 s of processor time between the last line and the end.  Files are closed by name, so nothing needs it.
+        gc.freeze()
+        gc.disable()
 
 
 if __name__ == "__main__":

@@ -99,10 +99,7 @@ def as_json(done: NumberFit, logs: list[str], vehicle: str) -> dict[str, Any]:
         "missing_effects": {name: dict(values) for name, values in done.missing.items()},
         "at_end_of_range": list(done.pressed),
         "contradicted": list(done.contradicted),
-        "unexplained": {
-            "significant": done.unexplained.significant,
-            "depends_on": list(done.unexplained.depends_on),
-        },
+        "unexplained": {"significant": done.unexplained.significant, "depends_on": list(done.unexplained.depends_on)},
     }
 
 

@@ -79,15 +79,6 @@ class Flown:
     touchdown_mps: float | None
     most_rms_m: float
 
-    def as_json(self) -> dict[str, Any]:
-        """The JSON's `flown`."""
-        return {
-            "first_height_m": self.first_height_m,
-            "rose_m": self.rose_m,
-            "touchdown_mps": self.touchdown_mps,
-            "most_rms_m": self.most_rms_m,
-        }
-
     def shortcoming(self, rmse_m: float | None) -> str:
         """Why a flight that came to its end was not flown, one line; empty where it was."""
         wanted_m = LEAST_RISE * self.first_height_m

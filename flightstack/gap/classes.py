@@ -42,6 +42,12 @@ def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ..
         if np.isfinite(s.gain)
     )
     found: dict[str, float] = {}
+    rest = set(best.effects) - {effect}
+    for fit in state.fits.values():  # to first order alike, what was fitted already may lie where no line leads to
+        if len(fit.effects) == len(best.effects) and rest < set(fit.effects) and fit.score - best.score < bearable:
+            (name,) = set(fit.effects) - rest
+            if name not in barred:
+                found[name] = min(found.get(name, np.inf), fit.score)
     for value, i in scored[:_TRIED]:
         if value > best.score + 3.0 * bearable + 0.05 * explained:
             break
@@ -95,13 +101,18 @@ def without_motors(flights: Sequence[Samples]) -> bool:
 def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
     """The named effects of these flights: without a gyro their classes are those of a poor model.
 
-    Without motors no drag's order is told: how the rotors' speed goes with the air's is what parts them.
+    Without motors no drag's order is told: how the rotors' speed goes with the air's is what parts them.  Nor is a drag
+    that the file has told from the mass that it brakes.
     """
     if not has_gyro(flights):
         found = tuple(beside_a_poor_model(f) for f in found)
     if without_motors(flights):
-        found = tuple(together(f, DRAGS) if f.name in DRAGS else f for f in found)
+        found = tuple(together(f, (*DRAGS, *_braked(f))) if f.name in DRAGS else f for f in found)
     return found
+
+
+def _braked(found: Found) -> tuple[str, ...]:
+    return ("payload",) if any(e.before > 0.0 for e in found.parameters.values()) else ()
 
 
 def together(found: Found, others: tuple[str, ...]) -> Found:

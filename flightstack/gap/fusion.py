@@ -4,6 +4,10 @@ Each is good at other frequencies: the position below some, the acceleration abo
 Their three differences hold nothing of the motion, only their errors; if these are independent, the differences'
 spectra say how large each one's are (the three-cornered hat: Gray and Allan, Proc. 28th Symposium on Frequency
 Control, 1974).  The two crossovers are those, of a few, that leave the least error.  Nothing here knows the vehicle.
+
+A filter's velocity is that same acceleration, integrated: they err alike, and what is slow passes for the position's
+error.  But a position's error is bounded, its derivative's fades towards low frequencies: where the disagreement of
+the two does not, it is the velocity's, and the position is taken instead.
 """
 
 from __future__ import annotations
@@ -19,6 +23,10 @@ _INERTIA_ABOVE_HZ = (0.1, 0.2, 0.4, 0.8, 1.6)
 _USUAL_HZ = (0.0, 0.4)
 _BETTER = 0.8
 """Share of the usual crossovers' error below which others are taken."""
+_SLOW_S, _SLOWER_S = 3.0, 12.0
+"""Means of the disagreement: of the power of the shorter's, one of white noise keeps a quarter in the longer's."""
+_BOUNDED_HZ = 0.16
+"""Below this the position is taken where the velocity errs slowly."""
 
 
 def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> tuple[list[tuple[float, float]], F64]:
@@ -42,9 +50,19 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
         best = min(left, key=lambda key: left[key])
         if left[best] > _BETTER**2 * left[_USUAL_HZ]:
             best = _USUAL_HZ
+        slow, slower = (_mean_power(by_position[:, axis], round(s / dt_s)) for s in (_SLOW_S, _SLOWER_S))
+        least = left[best]
+        if slower > max(least, slow / 3.0):
+            best = max(best[0], _BOUNDED_HZ), max(best[1], _USUAL_HZ[1])
+            slower *= 0.5  # of two that differ by so much, each errs by half the power
         chosen.append(best)
-        std[axis] = np.sqrt(left[best])
+        std[axis] = np.sqrt(least + slower)
     return chosen, std
+
+
+def _mean_power(x: F64, block: int) -> float:
+    """Mean square of the means over blocks of so many samples."""
+    return float(np.mean([np.mean(part) ** 2 for part in np.array_split(x, max(1, len(x) // block))]))
 
 
 def _left(hz: F64, errors: F64, low_hz: float, high_hz: float) -> float:

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
-from flightstack.gap.naming.candidates import negligible, plausible
+from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import gain
@@ -85,11 +85,12 @@ def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
 def _size(state: SelectionState, best: Fit, effect: str) -> float:
     """The effect's largest change in negligible sizes."""
     sizes = []
+    share = trifle(effect, state.bench.trifles)
     for spec in EFFECTS[effect].params:
         origin = value(state.start, effect, spec.name)
         if not spec.integer and not spec.required and np.isfinite(origin):
             change = abs(best.effects[effect][spec.name] - origin)
-            sizes.append(change / negligible(best.vehicle, effect, spec.name))
+            sizes.append(change / (share * negligible(best.vehicle, effect, spec.name)))
     return max(sizes, default=0.0)
 
 

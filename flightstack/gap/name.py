@@ -43,14 +43,17 @@ from flightstack.gap.records import Across, Found, Rejected, Samples, Unexplaine
 from flightstack.gap.remainder import Rest
 from flightstack.gap.rest import beside_names, every_rest, loud, telling, unexplained
 from flightstack.gap.simulate import unseen, untold
+from flightstack.gap.verdict import GAP_FROM
 from flightstack.vehicle import Vehicle
 
 _ABSTAIN_SHARE = 0.1
 """Of what can be explained, the part that depends on something else than the named effects."""
-_EVERYWHERE = ("constant_force", "steady_wind")
+EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 _LEAST_GAIN = 0.005
 """Of the held-out gap, what a force that joins a poor model must explain: below, the page says 0 %."""
+_CLOSELY = 0.1
+"""Share of the negligible sizes that a closer look takes for trifles."""
 _ACTS_SHARE = 0.1
 """Of what can be explained in a group, the part from which an effect is taken to act there."""
 
@@ -236,11 +239,18 @@ def _values(found: Sequence[Found]) -> dict[str, dict[str, float]]:
     return {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in found}
 
 
-def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]) -> Naming:
+def name(
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    fit: Sequence[Mask],
+    holdout: Sequence[Mask],
+    *,
+    closely: bool = False,
+) -> Naming:
     """Name the missing effects of `vehicle` from flights; masks (N,) by flight: samples to learn from, to judge by.
 
     The masks must leave a guard of two seconds between them.  Samples that are not `valid` are never used.  Nothing
-    raises on odd data: what can't be judged is not named.
+    raises on odd data: what can't be judged is not named.  `closely`: trifles are a tenth of what they else are.
     """
     valid = [s.valid for s in flights]
     bench = simulator_bench(
@@ -248,13 +258,18 @@ def name(vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], hold
         flights,
         [m & v for m, v in zip(fit, valid, strict=True)],
         [m & v for m, v in zip(holdout, valid, strict=True)],
+        trifles=_CLOSELY if closely else 1.0,
     )
     residuals = [residual(vehicle, s) for s in flights]
     where = locate(residuals, flights)
     if not any(m.any() for m in bench.fit):
         return Naming((), (), vehicle, Unexplained(False), where, {})
-    state = search(bench, vehicle, () if has_gyro(flights) else POORLY_TOLD)
+    apart = () if has_gyro(flights) else POORLY_TOLD
+    state = search(bench, vehicle, apart, steady=closely)
     best = pruned(state)
+    if not (closely or best.effects) and any(each.rms >= GAP_FROM * each.expected_noise for each in where):
+        state = search(bench, vehicle, apart, steady=True)
+        best = pruned(state)
     judged = judge(state, best)
     rests = every_rest(bench, vehicle, judged.estimates)
     told = telling(bench, judged.estimates, rests)
@@ -286,7 +301,7 @@ def _touched(state: SelectionState, judged: Judged, rests: Mapping[str, Rest], g
     out = set()
     for effect, mine in power[group].items():
         fickle = judged.constant.get(effect, 1.0) < FICKLE_P
-        elsewhere = effect in _EVERYWHERE and "position" in r.drivers
+        elsewhere = effect in EVERYWHERE and "position" in r.drivers
         most = max(each.get(effect, 0.0) for each in power.values())
         acts = mine > _ACTS_SHARE * explained and (fickle or mine >= most)
         if acts and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):

@@ -10,14 +10,16 @@ from typing import NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from flightstack.types import InputError
+from flightstack_logs.info import info
 from flightstack_logs.mcap_file import McapChannel, McapContent, scan
-from flightstack_logs.reader import bytes_of
+from flightstack_logs.reader import bytes_of, read
 
 
 class Recovered(NamedTuple):
     """What was saved, and what was not."""
 
     messages: int
+    """As `log info` counts them in the new file: the rows of blocks, not the blocks."""
     topics: int
     lost: tuple[str, ...]
     """One line each; empty where the file was whole."""
@@ -29,8 +31,11 @@ def recover(source: Path, path: Path) -> Recovered:
     if path.exists():
         raise InputError(f"log {path}: exists already; choose another name or remove it")
     content = scan(data, str(source))
-    messages = sum(len(channel.messages) for channel in content.channels.values())
-    if not messages and not content.attachments and not content.metadata:
+    if (
+        not any(channel.messages for channel in content.channels.values())
+        and not content.attachments
+        and not content.metadata
+    ):
         raise InputError(f"log {source}: holds nothing that can be read; there is nothing to recover")
     part = path.with_name(f".{path.name}.part")
     try:
@@ -41,8 +46,8 @@ def recover(source: Path, path: Path) -> Recovered:
     except OSError as error:
         part.unlink(missing_ok=True)
         raise InputError(f"log {path}: can't be written ({error.strerror or error}); {source} is as it was") from None
-    topics = sum(bool(channel.messages) for channel in content.channels.values())
-    return Recovered(messages, topics, tuple(content.notes))
+    saved = info(read(path))
+    return Recovered(saved.messages, sum(bool(topic.messages) for topic in saved.topics), tuple(content.notes))
 
 
 def _write(content: McapContent, out: Writer) -> None:

@@ -37,12 +37,11 @@ def with_vehicle_topics(log: Log) -> Log:
     return replace(log, tables={**tables, **make(tables, first_us)})
 
 
-def _put(found: Found, topic: str, at_us: NDArray[np.int64], /, **columns: np.ndarray) -> None:
-    """One standard table, if it has rows; arrays that may be missing are NaN."""
-    if not len(at_us):
-        return
-    units = {field.name: field.unit for field in TOPICS[topic].fields}
-    found[topic] = Table(topic, at_us, {name: columns[name] for name in units if name in columns}, units)
+def _put(found: Found, topic: str, at_us: NDArray[np.int64], *columns: np.ndarray) -> None:
+    """One standard table, if it has rows: all fields of the topic in their order; what may be missing is NaN."""
+    if len(at_us):
+        units = {field.name: field.unit for field in TOPICS[topic].fields}
+        found[topic] = Table(topic, at_us, dict(zip(units, columns, strict=True)), units)
 
 
 def _columns(table: Table, *names: str) -> F64:
@@ -89,51 +88,28 @@ def _mavlink(tables: Found, first_us: int) -> Found:
     quaternion, euler = tables.get("ATTITUDE_QUATERNION"), tables.get("ATTITUDE")
     rates = ("rollspeed", "pitchspeed", "yawspeed")
     if quaternion is not None and _has(quaternion, ("time_boot_ms", "q1", "q2", "q3", "q4", *rates)):
-        _put(
-            found,
-            "/vehicle/attitude",
-            quaternion.t_us,
-            t_boot_us=_stamps(quaternion, "time_boot_ms", 1000),
-            q_ned_frd=_columns(quaternion, "q1", "q2", "q3", "q4"),
-            rate_frd_radps=_columns(quaternion, *rates),
-        )
+        stamps, q = _stamps(quaternion, "time_boot_ms", 1000), _columns(quaternion, "q1", "q2", "q3", "q4")
+        _put(found, "/vehicle/attitude", quaternion.t_us, stamps, q, _columns(quaternion, *rates))
     elif euler is not None and _has(euler, ("time_boot_ms", "roll", "pitch", "yaw", *rates)):
-        _put(
-            found,
-            "/vehicle/attitude",
-            euler.t_us,
-            t_boot_us=_stamps(euler, "time_boot_ms", 1000),
-            q_ned_frd=euler_to_quaternion(_columns(euler, "roll", "pitch", "yaw")),
-            rate_frd_radps=_columns(euler, *rates),
-        )
+        stamps, angles = _stamps(euler, "time_boot_ms", 1000), _columns(euler, "roll", "pitch", "yaw")
+        _put(found, "/vehicle/attitude", euler.t_us, stamps, euler_to_quaternion(angles), _columns(euler, *rates))
     local = tables.get("LOCAL_POSITION_NED")
     if local is not None:
-        _put(
-            found,
-            "/vehicle/local_position",
-            local.t_us,
-            t_boot_us=_stamps(local, "time_boot_ms", 1000),
-            pos_ned_m=_columns(local, "x", "y", "z"),
-            vel_ned_mps=_columns(local, "vx", "vy", "vz"),
-        )
+        stamps, place = _stamps(local, "time_boot_ms", 1000), _columns(local, "x", "y", "z")
+        _put(found, "/vehicle/local_position", local.t_us, stamps, place, _columns(local, "vx", "vy", "vz"))
     _mavlink_imu(tables, found)
     servo = tables.get("SERVO_OUTPUT_RAW")
     if servo is not None:
         names = [f"servo{i}_raw" for i in range(1, _OUTPUTS + 1) if f"servo{i}_raw" in servo.columns]
         wide = np.zeros((len(servo), _OUTPUTS), np.int64)
         wide[:, : len(names)] = _columns(servo, *names)
-        _put(found, "/vehicle/motors", servo.t_us, t_us=_stamps(servo, "time_usec", 1), pwm_us=wide)
+        _put(found, "/vehicle/motors", servo.t_us, _stamps(servo, "time_usec", 1), wide)
     power = tables.get("SYS_STATUS")
     if power is not None:
         volts, amperes = power["voltage_battery"].astype(np.float64), power["current_battery"].astype(np.float64)
-        _put(
-            found,
-            "/vehicle/battery",
-            power.t_us,
-            voltage_v=np.where(volts < 65_535, 1e-3 * volts, np.nan),
-            current_a=np.where(amperes >= 0, 1e-2 * amperes, np.nan),
-            remaining=power["battery_remaining"],
-        )
+        volts, amperes = (np.where(good, x, np.nan) for good, x in (
+            (volts < 65_535, 1e-3 * volts), (amperes >= 0, 1e-2 * amperes)))  # fmt: skip
+        _put(found, "/vehicle/battery", power.t_us, volts, amperes, power["battery_remaining"])
     _mavlink_status(tables, found)
     return found
 
@@ -141,24 +117,13 @@ def _mavlink(tables: Found, first_us: int) -> Found:
 def _mavlink_imu(tables: Found, found: Found) -> None:
     fine, coarse = tables.get("HIGHRES_IMU"), next((t for n in ("RAW_IMU", "SCALED_IMU") if (t := tables.get(n))), None)
     if fine is not None:
-        _put(
-            found,
-            "/vehicle/imu",
-            fine.t_us,
-            t_us=_stamps(fine, "time_usec", 1),
-            accel_frd_mps2=_columns(fine, "xacc", "yacc", "zacc"),
-            rate_frd_radps=_columns(fine, "xgyro", "ygyro", "zgyro"),
-        )
+        stamps, force = _stamps(fine, "time_usec", 1), _columns(fine, "xacc", "yacc", "zacc")
+        _put(found, "/vehicle/imu", fine.t_us, stamps, force, _columns(fine, "xgyro", "ygyro", "zgyro"))
     elif coarse is not None:  # milli-g and mrad/s; RAW_IMU too, as ArduPilot sends it
         stamp, times = ("time_usec", 1) if "time_usec" in coarse.columns else ("time_boot_ms", 1000)
-        _put(
-            found,
-            "/vehicle/imu",
-            coarse.t_us,
-            t_us=_stamps(coarse, stamp, times),
-            accel_frd_mps2=1e-3 * STANDARD_GRAVITY_MPS2 * _columns(coarse, "xacc", "yacc", "zacc"),
-            rate_frd_radps=1e-3 * _columns(coarse, "xgyro", "ygyro", "zgyro"),
-        )
+        force = 1e-3 * STANDARD_GRAVITY_MPS2 * _columns(coarse, "xacc", "yacc", "zacc")
+        rates = 1e-3 * _columns(coarse, "xgyro", "ygyro", "zgyro")
+        _put(found, "/vehicle/imu", coarse.t_us, _stamps(coarse, stamp, times), force, rates)
 
 
 def _mavlink_status(tables: Found, found: Found) -> None:
@@ -167,24 +132,12 @@ def _mavlink_status(tables: Found, found: Found) -> None:
         state = np.full(len(heart), np.nan)
         if landed is not None:
             state = _at(heart.t_us, landed, landed["landed_state"])
-        _put(
-            found,
-            "/vehicle/status",
-            heart.t_us,
-            mode=np.array([f"{mode:#x}" for mode in heart["custom_mode"]]),
-            armed=(heart["base_mode"] & _ARMED) != 0,
-            landed=~np.isin(state, _IN_AIR),
-        )
+        modes, armed = np.array([f"{mode:#x}" for mode in heart["custom_mode"]]), (heart["base_mode"] & _ARMED) != 0
+        _put(found, "/vehicle/status", heart.t_us, modes, armed, ~np.isin(state, _IN_AIR))
     if said is not None:
-        names = [severity_names(int(number)) for number in said["severity"]]
-        _put(
-            found,
-            "/vehicle/statustext",
-            said.t_us,
-            level=np.array([level for level, _ in names]),
-            name=np.array([name for _, name in names]),
-            text=said["text"],
-        )
+        levels = [severity_names(int(number)) for number in said["severity"]]
+        level, name = (np.array([pair[i] for pair in levels]) for i in (0, 1))
+        _put(found, "/vehicle/statustext", said.t_us, level, name, said["text"])
 
 
 # ---------------------------------------------------------------- ULog
@@ -199,42 +152,24 @@ def _ulog(tables: Found, first_us: int) -> Found:
             turning = _at(attitude.t_us, rates, rates["xyz"])
         elif _has(attitude, ("rollspeed", "pitchspeed", "yawspeed")):
             turning = _columns(attitude, "rollspeed", "pitchspeed", "yawspeed")
-        _put(
-            found,
-            "/vehicle/attitude",
-            attitude.t_us,
-            t_boot_us=_sampled(attitude, first_us),
-            q_ned_frd=attitude["q"].astype(np.float64),
-            rate_frd_radps=turning,
-        )
+        q = attitude["q"].astype(np.float64)
+        _put(found, "/vehicle/attitude", attitude.t_us, _sampled(attitude, first_us), q, turning)
     local = tables.get("vehicle_local_position")
     if local is not None and _has(local, ("x", "y", "z", "vx", "vy", "vz")):
-        _put(
-            found,
-            "/vehicle/local_position",
-            local.t_us,
-            t_boot_us=_sampled(local, first_us),
-            pos_ned_m=_columns(local, "x", "y", "z"),
-            vel_ned_mps=_columns(local, "vx", "vy", "vz"),
-        )
+        sampled, place = _sampled(local, first_us), _columns(local, "x", "y", "z")
+        _put(found, "/vehicle/local_position", local.t_us, sampled, place, _columns(local, "vx", "vy", "vz"))
     imu = tables.get("sensor_combined")
     if imu is not None and _has(imu, ("gyro_rad", "accelerometer_m_s2"), 2):
-        _put(
-            found,
-            "/vehicle/imu",
-            imu.t_us,
-            t_us=imu.t_us,
-            accel_frd_mps2=imu["accelerometer_m_s2"].astype(np.float64),
-            rate_frd_radps=imu["gyro_rad"].astype(np.float64),
-        )
+        force, turning = (imu[name].astype(np.float64) for name in ("accelerometer_m_s2", "gyro_rad"))
+        _put(found, "/vehicle/imu", imu.t_us, imu.t_us, force, turning)
     motors, outputs = tables.get("actuator_motors"), tables.get("actuator_outputs")
     if motors is not None and _has(motors, ("control",), 2):
-        _put(found, "/vehicle/motors", motors.t_us, t_us=_sampled(motors, first_us), pwm_us=_pulses(motors["control"]))
+        _put(found, "/vehicle/motors", motors.t_us, _sampled(motors, first_us), _pulses(motors["control"]))
     elif outputs is not None and _has(outputs, ("output",), 2):
         wide = outputs["output"].astype(np.float64)
         simulated = np.nanmax(np.abs(wide)) <= 1.0
         pulses = _pulses(wide) if simulated else np.nan_to_num(wide).astype(np.int64)[:, :_OUTPUTS]
-        _put(found, "/vehicle/motors", outputs.t_us, t_us=outputs.t_us, pwm_us=pulses)
+        _put(found, "/vehicle/motors", outputs.t_us, outputs.t_us, pulses)
     _ulog_status(tables, found)
     return found
 
@@ -245,26 +180,14 @@ def _ulog_status(tables: Found, found: Found) -> None:
         amperes = power["current_a"] if _has(power, ("current_a",)) else np.full(len(power), np.nan)
         left = power["remaining"] if _has(power, ("remaining",)) else np.full(len(power), np.nan)
         share = np.where(np.isfinite(left) & (left >= 0.0), 100.0 * left, -1.0)
-        _put(
-            found,
-            "/vehicle/battery",
-            power.t_us,
-            voltage_v=power["voltage_v"].astype(np.float64),
-            current_a=amperes.astype(np.float64),
-            remaining=np.round(share).astype(np.int64),
-        )
+        volts, amperes = power["voltage_v"].astype(np.float64), amperes.astype(np.float64)
+        _put(found, "/vehicle/battery", power.t_us, volts, amperes, np.round(share).astype(np.int64))
     if status is not None and _has(status, ("nav_state", "arming_state")):
         ground = np.full(len(status), np.nan)
         if landed is not None and _has(landed, ("landed",)):
             ground = _at(status.t_us, landed, landed["landed"].astype(np.float64))
-        _put(
-            found,
-            "/vehicle/status",
-            status.t_us,
-            mode=np.array([f"nav_state {n}" for n in status["nav_state"]]),
-            armed=status["arming_state"] == 2,
-            landed=ground > 0.5,
-        )
+        modes = np.array([f"nav_state {n}" for n in status["nav_state"]])
+        _put(found, "/vehicle/status", status.t_us, modes, status["arming_state"] == 2, ground > 0.5)
 
 
 def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:
@@ -285,55 +208,34 @@ def _dataflash(tables: Found, first_us: int) -> Found:
         turning = np.full((len(attitude), 3), np.nan)
         if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ")):
             turning = _at(attitude.t_us, imu, _columns(imu, "GyrX", "GyrY", "GyrZ"))
-        _put(
-            found,
-            "/vehicle/attitude",
-            attitude.t_us,
-            t_boot_us=attitude.t_us,
-            q_ned_frd=euler_to_quaternion(np.deg2rad(_columns(attitude, "Roll", "Pitch", "Yaw"))),
-            rate_frd_radps=turning,
-        )
+        q = euler_to_quaternion(np.deg2rad(_columns(attitude, "Roll", "Pitch", "Yaw")))
+        _put(found, "/vehicle/attitude", attitude.t_us, attitude.t_us, q, turning)
     filtered = next((t for n in ("XKF1", "NKF1", "EKF1") if (t := tables.get(n)) is not None), None)
     if filtered is not None and _has(filtered, ("PN", "PE", "PD", "VN", "VE", "VD")):
-        _put(
-            found,
-            "/vehicle/local_position",
-            filtered.t_us,
-            t_boot_us=filtered.t_us,
-            pos_ned_m=_columns(filtered, "PN", "PE", "PD"),
-            vel_ned_mps=_columns(filtered, "VN", "VE", "VD"),
-        )
+        state = _columns(filtered, "PN", "PE", "PD", "VN", "VE", "VD")
+        runs = np.any(state != 0.0, axis=1)  # a filter that has not begun, or has nothing to go by, logs zeros
+        if runs.any():
+            t_us = filtered.t_us[runs]
+            _put(found, "/vehicle/local_position", t_us, t_us, state[runs, :3], state[runs, 3:])
     if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")):
-        _put(
-            found,
-            "/vehicle/imu",
-            imu.t_us,
-            t_us=imu.t_us,
-            accel_frd_mps2=_columns(imu, "AccX", "AccY", "AccZ"),
-            rate_frd_radps=_columns(imu, "GyrX", "GyrY", "GyrZ"),
-        )
+        force, turning = _columns(imu, "AccX", "AccY", "AccZ"), _columns(imu, "GyrX", "GyrY", "GyrZ")
+        _put(found, "/vehicle/imu", imu.t_us, imu.t_us, force, turning)
     outputs = tables.get("RCOU")
     if outputs is not None:
-        names = [f"C{i}" for i in range(1, _OUTPUTS + 1) if _has(outputs, (f"C{i}",))]
+        before_3_4 = "Ch" if _has(outputs, ("Ch1",)) else "C"  # ArduCopter's name of a channel changed
+        names = [name for i in range(1, _OUTPUTS + 1) if _has(outputs, (name := f"{before_3_4}{i}",))]
         wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
         if names:
             wide[:, : len(names)] = _columns(outputs, *names)
-        _put(found, "/vehicle/motors", outputs.t_us, t_us=outputs.t_us, pwm_us=wide)
+        _put(found, "/vehicle/motors", outputs.t_us, outputs.t_us, wide)
     power = tables.get("BAT", tables.get("CURR"))
     if power is not None and _has(power, ("Volt", "Curr")):
         left = power["RemPct"] if _has(power, ("RemPct",)) else np.full(len(power), -1)
-        _put(
-            found,
-            "/vehicle/battery",
-            power.t_us,
-            voltage_v=power["Volt"],
-            current_a=power["Curr"],
-            remaining=left.astype(np.int64),
-        )
+        _put(found, "/vehicle/battery", power.t_us, power["Volt"], power["Curr"], left.astype(np.int64))
     said = tables.get("MSG")
     if said is not None and "Message" in said.columns and said["Message"].dtype.kind in "US":
         level = np.full(len(said), "info")
-        _put(found, "/vehicle/statustext", said.t_us, level=level, name=level, text=said["Message"])
+        _put(found, "/vehicle/statustext", said.t_us, level, level, said["Message"])
     return found
 
 
@@ -347,25 +249,18 @@ def _csv(tables: Found, first_us: int) -> Found:
     t_us, none = flight.t_us, np.full((len(flight), 3), np.nan)
     if "q_ned_frd" in flight.columns:
         rates = flight.columns.get("rate_frd_radps", none)
-        _put(found, "/vehicle/attitude", t_us, t_boot_us=t_us, q_ned_frd=flight["q_ned_frd"], rate_frd_radps=rates)
+        _put(found, "/vehicle/attitude", t_us, t_us, flight["q_ned_frd"], rates)
     if "vel_ned_mps" in flight.columns or "pos_ned_m" in flight.columns:
         place, speed = (flight.columns.get(name, none) for name in ("pos_ned_m", "vel_ned_mps"))
-        _put(found, "/vehicle/local_position", t_us, t_boot_us=t_us, pos_ned_m=place, vel_ned_mps=speed)
+        _put(found, "/vehicle/local_position", t_us, t_us, place, speed)
     if "accel_frd_mps2" in flight.columns or "rate_frd_radps" in flight.columns:
         force, rates = (flight.columns.get(name, none) for name in ("accel_frd_mps2", "rate_frd_radps"))
-        _put(found, "/vehicle/imu", t_us, t_us=t_us, accel_frd_mps2=force, rate_frd_radps=rates)
+        _put(found, "/vehicle/imu", t_us, t_us, force, rates)
     if "motor" in flight.columns:
-        _put(found, "/vehicle/motors", t_us, t_us=t_us, pwm_us=_pulses(flight["motor"]))
+        _put(found, "/vehicle/motors", t_us, t_us, _pulses(flight["motor"]))
     if "battery_v" in flight.columns:
         unknown = np.full(len(flight), np.nan)
-        _put(
-            found,
-            "/vehicle/battery",
-            t_us,
-            voltage_v=flight["battery_v"],
-            current_a=unknown,
-            remaining=np.full(len(flight), -1),
-        )
+        _put(found, "/vehicle/battery", t_us, flight["battery_v"], unknown, np.full(len(flight), -1))
     return found
 
 

@@ -35,15 +35,7 @@ from flightstack_logs import scene as viewer
 from flightstack_logs.channels import Channel, block_channel
 from flightstack_logs.recorder import Recorder as Recorder
 from flightstack_logs.rows import RowBlocks
-from flightstack_logs.topics import (
-    FINAL_CERTIFICATE,
-    LEVELS,
-    SEVERITIES,
-    TOPICS,
-    Attachment,
-    Topic,
-    severity_names,
-)
+from flightstack_logs.topics import FINAL_CERTIFICATE, LEVELS, SEVERITIES, TOPICS, Attachment, Topic, severity_names
 
 FORMAT = "flightstack.log/1"
 CHUNK_BYTES, COMPACT_CHUNK_BYTES = 64 * 1024, 256 * 1024

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from flightstack.types import InputError
-from mavlink_bridge.framing import DatagramFraming, Frame, Framing, StreamFraming, frame_at
+from mavlink_bridge.framing import SIGNED, DatagramFraming, Frame, Framing, StreamFraming, frame_at
 from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
+from mavlink_bridge.signing import Signer
 from mavlink_bridge.transport.serial import SerialPort
 from mavlink_bridge.transport.udp import LOOPBACK, UdpSocket
 
@@ -86,22 +88,27 @@ def parse_address(text: str) -> UdpIn | UdpOut | Serial:
     return UdpIn(first, int(last)) if kind == "udpin" else UdpOut(first, int(last))
 
 
-def open_address(address: UdpIn | UdpOut | Serial | str) -> Transport:
-    """The transport at an address; InputError where it can't be opened."""
+def open_address(address: UdpIn | UdpOut | Serial | str, signer: Signer | None = None) -> Transport:
+    """The transport at an address; InputError where it can't be opened.
+
+    `udpin` answers the first autopilot for life; with a `signer` the first one that signs rightly.
+    """
     if isinstance(address, str):
         address = parse_address(address)
     if isinstance(address, Serial):
         return SerialPort.open(address.device, address.baud)
     if isinstance(address, UdpIn):
-        return UdpSocket.bind(address.host, address.port, greets=_is_of_autopilot, drop_foreign=True)
+        return UdpSocket.bind(address.host, address.port, greets=partial(_is_of_autopilot, signer), drop_foreign=True)
     near = LOOPBACK if _is_loopback(address.host) else _ANY
     return UdpSocket.bind(near, 0, peer=(address.host, address.port), latch=False, drop_foreign=True)
 
 
-def _is_of_autopilot(data: bytes) -> bool:
+def _is_of_autopilot(signer: Signer | None, data: bytes) -> bool:
     """Whether a datagram begins with a frame of an autopilot; anything may arrive before the vehicle speaks."""
     found = frame_at(data, 0, CRC_EXTRAS) if data else None
-    return isinstance(found, Frame) and found.component == COMPONENT_AUTOPILOT
+    if not isinstance(found, Frame) or found.component != COMPONENT_AUTOPILOT:
+        return False
+    return signer is None or signer.vouches(data[: found.end], bool(found.flags & SIGNED))
 
 
 def framing_for(address: UdpIn | UdpOut | Serial) -> Framing:

@@ -1,4 +1,4 @@
-"""Example 1 of the paper as a part: its six regions and the motions in them (`flightstack.barrier.example1`)."""
+"""Example 1 of the paper as a part: its six regions and the motions in them (`flightstack_paper.example1`)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.barrier import example1, sos
-from flightstack.barrier.exact import ExactPolynomial
-from flightstack.barrier.example1 import ExampleRegion, Flow
 from flightstack.types import InputError
+from flightstack_paper import example1, sos
+from flightstack_paper.exact import ExactPolynomial
+from flightstack_paper.example1 import ExampleRegion, Flow
 
 
 def measure(starts: int) -> dict[str, Any]:

@@ -141,10 +141,7 @@ def _write(
 
 
 def _compute(
-    wanted: list[PaperPart],
-    parts: Parts,
-    stop_requested: Callable[[], str],
-    on_progress: Callable[[float, str], None],
+    wanted: list[PaperPart], parts: Parts, stop_requested: Callable[[], str], on_progress: Callable[[float, str], None]
 ) -> tuple[dict[str, dict[str, Any]], str]:
     """Every part's result, from the folder or from two processes; and why it was stopped, if it was."""
     results = {part.name: found for part in wanted if (found := parts.load(part.name)) is not None}

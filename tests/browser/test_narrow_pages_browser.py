@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from html import escape
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,11 +26,12 @@ HEAD = {
     "plants": ["native", "jsbsim"], "wall_time_s": 900.0, "taken_up": 0, "parts": 13,
 }  # fmt: skip
 LOOK = """<script>addEventListener("load", () => setTimeout(() => {
-  const seen = document.querySelector("iframe").contentDocument;
-  document.body.dataset.tall = seen.documentElement.scrollHeight;
-  document.body.dataset.wide = seen.documentElement.scrollWidth - 390;
-  document.body.dataset.mark = seen.defaultView.getComputedStyle(seen.querySelector(".verdict"), "::before").content;
-  }, 200));</script>"""
+  document.body.dataset.seen = JSON.stringify([...document.querySelectorAll("iframe")].map((frame) => {
+    const seen = frame.contentDocument, verdict = seen.querySelector(".verdict");
+    const mark = verdict && seen.defaultView.getComputedStyle(verdict, "::before").content;
+    return { tall: seen.documentElement.scrollHeight, wide: seen.documentElement.scrollWidth - 390, mark };
+  }));
+}, 200));</script>"""
 
 
 def row(holds: bool) -> ResultLine:
@@ -37,23 +39,23 @@ def row(holds: bool) -> ResultLine:
                0.029340123, "m^2/s", holds, "24 samples of the strict form against 818 " * 5)  # fmt: skip
 
 
-def on_a_phone(text: str, folder: Path) -> dict[str, str]:
-    """The page's extent in a frame of 390 x 800 pixels, and the mark before its verdict."""
+@pytest.fixture(scope="module")
+def on_a_phone(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """Extent of three pages in frames of 390 x 800 pixels, and the mark before their verdicts, all in one browser."""
+    folder = tmp_path_factory.mktemp("narrow")
+    pages = [page([row(each) for each in holds], [], HEAD, {}, folder) for holds in ((True, True), (True, False))]
+    frames = "".join(
+        f'<iframe style="width: 390px; height: 800px; border: 0" srcdoc="{escape(text)}"></iframe>'
+        for text in (*pages, certified_page())
+    )
     outer = folder / "outer.html"
-    frame = f'<iframe style="width: 390px; height: 800px; border: 0" srcdoc="{escape(text)}"></iframe>'
-    outer.write_text(f'<!doctype html><html><body style="margin: 0">{frame}{LOOK}</body></html>')
-    return opened(outer, folder / "profile")[1]
+    outer.write_text(f'<!doctype html><html><body style="margin: 0">{frames}{LOOK}</body></html>')
+    seen: list[dict[str, Any]] = json.loads(opened(outer, folder / "profile")[1]["seen"])
+    return seen
 
 
-@pytest.mark.parametrize(("holds", "ticked"), [((True, True), True), ((True, False), False)])
-def test_the_papers_page_fits_and_ticks_only_what_holds(tmp_path: Path, holds: tuple[bool, ...], ticked: bool) -> None:
-    data = on_a_phone(page([row(each) for each in holds], [], HEAD, {}, tmp_path), tmp_path)
-    assert int(data["wide"]) <= 0
-    assert ("✓" in data["mark"]) is ticked
-
-
-def test_certifys_page_fits_and_breaks_no_words(tmp_path: Path) -> None:
-    """Margins that are broken letter by letter made it 8,700 pixels high."""
+def certified_page() -> str:
+    """Of certify, with as many rounds and words as it may have."""
     figures = tuple((name, "3.007 m²/s", "58 % of the kernel of the vehicle's own limits, 5.23") for name in "abcdef")
     rounds = tuple(Round(2, 5.0 * k, 1, 1.6, 0.4, (0.1, 0.3), (0.2, 0.5)) for k in range(1, 25))
     vertical = certificate()
@@ -62,6 +64,17 @@ def test_certifys_page_fits_and_breaks_no_words(tmp_path: Path) -> None:
         "paper-barrier: certified in flight", True, "24 rounds were flown", figures, (vertical,), rounds,
         np.zeros((50, 6)), (0.6, -2.0, 8.0), ("down: 1179 cells meet the condition " * 3,) * 6,
     )  # fmt: skip
-    data = on_a_phone(render(made), tmp_path)
-    assert int(data["wide"]) <= 0
-    assert int(data["tall"]) < 3000
+    return render(made)
+
+
+def test_the_papers_page_fits_and_ticks_only_what_holds(on_a_phone: list[dict[str, Any]]) -> None:
+    for seen, ticked in zip(on_a_phone[:2], (True, False), strict=True):
+        assert seen["wide"] <= 0
+        assert ("✓" in seen["mark"]) is ticked
+
+
+def test_certifys_page_fits_and_breaks_no_words(on_a_phone: list[dict[str, Any]]) -> None:
+    """Margins that are broken letter by letter made it 8,700 pixels high."""
+    seen = on_a_phone[2]
+    assert seen["wide"] <= 0
+    assert 500 < seen["tall"] < 3000

@@ -98,18 +98,13 @@ def opened(page: Path, profile: Path, size: str = "1400,1200") -> tuple[str, dic
     }
 
 
-def test_every_chart_is_drawn_and_nothing_fails(tmp_path: Path) -> None:
-    dom, data = opened(write_report(circle_flight(), tmp_path / "report.html"), tmp_path / "profile")
-    assert data == {"errors": "", "rendered": f"{PANELS} charts", "path": "3 tracks"}
-    assert dom.count('class="u-wrap"') == PANELS
-    assert "<img" not in dom.split("flight-data")[0]
-
-
-def test_charts_share_cursor_and_zoom_and_the_path_follows(tmp_path: Path) -> None:
+def test_every_chart_is_drawn_they_share_cursor_and_zoom_and_the_path_follows(tmp_path: Path) -> None:
     page = write_report(circle_flight(), tmp_path / "report.html")
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
-    _, data = opened(page, tmp_path / "profile")
-    assert data["errors"] == ""
+    dom, data = opened(page, tmp_path / "profile")
+    assert (data["errors"], data["rendered"], data["path"]) == ("", f"{PANELS} charts", "3 tracks")
+    assert dom.count('class="u-wrap"') == PANELS
+    assert "<img" not in dom.split("flight-data")[0]
     seen = {name: json.loads(value) for name, value in data.items() if name not in {"errors", "rendered", "path"}}
     assert seen["done"]
     assert seen["ink"] > 0

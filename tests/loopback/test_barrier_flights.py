@@ -27,9 +27,11 @@ def _unchecked() -> Iterator[None]:
         yield
 
 
-def _fly(folder: Path, scenario: str, *, completes: bool = True, **options: object) -> tuple[FlightResult, Log]:
+def _fly(
+    folder: Path, scenario: str, *, completes: bool = True, report: bool = False, **options: object
+) -> tuple[FlightResult, Log]:
     folder.mkdir(exist_ok=True)
-    result = fly(FlyOptions(scenario=scenario, out=folder, **options), stop_requested=lambda: "")  # type: ignore[arg-type]
+    result = fly(FlyOptions(scenario=scenario, out=folder, **options), report_wanted=lambda result: report)  # type: ignore[arg-type]
     assert result.completed is completes, result.reason
     return result, read(folder / "flight.mcap")
 
@@ -46,7 +48,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tracked(folder: Path) -> tuple[FlightResult, Log]:
     """12 s of the paper's path inside its region."""
-    return _fly(folder / "tracked", "paper-tracking", duration_s=12.0, seed=21, certificate=folder / "whole.json")
+    given = folder / "whole.json"
+    return _fly(folder / "tracked", "paper-tracking", report=True, duration_s=12.0, seed=21, certificate=given)
 
 
 @pytest.fixture(scope="module")

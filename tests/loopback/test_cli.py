@@ -383,7 +383,7 @@ def test_real_time_is_paced_and_its_lateness_reported(tmp_path: Path) -> None:
 
 
 def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
-    flight = _start("fly", "paper-tracking", "--out", tmp_path, cwd=tmp_path)
+    flight = _start("fly", "figure8", "--no-learning", "--duration", 300, "--out", tmp_path, cwd=tmp_path)
     log_file = tmp_path / "flight.mcap"
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline and not (log_file.exists() and log_file.stat().st_size > 1_000_000):
@@ -394,7 +394,7 @@ def test_a_killed_flight_leaves_a_readable_log(tmp_path: Path) -> None:
     log = read(log_file)
     assert not log.complete
     assert len(log.tables["/truth"]) > 200
-    assert log.metadata["settings"]["scenario"] == "paper-tracking"
+    assert log.metadata["settings"]["scenario"] == "figure8"
     assert log.attachment("vehicle.toml")
     assert _run("log", "info", log_file) == 0
 

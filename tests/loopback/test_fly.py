@@ -20,12 +20,13 @@ from flightstack.types import Command, FlatOutput, Learned, Measurement, changed
 from flightstack_logs.reader import Log, read
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
+from mavlink_bridge.voice import LEVEL
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGHT_MODEL = ("hover", "figure8", "minimum-snap")
 
 
-def _fly(tmp_path: Path, scenario: str, *, report: bool = True, **options: object) -> tuple[FlightResult, Log]:
+def _fly(tmp_path: Path, scenario: str, *, report: bool = False, **options: object) -> tuple[FlightResult, Log]:
     flown = FlyOptions(scenario=scenario, out=tmp_path, log_wire=True, **options)  # type: ignore[arg-type]
     result = fly(flown, report_wanted=lambda result: report)
     return result, read(tmp_path / "flight.mcap")
@@ -44,12 +45,15 @@ def _sent_setpoints(log: Log) -> list[m.SetAttitudeTarget]:
 
 
 def _assert_flew(log: Log, least_height_m: float) -> None:
-    """Armed by the vehicle's word, in the air by the truth, moved by setpoints that were on the wire."""
+    """Armed by the vehicle's word, in the air by the truth, moved by rates that were on the wire; once, before PX4's
+    Land, the attitude that is."""
     assert bool(np.any(log.tables["/vehicle/status"]["armed"]))
     assert -log.tables["/truth"]["pos_ned_m"][:, 2].min() > least_height_m
-    flown = [point for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
-    assert len(flown) > 1000
-    assert all(point.type_mask == 128 for point in flown)
+    masks = [point.type_mask for point in _sent_setpoints(log) if point.thrust_norm > 0.2]
+    assert len(masks) > 1000
+    assert sorted(set(masks)) == [LEVEL, 128]
+    assert masks[:-10].count(LEVEL) == 0
+    assert masks.count(LEVEL) == 1
     end = {name: column[-1] for name, column in log.tables["/truth"].columns.items()}
     assert bool(end["on_ground"])
     assert np.abs(end["vel_ned_mps"]).max() < 0.01
@@ -58,7 +62,7 @@ def _assert_flew(log: Log, least_height_m: float) -> None:
 
 @pytest.mark.parametrize("scenario", RIGHT_MODEL)
 def test_with_a_right_model_the_true_error_stays_below_3_cm_rms(scenario: str, tmp_path: Path) -> None:
-    result, log = _fly(tmp_path, scenario)
+    result, log = _fly(tmp_path, scenario, report=True)
     assert result.completed, result.reason
     assert result.passed
     assert result.tracking["of"] == "truth"
@@ -82,7 +86,9 @@ def test_every_shipped_scenario_completes_and_lands(scenario: str, sensors: str,
     """
     duration_s = 10.0 if scenario == "rotor-drag" else 5.0
     report = sensors == "mocap"  # one of each scenario
-    result, log = _fly(tmp_path, scenario, sensors=sensors, duration_s=duration_s, seed=1, report=report)
+    learning = report or scenario in ("paper-tracking", "gps-barrier", "payload-drop", "steady-wind")
+    asked = {"sensors": sensors, "learning": learning, "duration_s": duration_s}
+    result, log = _fly(tmp_path, scenario, report=report, seed=1, **asked)
     near_ground = sensors == "gps" and scenario in ("excite-low-pass", "low-pass")
     assert result.completed or (near_ground and result.reason), result.reason
     _assert_flew(log, 0.4)
@@ -111,7 +117,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(tmp_path: 
     logs = []
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
         (tmp_path / name).mkdir()
-        result, _ = _fly(tmp_path / name, "figure8", duration_s=2.0, seed=seed, report=False)
+        result, _ = _fly(tmp_path / name, "figure8", duration_s=2.0, seed=seed)
         assert result.completed
         logs.append((tmp_path / name / "flight.mcap").read_bytes())
     assert logs[0] == logs[1]
@@ -149,7 +155,7 @@ def test_coverage_is_scored_on_the_truth_and_what_is_learned_is_used_and_logged(
         FlatnessController(model, limits=limits), Claims()))  # fmt: skip
     text = (ROOT / "flightstack/data/scenarios" / "hover.toml").read_text()
     (tmp_path / "heavy.toml").write_text(text + "\n[truth]\nmass_ratio = 1.4\n")
-    result, log = _fly(tmp_path, str(tmp_path / "heavy.toml"), duration_s=4.0)
+    result, log = _fly(tmp_path, str(tmp_path / "heavy.toml"), report=True, duration_s=4.0)
     assert result.passed, result.failure()
     assert result.tracking["rmse_m"] < 0.03  # without the gain it droops by 0.2 m and more
     assert result.gp["coverage_3sigma_axes"] == pytest.approx([0.0, 1.0, 1.0], abs=0.01)

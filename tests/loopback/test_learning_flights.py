@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flightstack.cli.controllers import load_gains
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.result import FlightResult
-from flightstack.types import F64
+from flightstack.control.gains import FlatnessGains
 from flightstack_logs.reader import Log, read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,17 +37,14 @@ def _event_time_us(log: Log) -> list[int]:
     return [int(t) for t, name in zip(events.t_us, events["name"], strict=True) if name == "effect"]
 
 
-def _distance_m(log: Log) -> tuple[F64, F64]:
-    """Time (us) of each setpoint, and the true distance from it."""
-    truth, reference = log.tables["/truth"], log.tables["/setpoint"]
-    flown = np.array([np.interp(reference.t_us, truth.t_us, truth["pos_ned_m"][:, i]) for i in range(3)]).T
-    return reference.t_us, np.linalg.norm(flown - reference["pos_ned_m"], axis=1)
-
-
 def test_on_the_papers_path_learning_leaves_a_tenth_of_the_error_and_was_really_fed(tmp_path: Path) -> None:
-    learning, log = _fly(tmp_path / "on", "paper-tracking", duration_s=16.0, seed=11)
-    without, _ = _fly(tmp_path / "off", "paper-tracking", duration_s=16.0, seed=11, learning=False)
-    assert learning.tracking["rmse_settled_m"] <= 0.1 * without.tracking["rmse_settled_m"]
+    """Without it the thrust that is lacking, 0.4 g, is carried by the position error alone (`test_fly.py` flies that):
+    with poles at p the nominal's stiffness is p^2 / 3, and the feedback adds K_p / m."""
+    learning, log = _fly(tmp_path, "paper-tracking", duration_s=16.0, seed=11)
+    gains = load_gains()["flatness"].groups[1]
+    assert isinstance(gains, FlatnessGains)
+    droop_m = 0.4 * 9.80665 / (gains.pole_z_radps**2 / 3.0 + gains.thrust_p_ps2)
+    assert learning.tracking["rmse_settled_m"] <= 0.1 * droop_m
     ticks = len(log.tables["/tick"])
     assert 0.8 * ticks < learning.gp["fed"] <= ticks
     assert learning.gp["points"] > 200
@@ -57,12 +55,6 @@ def test_on_the_papers_path_learning_leaves_a_tenth_of_the_error_and_was_really_
 def test_the_bound_holds_the_true_residual(tmp_path: Path) -> None:
     result, _ = _fly(tmp_path, "steady-wind", duration_s=20.0, seed=13)
     assert 0.98 < result.gp["coverage_3sigma"] <= 1.0
-
-
-def test_with_nothing_to_learn_learning_costs_no_accuracy(tmp_path: Path) -> None:
-    learning, _ = _fly(tmp_path / "on", "figure8", duration_s=16.0, seed=14)
-    without, _ = _fly(tmp_path / "off", "figure8", duration_s=16.0, seed=14, learning=False)
-    assert learning.tracking["rmse_m"] <= 1.05 * without.tracking["rmse_m"]
 
 
 def test_px4s_draggy_quadrotor_flies_its_figure_within_8_cm_though_no_drag_is_believed(tmp_path: Path) -> None:
@@ -87,21 +79,3 @@ def test_a_dropped_payload_is_noticed_within_0_3_s_and_learned_within_2_s(tmp_pa
     assert abs(float(np.mean(expected[(since_s > -1.0) & (since_s < 0.0)]))) > 1.5
     assert abs(float(np.mean(expected[(since_s > 2.0) & (since_s < 3.0)]))) < 0.1
     assert result.gp["changes"] == 1
-
-
-def test_held_by_hand_and_let_go_it_comes_back_to_its_place(tmp_path: Path) -> None:
-    """5 N sideways for 2 s, from one tick to the next: 0.42 g, four times the paper's wind, then none."""
-    pull = 'time_s = 4.0\neffect = "constant_force"\nvalues = { north_n = 5.0 }'
-    release = 'time_s = 6.0\neffect = "constant_force"\nvalues = { north_n = 0.0 }'
-    result, log = _fly(tmp_path, _with_events(tmp_path, "hover", pull, release), duration_s=12.0, seed=17)
-    assert set(log.tables["/tick"]["guard"]) == {""}
-    t_us, distance = _distance_m(log)
-    released_us = _event_time_us(log)[1]
-    assert float(distance[(t_us > released_us + 3_000_000) & (t_us < released_us + 6_000_000)].max()) < 0.06
-    assert result.gp["changes"] >= 2
-
-
-def test_a_flight_that_learns_is_the_same_again_byte_for_byte(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        _fly(tmp_path / name, "paper-tracking", duration_s=4.0, seed=18)
-    assert (tmp_path / "a" / "flight.mcap").read_bytes() == (tmp_path / "b" / "flight.mcap").read_bytes()

@@ -12,11 +12,12 @@ from fleet import QUAD, TYPICAL, matrix, quad, set_random_state, without_thrust_
 from oracle import RHO, G
 from scipy.integrate import quad as quadrature
 
-from flightstack.effects import EFFECTS, check_effect, turbulence
+from flightstack.effects import EFFECTS, check_effect, ground_effect, rotor_drag, turbulence
 from flightstack.effects.row import S_CHARGE, S_GUST, S_NORMALS, S_RING, S_WIND
 from flightstack.gap.records import Samples
 from flightstack.types import F64, InputError
 from flightstack.vehicle import with_effects
+from flightstack_sim.parameters import parameter_row
 from flightstack_sim.plant import NativePlant
 
 SENSORS = ("accelerometer_bias", "gyro_bias", "attitude_misalignment")
@@ -339,3 +340,19 @@ def test_gusts_start_from_their_stationary_distribution() -> None:
     expected[0, 0] = 1.0
     expected[1:3, 1:3] = expected[3:5, 3:5] = block
     assert columns @ columns.T == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("radii", "strength", "times"),
+    [(0.1, 1.0, 4 / 3), (0.5, 1.0, 4 / 3), (1.0, 1.0, 16 / 15), (2.0, 1.0, 64 / 63), (1.0, 20.0, 4.0), (9.0, 0.0, 1.0)],
+)
+def test_ground_effect_at_heights_worked_out_by_hand(radii: float, strength: float, times: float) -> None:
+    """1 / (1 - s / 16 z^2) with z in radii: as at half a radius below that, four times the thrust at most."""
+    row = parameter_row(quad(ground_effect={"strength": strength}), dt_us=1000)
+    assert ground_effect.factor(row, 1.0, (0.0, 0.0, 0.0), radii * QUAD.rotors.radius_m) == pytest.approx(times)
+
+
+def test_rotor_drag_at_a_hub_worked_out_by_hand() -> None:
+    """-k_d W v across, nothing along the axis."""
+    row = parameter_row(quad(rotor_drag={"k_d_kg_per_rad": 2e-4}), dt_us=1000)
+    assert rotor_drag.hub_force(row, 500.0, (3.0, -2.0, 7.0)) == pytest.approx((-0.3, 0.2, 0.0))

@@ -10,11 +10,11 @@ import pytest
 
 from flightstack.calibration import true_residual_frd_mps2
 from flightstack.cli import files
-from flightstack.cli.closed_loop import fly
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Model
 from flightstack.stack import Stack
 from flightstack.types import F64
+from tests.closed_loop import fly
 
 VALID = 2.0
 MOST = np.full(3, 0.003)

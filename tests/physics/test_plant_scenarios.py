@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from flightstack.cli import closed_loop, files
+from flightstack.cli import files
 from flightstack.types import F64
+from tests import closed_loop
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim

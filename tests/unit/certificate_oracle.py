@@ -220,7 +220,8 @@ def supported(data: dict[str, Any]) -> bool:
     )  # fmt: skip
     speeds = tuple((low, high) for low, high in known["speeds_mps"])
     envelope = Envelope(speeds, tuple(known["heights_m"]), known["nodes"], known["slice_only"], tuple(known["axes"]))
-    initial = InitialKnowledge(tuple(known["initial"]["mass_ratio"]), known["initial"]["force_weights"])
+    told = known["initial"]
+    initial = None if told is None else InitialKnowledge(tuple(told["mass_ratio"]), told["force_weights"])
     remade = Knowledge.of(
         Request(
             Accelerations(processes[0], processes[1], model), model, envelope, certified.budget, initial,

@@ -55,6 +55,8 @@ class FakePx4:
     lacks_param_error: bool = False
     setpoints: list[m.SetAttitudeTarget] = field(default_factory=list)
     commands: list[m.CommandLong] = field(default_factory=list)
+    heard: list[object] = field(default_factory=list)
+    """Setpoints and commands in their order."""
 
     def __post_init__(self) -> None:
         self.link = Link(self.system, 1, signing=self.signing)
@@ -95,6 +97,7 @@ class FakePx4:
     def _take(self, message: object, system: int, component: int) -> None:
         if isinstance(message, m.SetAttitudeTarget):
             self.setpoints.append(message)
+            self.heard.append(message)
         elif isinstance(message, m.ParamRequestRead) and self.answers_params:
             kind = m.PARAM_REAL32
             if message.param_id in self.params:
@@ -104,6 +107,7 @@ class FakePx4:
                 self.link.send(m.ParamError(system, component, message.param_id, -1, 1))
         elif isinstance(message, m.CommandLong):
             self.commands.append(message)
+            self.heard.append(message)
             self._obey(message, system, component)
 
     def _obey(self, command: m.CommandLong, system: int, component: int) -> None:

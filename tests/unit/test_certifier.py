@@ -19,7 +19,6 @@ from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.cli.workshop import Workshop
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
@@ -28,6 +27,7 @@ from flightstack.scenario import TimedEvent
 from flightstack.stack import Stack
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.types import Filtered, Learned, Measurement, changed
+from tests.closed_loop import ClosedLoopFlight, fly
 
 SCENARIO = load_scenario("paper-barrier")
 VERTICAL = CertifierConfig(axes=(2,), slice_only=True)

@@ -13,12 +13,12 @@ import pytest
 from shipped import load_scenario, load_vehicle
 
 from flightstack.certificate_check.samples import TICK, WINDOW, Believed, Ticks, samples
-from flightstack.cli import closed_loop
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.predictor import Streams
 from flightstack.stack import Stack
 from flightstack.vehicle import vehicle_to_toml
+from tests import closed_loop
 
 QUAD = load_vehicle("quad-x")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from companions import build
+from companions import MODEL, build, flying
 from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
 
 from mavlink_bridge import messages as m
@@ -199,6 +199,34 @@ def test_a_link_that_is_too_slow_for_body_rates_is_refused_with_its_latency() ->
     assert companion.state is State.REFUSED
     assert "link too slow: 60 ms there and back" in companion.reason
     assert not vehicle.set_modes(400)
+
+
+def test_px4s_land_begins_from_the_attitude_and_thrust_that_are() -> None:
+    """A real PX4 flies the first cycles of its own mode by the last attitude setpoint that it was told: where that was
+    before the take-off (no thrust), it took the fall for its start and landed at 1.8 m/s."""
+    companion, _, vehicle, now = flying()
+    companion.stop("stopped by the user")
+    exchange(companion, vehicle, 1.0, start_us=now, until=lambda: vehicle.mode == LAND)
+    told = [point for point in vehicle.setpoints if point.type_mask == 7]
+    assert len(told) == 1
+    assert told[0].q_ned_frd == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=0.01)  # as the stand-in's attitude is
+    assert told[0].thrust_norm == pytest.approx(MODEL.norm_of(MODEL.weight_n), abs=0.05)
+    places = [vehicle.heard.index(told[0]), vehicle.heard.index(vehicle.set_modes(176)[-1])]
+    assert 0 < places[1] - places[0] <= 2  # in the same tick
+
+
+def test_once_px4_lands_silence_is_not_answered() -> None:
+    """It disarms into OFFBOARD, and its HEARTBEAT says so up to a second later: a stall of 66 ms in between made the
+    dead-man hold, and the companion took that for a pilot's."""
+    companion, _, vehicle, now = flying()
+    companion.stop("stopped by the user")
+    now = exchange(companion, vehicle, 1.0, start_us=now, until=lambda: vehicle.mode == LAND)
+    now = exchange(companion, vehicle, 0.6, start_us=now)
+    assert companion.last_word(now).flags == 0
+    vehicle.mode = OFFBOARD
+    now = exchange(companion, vehicle, 0.3, start_us=now)
+    assert companion.state is State.LANDING
+    assert companion.last_word(now).flags == 0
 
 
 def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:

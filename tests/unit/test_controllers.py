@@ -12,7 +12,6 @@ from measured import measured as measured_at
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.cli.controllers import CONTROLLERS, build, load_gains
 from flightstack.control.attitude import AttitudeGains
 from flightstack.control.indi import IndiController
@@ -26,6 +25,7 @@ from flightstack.stack import Stack
 from flightstack.trajectory import hover
 from flightstack.types import Command, InputError, Learned, Measurement, changed
 from flightstack.vehicle import with_effects
+from tests.closed_loop import ClosedLoopFlight, fly
 
 QUAD = load_vehicle("quad-x")
 MODEL = Model.from_vehicle(QUAD)

@@ -197,6 +197,14 @@ def test_silence_is_answered_by_levelling_rates_at_once_and_by_hold() -> None:
     holds = _holds(said)
     assert holds[0] <= SILENCE_NS + 20 * MS
     assert len(holds) > 5  # again and again, as nothing is heard
+    told = [one for _, one in said]
+    for place in (place for place, one in enumerate(told) if isinstance(one, m.CommandLong) and one.command == 176):
+        attitude, rates = told[place - 2 : place]  # PX4 begins Hold by the last attitude that it was told
+        assert isinstance(attitude, m.SetAttitudeTarget)
+        assert isinstance(rates, m.SetAttitudeTarget)
+        assert (attitude.type_mask, rates.type_mask) == (7, 128)
+        assert attitude.q_ned_frd == pytest.approx((word.q_w, word.q_x, word.q_y, word.q_z), abs=1e-6)
+        assert attitude.thrust_norm == rates.thrust_norm > 0.4
     assert said[-1][0] <= SILENCE_NS + GIVE_UP_NS + 10 * MS  # then PX4's own failsafe
 
 

@@ -101,6 +101,9 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STANDBY, {}, {"unfit": "estimate-reset"}, 0.1, None),
     (State.STREAMING, {"armed": True, "in_offboard": True}, {}, 0.1, E.ENGAGED),
     (State.STREAMING, {"armed": True}, {}, 0.1, None),
+    (State.STREAMING, {"armed": True, "intends_offboard": True}, {}, 0.1, E.TOOK_OVER),
+    (State.STREAMING, {"armed": True, "intends_offboard": True, "mode_at_us": 2}, {}, 0.1, None),  # an older report
+    (State.STREAMING, {"intends_offboard": True}, {}, 0.1, None),
     (State.STREAMING, {"in_offboard": True}, {}, 0.1, None),
     (State.STREAMING, {}, {"rival": "another companion"}, 0.1, E.FOREIGN),
     (State.STREAMING, {}, {"foreign_system": 2}, 0.1, E.FOREIGN),

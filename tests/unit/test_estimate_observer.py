@@ -7,9 +7,9 @@ import pytest
 from scipy import signal
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.estimate_observer import EstimateObserver
 from flightstack.types import F64
+from tests.closed_loop import ClosedLoopFlight, fly
 
 DT_S = 0.008
 SIH = load_vehicle("px4-sihsim-quadx")

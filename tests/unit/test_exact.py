@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial as npp
 
-from flightstack.barrier.exact import (
+from flightstack.types import InputError
+from flightstack_paper.exact import (
     ExactPolynomial,
     Matrix,
     Proof,
@@ -28,7 +29,6 @@ from flightstack.barrier.exact import (
     proof_from_dict,
     proof_to_dict,
 )
-from flightstack.types import InputError
 
 DISC = (ExactPolynomial({(1, 0): -1, (3, 0): 1, (1, 2): 1}), ExactPolynomial({(0, 1): -1, (2, 1): 1, (0, 3): 1}))
 """r' = -r (1 - r^2) along every ray: the open unit disc is the region of attraction of the origin."""

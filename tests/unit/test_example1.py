@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from flightstack.barrier import example1, sos
-from flightstack.barrier.exact import ExactPolynomial, Proof, as_ellipse, check, leading_minors
-from flightstack.barrier.example1 import FIELD, Example1, ExampleRegion
 from flightstack.types import F64, InputError
+from flightstack_paper import example1, sos
+from flightstack_paper.exact import ExactPolynomial, Proof, as_ellipse, check, leading_minors
+from flightstack_paper.example1 import FIELD, Example1, ExampleRegion
 
 
 @pytest.fixture(scope="module")

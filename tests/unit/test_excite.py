@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import fly
 from flightstack.moves import moves
 from flightstack.types import F64, InputError
 from flightstack_sim.plant import Truth
+from tests.closed_loop import fly
 
 QUAD = load_vehicle("quad-x")
 G = 9.80665

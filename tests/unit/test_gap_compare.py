@@ -159,6 +159,21 @@ def test_crossovers_follow_the_noise() -> None:
     assert max(low for low, _ in by_velocity) == 0.0
 
 
+def test_a_filters_velocity_that_errs_slowly_as_its_own_inertia_does_gives_way_to_the_position() -> None:
+    """An autopilot's velocity is its acceleration, integrated: both err by the same 0.3 m/s, the position by 0.2 m."""
+    dt, n = 0.02, 3000
+    t = dt * np.arange(n)
+    truth = 2.0 * np.sin(0.7 * t)[:, None] * np.ones(3)
+    pos, acc = np.cumsum(truth, axis=0) * dt, np.gradient(truth, dt, axis=0)
+    slow = 0.3 * np.sqrt(2.0) * np.sin(2.0 * np.pi * np.outer(t, [1 / 40.0, 1 / 50.0, 1 / 60.0]) + 1.0)
+    wander = 0.2 * np.sin(2.0 * np.pi * np.outer(t, [1 / 15.0, 1 / 13.0, 1 / 11.0]))
+    chosen, std = crossovers(truth + slow, pos + wander, acc + np.gradient(slow, dt, axis=0), dt)
+    assert min(low for low, _ in chosen) >= 0.16
+    assert np.all((std > 0.1) & (std < 0.3))  # its error is not known, only by how much the two differ
+    chosen, std = crossovers(truth, pos + wander, acc, dt)  # a position that wanders is told by its rising spectrum
+    assert np.all(std < 0.05)
+
+
 def test_turning_there_and_back(exact: Samples) -> None:
     v = exact.accel_frd_mps2
     assert rotate_inverse(exact.q_ned_frd, rotate(exact.q_ned_frd, v)) == pytest.approx(v, abs=1e-12)

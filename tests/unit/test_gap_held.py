@@ -13,6 +13,7 @@ from flightstack.gap import pooled
 from flightstack.gap.classes import confused_with, doubled, poorly_told
 from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
 from flightstack.gap.naming.bench import simulator_bench
+from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.held_rows import gain
@@ -209,6 +210,24 @@ def test_of_explanations_that_look_alike_the_true_one_is_named_alone(
     assert [found.name for found in said.found] == [kind.removeprefix("one:")]
     assert not said.unexplained.significant
     assert said.gap.closed == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_load_on_a_rope_is_hung_in_the_place_of_a_payload_that_leaves_half_of_the_gap(tmp_path: Path) -> None:
+    case = make(
+        "three", 720026
+    )  # beside a thrust curve and rotor drag; by straight lines a rope adds nothing to a payload
+    log, _, _ = write(case, tmp_path, "case", "mcap")
+    said = analyse([log], case.believed)
+    named = {found.name: found.parameters for found in said.found}
+    assert set(named) == set(case.answer.effects)
+    rope, true_m = named["slung_load"]["length_m"], case.answer.effects["slung_load"]["length_m"]
+    assert rope.low <= true_m <= rope.high
+    assert not said.unexplained.significant
+
+
+def test_no_disk_flaps_into_the_wind() -> None:
+    """What swings sideways (a sloshing tank) was a flapping of the wrong sign beside a raised mass."""
+    assert plausible(quad(), "blade_flapping", "k_flap_nms2_per_rad_m")[0] == 0.0
 
 
 def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:

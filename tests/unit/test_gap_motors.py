@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flightstack.gap import classes
+from flightstack.gap.records import Estimate, Found
 from flightstack.gap.result import GapResult
 from flightstack.gap.workflow import analyse
 from flightstack_logs.readers.csv_file import HEADER
-from tests.gap_flights import Flown, fly, hidden, quad, wander
+from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
 
 DRAG = {"d_x_kgps": 0.45, "d_y_kgps": 0.35, "d_z_kgps": 0.4}
 PAYLOAD_KG = 0.2
@@ -58,6 +60,19 @@ def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Pat
     assert "vertical force and torques were not looked at" in result.report.sentence
 
 
+def test_without_motors_a_drag_that_the_file_has_is_not_told_from_the_mass_that_it_brakes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(classes, "without_motors", lambda flights: True)
+    monkeypatch.setattr(classes, "has_gyro", lambda flights: True)
+    known, fresh = (
+        Found("linear_drag", {"d_x_kgps": Estimate(was, 1.4, 1.3, 1.5)}, -50.0, 0.9, 1e-9) for was in (1.0, 0.0)
+    )
+    twins = [each.indistinguishable_from for each in classes.in_classes((known, fresh), ())]
+    assert ["payload" in each for each in twins] == [True, False]
+    assert all({"rotor_drag", "parasitic_drag"} <= set(each) for each in twins)
+
+
 def test_measured_speeds_stand_for_commands(flown: Flown, tmp_path: Path) -> None:
     rotors = quad().rotors
     f = rotors.thrust_model_factor
@@ -77,3 +92,17 @@ def test_a_log_with_slow_motors_beside_a_whole_one_is_no_hindrance(flown: Flown,
         written(flown, motors, "motor_", tmp_path / f"{k}.csv") for k, motors in enumerate((flown.motor, slow(flown)))
     ]
     assert {found.name for found in analyse(logs, quad()).found} >= {"linear_drag", "payload"}
+
+
+def test_what_a_hover_shows_as_a_mean_only_is_named(tmp_path: Path) -> None:
+    """Four percent of mass and a hundredth of the arm: less than vehicles differ by, and all that is missing here."""
+    truth = hidden(quad(), {"payload": {"mass_kg": 0.05}, "com_offset": {"x_m": 0.0015, "y_m": -0.001}})
+    still = fly(truth, quad(), hover(), seconds=24.0, seed=4, dither=0.0)
+    said = found_in(still, still.motor, "motor_", tmp_path)
+    assert not said.unexplained.significant
+    assert said.gap.closed == pytest.approx(1.0, abs=0.05)
+    shifted = next(found for found in said.found if found.name == "com_offset")
+    (mass,) = (found for found in said.found if found is not shifted)
+    assert {"payload", "thrust_scale"} & {mass.name, *mass.indistinguishable_from}
+    assert shifted.parameters["x_m"].low <= 0.0015 <= shifted.parameters["x_m"].high
+    assert shifted.parameters["y_m"].low <= -0.001 <= shifted.parameters["y_m"].high

@@ -181,6 +181,10 @@ class MadeUp:
 
         return [np.stack([one(knob) for knob in knobs], axis=2)]
 
+    @property
+    def trifles(self) -> float:
+        return 1.0
+
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
         return [np.zeros((self.rows, 2, 1))], np.ones(1), np.ones(1, dtype=bool)
 

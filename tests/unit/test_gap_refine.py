@@ -118,11 +118,12 @@ def test_a_short_log_is_not_flown_again(loaded: Samples) -> None:
     assert reflight(quad(), [quad()], loaded, mask) == []
 
 
-def test_the_companion_takes_mass_and_rotor_drag_and_leaves_parasitic_drag() -> None:
+def test_the_companion_takes_mass_and_drags_and_leaves_a_shifted_mass() -> None:
     effects = {
         "payload": {"mass_kg": 0.3},
         "rotor_drag": {"k_d_kg_per_rad": 2e-4},
         "parasitic_drag": {"c_x_kg_per_m": 0.1},
+        "com_offset": {"x_m": 0.01},
     }
     corrected = hidden(quad(), effects)
     got = companion(quad(), corrected)
@@ -130,7 +131,8 @@ def test_the_companion_takes_mass_and_rotor_drag_and_leaves_parasitic_drag() -> 
     assert taken["mass_kg"].before == 1.2
     assert taken["mass_kg"].after == pytest.approx(1.5)
     assert taken["drag_x_kgps"].after > taken["drag_x_kgps"].before
-    assert got.left_to_learner == ("parasitic_drag",)
+    assert taken["drag_x_kgps"].after - taken["drag_y_kgps"].after == pytest.approx(0.2)
+    assert got.left_to_learner == ("com_offset",)
     assert companion(quad(), quad()).takes == ()
 
 

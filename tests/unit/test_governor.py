@@ -171,3 +171,55 @@ def test_the_limits_leave_the_scenarios_thrust_and_the_ledgers_line() -> None:
         assert found.lift_mps2 <= 0.12
         assert found.loss_mps2 == 0.0
         assert found.roll_pitch_max >= 0.04
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.6, math.pi / 4.0, -2.0])
+def test_what_is_cut_is_the_most_that_may_be_and_leans_north_and_east_alike(heading_rad: float) -> None:
+    """From rest: the change that turns the lean to north and to east is cut at one size, which is the greatest: a
+    little less passes as it is, a little more is cut again."""
+    governor, limits = Governor(QUAD), GovernorLimits(0.06, 0.03, 0.1)
+    sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
+
+    def sent(wanted: F64) -> F64 | None:
+        return governor.step(governor.init(), Command(0, 0.0, 0.6, wanted), limits, heading_rad)[2]
+
+    wanted = np.array([3.0, -2.0, 0.0])
+    found = sent(wanted)
+    assert found is not None
+
+    def lean(rate: F64) -> F64:
+        """Roll turns it right, pitch back: rates of the lean to north and to east, by hand."""
+        return np.array([rate[1] * cosine + rate[0] * sine, rate[1] * sine - rate[0] * cosine])
+
+    most = np.abs(lean(found)).max()
+    assert 0.1 < most < np.abs(lean(wanted)).max()
+    np.testing.assert_allclose(lean(found), np.clip(lean(wanted), -most, most), atol=0.02 * most + 0.005)
+    assert found[2] == 0.0
+    assert sent(0.97 * found) is None
+    assert sent(1.03 * found) is not None
+
+
+def test_ticks_that_are_no_whole_steps_leave_nothing_out_and_count_nothing_twice() -> None:
+    """340 ms of one command, in ticks of 4.25 ms and of 4 ms: 340 steps of the model, the same bits."""
+    rate, memories = np.array([0.3, -0.2, 0.1]), []
+    for tick_us, ticks in ((4250, 80), (4000, 85)):
+        governor = Governor(QUAD)
+        state = governor.init()
+        for tick in range(ticks + 1):
+            state, _, _ = governor.step(state, Command(tick * tick_us, 0.0, 0.6, rate), None)
+        assert state.t_us == 340_000
+        memories.append(state.memory.copy())
+    np.testing.assert_array_equal(*memories)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "yaws"), [((3.0, -2.0, 0.0), False), ((0.0, 3.0, 0.0), False), ((0.0, 0.0, 2.0), True)]
+)
+def test_what_is_cut_takes_all_of_the_torque_that_is_allowed(wanted: tuple[float, float, float], yaws: bool) -> None:
+    """The greatest torque of the simulated autopilot in the 240 ms after it, from rest: the limit within 5 %."""
+    governor, limits = Governor(QUAD), GovernorLimits(0.06, 0.03, 0.1)
+    _, norm, rate = governor.step(governor.init(), Command(0, 0.0, 0.6, np.array(wanted)), limits)
+    assert rate is not None
+    rows = flown(QUAD, QUAD, [(rate, norm)] * 60, None)
+    found, most = (np.abs(rows[:, 2]).max(), 0.03) if yaws else (np.hypot(rows[:, 0], rows[:, 1]).max(), 0.06)
+    assert found == pytest.approx(most, rel=0.05)

@@ -10,7 +10,6 @@ import pytest
 from measured import measured
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import GpLearner, LearnerConfig
 from flightstack.model import Limits, Model
@@ -19,6 +18,7 @@ from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, changed
 from flightstack.vehicle import with_effects
+from tests.closed_loop import ClosedLoopFlight, fly
 
 QUAD = load_vehicle("quad-x")
 MODEL = Model.from_vehicle(QUAD)

@@ -81,7 +81,7 @@ FORMATS = {
 _STRUCT = {"Q": "Q", "B": "B", "c": "h", "C": "H", "f": "f", "e": "i", "H": "H", "Z": "64s", "N": "16s"}
 
 
-def dataflash() -> bytes:
+def dataflash(*, filtered: bool = True) -> bytes:
     """The same circle as ArduPilot writes it; a second IMU and a second EKF beside the first."""
     out = bytearray()
 
@@ -102,9 +102,11 @@ def dataflash() -> bytes:
     put("MSG", 1_000_000, b"ArduCopter V4.5 <script>")
     for k in range(int(SECONDS * HZ)):
         t_us, (place, speed) = 1_000_000 + round(1e6 * k / HZ), circle(k / HZ)
+        if not filtered:
+            place, speed = np.full(3, -0.0), np.zeros(3)
         put("ATT", t_us, 0, round(100 * math.degrees(ROLL)), 0, 0, 0, round(100 * math.degrees(0.5)))
         for core in (0, 1):
-            put("XKF1", t_us, core, 0, 0, 0, *speed, 0.0, *[part + core for part in place], 0, 0, 0, 0)
+            put("XKF1", t_us, core, 0, 0, 0, *speed, 0.0, *[part + core * filtered for part in place], 0, 0, 0, 0)
             put("IMU", t_us, core, 0.1, 0.2, 0.3, 0.0, 0.0, -9.80665)
         put("RCOU", t_us, 1500, 1500, 1500, 1500)
         if k % int(HZ) == 0:
@@ -207,6 +209,20 @@ def test_a_dataflash_log_gives_what_pymavlinks_own_reader_gives(logs: dict[str, 
 
 
 # ---------------------------------------------------------------- under our topics
+
+
+def test_arducopters_old_names_of_outputs_are_known_and_a_filter_that_never_ran_gives_no_position(
+    tmp_path: Path,
+) -> None:
+    """ArduCopter before 3.4 calls them Ch1, Ch2, ...; a filter without a position logs zeros."""
+    path, columns = tmp_path / "a.BIN", FORMATS["RCOU"][1].encode()
+    path.write_bytes(dataflash().replace(columns.ljust(64, b"\0"), columns.replace(b"C", b"Ch").ljust(64, b"\0")))
+    log = with_vehicle_topics(read(path))
+    assert np.all(log.tables["/vehicle/motors"]["pwm_us"][:, :4] == 1500)
+    (rest := tmp_path / "rest.BIN").write_bytes(dataflash(filtered=False))
+    idle = with_vehicle_topics(read(rest))
+    assert "/vehicle/local_position" not in idle.tables
+    assert "/vehicle/attitude" in idle.tables
 
 
 @pytest.mark.parametrize("kind", ["tlog", "dataflash"])

@@ -17,6 +17,7 @@ from mcap.stream_reader import StreamReader
 from flightstack.types import FlatOutput, changed
 from flightstack_logs import rows
 from flightstack_logs.convert import convert
+from flightstack_logs.info import info
 from flightstack_logs.reader import read
 from flightstack_logs.recover import recover
 from flightstack_logs.topics import MESSAGE, TOPICS, Kind
@@ -150,9 +151,10 @@ def test_a_cut_off_compact_log_is_mended_with_its_rows(tmp_path: Path) -> None:
     log.flush()
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
     log.close()
-    recover(tmp_path / "cut.mcap", tmp_path / "b.mcap")
+    saved = recover(tmp_path / "cut.mcap", tmp_path / "b.mcap")
     cut, mended = read(tmp_path / "cut.mcap"), read(tmp_path / "b.mcap")
     assert (cut.complete, mended.complete) == (False, True)
+    assert saved.messages == info(mended).messages >= 500  # rows, as `log info` counts them
     for whole in (cut, mended):
         assert whole.tables["/tick"].t_us.tolist() == [k * 4000 for k in range(500)]  # what was flushed is there
 

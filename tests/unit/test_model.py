@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,12 @@ from hypothesis import strategies as st
 from scipy import signal
 from shipped import load_vehicle
 
+from flightstack.certificate_check.samples import Believed
 from flightstack.gap.evaluated import evaluate_at
 from flightstack.gap.simulate import params_row
 from flightstack.model import MC_RATE_D, MC_RATE_P, Limiter, Limits, Model, thrust_to_norm
 from flightstack.types import InputError
-from flightstack.vehicle import parse_vehicle, scaled, with_effects
+from flightstack.vehicle import parse_vehicle, scaled, vehicle_to_toml, with_effects
 
 
 @settings(deadline=None)
@@ -69,9 +71,13 @@ def test_effects_that_the_model_can_express_are_in_its_numbers_and_the_others_ar
     assert model.left_to_learner == ("com_offset",)
 
 
-def test_the_rotors_drag_in_hover_is_what_the_plant_feels() -> None:
+def test_the_rotors_drag_in_hover_and_the_parasitic_one_at_2_mps_are_what_the_plant_feels() -> None:
     """The simulator's specific force at hover's command, at 2 m/s along each axis less that at rest."""
-    effects = {"rotor_drag": {"k_d_kg_per_rad": 2e-4}, "induced_inflow": {"k_z_kg_per_rad": 3e-4}}
+    effects = {
+        "rotor_drag": {"k_d_kg_per_rad": 2e-4},
+        "induced_inflow": {"k_z_kg_per_rad": 3e-4},
+        "parasitic_drag": {"c_x_kg_per_m": 0.05, "c_y_kg_per_m": 0.06, "c_z_kg_per_m": 0.08},
+    }
     vehicle = with_effects(load_vehicle("quad-x"), effects)
     model = Model.from_vehicle(vehicle)
     vel, level = np.vstack([np.zeros(3), 2.0 * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
@@ -84,6 +90,8 @@ def test_the_rotors_drag_in_hover_is_what_the_plant_feels() -> None:
     evaluate_at(row, np.tile([0.0, 0.0, -50.0], (4, 1)), vel, level, np.zeros((4, 3)), u, load, np.zeros(4), out)
     felt = np.diag(out[1:, :3, 0] - out[0, :3, 0])
     assert felt == pytest.approx(-2.0 * np.array(model.drag_kgps) / model.mass_kg, rel=1e-6)
+    checker = Believed.of(tomllib.loads(vehicle_to_toml(vehicle)))
+    assert checker.drag_kgps == pytest.approx(model.drag_kgps)
 
 
 def test_the_rate_lag_of_px4s_own_simulator_follows_from_its_measured_torque() -> None:

@@ -8,13 +8,13 @@ from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from benchmarks.oracle import Oracle
-from flightstack.cli.closed_loop import fly
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack
 from flightstack.trajectory import Sinusoid, figure8, hover
 from flightstack.types import Command, FlatOutput, Learned
 from flightstack.vehicle import Vehicle, scaled, with_effects
 from flightstack_sim.plant import NativePlant
+from tests.closed_loop import fly
 
 BELIEVED = load_vehicle("quad-x")
 PATH = figure8(length_m=3.0, width_m=1.5, period_s=5.0, height_m=2.0)

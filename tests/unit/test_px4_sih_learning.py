@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack
 from flightstack.types import Learned
+from tests.closed_loop import ClosedLoopFlight, fly
 
 SIH = load_vehicle("px4-sihsim-quadx")
 FLIGHTS = [

@@ -10,11 +10,11 @@ import pytest
 from scipy.special import erf
 from shipped import load_scenario
 
-from flightstack.barrier.exact import ExactPolynomial
 from flightstack.barrier.published import constant
 from flightstack.barrier.sampling import Claim, ClaimSamples, crossed
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack_paper import theory
+from flightstack_paper.exact import ExactPolynomial
 from flightstack_paper.example import level_set_area, solved_area
 from flightstack_paper.exploration import density
 from flightstack_paper.rows_example import _NAMES

@@ -19,7 +19,6 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.records import Authority, Budget, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Stopping, value
-from flightstack.cli.closed_loop import fly
 from flightstack.control.feedback import FlatnessController
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model
@@ -36,6 +35,7 @@ from flightstack.safety_filter import (
 from flightstack.seams import SafetyFilter
 from flightstack.stack import Stack
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, changed
+from tests.closed_loop import fly
 
 TILT = math.radians(25.0)
 LIMITS = Limits(tilt_max_rad=TILT)

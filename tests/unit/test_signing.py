@@ -6,6 +6,7 @@ import json
 import os
 import stat
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,10 @@ from mavlink_bridge.handshake import State
 from mavlink_bridge.layout import dialect
 from mavlink_bridge.link import Link
 from mavlink_bridge.signing import STAMPS_PER_SECOND, SecretKey, Signer, parse_key
+from mavlink_bridge.transport.address import open_address
 from mavlink_bridge.transport.clock import signing_stamp
 from mavlink_bridge.transport.key_file import AHEAD, KeyFile, state_path
+from mavlink_bridge.transport.udp import UdpSocket
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 NOW = 375_000_000 * STAMPS_PER_SECOND
@@ -186,6 +189,27 @@ def test_a_signed_flight_flies_and_an_unsigned_pilot_is_not_heard() -> None:
 
 
 # ---------------------------------------------------------------- the file
+
+
+def test_with_a_key_only_a_signed_word_makes_a_peer() -> None:
+    """Unsigned, of another key, replayed: none of them may turn the companion away from its vehicle for life."""
+    with UdpSocket.bind("127.0.0.1", 0) as probe:
+        where = probe.address
+    with UdpSocket.bind("127.0.0.1", 0, peer=where) as stranger, UdpSocket.bind("127.0.0.1", 0, peer=where) as vehicle:
+        old = _heartbeat(_theirs(stamp=NOW - 120 * STAMPS_PER_SECOND))
+        good = _heartbeat(_theirs())
+        signer = _signer()
+        with closing(open_address("udpin:{}:{}".format(*where), signer)) as listener:
+            unsigned = _heartbeat(dialect.MAVLink(None, srcSystem=1, srcComponent=1))
+            for word in (unsigned, _heartbeat(_theirs(OTHER)), old):
+                stranger.send(word)
+            vehicle.send(good)
+            assert listener.wait(5.0)
+            assert listener.receive_all() == [good]
+            assert isinstance(listener, UdpSocket)
+            assert (listener.peer, listener.foreign) == (vehicle.address, 3)
+        link = Link(240, 191, signing=signer)
+        assert _received(link, good) == 1  # what made the peer is still to be taken
 
 
 def _key_file(tmp_path: Path, content: bytes = KEY, mode: int = 0o600) -> Path:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.frames import quat_to_matrix
 from flightstack.model import Limits, Model
 from flightstack.stack import Stack, StackState
 from flightstack.types import Command, FlatOutput, Measurement, TickRecord
+from tests.closed_loop import ClosedLoopFlight, fly
 
 SIH = load_vehicle("px4-sihsim-quadx")
 

@@ -8,9 +8,9 @@ from fractions import Fraction
 
 import pytest
 
-from flightstack.barrier import sos
-from flightstack.barrier.exact import ExactPolynomial, Field, check, ellipse
 from flightstack.types import InputError
+from flightstack_paper import sos
+from flightstack_paper.exact import ExactPolynomial, Field, check, ellipse
 
 
 def disc(power: int, turn: int = 0) -> Field:

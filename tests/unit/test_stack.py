@@ -11,7 +11,6 @@ from certificates import certificate as certificate_with_premises
 from certified import certificate
 from shipped import load_scenario, load_vehicle
 
-from flightstack.cli.closed_loop import ClosedLoopFlight, fly
 from flightstack.control.feedback import FeedbackGains, FlatnessController
 from flightstack.frames import quat_from_euler
 from flightstack.model import Limits, Model
@@ -22,6 +21,7 @@ from flightstack.trajectory import figure8, hover
 from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, changed
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack.warmup import warm_up
+from tests.closed_loop import ClosedLoopFlight, fly
 
 QUAD = load_vehicle("quad-x")
 SIH = load_vehicle("px4-sihsim-quadx")

@@ -11,6 +11,7 @@ import pytest
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.certificate_check import check
+from flightstack.certificate_check import stopping as stopping_check
 from flightstack.cli import files
 from flightstack.cli.certify_site import narrowed
 from flightstack.cli.protection import governor_for
@@ -108,6 +109,22 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, 
         yield path, float(value)
 
 
+@pytest.fixture
+def radii_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the checker finds of a loop is kept: most changes leave one of the two as it was, or both."""
+    kept: dict[Any, float] = {}
+    radius = stopping_check._radius
+
+    def once(loop: dict[str, float], is_across: bool) -> float:
+        key = (*loop.values(), is_across)
+        if key not in kept:
+            kept[key] = radius(loop, is_across)
+        return kept[key]
+
+    monkeypatch.setattr(stopping_check, "_radius", once)
+
+
+@pytest.mark.usefixtures("radii_kept")
 def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, text: str) -> None:
     """What the checker cannot know (vehicle, sensors) is compared with what follows from the file's own prior."""
     count = 0

@@ -268,6 +268,30 @@ def test_too_many_missed_ticks_hand_back_to_hold() -> None:
     _assert_handed_back(flight, "overrun-rate", now)
 
 
+@pytest.mark.parametrize(("swing_rad", "ends"), [(0.35, False), (0.9, True)])
+def test_a_vehicle_that_swings_instead_of_turning_as_told_lands(swing_rad: float, ends: bool) -> None:
+    """Rolling to and fro at 1 Hz, whatever it is told (level, nearly): rms 0.25 and 0.64 rad; 0.4 counts."""
+    companion, _, vehicle, start = flying()
+
+    def alter(message: Any) -> Any:
+        t_s = (message[0] - start) * 1e-6
+        angle = swing_rad * math.sin(2.0 * math.pi * t_s)
+        rates = (2.0 * math.pi * swing_rad * math.cos(2.0 * math.pi * t_s), 1e-6 * (message[0] // STEP_US % 7), 0.0)
+        if isinstance(message, ATTITUDE):
+            return message._replace(
+                q_ned_frd=(math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0), rate_frd_radps=rates
+            )
+        if isinstance(message, IMU):
+            force = (rates[1], -9.80665 * math.sin(angle), -9.80665 * math.cos(angle))
+            return message._replace(accel_frd_mps2=force, rate_frd_radps=rates)
+        return message
+
+    vehicle.alter = alter
+    exchange(companion, vehicle, 8.0, start_us=start, until=lambda: companion.state is not State.OFFBOARD)
+    assert (companion.state is State.LANDING) is ends
+    assert companion.reason.startswith("swinging: ") is ends
+
+
 def test_a_guard_that_does_not_let_go_ends_the_flight() -> None:
     """Rolled to 90 degrees at 3 rad/s, gyro and accelerometer agreeing: the guard brakes from 80 degrees on."""
     flight = flying()

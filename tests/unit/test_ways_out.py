@@ -131,6 +131,24 @@ def test_a_restarted_companion_does_not_touch_a_vehicle_that_still_flies(
     assert not vehicle.set_modes(400)
 
 
+def test_a_companion_that_slept_through_the_take_off_does_not_call_the_vehicle_back() -> None:
+    """It was stopped while it waited, the pilot took off in OFFBOARD, and PX4, hearing nothing, returns: a real one
+    went back to OFFBOARD on the first setpoint."""
+    companion, _ = build(arm=False)
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 10.0, until=lambda: len(vehicle.setpoints) > 10)
+    vehicle.armed, vehicle.landed, vehicle.mode, vehicle.intended = True, 2, RTL, OFFBOARD
+    for _ in range(250):
+        now += STEP_US
+        vehicle.step(now)
+    sent = len(vehicle.setpoints)
+    exchange(companion, vehicle, 3.0, start_us=now)
+    assert companion.state is State.PILOT
+    assert "would bring it back" in companion.reason
+    assert len(vehicle.setpoints) == sent
+    assert not vehicle.set_modes(176)
+
+
 def test_a_restarted_companion_on_a_landed_vehicle_waits_for_the_pilot() -> None:
     """OFFBOARD was left selected: the stream may flow, but nothing arms, and on the ground it says nothing but zero."""
     companion, _ = build(arm=False)

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from benchmarks.px4.companion import command, start
+from benchmarks.px4.companion import start
+from benchmarks.px4.deeds import (
+    ARM,
+    HOLD,
+    LAND,
+    RETURN,
+    TAKEOFF,
+    Attack,
+    already_flying,
+    chosen,
+    commanded,
+    flown,
+    parameters_set,
+    px4_signalled,
+    signalled,
+    while_waiting,
+)
 from benchmarks.px4.records import Bench, Row
-from benchmarks.px4.scene import AIRBORNE_M, LIMIT_S, OFFBOARD, Scene, end, judge
-from benchmarks.px4.station import Px4, log_folder
+from benchmarks.px4.scene import LIMIT_S, Scene
 
 ASKED = (
     "An outsider interferes with figure8 at default parameters: whoever takes the vehicle keeps it (PX4 does not go "
@@ -25,185 +38,12 @@ ASKED = (
 RUNS = 1
 PAYLOAD_PORT = 14030
 """PX4's third link, of 4 kB/s until streams are asked for."""
-_ARM = 400
-_HOLD, _RETURN, _LAND, _TAKEOFF = (4.0, 3.0), (4.0, 5.0), (4.0, 6.0), (4.0, 2.0)
 _FORCE = 21196.0
 
 
-class Attack(NamedTuple):
-    """What is done, and what is allowed to follow."""
-
-    deed: Callable[[Scene], None]
-    codes: tuple[int, ...] = (1,)
-    """Exit codes that are right."""
-    keeps: bool = True
-    """PX4 may not be in OFFBOARD at the end of the deed's time, nor armed again."""
-    soft: bool = True
-    """The ground is to be met gently."""
-    params: tuple[tuple[str, float], ...] = ()
-
-
 def run(bench: Bench, runs: int) -> list[Row]:
-    """Every attack `runs` times; `ATTACKS` in the environment names those to fly."""
-    wanted = os.environ.get("ATTACKS", "").split(",")
-    return [_row(bench, name, attack, runs) for name, attack in ATTACKS.items() if any(word in name for word in wanted)]
-
-
-def _row(bench: Bench, name: str, attack: Attack, runs: int) -> Row:
-    notes, seen = [], ""
-    for number in range(runs):
-        folder = log_folder(bench, "attack-" + "-".join(name.replace("/", " ").split()))
-        with Px4(bench, params=dict(attack.params)) as px4:
-            scene = Scene(bench, px4, folder)
-            try:
-                attack.deed(scene)
-                wrong, seen = judge(scene, attack.codes, keeps=attack.keeps, soft=attack.soft)
-            finally:
-                end(scene)
-        print(f"{name}: {'; '.join(wrong) or 'good'} | {seen}", flush=True)
-        notes += [f"run {number}: {'; '.join(wrong)}; {seen}"] if wrong else []
-    return Row(name, seen, not notes, runs, notes)
-
-
-# ---------------------------------------------------------------- deeds
-
-
-def _chosen(*modes: tuple[float, float], apart_s: float = 0.2, watched_s: float = 5.0) -> Callable[[Scene], None]:
-    """A ground station chooses modes one after the other."""
-
-    def deed(scene: Scene) -> None:
-        scene.begin()
-        scene.began_s = time.monotonic()
-        for main, sub in modes:
-            scene.mode(main, sub)
-            time.sleep(apart_s)
-        time.sleep(watched_s)
-
-    return deed
-
-
-def _commanded(*commands: tuple[float, ...], apart_s: float = 0.5) -> Callable[[Scene], None]:
-    """Commands of a ground station one after the other."""
-
-    def deed(scene: Scene) -> None:
-        scene.begin()
-        scene.began_s = time.monotonic()
-        for number, *params in commands:
-            scene.px4.command(int(number), *params)
-            time.sleep(apart_s)
-
-    return deed
-
-
-def _set(*params: tuple[str, float]) -> Callable[[Scene], None]:
-    """Parameters set in flight."""
-
-    def deed(scene: Scene) -> None:
-        scene.begin()
-        scene.began_s = time.monotonic()
-        for name, value in params:
-            scene.px4.set_param(name, value)
-        scene.wait(lambda: scene.ended, 60.0)
-
-    return deed
-
-
-def _signalled(*signals: tuple[int, float]) -> Callable[[Scene], None]:
-    """Signals to the companion, each followed by a wait."""
-
-    def deed(scene: Scene) -> None:
-        scene.begin()
-        scene.began_s = time.monotonic()
-        for number, wait_s in signals:
-            assert scene.process is not None
-            scene.process.send_signal(number)
-            time.sleep(wait_s)
-
-    return deed
-
-
-def _px4_signalled(*signals: tuple[int, float], anew: bool = False, arm: bool = True) -> Callable[[Scene], None]:
-    """Signals to PX4's process; `anew`: started again after it; without `arm`, while the companion waits."""
-
-    def deed(scene: Scene) -> None:
-        if arm:
-            scene.begin()
-        else:
-            _wait_for_pilot(scene)
-        scene.began_s = time.monotonic()
-        for number, wait_s in signals:
-            scene.px4.signal(number)
-            time.sleep(wait_s)
-        if anew:
-            scene.px4.restart()
-            if not arm:
-                _pilot_takes_off(scene)
-        scene.wait(lambda: scene.ended, 30.0)
-
-    return deed
-
-
-def _wait_for_pilot(scene: Scene, seconds: float = 8.0) -> None:
-    """A companion that waits for the pilot to arm."""
-    words = command(scene.px4, scene.folder, "hover", arm=False)
-    scene.process = subprocess.Popen(
-        words, stdout=(scene.folder / "companion.txt").open("wb"), stderr=subprocess.STDOUT
-    )
-    time.sleep(seconds)
-
-
-def _pilot_takes_off(scene: Scene) -> None:
-    """OFFBOARD and arming by the pilot."""
-    for _ in range(20):
-        scene.mode(float(OFFBOARD))
-        time.sleep(0.2)
-        scene.px4.command(_ARM, 1.0, 0.0)
-        if scene.wait(lambda: scene.px4.armed, 1.0):
-            break
-
-
-def _waiting(deed: Callable[[Scene], None]) -> Callable[[Scene], None]:
-    """Something happens while the companion waits; then the pilot takes off."""
-
-    def whole(scene: Scene) -> None:
-        _wait_for_pilot(scene)
-        scene.began_s = time.monotonic()
-        deed(scene)
-        time.sleep(0.5)
-        if not scene.ended:
-            _pilot_takes_off(scene)
-        scene.wait(lambda: scene.ended, 60.0)
-
-    return whole
-
-
-def _already_flying(*modes: tuple[float, float], arm: bool, offboard_after_s: float = 0.0) -> Callable[[Scene], None]:
-    """The pilot flies before the companion is started, perhaps gives it the vehicle later."""
-
-    def deed(scene: Scene) -> None:
-        scene.mode(*_TAKEOFF)
-        time.sleep(0.3)
-        scene.px4.command(_ARM, 1.0, 0.0)
-        if not scene.wait(lambda: scene.px4.height_m > AIRBORNE_M, 30.0):
-            scene.notes.append("the pilot did not take off")
-        time.sleep(4.0)
-        for main, sub in modes:
-            scene.mode(main, sub)
-            time.sleep(0.3)
-        scene.began_s = time.monotonic()
-        words = command(scene.px4, scene.folder, "hover", arm=arm)
-        scene.process = subprocess.Popen(
-            words, stdout=(scene.folder / "companion.txt").open("wb"), stderr=subprocess.STDOUT
-        )
-        scene.wait(lambda: scene.ended, offboard_after_s or 10.0)
-        if offboard_after_s:
-            scene.began_s = time.monotonic() + 60.0  # what the modes did until then was meant
-            scene.mode(float(OFFBOARD))
-            scene.wait(lambda: scene.ended, 60.0)
-        elif not scene.ended:
-            scene.process.send_signal(signal.SIGINT)
-
-    return deed
+    """Every attack `runs` times."""
+    return flown(bench, runs, ATTACKS)
 
 
 def _second_on_the_port(scene: Scene) -> None:
@@ -307,61 +147,61 @@ ATTACKS: dict[str, Attack] = {
     "random datagrams at the companion's port": Attack(_noise, codes=(0,)),
     "lies in the vehicle's name at the companion's port": Attack(_lies, codes=(0,)),
     "random datagrams before PX4 is heard": Attack(_noise_first, codes=(0, 1)),
-    "PX4 killed": Attack(_px4_signalled((signal.SIGKILL, 0.0)), soft=False),
-    "PX4 killed and started anew": Attack(_px4_signalled((signal.SIGKILL, 0.2), anew=True), soft=False),
+    "PX4 killed": Attack(px4_signalled((signal.SIGKILL, 0.0)), soft=False),
+    "PX4 killed and started anew": Attack(px4_signalled((signal.SIGKILL, 0.2), anew=True), soft=False),
     "PX4 killed and started anew while the companion waits": Attack(
-        _px4_signalled((signal.SIGKILL, 0.2), anew=True, arm=False), codes=(0, 1)
+        px4_signalled((signal.SIGKILL, 0.2), anew=True, arm=False), codes=(0, 1)
     ),
-    "PX4 stands still for 0.4 s": Attack(_px4_signalled((signal.SIGSTOP, 0.4), (signal.SIGCONT, 0.0)), codes=(0, 1)),
-    "PX4 stands still for 2 s": Attack(_px4_signalled((signal.SIGSTOP, 2.0), (signal.SIGCONT, 0.0))),
-    "PX4 stands still for 6 s": Attack(_px4_signalled((signal.SIGSTOP, 6.0), (signal.SIGCONT, 0.0))),
-    "Hold chosen": Attack(_chosen(_HOLD)),
-    "Return chosen": Attack(_chosen(_RETURN)),
-    "Land chosen": Attack(_chosen(_LAND)),
-    "Position chosen": Attack(_chosen((3.0, 0.0)), codes=(0, 1)),
-    "Takeoff chosen": Attack(_chosen(_TAKEOFF)),
-    "Hold, 0.2 s later OFFBOARD": Attack(_chosen(_HOLD, (6.0, 0.0)), codes=(0, 1), keeps=False),
-    "Hold, 2 s later OFFBOARD": Attack(_chosen(_HOLD, (6.0, 0.0), apart_s=2.0), keeps=False),
-    "force-disarmed in the air": Attack(_commanded((_ARM, 0.0, _FORCE)), soft=False),
-    "disarmed in the air (PX4 denies it)": Attack(_commanded((_ARM, 0.0, 0.0)), codes=(0,)),
-    "terminated in the air": Attack(_commanded((185.0, 1.0)), soft=False),
+    "PX4 stands still for 0.4 s": Attack(px4_signalled((signal.SIGSTOP, 0.4), (signal.SIGCONT, 0.0)), codes=(0, 1)),
+    "PX4 stands still for 2 s": Attack(px4_signalled((signal.SIGSTOP, 2.0), (signal.SIGCONT, 0.0))),
+    "PX4 stands still for 6 s": Attack(px4_signalled((signal.SIGSTOP, 6.0), (signal.SIGCONT, 0.0))),
+    "Hold chosen": Attack(chosen(HOLD)),
+    "Return chosen": Attack(chosen(RETURN)),
+    "Land chosen": Attack(chosen(LAND)),
+    "Position chosen": Attack(chosen((3.0, 0.0)), codes=(0, 1)),
+    "Takeoff chosen": Attack(chosen(TAKEOFF)),
+    "Hold, 0.2 s later OFFBOARD": Attack(chosen(HOLD, (6.0, 0.0)), codes=(0, 1), keeps=False),
+    "Hold, 2 s later OFFBOARD": Attack(chosen(HOLD, (6.0, 0.0), apart_s=2.0), keeps=False),
+    "force-disarmed in the air": Attack(commanded((ARM, 0.0, _FORCE)), soft=False),
+    "disarmed in the air (PX4 denies it)": Attack(commanded((ARM, 0.0, 0.0)), codes=(0,)),
+    "terminated in the air": Attack(commanded((185.0, 1.0)), soft=False),
     "armed again and again, reboot and calibration asked for": Attack(
-        _commanded((_ARM, 1.0, 0.0), (246.0, 1.0), (241.0, 1.0), (511.0, 30.0, 1e6), (31000.0,)), codes=(0,)
+        commanded((ARM, 1.0, 0.0), (246.0, 1.0), (241.0, 1.0), (511.0, 30.0, 1e6), (31000.0,)), codes=(0,)
     ),
-    "MPC_THR_HOVER 0.3 in flight": Attack(_set(("MPC_THR_HOVER", 0.3)), codes=(0,)),
-    "COM_OF_LOSS_T 5 in flight": Attack(_set(("COM_OF_LOSS_T", 5.0)), codes=(0, 1)),
-    "COM_OF_LOSS_T 0 in flight": Attack(_set(("COM_OF_LOSS_T", 0.0)), codes=(0, 1)),
+    "MPC_THR_HOVER 0.3 in flight": Attack(parameters_set(("MPC_THR_HOVER", 0.3)), codes=(0,)),
+    "COM_OF_LOSS_T 5 in flight": Attack(parameters_set(("COM_OF_LOSS_T", 5.0)), codes=(0, 1)),
+    "COM_OF_LOSS_T 0 in flight": Attack(parameters_set(("COM_OF_LOSS_T", 0.0)), codes=(0, 1)),
     "rate limits of 40 deg/s in flight": Attack(
-        _set(("MC_ROLLRATE_MAX", 40.0), ("MC_PITCHRATE_MAX", 40.0)), codes=(0, 1)
+        parameters_set(("MC_ROLLRATE_MAX", 40.0), ("MC_PITCHRATE_MAX", 40.0)), codes=(0, 1)
     ),
-    "THR_MDL_FAC 0.5 in flight": Attack(_set(("THR_MDL_FAC", 0.5)), codes=(0, 1)),
-    "COM_OBL_RC_ACT 6 (terminate) in flight": Attack(_set(("COM_OBL_RC_ACT", 6.0)), codes=(0, 1)),
+    "THR_MDL_FAC 0.5 in flight": Attack(parameters_set(("THR_MDL_FAC", 0.5)), codes=(0, 1)),
+    "COM_OBL_RC_ACT 6 (terminate) in flight": Attack(parameters_set(("COM_OBL_RC_ACT", 6.0)), codes=(0, 1)),
     "THR_MDL_FAC 0.5 while it waits": Attack(
-        _waiting(lambda scene: scene.px4.set_param("THR_MDL_FAC", 0.5)), codes=(0, 1)
+        while_waiting(lambda scene: scene.px4.set_param("THR_MDL_FAC", 0.5)), codes=(0, 1)
     ),
     "COM_OF_LOSS_T 5 while it waits": Attack(
-        _waiting(lambda scene: scene.px4.set_param("COM_OF_LOSS_T", 5.0)), codes=(1,)
+        while_waiting(lambda scene: scene.px4.set_param("COM_OF_LOSS_T", 5.0)), codes=(1,)
     ),
     "the ground station falls silent (NAV_DLL_ACT 2)": Attack(
         _gcs_lost, params=(("NAV_DLL_ACT", 2.0), ("COM_DL_LOSS_T", 5.0))
     ),
     "low battery (COM_LOW_BAT_ACT 3)": Attack(
-        _set(("SIM_BAT_MIN_PCT", 3.0)), params=(("SIM_BAT_DRAIN", 8.0), ("COM_LOW_BAT_ACT", 3.0))
+        parameters_set(("SIM_BAT_MIN_PCT", 3.0)), params=(("SIM_BAT_DRAIN", 8.0), ("COM_LOW_BAT_ACT", 3.0))
     ),
-    "PX4's fence of 2 m, Hold": Attack(_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 2.0),)),
-    "PX4's fence of 2 m, Return": Attack(_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 3.0),)),
-    "PX4's fence of 2 m, Land": Attack(_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 5.0),)),
-    "no GPS any more": Attack(_set(("SIM_GPS_USED", 0.0)), codes=(0, 1), soft=False),
-    "started while it flies in Hold, --arm": Attack(_already_flying(arm=True)),
-    "started while it flies in Hold, without --arm": Attack(_already_flying(arm=False), codes=(130,)),
+    "PX4's fence of 2 m, Hold": Attack(parameters_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 2.0),)),
+    "PX4's fence of 2 m, Return": Attack(parameters_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 3.0),)),
+    "PX4's fence of 2 m, Land": Attack(parameters_set(("GF_MAX_HOR_DIST", 2.0)), params=(("GF_ACTION", 5.0),)),
+    "no GPS any more": Attack(parameters_set(("SIM_GPS_USED", 0.0)), codes=(0, 1), soft=False),
+    "started while it flies in Hold, --arm": Attack(already_flying(arm=True)),
+    "started while it flies in Hold, without --arm": Attack(already_flying(arm=False), codes=(130,)),
     "started in Hold, the pilot gives it the vehicle": Attack(
-        _already_flying(arm=False, offboard_after_s=12.0), codes=(0, 1), keeps=False
+        already_flying(arm=False, offboard_after_s=12.0), codes=(0, 1), keeps=False
     ),
-    "started while it returns, --arm": Attack(_already_flying(_RETURN, arm=True)),
-    "SIGINT": Attack(_signalled((signal.SIGINT, 0.0)), codes=(130,)),
-    "SIGTERM": Attack(_signalled((signal.SIGTERM, 0.0)), codes=(130,)),
-    "SIGHUP": Attack(_signalled((signal.SIGHUP, 0.0)), codes=(130,)),
-    "SIGINT twice": Attack(_signalled((signal.SIGINT, 0.3), (signal.SIGINT, 0.0)), codes=(130,)),
+    "started while it returns, --arm": Attack(already_flying(RETURN, arm=True)),
+    "SIGINT": Attack(signalled((signal.SIGINT, 0.0)), codes=(130,)),
+    "SIGTERM": Attack(signalled((signal.SIGTERM, 0.0)), codes=(130,)),
+    "SIGHUP": Attack(signalled((signal.SIGHUP, 0.0)), codes=(130,)),
+    "SIGINT twice": Attack(signalled((signal.SIGINT, 0.3), (signal.SIGINT, 0.0)), codes=(130,)),
     "the dead-man killed": Attack(_dead_man(signal.SIGKILL)),
     "the dead-man stopped": Attack(_dead_man(signal.SIGSTOP)),
 }

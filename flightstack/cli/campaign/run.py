@@ -172,10 +172,7 @@ def _span(seconds: float) -> str:
 
 
 def campaign(
-    options: CampaignOptions,
-    *,
-    stop_requested: Callable[[], str],
-    on_progress: OnProgress = lambda share, phase: None,
+    options: CampaignOptions, *, stop_requested: Callable[[], str], on_progress: OnProgress = lambda share, phase: None
 ) -> CampaignResult:
     """Fly a campaign; its tables, summary and page lie in `options.out`."""
     spec = load_spec(options.file, options.changes)

@@ -83,10 +83,7 @@ def _flown(
         return wanted[0]
 
     result = flight.fly(
-        options,
-        stop_requested=lambda: "",
-        on_progress=lambda share, phase: on_progress(share),
-        report_wanted=is_kept,
+        options, stop_requested=lambda: "", on_progress=lambda share, phase: on_progress(share), report_wanted=is_kept
     )
     if not (wanted and wanted[0]):
         (folder / "flight.mcap").unlink(missing_ok=True)

@@ -46,6 +46,8 @@ class SimulatorBench:
     holdout: list[Mask]
     mute: frozenset[str] = frozenset()
     """Effects that none of the flights can show beside what the vehicle's model lacks."""
+    trifles: float = 1.0
+    """Of the candidates' negligible sizes, the share at which each is taken to be there (`candidates.trifle`)."""
     _known: dict[int, tuple[Vehicle, list[F64]]] = field(default_factory=dict, repr=False)
     """By the vehicle's identity: a search comes back to its fits again and again."""
 
@@ -106,7 +108,7 @@ class SimulatorBench:
 
 
 def simulator_bench(
-    vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask]
+    vehicle: Vehicle, flights: Sequence[Samples], fit: Sequence[Mask], holdout: Sequence[Mask], *, trifles: float = 1.0
 ) -> SimulatorBench:
     """The bench of these flights; masks (N,) by flight: samples to learn from and samples to judge by."""
     every = _every(flights)
@@ -120,6 +122,7 @@ def simulator_bench(
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
         frozenset() if speaks else frozenset({"battery_sag"}),
+        trifles,
     )
 
 

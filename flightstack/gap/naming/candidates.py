@@ -43,6 +43,11 @@ def negligible(vehicle: Vehicle, effect: str, parameter: str) -> float:
     return _SHARES.get(effect, _SHARE) * natural_scale(vehicle, effect, parameter)
 
 
+def trifle(effect: str, share: float) -> float:
+    """Share of its negligible size at which an effect is taken to be there: `share`, where no log's errors set it."""
+    return 1.0 if effect in _SHARES else share
+
+
 _INERTIA = (1.0 / 3.0, 3.0)
 """Of an inertia's scale: a rod, a disc and a ball of the same mass and reach differ by less."""
 
@@ -55,7 +60,12 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     """
     spec = _spec(effect, parameter)
     arm = float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)))
-    own = {"inertia": _INERTIA, "com_offset": (-arm, arm), "payload": (-0.5 * vehicle.mass_kg, spec.maximum)}
+    own = {
+        "inertia": _INERTIA,
+        "com_offset": (-arm, arm),
+        "payload": (-0.5 * vehicle.mass_kg, spec.maximum),
+        "blade_flapping": (0.0, spec.maximum),  # a disk tilts away from the wind
+    }
     low, high = own.get(effect, (spec.minimum, spec.maximum))
     return max(low, spec.minimum), min(high, spec.maximum)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.gap.naming.candidates import Candidate, candidates
+from flightstack.gap.naming.candidates import Candidate, candidates, trifle
 from flightstack.gap.naming.evidence import Gram, robust
 from flightstack.gap.naming.whitening import Mask, Whitener, apply, fit, plain, whole_windows
 from flightstack.gap.simulate import Knob, value
@@ -44,6 +44,10 @@ class Bench(Protocol):
 
     def rate(self, flight: int) -> float:
         """Rows a second of one flight."""
+
+    @property
+    def trifles(self) -> float:
+        """Of the candidates' negligible sizes, the share at which each is taken to be there (`candidates.trifle`)."""
 
     @property
     def fit(self) -> list[Mask]:
@@ -170,7 +174,7 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
     raw_y = bench.residual(vehicle)
     group = candidates(vehicle)
     slots = tuple(
-        _slot(m, candidate, parameter, size, vehicle, start)
+        _slot(m, candidate, parameter, trifle(candidate.effect, bench.trifles) * size, vehicle, start)
         for m, candidate in enumerate(group)
         for parameter, size in zip(candidate.parameters, candidate.negligible, strict=True)
     )

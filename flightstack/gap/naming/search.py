@@ -9,7 +9,7 @@ search would take a proxy first and never let go of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -37,6 +37,8 @@ _NEAR = 0.3
 _NEIGHBOURS = 6
 _ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
 """To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
+_HUNG = (("payload", "mass_kg"), ("slung_load", "mass_kg"))
+"""Its weight is all that a line shows of a load on a rope: looked at closely, one is hung in a payload's place."""
 _STUCK = 6.0
 _ROUNDS = 3
 _STEPS = 4
@@ -116,9 +118,14 @@ def _bar(state: SelectionState) -> bool:
     return bool(at_ends)
 
 
-def search(bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = ()) -> SelectionState:
-    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together."""
-    point = linearise(bench, start, start)
+def search(
+    bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False
+) -> SelectionState:
+    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together.
+
+    `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
+    """
+    point = linearise(bench, replace(start) if steady else start, start)  # only `start` itself is linearised as such
     state = SelectionState(bench, start, point, metric_of(point), apart=apart)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
@@ -126,7 +133,8 @@ def search(bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = ()) 
     _fit_all(state, _shortlist(scored))
     while _bar(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
-    _swap(state)
+    swaps = (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE), *([_HUNG] if steady else []))
+    _swap(state, swaps)
     for _ in range(_ROUNDS):
         best = state.best
         if best.vehicle is state.point.vehicle:
@@ -135,7 +143,7 @@ def search(bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = ()) 
         _fit_all(state, _neighbours(state))
         while _bar(state):
             _fit_all(state, _neighbours(state))
-        _swap(state)
+        _swap(state, swaps)
     return state
 
 
@@ -202,21 +210,22 @@ def _neighbours(state: SelectionState) -> list[Subset]:
     return found[:_NEIGHBOURS]
 
 
-def _swap(state: SelectionState) -> None:
+def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[str, str]]]) -> None:
     """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
     effects, start = state.best.effects, state.start
-    for (old, was), (new, now) in (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE)):
+    for (old, was), (new, now) in swaps:
         if old not in effects or new in effects or new in state.barred:
             continue
         size = effects[old][was] - value(start, old, was) + value(start, new, now)
         if size <= value(start, new, now):  # sooner than the file says: no delay is negative
             continue
-        swapped = {e: values for e, values in effects.items() if e != old} | {new: {now: size}}
+        required = {p.name: 1.0 for p in EFFECTS[new].params if p.required}
+        swapped = {e: values for e, values in effects.items() if e != old} | {new: {now: size} | required}
         vehicle = start
         for effect, values in swapped.items():
             vehicle = with_value(vehicle, effect, values)
         group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
-        _keep(state, group, _fit_from(state, group, vehicle))
+        _keep(state, group, _fit_from(state, group, _swung(state, vehicle) if new == "slung_load" else vehicle))
 
 
 def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:

@@ -32,7 +32,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from flightstack.barrier.exact import (
+from flightstack.types import F64, InputError
+from flightstack_paper.exact import (
     ExactPolynomial,
     Exponents,
     Field,
@@ -46,7 +47,6 @@ from flightstack.barrier.exact import (
     identity_gap,
     monomials,
 )
-from flightstack.types import F64, InputError
 
 _QUADRATIC = monomials(2)
 """1, x1, x2, x1^2, x1 x2, x2^2: the coefficients of h in this order."""

@@ -22,8 +22,9 @@ from importlib import resources
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from flightstack.barrier import sos
-from flightstack.barrier.exact import (
+from flightstack.types import F64, InputError
+from flightstack_paper import sos
+from flightstack_paper.exact import (
     ExactPolynomial,
     Proof,
     along,
@@ -33,12 +34,8 @@ from flightstack.barrier.exact import (
     proof_from_dict,
     proof_to_dict,
 )
-from flightstack.types import F64, InputError
 
-FIELD = (
-    ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}),
-    ExactPolynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}),
-)
+FIELD = (ExactPolynomial({(0, 1): 1, (0, 2): "0.8"}), ExactPolynomial({(1, 0): -1, (0, 1): -1, (2, 1): 1}))
 V_PUBLISHED = ExactPolynomial({(2, 0): "1.343", (1, 1): "0.5155", (0, 2): "1.152"})
 H_PUBLISHED = ExactPolynomial(
     {(0, 0): 1, (1, 0): "-0.4254", (0, 1): "-0.3248", (0, 2): "-0.7549", (2, 0): "-0.8616", (1, 1): "-0.2846"}
