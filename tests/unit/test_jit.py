@@ -8,7 +8,6 @@ import operator
 import os
 import subprocess
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import pytest
 
 from flightstack.cli import compiled
 from flightstack.jit import njit
-from flightstack.quick_compiling import quick_compiling, typed_once
+from flightstack.quick_compiling import typed_once
 
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
@@ -114,34 +113,6 @@ def test_a_function_compiled_with_remembered_operations_computes_the_same() -> N
     with typed_once():
         quick = numba.njit(error_model="numpy")(work)(*arguments)
     for a, b in zip(plain, quick, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
-def _fresh(function: Any) -> Any:
-    """The same function as one that nobody compiled yet, for Python and for compiled callers."""
-    code = types.FunctionType(function.__code__, function.__globals__, function.__name__)
-    code.__module__, code.__qualname__ = function.__module__, function.__qualname__
-    return numba.njit(no_cfunc_wrapper=True, error_model="numpy")(code)
-
-
-def test_code_without_its_callees_machine_code_computes_the_same() -> None:
-    v = np.linspace(0.1, 2.0, 7)
-
-    def work(v: Any) -> Any:
-        turned = v[::-1].copy()
-        if turned[0] < 0.0:
-            raise ValueError("below zero")
-        return turned, _sum_of_powers(v[3]), turned.sum()
-
-    plain = _fresh(work)(v)
-    with quick_compiling():
-        quick = _fresh(work)
-        answer = quick(v)
-        with pytest.raises(ValueError, match="below zero"):
-            quick(-v)
-        by_address = numba.cfunc("float64(float64)")(lambda x: _power(x, 3))
-        assert by_address.ctypes(2.0) == 8.0
-    for a, b in zip(plain, answer, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
