@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.fence_flight import FenceFlight
 from benchmarks.fence_worlds import drawn_attack, drawn_site, drawn_world
+from flightstack.site.stopping import Told
 from flightstack.types import InputError
 
 
@@ -26,7 +27,7 @@ def flown(seed: int, seconds: float, told: float, folder: Path) -> dict[str, Any
     world = drawn_world(seed, folder)
     found = {"seed": seed, "told": told, "grade": world.grade, "plant": world.plant}
     try:
-        flight = FenceFlight(world, path, attack, told)
+        flight = FenceFlight(world, path, attack, Told.all(told))
     except InputError as error:
         return {**found, "refused": str(error).partition(": ")[2]}
     outcome = flight.run(seconds)

@@ -33,6 +33,7 @@ from flightstack.site import slide
 from flightstack.site.clearance import CHUTE, clear_of
 from flightstack.site.decide import CHANGED, LEFT, PASSED
 from flightstack.site.filter import SiteFilter, SiteState
+from flightstack.site.stopping import Told
 from flightstack.types import Command, Filtered, FlatOutput, InputError, Learned, Measurement
 
 METHODS = ("site", "px4", "gatekeeper", "backup-cbf")
@@ -113,7 +114,7 @@ def flown(method: str, seed: int, seconds: float, folder: Path) -> dict[str, Any
     found = {"method": method, "seed": seed}
     try:
         world, told = replace(drawn_world(seed, folder), plant="native"), _TOLD if method == "gatekeeper" else 1.0
-        flight = FenceFlight(world, path, drawn_attack(seed), told)
+        flight = FenceFlight(world, path, drawn_attack(seed), Told.all(told))
     except InputError as error:
         return {**found, "refused": str(error)}
     if method != "site":

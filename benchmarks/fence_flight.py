@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.attack_flight import HARMLESS, Wire, _idle
 from benchmarks.attack_worlds import TICK_MS, World
+from benchmarks.fence_estimate import ErringEstimate, Truth
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, prepare
@@ -29,20 +30,13 @@ from flightstack.guard import Guard
 from flightstack.mission import plan
 from flightstack.model import Limiter
 from flightstack.predictor import Streams, sampled
+from flightstack.site import slide
 from flightstack.site.decide import KEPT, OFF, PASSED
-from flightstack.site.stopping import stopping
+from flightstack.site.stopping import HONEST, Told, stopping
 from flightstack.stack import StackState
 from flightstack.state_observer import StateObserver
 from flightstack.trajectory import hover
-from flightstack.types import (
-    F64,
-    Command,
-    FlatOutput,
-    Learned,
-    Measurement,
-    Proposal,
-    TickRecord,
-)
+from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, TickRecord
 from flightstack.vehicle import vehicle_to_toml
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
@@ -50,6 +44,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 
 NOMINAL, THROUGH, PUSH, DITHER, RANDOM = "nominal", "through", "push", "dither", "random"
 _REST_TICKS = 250
+_UNSLID_S = 0.05
 
 
 @dataclass(slots=True)
@@ -157,8 +152,16 @@ def _leaning(lean: F64, q_ned_frd: F64) -> tuple[float, float]:
 class FenceFlight:
     """One flight; `run` flies it."""
 
-    def __init__(self, world: World, site: Path, attack: Attack, told: float = 1.0, given: Path | None = None) -> None:
-        """`told`: the share of the true doubts that the filter is told; less than 1 is a lie; `given`: certificate."""
+    def __init__(
+        self,
+        world: World,
+        site: Path,
+        attack: Attack,
+        told: Told = HONEST,
+        given: Path | None = None,
+        unslid: bool = False,
+    ) -> None:
+        """`told`: of the doubts, what the filter is told; `given`: certificate; `unslid`: the way out alone."""
         self.world, self.attack = world, attack
         believed, _ = files.load_vehicle(world.vehicle)
         with tempfile.TemporaryDirectory(prefix="fence-") as folder:
@@ -174,13 +177,17 @@ class FenceFlight:
         self.scenario, protection = prepared.scenario, prepared.protection
         assert protection.site is not None
         self.plan_of = protection.site
-        self._declared = estimate_bounds(error_statistics(load_grade(world.grade)))
-        if told != 1.0:
+        declared = estimate_bounds(error_statistics(load_grade(world.grade)))
+        if told != HONEST:
             governor = governor_for(prepared.believed, before.model, self.scenario.limits, world.grade)
-            lie = stopping(prepared.believed, before.model, self.scenario.limits, self._declared, governor, told=told)
+            lie = stopping(prepared.believed, before.model, self.scenario.limits, declared, governor, told=told)
             self.plan_of = dataclasses.replace(self.plan_of, certificate=lie)
+        if unslid:  # what is near moves a command only where it is reached
+            self.plan_of.certificate.soft[:, [slide.RADIUS, slide.HALF]] = 0.0
+            self.plan_of.certificate.soft[:, slide.SLOW_S] = _UNSLID_S
         self.timed = self.plan_of.filter(before.model, self.scenario.limits)
         self.score = self.plan_of.score(self.timed)
+        self._erring = ErringEstimate(declared, self.score.packed) if attack.errs else None
         self.vehicle = simulated_vehicle(
             prepared.believed, setup.truth, setup.grade, seed=world.seed, plant=setup.plant
         )
@@ -221,13 +228,19 @@ class FenceFlight:
         if measured is None:
             return None
         measured = measured if self._refiner is None else self._refiner.refine(measured)
+        if self._erring is not None and self.adversary.on:
+            measured = self._erring.made(measured, self.start_ned_m, self.origin)
         return self.stack.carried(state, measured, self.vehicle.t_us)
 
     def _advance(self) -> None:
         """4 ms of the vehicle; its samples at PX4's rates."""
         vehicle = self.vehicle
         vehicle.advance(self._setpoint, TICK_MS)
-        e, sensors = vehicle.estimate, vehicle.sensors
+        e, sensors, plant = vehicle.estimate, vehicle.sensors, vehicle.plant
+        if self._erring is not None:
+            self._erring.saw(
+                Truth(vehicle.t_us, plant.pos_ned_m.copy(), plant.vel_ned_mps.copy(), plant.q_ned_frd.copy())
+            )
         sent: list[tuple[str, tuple[object, ...]]] = [
             ("imu", (e.t_us, tuple(sensors.accel_frd_mps2), tuple(sensors.gyro_frd_radps))),
             ("motors", (e.t_us, tuple(vehicle.motor_command))),

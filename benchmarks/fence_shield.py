@@ -2,8 +2,9 @@
 
 A program asks for places (local and on the globe), velocities (also in body frames), accelerations, attitudes, body
 rates, random type masks and frames, nonsense (NaN, 1e38, other systems, broken frames), at 2 Hz to 1 kHz; it changes
-its mind every second or so, or alternates from message to message, stalls, and in one flight of three dies.  In one of
-three a second program speaks as well, in one of three a pilot takes it to Hold and back; messages are signed, of
+its mind every second or so, or alternates from message to message, stalls, asks for modes, take-off and landing, and in
+one flight of three dies.  One in four begins before the chute was left: how fast it touched the ground is told.  In one
+of three a second program speaks as well, in one of three a pilot takes it to Hold and back; messages are signed, of
 MAVLink 1, or in pieces; a rover speaks on the vehicle's link.  Site, truth (mass 0.8 to 1.5, a force of up to 0.15 g
 that turns), plant and link (0 to 40 ms there and back) are drawn.  An exit is a tick in OFFBOARD, after the chute of
 take-off was left, with the true place outside.  One line of the journal per flight; a run goes on where it stopped.
@@ -47,7 +48,7 @@ from mavlink_bridge.requests import set_mode
 
 NAN = float("nan")
 _TICK_MS = 4
-_CLIMB_S = 6.0
+_CLIMB_S, _SHORT_CLIMB_S, _SHORT_SHARE = 6.0, 1.2, 0.25
 
 
 class Program:
@@ -65,7 +66,7 @@ class Program:
         rng = self._rng
         if time_s >= self._until_s:
             self._until_s = time_s + float(rng.uniform(0.2, 2.5))
-            self._kind = str(rng.choice([*_KINDS, "any", "jitter", "stall", "nonsense"]))
+            self._kind = str(rng.choice([*_KINDS, "any", "jitter", "stall", "nonsense", "modes"]))
             self._hz, self._values = float(rng.choice([2.5, 10.0, 50.0, 250.0, 1000.0])), rng.normal(size=4)
         while time_s >= self._next_s and time_s < self.dies_s:
             self._next_s = max(self._next_s + 1.0 / self._hz, time_s - 1e-3 * _TICK_MS)
@@ -75,6 +76,8 @@ class Program:
         return said
 
     def _message(self, kind: str) -> object | None:
+        if kind == "modes":
+            return self._command()
         if kind in ("any", "jitter"):
             kind = str(self._rng.choice(_KINDS)) if kind == "any" else "rates"
             self._values = self._rng.normal(size=4)
@@ -104,6 +107,13 @@ class Program:
             return m.SetAttitudeTarget(0, 1, 1, 128, (1.0, 0.0, 0.0, 0.0), (a, b, c), thrust)
         return None if kind == "stall" else self._nonsense()
 
+    def _command(self) -> object:
+        """Another mode, or to take off or land; OFFBOARD again as often as not."""
+        if self._rng.uniform() < 0.2:
+            return _command(int(self._rng.choice(_NAV_LAND_TAKEOFF)), ())
+        mode = px4.MODE_OFFBOARD if self._rng.uniform() < 0.5 else int(self._rng.choice(_MODES))
+        return _command(*set_mode(mode))
+
     def _nonsense(self) -> object:
         kind = int(self._rng.integers(7))
         if kind == 0:
@@ -125,6 +135,9 @@ class Program:
 
 _KINDS = ("place", "globe", "velocity", "body", "push", "mask", "attitude", "rates")
 _UNSET = (NAN, NAN, NAN)
+_NAV_LAND_TAKEOFF = (21, 22)
+_MODES = (px4.MODE_HOLD, px4.MODE_LAND, 0x00030000, 0x02040000, 0x05040000)
+"""Hold, Land, Position, Takeoff, Return."""
 _TURN = (1.0, 0.0, 3.0, 0.0)
 
 
@@ -204,6 +217,8 @@ class ShieldFlight:
         self._wind, self._wind_until_s = np.random.default_rng([44, world.seed]), 0.0
         self.down, self.up = Delayed(world.down_ms), Delayed(world.up_ms)
         self.ticks = self.exits = self.beside = self.offboard = 0
+        self.touched_mps = 0.0
+        """Fastest within 0.1 m of the ground, in OFFBOARD."""
         self.first, self._is_other = "", False
         self._disc: F64 = np.zeros((1, 5))
 
@@ -262,6 +277,8 @@ class ShieldFlight:
         if self.server.commander.state.mode.title != "Offboard":
             self._is_other = True
             return
+        if -place[2] < 0.1:
+            self.touched_mps = max(self.touched_mps, float(self.vehicle.plant.vel_ned_mps[2]))
         certain = record.filtered.status >= PASSED
         self._is_other &= not (certain and clearance >= 0.0)
         self.ticks += 1
@@ -272,8 +289,8 @@ class ShieldFlight:
             self.first = self.first or edge_name(self.site, edge)
             self.exits += 1
 
-    def take_off(self) -> None:
-        """Stream a setpoint, select OFFBOARD, arm, climb."""
+    def take_off(self, climb_s: float) -> None:
+        """Stream a setpoint, select OFFBOARD, arm, climb for so long."""
         climb = _local(0b1001_1111_1000, (0.0, 0.0, -1.6), _UNSET)
         self.run(6.0, lambda _: [climb])
         self.start = self.vehicle.plant.pos_ned_m.copy()
@@ -284,7 +301,7 @@ class ShieldFlight:
                 self.run(0.1, lambda _: [_command(px4.Cmd.COMPONENT_ARM_DISARM, (1.0,))] if _ == 0.0 else [climb])
             self.pilot.pieces = cut
         self.pilot.pieces, cut = False, self.pilot.pieces
-        self.run(_CLIMB_S, lambda _: [climb])
+        self.run(climb_s, lambda _: [climb])
         self.pilot.pieces = cut
 
 
@@ -306,14 +323,15 @@ def flown(seed: int, seconds: float, folder: Path) -> dict[str, Any]:
         flight = ShieldFlight(world, path, folder)
     except InputError as error:
         return {"seed": seed, "refused": str(error).partition(": ")[2]}
-    flight.take_off()
+    is_short = float(np.random.default_rng([45, seed]).uniform()) < _SHORT_SHARE
+    flight.take_off(_SHORT_CLIMB_S if is_short else _CLIMB_S)
     reach_m = float(np.abs(flight.site.inside).max())
     programs = [Program(seed + 1_000_000 * k, reach_m) for k in range(1 + flight.pilot.second)]
     flight.attacked(seconds, programs)
     score, pilot = flight.router.score, flight.pilot
     return {
         "seed": seed, "ticks": flight.ticks, "engaged": flight.offboard, "exits": flight.exits,
-        "first": flight.first, "beside": flight.beside,
+        "first": flight.first, "beside": flight.beside, "short": is_short, "touched_mps": round(flight.touched_mps, 2),
         "changed": score.changed, "stopped": score.stopped, "handed_over": score.handed_over,
         "died": all(program.dies_s < seconds for program in programs), "plant": world.plant, "pilot": pilot.flies,
         "second": pilot.second, "rover": pilot.rover, "signed": pilot.flags, "pieces": pilot.pieces,
@@ -349,6 +367,8 @@ def main() -> None:
     beside = sum(row["beside"] > 0 for row in flights)
     print(f"engaged in {100.0 * engaged:.1f} % of the ticks in OFFBOARD; {died} programs died, {handed} handed over")
     print(f"{beside} entered OFFBOARD outside, or left it after they entered it with no way out clear")
+    short = [row["touched_mps"] for row in flights if row["short"]]
+    print(f"{len(short)} began before the chute was left, touched the ground at {max(short, default=0.0)} m/s at most")
 
 
 if __name__ == "__main__":

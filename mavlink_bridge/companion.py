@@ -238,8 +238,6 @@ class Companion:
             self._now.landing_for = "" if self._mission_complete else self.reason
             self._fault = self._now.trouble if event is HandshakeEvent.FAULT_LAND else ""
             self._set_phase("land", t_us)
-            if not self._fault and self._measurement is not None:
-                self._voice.stay(t_us, self._carrying_norm(), tuple(self._measurement.q_ned_frd.tolist()))
             self._command_mode(px4.MODE_LAND, now_us)
         elif state in (State.HOLDING, State.LOST):
             self.land_command_us = t_us if self.land_command_us < 0 else self.land_command_us
@@ -299,8 +297,9 @@ class Companion:
             self._commands.ensure(self._request(m.AutopilotVersion), now_us)
         elif state is State.STANDBY:
             self.view.params.ask(self.link, system, now_us)
-        elif state is State.STREAMING and not self._config.dry_run:
-            self._stream_idle()
+        elif state is State.STREAMING and not (self._config.dry_run or self._watch.pace.has_slept(now_us)):
+            if not self.view.would_return:
+                self._stream_idle()
             if self._config.arm:
                 self._ask_for_offboard_and_arm(now_us)
         elif state is State.LANDING:
@@ -391,7 +390,9 @@ class Companion:
     # ---------------------------------------------------------------- send
 
     def _command_mode(self, custom_mode: int, now_us: int) -> None:
-        self._commands.ensure(set_mode(custom_mode), now_us)
+        asked = self._commands.ensure(set_mode(custom_mode), now_us)
+        if asked and self.state is State.LANDING and not self._fault and self._measurement is not None:
+            self._voice.stay(self._t_us, self._carrying_norm(), self._measurement.q_ned_frd)
 
     def _request(self, message: type) -> tuple[px4.Cmd, tuple[float, ...]]:
         return px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(message)),)

@@ -223,7 +223,7 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
     if view.armed and view.in_offboard:
         return Decision(HandshakeEvent.ENGAGED)
-    if view.armed and view.intends_offboard and view.intended_at_us >= view.mode_at_us:
+    if view.armed and view.would_return:
         return Decision(
             HandshakeEvent.TOOK_OVER,
             f"the vehicle went from OFFBOARD into {view.mode_name} before this companion flew it, and setpoints would "

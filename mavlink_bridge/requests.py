@@ -85,12 +85,14 @@ class CommandQueue:
         self._now_us = now_us
         self._queue.append(request)
 
-    def ensure(self, request: Request, now_us: int) -> None:
-        """Send a command now, and once a second again for as long as the caller keeps asking."""
+    def ensure(self, request: Request, now_us: int) -> bool:
+        """Send a command now, and once a second again for as long as the caller keeps asking; whether it goes now."""
         status = self._status.setdefault(request[0], Status())
         if status.request != request or now_us - status.sent_us >= _RETRY_US:
             status.request, status.sent_us, status.result = request, now_us, None
             self._urgent.append(request)
+            return True
+        return False
 
     def insist(self, request: Request) -> None:
         """Send a command at once, whatever is queued, and wait for nothing."""

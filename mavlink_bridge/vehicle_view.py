@@ -66,6 +66,11 @@ class VehicleView:
         return main_mode(self.intended_mode) == MAIN_OFFBOARD
 
     @property
+    def would_return(self) -> bool:
+        """Another mode flies, as in a failsafe, and setpoints would bring OFFBOARD back: by one report of both."""
+        return self.intends_offboard and not self.in_offboard and self.intended_at_us >= self.mode_at_us
+
+    @property
     def on_ground(self) -> bool:
         """The land detector says so (unknown counts as not on the ground)."""
         return self.landed_state == 1

@@ -75,10 +75,11 @@ class Voice:
             heading = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
             self._setpoint(t_us, LEVEL, heading, rest, thrust_norm)
 
-    def stay(self, t_us: int, thrust_norm: float, q_ned_frd: Tuple4) -> None:
+    def stay(self, t_us: int, thrust_norm: float, q_ned_frd: F64) -> None:
         """The attitude that is, before PX4 is asked for a mode of its own: for a cycle or two its attitude loop goes by
         the last attitude that it was told, which would be that of before the take-off, without thrust."""
-        self._setpoint(t_us, LEVEL, q_ned_frd, (0.0, 0.0, 0.0), thrust_norm)
+        w, x, y, z = q_ned_frd.tolist()
+        self._setpoint(t_us, LEVEL, (w, x, y, z), (0.0, 0.0, 0.0), thrust_norm)
 
     def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
         f = min(1.0, max(0.0, self.thrust_model_factor))

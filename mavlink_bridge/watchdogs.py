@@ -19,6 +19,8 @@ from mavlink_bridge.vehicle_clock import VehicleClock
 PERIOD_US = 4_000
 GAP_US = 250_000
 """No tick for so long: the vehicle flew on its last rates all the while."""
+SLEPT_US, AWAKE_US = 100_000, 250_000
+"""No failsafe for want of setpoints acts sooner than the first; in the second all that has piled up is read."""
 _MISSED_SHARE = 0.84
 """Of the ticks of a second: 40 Hz are left, 25 ms between ticks.  At 25 Hz a figure of eight of 3 m/s with the noise of
 a real PX4 still flies as at 250 Hz in simulation (tilt at most 30 degrees, same error)."""
@@ -106,6 +108,7 @@ class PaceWatch:
     _sum: int = 0
     gap_us: int = 0
     """The newest one."""
+    _slept_us: int = -AWAKE_US
 
     def step(self, now_us: int, rate: float) -> str:
         """A tick at local time `now_us`, `rate` vehicle seconds per local second; name of a row, or empty."""
@@ -119,9 +122,15 @@ class PaceWatch:
             self._sum += missed
         while self._missed and (now_us - self._missed[0][0]) * rate > _SECOND_US:
             self._sum -= self._missed.popleft()[1]
+        if self.gap_us >= SLEPT_US:
+            self._slept_us = now_us
         if self.gap_us >= GAP_US:
             return "overrun-gap"
         return "overrun-rate" if self._sum * self.period_us >= _MISSED_SHARE * _SECOND_US else ""
+
+    def has_slept(self, now_us: int) -> bool:
+        """There was no tick for so long that PX4 may have acted on it, and what it said since may not be read yet."""
+        return now_us - self._slept_us < AWAKE_US
 
     def begin(self) -> None:
         """Forget what was missed so far."""

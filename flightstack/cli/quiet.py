@@ -5,8 +5,8 @@ Noise: the nominal's jerk is 3 p^2 times the error of velocity, so that the esti
 governor's r_max, the governor holds back what steers along with the noise, and the loop swings.
 
 Steps: with torque of r_max the vehicle's jerk changes by at most S = r_max alpha g.  The loop swings on after a step
-where p^2 is more than S / STEP_MPS2 (`tests/attack/test_fence.py`: a step of 2 m with quad-x, which 4.96 rad/s end in a
-swing of metres, settles with 4.0).
+where the poles are faster than `stopping.steady_pole_ps` (`tests/attack/test_fence.py`: a step of 2 m with quad-x,
+which 4.96 rad/s end in a swing of metres, settles with 4.0).
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ from dataclasses import replace
 from flightstack.barrier.estimate_bounds import K_SIGMA
 from flightstack.control.feedback import FlatnessController
 from flightstack.seams import Controller
-from flightstack.site.stopping import StoppingCertificate
+from flightstack.site.stopping import StoppingCertificate, steady_pole_ps
 from flightstack.types import STANDARD_GRAVITY_MPS2
 
 _NOISE_SHARE = 1.0 / 3.0
 """Of r_max, for one standard deviation of the noise: three of them just fit."""
-STEP_MPS2 = 8.5
 _LEAST_POLE_RADPS = 1.5
 
 
@@ -34,7 +33,7 @@ def quieted(controller: Controller, made: StoppingCertificate) -> Controller:
     gain = max(pid["mc_rollrate_p"] * pid["mc_rollrate_k"], pid["mc_pitchrate_p"] * pid["mc_pitchrate_k"])
     sigma_mps = made.doubts[0].eps_v_mps / K_SIGMA
     noise = _NOISE_SHARE * governor.roll_pitch_max * STANDARD_GRAVITY_MPS2 / max(3.0 * gain * sigma_mps, 1e-9)
-    most = max(math.sqrt(min(noise, made.snap_mps4 / STEP_MPS2)), _LEAST_POLE_RADPS)
+    most = max(min(math.sqrt(noise), steady_pole_ps(made.snap_mps4, controller.model.motor_lag_s)), _LEAST_POLE_RADPS)
     nominal = controller.gains.nominal
     north, east, down = nominal.pole_radps
     if max(north, east) <= most:

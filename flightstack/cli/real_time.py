@@ -17,6 +17,7 @@ from mavlink_bridge.transport.address import Transport
 from mavlink_bridge.transport.clock import monotonic_us
 from mavlink_bridge.transport.dead_man import DeadManWatch
 from mavlink_bridge.transport.stall_watch import WAITING, StallWatch
+from mavlink_bridge.watchdogs import SLEPT_US
 
 PERIOD_US = 4_000
 STALL_US = 8_000
@@ -73,6 +74,8 @@ class RealTimeLoop:
         companion.step(now_us)
         watch.mark("sending and logging")
         for data in companion.link.datagrams_to_send():
+            if companion.state is State.STREAMING and monotonic_us() - now_us > SLEPT_US:
+                continue  # stopped in here: to a failsafe that has acted since, it would be the way back to OFFBOARD
             self.log.mavlink("tx", t_us, data)
             self.transport.send(data)
         if self.dead_man is not None:

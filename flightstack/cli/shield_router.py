@@ -183,9 +183,13 @@ class ShieldRouter:
         """Ask for PX4's Hold while the router flies, before each step; whether nothing is in its hands any more."""
         if not self._flies:
             return True
-        self.score.handed_over = True
-        self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
+        self._ask_for_hold(now_us)
         return False
+
+    def _ask_for_hold(self, now_us: int) -> None:
+        self.score.handed_over = True
+        if self._commands.ensure(set_mode(px4.MODE_HOLD), now_us) and self._measurement is not None:
+            self._voice.stay(self._t_us, self._carrying_norm(), self._measurement.q_ned_frd)
 
     def say_last_words(self, reason: str) -> None:
         """The process is about to end, whatever the cause: level what the router flies, and ask for Hold."""
@@ -311,8 +315,7 @@ class ShieldRouter:
             self._relay.wish, reference = None, hold_of(*self._hold)
             self.score.stopped += 1
             if now_us - self._obeyed_us > HOLDS_US:
-                self.score.handed_over = True
-                self._commands.ensure(set_mode(px4.MODE_HOLD), now_us)
+                self._ask_for_hold(now_us)
         else:
             self._hold, self._obeyed_us = None, now_us
             self._relay.wish, reference = wish, reference_of(wish, measurement)

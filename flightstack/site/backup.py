@@ -12,7 +12,16 @@ import math
 
 import numpy as np
 
-from flightstack.barrier.response import C_CURVE, C_NORM_HIGH, C_NORM_LOW, C_SPECIFIC, S_ROTORS, STATE, thrust_of
+from flightstack.barrier.response import (
+    C_CURVE,
+    C_NORM_HIGH,
+    C_NORM_LOW,
+    C_ROTOR_LAG,
+    C_SPECIFIC,
+    S_ROTORS,
+    STATE,
+    thrust_of,
+)
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit, njit_called
 from flightstack.model import thrust_to_norm
@@ -52,6 +61,9 @@ _ASKED_N, _ASKED_E = 11, 12
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
+_SNAP_BESIDE, _ROTORS_SHARE = 0.6, 0.5
+"""Of the snap, what turning towards the way may take, as the way itself takes some; of the rotors' lag, what the rates'
+leaves out.  Set, by flights: with all of the snap slow vehicles swing, with all of the lag others answer too late."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
 _LEAST_UPRIGHT = 0.3
 
@@ -172,11 +184,16 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
     )
     by_n, by_e = lean_n - offset[0], lean_e - offset[1]
     size = math.sqrt(by_n * by_n + by_e * by_e)
-    if size > p[LEAN]:
-        lean_n, lean_e = offset[0] + by_n * p[LEAN] / size, offset[1] + by_e * p[LEAN] / size
+    down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
+    lift = max(offset[2] - down, 0.0)  # comes first: what braking takes is certified to be left
+    most = min(p[LEAN], math.sqrt(max(p[THRUST] * p[THRUST] - lift * lift, p[ACROSS] * p[ACROSS])))
+    if size > most:
+        lean_n, lean_e = offset[0] + by_n * most / size, offset[1] + by_e * most / size
     short_n, short_e = lean_n - here[ACC_N], lean_e - here[ACC_E]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
-    turn = min(p[ACC_GAIN] * short, math.sqrt(2.0 * p[SNAP] * short), 2.0 * p[JERK]) / short  # it can be stopped again
+    snap = _SNAP_BESIDE * p[SNAP]
+    late = snap * (p[LEAD_S] + _ROTORS_SHARE * chain[C_ROTOR_LAG])  # it can be stopped again, by rates that follow late
+    turn = min(p[ACC_GAIN] * short, math.sqrt(late * late + 2.0 * snap * short) - late, 2.0 * p[JERK]) / short
     turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
     jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
     upright = max(r[2, 2], _LEAST_UPRIGHT)
@@ -185,7 +202,6 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
     rate[0] = (r[1, 0] * north - r[0, 0] * east) / upright
     rate[1] = (r[1, 1] * north - r[0, 1] * east) / upright
     rate[2] = 0.0
-    down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
     wanted = (offset[2] - down) / (gain * upright)
     norm = thrust_to_norm(max(wanted, 0.0), chain[C_SPECIFIC], chain[C_CURVE])
     return min(max(norm, chain[C_NORM_LOW]), chain[C_NORM_HIGH])  # type: ignore[no-any-return]

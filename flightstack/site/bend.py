@@ -117,11 +117,11 @@ def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F
         n[EDGE] = edge
     n[BENT] = 1.0
     fastest = math.sqrt(reference[VEL_N] ** 2 + reference[VEL_E] ** 2 + reference[VEL_D] ** 2) + _FASTER_MPS
-    approach.towards(way_of, reference[:3], reference[3:6], fastest, dt, v)
+    approach.towards(way_of, reference[:3], reference[3:6], fastest, s[slide.LED_JERK], dt, v)
     slowed = _slowed(site, s, place, v, rows)
     if slowed != -3:
         n[EDGE] = slowed
-    approach.advance(way_of, v, dt)
+    approach.advance(way_of, v, s[slide.LED_JERK], dt)
     _pushed(site, s, place, rows)
     for i in range(9):
         out[i] = way_of[i]

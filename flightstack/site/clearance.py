@@ -16,11 +16,12 @@ from flightstack.rows import WAY_HALF
 from flightstack.site.shape import Site
 from flightstack.types import F64
 
-FLOOR, CEILING, CHUTE, POLYGONS, ROUNDS, CHUTES, OPEN, HEAD = 0, 1, 2, 3, 4, 5, 6, 8
+FLOOR, CEILING, CHUTE, POLYGONS, ROUNDS, CHUTES, OPEN, GROUND, HEAD = range(9)
 """Places in a packed site: floor, ceiling, radius of the chutes as it counts now (-1: shut), how many polygons, round
-solids and chutes, radius of the chutes when they are open; then the
-chutes (2 each), the round solids (6 each: north, east, height of a sphere or NaN, radius, floor, ceiling), and the
-polygons (each: corners, floor, ceiling, inside-out, then 2 a corner).  The first polygon is the one to stay in."""
+solids and chutes, radius of the chutes when they are open, 1 while the ground under them slows a fall (in the air, the
+chutes not left yet); then the chutes (2 each), the round solids (6 each: north, east, height of a sphere or NaN,
+radius, floor, ceiling), and the polygons (each: corners, floor, ceiling, inside-out, then 2 a corner).  The first
+polygon is the one to stay in."""
 _ROUND, _POLYGON = 6, 4
 _NORTH, _EAST, _TALL, _WIDE, _LOW, _HIGH = range(_ROUND)
 _BOTTOM, _TOP, _STAY = range(1, _POLYGON)

@@ -31,8 +31,8 @@ from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
 from flightstack.rows import FORCE_Z, RATE_X, RATE_Y
 from flightstack.site import slide
-from flightstack.site.backup import JERK, ROW, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
-from flightstack.site.clearance import CHUTE, FLOOR, OPEN, TILT_CODE, clear_of
+from flightstack.site.backup import JERK, LEAD_S, ROW, SNAP, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
+from flightstack.site.clearance import CHUTE, FLOOR, GROUND, OPEN, TILT_CODE, clear_of
 from flightstack.site.tube import OBSERVER_S
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -54,7 +54,6 @@ _SHARES = (0.75, 0.5, 0.25, 0.125)
 _NEAR_M = 100.0
 _FORCE_MOST_MPS2 = 4.0
 _TILT_AHEAD_S = 0.12
-_SLEW_RADPS = 0.5
 _ABOVE_M = 0.25
 _FREE = -9
 _DRAG, _OPEN_SHARE, _GAINS = CHAIN + 12, CHAIN + 13, CHAIN + 14
@@ -157,8 +156,9 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
     for i in range(3):
         command[2 + i] = rate[i]
     _advance(after, chain, norm, command, n[HOLD_S], now.offset, n[GAIN])
-    for i in range(3):  # the governor lets rates change so much
-        asked[i] = min(max(rate[i], n[SENT + i] - _SLEW_RADPS), n[SENT + i] + _SLEW_RADPS)
+    ahead_radps = p[SNAP] * p[LEAD_S] / STANDARD_GRAVITY_MPS2  # what changes the lean's jerk by the snap
+    for i in range(3):  # the governor lets rates lead the present ones by so much
+        asked[i] = min(max(rate[i], after[RATE_X + i] - ahead_radps), after[RATE_X + i] + ahead_radps)
     point_of(chain, after, now.offset, n[GAIN], asked, start)
     for i in range(3):
         start[i] -= origin[i]
@@ -207,6 +207,8 @@ def _decide(
     if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
         n[LEFT] = 1.0
     site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
+    took_off = n[LEFT] == 0.0 and n[READ_S] > 0.0
+    site[GROUND] = 1.0 if took_off and origin[2] - state[2] >= _AIRBORNE_M else 0.0
     norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
     n[KEPT], n[SHARE], n[OFF] = 0.0, 1.0, 0.0
     if _clear(now, norm, rate, of, buffers):

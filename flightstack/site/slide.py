@@ -34,6 +34,7 @@ from flightstack.site.clearance import (
     CHUTES,
     FLOOR,
     FLOOR_CODE,
+    GROUND,
     HEAD,
     POLYGONS,
     ROUND_CODE,
@@ -47,12 +48,14 @@ from flightstack.types import F64
 MOST_ROWS = 48
 BOUND, CODE, WEIGHT = 3, 4, 5
 """Of a row, after the normal."""
-RADIUS, HALF, SLOW_S, BRAKE, GAMMA, UP, DOWN, SOFT = range(8)
+RADIUS, HALF, SLOW_S, BRAKE, GAMMA, UP, DOWN, LED_JERK, SOFT = range(9)
 """Of the parameters: radius across and half height kept, time and deceleration of the approach across, gamma, what
-slows a fall and a climb."""
+slows a fall and a climb; the jerk of a reference that is led."""
 _ROUNDS_OF_ITERATION = 40
 _NEVER_MPS2 = -25.0
 _ON_TOP = 1e-6
+_LANDING_MPS = 0.7
+"""A vehicle in the chute touches the ground no faster: PX4's MPC_LAND_SPEED."""
 
 
 @njit
@@ -95,6 +98,10 @@ def bounds(site: F64, p: F64, v: F64, s: F64, rows: F64) -> int:
     count, height = 0, -p[2]
     if not in_chute(site, p[0], p[1], s[RADIUS]):
         count = _upright_row(rows, count, FLOOR_CODE, True, height - site[FLOOR] - s[HALF], v, s)
+    elif site[GROUND] > 0.0:
+        slower = v.copy()
+        slower[2] -= _LANDING_MPS
+        count = _upright_row(rows, count, FLOOR_CODE, True, height, slower, s)
     count = _upright_row(rows, count, CEILING_CODE, False, site[CEILING] - height - s[HALF], v, s)
     at = HEAD + 2 * int(site[CHUTES])
     for i in range(int(site[ROUNDS])):

@@ -20,6 +20,7 @@ Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -71,32 +72,33 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lag_s: float, doubts: LoopBounds) -> Tube:
-    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched."""
-    found = []
-    for pole in _ACROSS_POLES:
-        gains = Gains(3.0 * pole, 3.0 * pole**2, pole**3)
+def across(lag_s: float, doubts: LoopBounds, most_ps: float = math.inf) -> Tube:
+    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched, no
+    faster than `most_ps`."""
+    poles = [pole for pole in _ACROSS_POLES if pole <= most_ps] or [_ACROSS_POLES[0]]
+    return _best([of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lag_s, doubts) for pole in poles])
+
+
+def along(lag_s: float, doubts: LoopBounds) -> Tube:
+    """The vertical loop with the least tube that asks for no more than there is."""
+    return _best([of_gains(Gains(0.0, 2.0 * pole, pole**2), lag_s, doubts) for pole in _ALONG_POLES])
+
+
+def of_gains(gains: Gains, lag_s: float, doubts: LoopBounds) -> Tube | None:
+    """The tube of a loop; None where it does not settle well within the horizon."""
+    if gains.acc_ps > 0.0:
         matrix = np.zeros((5, 5))
         matrix[[0, 1, 2], [1, 2, 3]] = 1.0
         matrix[_THRUST] = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, -gains.acc_ps]) / lag_s
         matrix[_SEEN, _SEEN] = -1.0 / OBSERVER_S
         demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
-        found.append(_tube(gains, matrix, demand, doubts))
-    return _best(found)
-
-
-def along(lag_s: float, doubts: LoopBounds) -> Tube:
-    """The vertical loop with the least tube that asks for no more than there is."""
-    found = []
-    for pole in _ALONG_POLES:
-        gains = Gains(0.0, 2.0 * pole, pole**2)
+    else:
         matrix = np.zeros((4, 4))
         matrix[[0, 1], [1, 2]] = 1.0
         matrix[2] = np.array([-gains.pos_ps3, -gains.vel_ps2, -1.0, -1.0]) / lag_s
         matrix[_SEEN_ALONG, _SEEN_ALONG] = -1.0 / OBSERVER_S
         demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 1.0])
-        found.append(_tube(gains, matrix, demand, doubts))
-    return _best(found)
+    return _tube(gains, matrix, demand, doubts)
 
 
 def _best(found: list[Tube | None]) -> Tube:

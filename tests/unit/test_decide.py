@@ -31,9 +31,9 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     """A quadrotor on a PX4 that is ready, and of which the last word came as the state was entered."""
     seen = SimpleNamespace(
         heartbeat=SimpleNamespace(autopilot=12, type=2), version=object(), armed=False, in_offboard=False,
-        intends_offboard=False, mode_name="Position", estimator_flags=GOOD, landed_state=1, intended_at_us=1,
-        round_trip_us=40_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED, custom_mode=px4.MODE_OFFBOARD,
-        on_ground=False, params=SimpleNamespace(settled=True, values=SAFE, missing=()),
+        intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
+        intended_at_us=1, round_trip_us=40_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
+        custom_mode=px4.MODE_OFFBOARD, on_ground=False, params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
     vars(seen).update(view or {})
@@ -101,9 +101,8 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STANDBY, {}, {"unfit": "estimate-reset"}, 0.1, None),
     (State.STREAMING, {"armed": True, "in_offboard": True}, {}, 0.1, E.ENGAGED),
     (State.STREAMING, {"armed": True}, {}, 0.1, None),
-    (State.STREAMING, {"armed": True, "intends_offboard": True}, {}, 0.1, E.TOOK_OVER),
-    (State.STREAMING, {"armed": True, "intends_offboard": True, "mode_at_us": 2}, {}, 0.1, None),  # an older report
-    (State.STREAMING, {"intends_offboard": True}, {}, 0.1, None),
+    (State.STREAMING, {"armed": True, "would_return": True}, {}, 0.1, E.TOOK_OVER),
+    (State.STREAMING, {"would_return": True}, {}, 0.1, None),
     (State.STREAMING, {"in_offboard": True}, {}, 0.1, None),
     (State.STREAMING, {}, {"rival": "another companion"}, 0.1, E.FOREIGN),
     (State.STREAMING, {}, {"foreign_system": 2}, 0.1, E.FOREIGN),

@@ -25,6 +25,7 @@ from mavlink_bridge.layout import CRC_EXTRAS
 from mavlink_bridge.link import Link
 from mavlink_bridge.messages import BY_ID
 from mavlink_bridge.requests import set_mode
+from mavlink_bridge.voice import Voice
 
 NAN = float("nan")
 SITE = """schema = "flightstack.site/1"
@@ -142,7 +143,10 @@ def test_nothing_that_is_asked_for_leads_out(rig: Rig) -> None:
         rig.run(4.0)
 
 
-def test_a_program_that_dies_is_stopped_held_and_handed_over(rig: Rig) -> None:
+def test_a_program_that_dies_is_stopped_held_and_handed_over(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[float] = []
+    stay = Voice.stay
+    monkeypatch.setattr(Voice, "stay", lambda voice, *words: (told.append(words[1]), stay(voice, *words))[1])
     rig.say = lambda: velocity(2.0, 0.0, 0.0)
     rig.run(1.0)
     rig.say = lambda: None
@@ -151,6 +155,7 @@ def test_a_program_that_dies_is_stopped_held_and_handed_over(rig: Rig) -> None:
     assert rig.server.commander.state.mode.title == "Offboard"
     rig.run(3.0)
     assert rig.router.score.handed_over
+    assert told[0] > 0.2  # PX4's Hold begins from the attitude and thrust that are
     assert rig.server.commander.state.mode.title != "Offboard"
     assert inside(rig.places)
 

@@ -20,8 +20,8 @@ BOX = packed(
     1.6,
 )
 KEPT = np.zeros(slide.SOFT)
-KEPT[[slide.RADIUS, slide.HALF, slide.SLOW_S, slide.BRAKE, slide.GAMMA, slide.UP, slide.DOWN]] = (
-    0.6, 0.15, 0.4, 1.5, 2.5, 0.3, 1.4,
+KEPT[[slide.RADIUS, slide.HALF, slide.SLOW_S, slide.BRAKE, slide.GAMMA, slide.UP, slide.DOWN, slide.LED_JERK]] = (
+    0.6, 0.15, 0.4, 1.5, 2.5, 0.3, 1.4, 12.0,
 )  # fmt: skip
 
 

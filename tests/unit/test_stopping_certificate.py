@@ -202,3 +202,15 @@ def test_one_that_can_not_come_down_is_refused() -> None:
     assert 10.0 * governor.margin > 0.7
     with pytest.raises(InputError, match="a climb is not braked"):
         stopping(vehicle, model, Limits(), estimate_bounds(error_statistics(load_grade("mocap"))), governor)
+
+
+def test_a_refusal_says_what_is_missing() -> None:
+    estimate = estimate_bounds(error_statistics(load_grade("mocap")))
+    vehicle, model = _powerful(1.7)
+    with pytest.raises(InputError, match=r"its rotors give 1\.70.* 0\.15 g take 1\.72: .*a certificate of less mass"):
+        stopping(vehicle, model, Limits(), estimate, governor_for(vehicle, model, Limits(), "mocap"))
+    vehicle, model = _powerful(4.0)
+    governor = governor_for(vehicle, model, Limits(), "mocap")
+    ringing = dataclasses.replace(governor, chi=90.0, margin=0.49)
+    with pytest.raises(InputError, match=r"torque up to 90 times what is modelled.*MC_ROLLRATE_K"):
+        stopping(vehicle, model, Limits(), estimate, ringing)

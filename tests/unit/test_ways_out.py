@@ -131,22 +131,34 @@ def test_a_restarted_companion_does_not_touch_a_vehicle_that_still_flies(
     assert not vehicle.set_modes(400)
 
 
-def test_a_companion_that_slept_through_the_take_off_does_not_call_the_vehicle_back() -> None:
+@pytest.mark.parametrize("tells_armed", [True, False])
+def test_a_companion_that_slept_through_the_take_off_does_not_call_the_vehicle_back(tells_armed: bool) -> None:
     """It was stopped while it waited, the pilot took off in OFFBOARD, and PX4, hearing nothing, returns: a real one
-    went back to OFFBOARD on the first setpoint."""
+    went back to OFFBOARD on the first setpoint.  What has piled up is read in pieces, HEARTBEAT comes once a second."""
     companion, _ = build(arm=False)
-    vehicle = FakePx4()
+    vehicle = FakePx4(mode=POSITION)
     now = exchange(companion, vehicle, 10.0, until=lambda: len(vehicle.setpoints) > 10)
-    vehicle.armed, vehicle.landed, vehicle.mode, vehicle.intended = True, 2, RTL, OFFBOARD
-    for _ in range(250):
+    vehicle.heartbeats = tells_armed
+    said = []
+    for mode in [POSITION] * 250 + [OFFBOARD] * 250 + [RTL] * 250:
         now += STEP_US
+        vehicle.armed, vehicle.landed, vehicle.mode = mode != POSITION, 2, mode
+        vehicle.intended = POSITION if mode == POSITION else OFFBOARD
         vehicle.step(now)
+        said += vehicle.link.datagrams_to_send()
     sent = len(vehicle.setpoints)
+    while said:
+        now += STEP_US
+        for data in said[:300]:
+            companion.receive_datagram(data, now)
+        said = said[300:]
+        companion.step(now)
+        assert m.id_of(m.SetAttitudeTarget) not in [data[7] for data in companion.link.datagrams_to_send()]
     exchange(companion, vehicle, 3.0, start_us=now)
-    assert companion.state is State.PILOT
-    assert "would bring it back" in companion.reason
     assert len(vehicle.setpoints) == sent
     assert not vehicle.set_modes(176)
+    assert (companion.state is State.PILOT) is tells_armed
+    assert ("would bring it back" in companion.reason) is tells_armed
 
 
 def test_a_restarted_companion_on_a_landed_vehicle_waits_for_the_pilot() -> None:

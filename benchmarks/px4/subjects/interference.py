@@ -51,8 +51,8 @@ def _linked(first: Manner, *then: tuple[Manner, float]) -> Callable[[Scene], Non
 
     def deed(scene: Scene) -> None:
         with Relay(OFFBOARD_PORT + scene.px4.instance, first) as relay:
-            scene.began_s = time.monotonic()
             scene.begin("--connect", f"udpin:127.0.0.1:{relay.port}")
+            scene.began_s = time.monotonic()
             for manner, seconds in then:
                 relay.manner = manner
                 scene.wait(lambda: scene.ended, seconds)
