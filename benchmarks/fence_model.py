@@ -1,8 +1,8 @@
 """What a way out and the vehicle's answer differ by without any doubt: the ledger's line `model`, over many vehicles.
 
-The truth is the believed vehicle, no force, no link, the estimate is the truth.  While a committed way is followed, the
-distance from it over what a steady rest of 1 m/s^2 moves the loop by until then is an acceleration that explains it.
-`campaigns/fence-model.toml` flies it; a row has the greatest across and along of its flight.
+The truth is the believed vehicle, no force, no link, the estimate is the truth, nothing slides a command.  While a
+committed way is followed, the distance from it over what a steady rest of 1 m/s^2 moves the loop by until then is an
+acceleration that explains it.  `campaigns/fence-model.toml` flies it; a row has the greatest across and along.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from flightstack.types import F64, TickRecord
 
 _EXACT = EstimateBounds((0.0,) * 3, (0.0,) * 3, (0.0,) * 3, 0.0)
 _REST = tube.LoopBounds(0.0, 1.0, 0.0, 0.0)
-_AFTER_S = 0.1
-"""Before, a rest has moved the loop by next to nothing."""
+_AFTER_S = 0.3
+"""Before, a rest has moved the loop by millimetres."""
 
 
 class ModelFlight(FenceFlight):
     """A flight of which the distance from committed ways is kept."""
 
     def __init__(self, world: World, site: Path, attack: Attack) -> None:
-        super().__init__(world, site, attack)
+        super().__init__(world, site, attack, unslid=True)
         self._erring = ErringEstimate(_EXACT, self.score.packed)
         made = self.plan_of.certificate
         self._units = []

@@ -36,7 +36,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "flightstack/guard.py": (UNIT + "test_guard.py",),
     "flightstack/safety_filter.py": (UNIT + "test_filter_rest.py", UNIT + "test_safety_filter.py"),
     "flightstack/barrier/condition.py": (UNIT + "test_barrier_condition.py",),
-    "flightstack/barrier/margins.py": (UNIT + "test_margins.py",),
+    "flightstack/barrier/margins.py": (
+        UNIT + "test_margins.py",
+        UNIT + "test_certificate_check.py::test_a_true_certificate_is_valid",
+    ),
     "flightstack/governor.py": (UNIT + "test_governor.py",),
     "flightstack/certificate_check/ledger.py": CHECKER,
     "flightstack/certificate_check/condition.py": CHECKER,
@@ -64,6 +67,8 @@ EQUAL: dict[str, str] = {
     "flightstack/effects/ground_effect.py: scale=lambda size: 0.3, 0.3 to 0.375": "where a search begins, no physics",
     "flightstack/barrier/condition.py: far = -0.5 * (b + root) if b >= 0.0 else -0.5 * (b - root)  # the root without "
     "cancellation Add to Sub": "the same two roots, with fewer digits where the parabola is nearly a line",
+    "flightstack/safety_filter.py: present, sign = abs(present_radps), 1.0 if present_radps >= 0.0 else -1.0 "
+    "GtE to Gt": "at no rate both signs are alike",
 }
 """`file: line: kind` -> why no test can tell."""
 _COMPARES: dict[type[ast.cmpop], type[ast.cmpop]] = {

@@ -43,7 +43,7 @@ from flightstack.barrier.torque import within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement, Tuple3
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
 
 _VALID = 2
 _SPARED_MORE = 0.03
@@ -165,7 +165,8 @@ class OnlineCertifier:
 
     def _judge(self, state: CertifierState, ready: Certificate, measurement: Measurement) -> Certificate | None:
         """The certificate to hand out for a finished piece of work, if any."""
-        holds = bool(ready.axes) and _room(ready, measurement, state.origin_ned_m) >= self.config.room_h
+        here = measurement.row[None, :6]  # as it is and looked ahead by lag and delay
+        holds = bool(ready.axes) and least_h(ready, here, state.origin_ned_m) >= self.config.room_h
         area = area_of(ready) if ready.axes else 0.0
         if state.falsified:
             if holds:
@@ -198,21 +199,35 @@ class OnlineCertifier:
         if area > self.config.growth * state.area:
             return True
         before = {each.axis: doubt(each) for each in held.axes}
-        surer = all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
-        return surer and area * self.config.growth > state.area
+        return (
+            all(doubt(each) < self.config.surer * before[each.axis] for each in ready.axes)
+            and area * self.config.growth > state.area
+        )
 
     def work(
         self, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
     ) -> Iterator[Certificate | None]:
-        """A certificate, piece by piece: None after each; without axes where an axis has no region."""
-        turn, ratios = state.turn, state.ratios
-        knowledge = yield from _last(
-            self.knowledge_steps(learner, state.version + 1, state.widen_mps2.copy(), self.config.thrusts[turn])
-        )
+        """A certificate, piece by piece: None after each; without axes where an axis has no region.
+
+        Until there is one, the first of the thrusts, which most often does, is tried beside the one whose turn it is.
+        """
+        known = yield from _last(Accelerations.frozen_steps(learner, self.model))
+        for turn in dict.fromkeys((state.turn, 0) if state.version == 0 else (state.turn,)):
+            found = yield from self._regions(known, learned, state, turn)
+            if found.axes and state.flown.least(found, state.origin_ned_m) >= self.config.spared_h:
+                break
+        yield found
+
+    def _regions(
+        self, known: Accelerations, learned: Learned, state: CertifierState, turn: int
+    ) -> Generator[None, None, Certificate]:
+        """The same with one of the thrusts."""
+        ratios, version, widen_mps2 = state.ratios, state.version + 1, state.widen_mps2.copy()
+        knowledge = yield from _last(self.bounds_steps(known, version, widen_mps2, self.config.thrusts[turn]))
         axes: list[AxisCertificate] = []
         for number in self.config.axes:
             axis, needs = self.axis_of(number, knowledge, learned)
-            near, worth = ratios.get((number, turn)), self._worth(axis, state)
+            near, worth = ratios.get((number, turn)), self._worth(axis, needs, state)
             found = yield from largest_steps(axis, needs, near, worth)
             if found is None:
                 ratios.pop((number, turn), None)
@@ -220,29 +235,25 @@ class OnlineCertifier:
                 break
             axes.append(found[0])
             ratios[number, turn] = found[1]
-        yield self.certificate(knowledge, tuple(axes))
+        return self.certificate(knowledge, tuple(axes))
 
-    def _worth(self, axis: Axis, state: CertifierState) -> Worth:
+    def _worth(self, axis: Axis, needs: Ledger, state: CertifierState) -> Worth:
         """What is looked for: room for what is flown where that is to be spared, else the largest region."""
         if self.config.spared_h == -math.inf or state.origin_ned_m is None:
             return lambda barrier: barrier.area_m2ps
-        return state.flown.worth(axis, self.region.centre_ned_m[axis.axis], float(state.origin_ned_m[axis.axis]))
+        i = axis.axis
+        return state.flown.worth(axis, needs, self.region.centre_ned_m[i], float(state.origin_ned_m[i]))
 
-    def knowledge_steps(
-        self, learner: LearnerState | Learnt, version: int, widen_mps2: F64, thrust: Thrust,
-        last: bool = False,
-    ) -> Iterator[Knowledge | None]:  # fmt: skip
-        """What the learner knows of this region now: None after each piece of the work, then the knowledge.
-
-        `last`: no certificate will be issued after this one.
-        """
-        accelerations = yield from _last(Accelerations.frozen_steps(learner, self.model))
-        box, hover_mps2 = self._budget(accelerations, thrust)
+    def bounds_steps(
+        self, known: Accelerations, version: int, widen_mps2: F64, thrust: Thrust, last: bool = False
+    ) -> Iterator[Knowledge | None]:
+        """What is known of this region: None after each piece of the work, then it; `last`: none is issued after it."""
+        box, hover_mps2 = self._budget(known, thrust)
         yield None
         over = _HOVER_OFF * box.thrust_max_mps2 / hover_mps2
         yield from Knowledge.steps(
             Request(
-                accelerations, self.model, self._envelope(), box, self.initial, self.config.delta, version, last,
+                known, self.model, self._envelope(), box, self.initial, self.config.delta, version, last,
                 widen_mps2, over * np.array(self.config.estimate.acc_mps2), self.torque_mps2,
             )
         )  # fmt: skip
@@ -267,18 +278,19 @@ class OnlineCertifier:
 
     def _premises(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Premises:
         """For what a certificate of these axes holds."""
-        config, down = self.config, knowledge.authorities[DOWN]
+        config, table = self.config, knowledge.authorities[DOWN]
+        north, east, down = knowledge.request.attitude_mps2.tolist()
         delays = [each.response.delay_s for each in axes] or [self.model.transport_delay_s]
         return Premises(
             sensors=config.sensors,
             vehicle_hash="",
-            estimate=replace(config.estimate, acc_mps2=_three(knowledge.request.attitude_mps2)),
+            estimate=replace(config.estimate, acc_mps2=(north, east, down)),
             speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.estimate.vel_mps),
             lean=lean(knowledge.budget),
             thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
             applied_share=APPLIED_AS_SENT,
             thrust_gain=gain_of(
-                down.gain, max(down.error_low_mps2.max(), down.error_high_mps2.max()), knowledge.budget.high_mps2
+                table.gain, max(table.error_low_mps2.max(), table.error_high_mps2.max()), knowledge.budget.high_mps2
             ),
             delay_s=(max(delays) - self.doubts.delay_s, min(delays) + self.doubts.delay_s),
             jitter_s=config.jitter_s,
@@ -372,20 +384,10 @@ def compile_all() -> None:
     prepare()
 
 
-def _room(certificate: Certificate, measurement: Measurement, origin_ned_m: F64 | None) -> float:
-    """Least h of the vehicle now, as it is and looked ahead by lag and delay."""
-    return least_h(certificate, measurement.row[None, :6], origin_ned_m)
-
-
 def _lateness(certificate: Certificate) -> float:
     """For how late commands and messages together a certificate holds, s."""
     premises = certificate.premises
     return 0.0 if premises is None else premises.command_interval_s + premises.jitter_s + premises.age_s
-
-
-def _three(values: F64) -> Tuple3:
-    north, east, down = values.tolist()
-    return north, east, down
 
 
 def _last(pieces: Iterator[_T | None]) -> Generator[None, None, _T]:

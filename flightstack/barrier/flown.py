@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.search import Axis, Worth
+from flightstack.barrier.search import Axis, Ledger, Worth
 from flightstack.barrier.shapes import Barrier, values_at
 from flightstack.region import Region
 from flightstack.types import F64, Measurement
@@ -44,15 +44,17 @@ class FlownPath:
         else:
             self._kept.append(measurement.row[:6].copy())
 
-    def worth(self, axis: Axis, centre_m: float, origin_m: float) -> Worth:
-        """h of an axis' barrier where it is least of all that is kept; where nothing is, its area."""
+    def worth(self, axis: Axis, needs: Ledger, centre_m: float, origin_m: float) -> Worth:
+        """h of an axis' barrier where it is least of all that is kept, as `least_h` has it with the doubts that the
+        barrier needs; where nothing is, its area."""
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         states = np.array(list(self._kept)[::2]).reshape(-1, 6)
         e, v = states[:, i] - origin_m - centre_m, states[:, 3 + i]
-        points = np.concatenate([np.stack([e, v], axis=1), np.stack([e + ahead * v, v], axis=1)])
 
         def worth(barrier: Barrier) -> float:
-            return float(values_at(barrier.rows, points).min()) if len(points) else barrier.area_m2ps
+            if not len(e):
+                return barrier.area_m2ps
+            return _least_h(barrier.rows, e, v, ahead, needs(barrier)[0].off_mps)
 
         return worth
 
@@ -68,10 +70,12 @@ def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> 
     for axis in certificate.axes:
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         start = certificate.centre_ned_m[i] + (0.0 if origin_ned_m is None else float(origin_ned_m[i]))
-        e, v, rows = states[:, i] - start, states[:, 3 + i], axis.barrier.rows
-        here = values_at(rows, np.stack([e, v], axis=1)).min()
-        slower = np.stack([e + ahead * v, v], axis=1)
-        off = np.array([0.0, axis.setting.off_mps])
-        there = min(values_at(rows, slower + off).min(), values_at(rows, slower - off).min())
-        least = min(least, here, there)
-    return float(least)
+        e, v = states[:, i] - start, states[:, 3 + i]
+        least = min(least, _least_h(axis.barrier.rows, e, v, ahead, axis.setting.off_mps))
+    return least
+
+
+def _least_h(rows: F64, e: F64, v: F64, ahead_s: float, off_mps: float) -> float:
+    there = e + ahead_s * v
+    points = [np.stack(each, axis=1) for each in ((e, v), (there, v + off_mps), (there, v - off_mps))]
+    return float(values_at(rows, np.concatenate(points)).min())

@@ -45,9 +45,11 @@ between two nodes the deviation is a parabola with its greatest value there.
 
 **The kernels** are the learner's, but for the size of the smooth remainder, of which nothing is known but what the
 flight shows: of the sizes (standard deviation) prior / 2^i, i = 0..5, the largest whose likelihood of the points is
-within a factor of 7 (exp 1.92) of the best one's, so an upper confidence bound of 97.5 %.  Everything named (drag,
-thrust, ground) keeps its prior.  Source of bounds by sets of hyper-parameters: A. Capone, A. Lederer, S. Hirche,
-"Gaussian process uniform error bounds with unknown hyperparameters for safety-critical applications", ICML 2022.
+within a factor of 7 (exp 1.92) of the best one's, so an upper confidence bound of 97.5 %; the likelihood is that with
+the likeliest noise (`posterior`: as measured or half as much again, and drift over 2 s of none, a quarter or all of
+it), a profile likelihood: noise that wanders is not taken for a function.  Everything named (drag, thrust, ground)
+keeps its prior.  Source of bounds by sets of hyper-parameters: A. Capone, A. Lederer, S. Hirche, "Gaussian process
+uniform error bounds with unknown hyperparameters for safety-critical applications", ICML 2022.
 
 **k_sigma.**  Each bound is two-sided and Gaussian; the union over all of them (`statements`: queries and gaps) fails
 with probability delta_n at most: k = Phi^-1(1 - delta_n / (2 statements)), delta_n = 6 delta / (pi n)^2 for the n-th

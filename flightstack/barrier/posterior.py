@@ -15,18 +15,23 @@ so that a's standard deviation along an axis is that of a row of R(b) times thre
 one store's variance, each with its own i_B, excess and remainder.  The calibrated variance of an output is i_B^2
 variance + excess, the latter as in the learner's own bound (`learning.store`), and beside it there is what no named
 effect explains, rho (1 + sum |w|), w the posterior weights of the points (`confidence`).
+
+Noise is white, and wanders besides (`Drift`): what an accelerometer's bias or a slow gust does is the same for windows
+that are seconds apart, and taken for white it looks like a function of the path.  The points' covariance is then
+K + noise I + variance exp(-|t_i - t_j| / time); of an acceleration yet to come the variance is excess like any other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from flightstack.barrier.confidence import Colour, colour
+from flightstack.barrier.confidence import ALLOWANCE, Colour, colour
 from flightstack.barrier.initial import DOWN
 from flightstack.gp import Kernel, Matern, SquaredExponential
 from flightstack.gp.kernels import Product, Sum
@@ -40,6 +45,9 @@ _SIZES = 6
 _LIKELY = 1.92
 """Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
 _NEGLIGIBLE = 1e-18
+_NOISES = ((1.0, 0.0), (1.0, 0.25), (1.5, 0.25), (1.0, 1.0))
+"""Of what noise may be: its variance in shares of the measured one, and drift's in shares of that."""
+_DRIFT_S = 2.0
 _CHUNK = 64
 _COLOURED = 500
 """Windows whose residuals are looked at: half a minute."""
@@ -47,6 +55,23 @@ _NEWEST = 100
 """Points, some seconds."""
 _LEAST_GROUND = 0.5
 """Of Cheeseman and Bennett's, one standard deviation of a prior that knows the ground."""
+
+
+class Drift(NamedTuple):
+    """What noise wanders by, as a first-order Gauss-Markov process: in every output alike, apart from the others."""
+
+    variance: float = 0.0
+    """(m/s^2)^2; 0: none."""
+    time_s: float = _DRIFT_S
+
+    def between(self, one_us: NDArray[np.int64], other_us: NDArray[np.int64]) -> F64:
+        """(M, N) covariances of windows that end at these stamps, (M,) and (N,)."""
+        apart = np.abs(one_us[:, None] - other_us[None, :])
+        found: F64 = self.variance * np.exp(-1e-6 / self.time_s * apart)
+        return found
+
+
+_STEADY = Drift()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +90,8 @@ class Process:
     """Factors on the posterior standard deviation, and remainders."""
     spans_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
+    drift: Drift = _STEADY
+    """None where the stamps are not known."""
 
     @classmethod
     def of(cls, store: Store, x: F64, y: F64) -> Process:
@@ -83,11 +110,12 @@ class Process:
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
         inflation, remainder = (np.broadcast_to(part, self.excess.shape).tolist() for part in self.colour)
+        drift = {"drift": self.drift._asdict()} if self.drift.variance > 0.0 else {}
         return {
             "kernel": self.kernel.to_dict(), "noise_var": self.noise_var,
             "inflation": inflation, "remainder_mps2": remainder,
             "excess": self.excess.tolist(), "x": self.x.tolist(), "y": self.y.tolist(),
-            "windows_us": self.spans_us.tolist(),
+            "windows_us": self.spans_us.tolist(), **drift,
         }  # fmt: skip
 
     @property
@@ -106,6 +134,8 @@ class Posterior:
         self.process = process
         gram = (process.kernel.matrix(process.x) if gram is None else gram).copy()
         gram[np.diag_indices_from(gram)] += process.noise_var
+        if process.drift.variance > 0.0:
+            gram += process.drift.between(process.spans_us[:, 1], process.spans_us[:, 1])
         self._factor, failed = lapack.dpotrf(gram, lower=1)
         if failed:  # points that coincide to the last digit: a little more noise
             gram[np.diag_indices_from(gram)] += 1e-9 * float(np.trace(gram))
@@ -133,10 +163,30 @@ class Posterior:
         for start in range(0, len(x), _CHUNK):
             yield self
             part = slice(start, start + _CHUNK)
-            off.append(y[part] - self.mean(x[part]))
+            off.append(y[part] - self.mean(x[part]) - self._drifted(evidence.spans_us[-_COLOURED:][part]))
         if off:
             found = colour(np.concatenate(off), evidence.spans_us[-_COLOURED:], self.process.noise_var)
             yield self._with(replace(self.process, colour=found))
+
+    def raised(self) -> Posterior:
+        """The same with white noise as strong as the spectrum's peak, in place of an inflation of all of the deviation.
+
+        Noise of a spectrum nowhere above v moves a weighted mean of the points by no more than white noise of v does,
+        so the posterior variance at v bounds the error's for its own weights: k - 2 w'k + w'(K + C) w <= s^2 where
+        C <= v I.  What the points do not reach is the prior's, which no noise makes larger.
+        """
+        share = float(self.process.colour.inflation.max()) ** 2 / ALLOWANCE
+        if share <= 1.0:
+            return self
+        return Posterior(replace(self.process, noise_var=share * self.process.noise_var))
+
+    def _drifted(self, spans_us: NDArray[np.int64]) -> F64:
+        """(M, P) what noise has most likely wandered to in windows with these stamps (M, 2)."""
+        process = self.process
+        if process.drift.variance == 0.0:
+            return np.zeros((len(spans_us), process.y.shape[1]))
+        found: F64 = process.drift.between(spans_us[:, 1], process.spans_us[:, 1]) @ self._weights
+        return found
 
     def _with(self, process: Process) -> Posterior:
         other = object.__new__(Posterior)
@@ -168,17 +218,27 @@ class Posterior:
 def sized_steps(process: Process) -> Iterator[Posterior]:
     """The process with its smooth part as large as its points leave likely; valid after the last piece of work.
 
-    Sizes are tried from the prior's down; see `knowledge` for the rule.
+    Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; see `knowledge`.
     """
     whole = process.kernel.matrix(process.x)
     smooth = whole - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
-    tried: list[Posterior] = []
+    noises = _NOISES if len(process.spans_us) else _NOISES[:1]
+    likeliest: list[tuple[float, Process, F64]] = []
     for i in range(_SIZES):
         share = 4.0**-i
         kernel = _scaled(process.kernel, share) if i else process.kernel
-        tried.append(Posterior(replace(process, kernel=kernel), whole - (1.0 - share) * smooth))
-        best = max(each.log_likelihood for each in tried)
-        yield next(each for each in tried if each.log_likelihood >= best - _LIKELY)
+        gram, tried = whole - (1.0 - share) * smooth, []
+        for white, drift in noises:
+            noise_var = white * process.noise_var
+            one = replace(process, kernel=kernel, noise_var=noise_var, drift=Drift(drift * noise_var))
+            found = Posterior(one, gram)
+            tried.append((found.log_likelihood, one, gram))
+            yield found
+        likeliest.append(max(tried, key=lambda each: each[0]))
+    best = max(each[0] for each in likeliest)
+    _, sized, gram = next(each for each in likeliest if each[0] >= best - _LIKELY)
+    beyond = INFLATION**2 * sized.drift.variance
+    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)), gram)
 
 
 def _scaled(kernel: Kernel, by: float) -> Kernel:
@@ -240,7 +300,11 @@ class Accelerations:
             for posterior in sized.coloured_steps(evidence):
                 sized = posterior
                 yield None
-            found.append(sized.widened(*evidence.pooled(_NEWEST)))
+            sized = sized.widened(*evidence.pooled(_NEWEST)).raised()
+            for posterior in sized.coloured_steps(evidence):
+                sized = posterior
+                yield None
+            found.append(sized)
         yield cls(found[0], found[1], model)
 
     def knows_ground(self, near: float) -> bool:

@@ -16,6 +16,7 @@ from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, largest, worst_slice_area
 from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.records import AxisCertificate, Certificate
 from flightstack.barrier.search import GROWING, Axis, Ledger
 from flightstack.barrier.shapes import Quadratic
@@ -39,13 +40,15 @@ def settled(
 ) -> Certificate | None:
     """The largest certificate of one axis that what was learned allows; None where nothing closes."""
     best: Certificate | None = None
-    most = 0.0
+    most, thrust = 0.0, certifier.config.thrusts[0]
+    *_, known = Accelerations.frozen_steps(learner, certifier.model)
+    assert known is not None
     for speed_mps in _SPEEDS_MPS:
         limit_m = certifier.safe[axis].limit_m
         safe = {**certifier.safe, axis: SafeSet(limit_m, speed_mps)}
         asked = certifier.asked(safe)
         knowledge: Knowledge | None = None
-        for piece in asked.knowledge_steps(learner, version, widen_mps2, asked.config.thrusts[0], last=True):
+        for piece in asked.bounds_steps(known, version, widen_mps2, thrust, last=True):
             knowledge = piece
         assert knowledge is not None
         one, needs = asked.axis_of(axis, knowledge, learned)

@@ -25,6 +25,7 @@ _DENSITIES = {"mocap": (5.0e-3, 8.0e-3), "gps": (1.0e-2, 1.5e-2)}
 """Least of the accelerometer's across, and along the thrust axis, m/s^2/sqrt(Hz), by grade."""
 _DOUBTS = {"delay_s": 5e-4, "lag_share": 0.01, "rate_lag_share": 0.01}
 _RADIUS_M, _DT_S = 0.01, 1e-3
+_DRIFT_S = 2.0
 _LEAST_FIT, _LEAST_POINTS = 0.05, 20
 
 
@@ -38,6 +39,15 @@ def check_process(noise: float, inflation: F64, excess: F64, remainder: F64, whe
         raise Refused(f"{where}.remainder_mps2 must be at least 0")
     if not noise >= LEAST_NOISE_MPS2**2:
         raise Refused(f"{where}.noise_var must be at least ({LEAST_NOISE_MPS2:g} m/s^2)^2")
+
+
+def check_drift(drift: tuple[float, float], noise: float, excess: F64, dated: bool, where: str) -> None:
+    """Refused where noise wanders otherwise than the rule has it, or an acceleration yet to come does not."""
+    variance, time_s = drift
+    if not (0.0 < variance <= noise * (1.0 + _NEAR) and time_s == _DRIFT_S and dated):
+        raise Refused(f"{where}.drift must be over {_DRIFT_S:g} s, at most the noise, of points with windows")
+    if not excess.min() >= 1.05**2 * variance * (1.0 - _NEAR):
+        raise Refused(f"{where}.excess must be at least the drift's {1.05**2 * variance:.3g} (m/s^2)^2")
 
 
 def check_noise(noises: list[float], sensors: Any) -> None:

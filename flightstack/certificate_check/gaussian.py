@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .intervals import F64
 from .reading import Refused, column, number
@@ -50,9 +51,16 @@ def kernel(spec: Any, x: F64, y: F64, where: str, deep: int = 0) -> F64:
     return np.asarray(variance * factors[nu] * np.exp(-s))
 
 
-def factor(spec: Any, x: F64, noise: float, where: str) -> F64:
-    """(n, n) lower triangle of the points' covariance with noise."""
-    return np.asarray(np.linalg.cholesky(kernel(spec, x, x, where) + noise * np.eye(len(x))), np.float64)
+def factor(spec: Any, x: F64, noise: F64, where: str) -> F64:
+    """(n, n) lower triangle of the points' covariance with that of their noise, (n, n)."""
+    return np.asarray(np.linalg.cholesky(kernel(spec, x, x, where) + noise), np.float64)
+
+
+def wandering(drift: tuple[float, float], one_us: NDArray[np.int64], other_us: NDArray[np.int64]) -> F64:
+    """(m, n) covariances of noise that wanders, of a variance and a time (s), between stamps (m,) and (n,)."""
+    variance, time_s = drift
+    apart = np.abs(one_us[:, None] - other_us[None, :])
+    return np.asarray(variance * np.exp(apart * (-1e-6 / time_s)))
 
 
 def posterior(spec: Any, x: F64, y: F64, lower: F64, queries: F64, where: str) -> tuple[F64, F64, F64]:

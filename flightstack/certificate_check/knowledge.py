@@ -6,8 +6,9 @@ and a down part F from low to high.  The true acceleration at velocity v, R(b) t
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (R(b)' v, b_n, b_e, |f| / g, near |f| / g)
 
 residual: three independent Gaussian processes, the first two on one store, each with the variance
-inflation^2 posterior variance + excess, and beside it remainder (1 + sum of its absolute weights).  Also, with mass
-ratio r and force |w| <= W,
+inflation^2 posterior variance + excess, and beside it remainder (1 + sum of its absolute weights).  The points' noise
+is white and, with `drift`, v exp(-|t_i - t_j| / time) of their windows' last stamps; excess is at least 1.05^2 v.
+Also, with mass ratio r and force |w| <= W,
 a = g e_d - (f + drag v) / r + w.
 
 At each node of speed and at both ends of the command the intervals (mean -+ k sigma, cut with what mass and force
@@ -33,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import floors
-from .gaussian import factor, kernel, posterior
+from .gaussian import factor, kernel, posterior, wandering
 from .intervals import F64
-from .reading import Refused, Unreadable, number, rows, table_of
+from .reading import Refused, Unreadable, number, numbers, rows, table_of
 
 NEAR = 1e-6
 """What two correct computations of a posterior may differ by, m/s^2."""
@@ -79,6 +80,15 @@ class StatedProcess:
     noise_var: float
     windows_us: NDArray[np.int64]
     """(n, 2) of each point, or none."""
+    drift: tuple[float, float] = (0.0, 1.0)
+    """Variance and time (s) of what noise wanders by."""
+
+    def drifted(self, last_us: NDArray[np.int64]) -> F64:
+        """(m, outputs) what noise has most likely wandered to in windows that end at these stamps."""
+        if self.drift[0] == 0.0:
+            return np.zeros((len(last_us), self.y.shape[1]))
+        weights = np.linalg.solve(self.lower.T, np.linalg.solve(self.lower, self.y))
+        return np.asarray(wandering(self.drift, last_us, self.windows_us[:, 1]) @ weights)
 
     def at(self, queries: F64, where: str) -> tuple[F64, F64, F64]:
         """Means, calibrated variances and remainders (m, outputs)."""
@@ -316,7 +326,7 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> StatedKno
 
 def _process(value: Any, outputs: int, name: str) -> StatedProcess:
     where = f"knowledge.{name}"
-    table_of(value, _PROCESS, where)
+    table_of(value, (*_PROCESS, "drift") if isinstance(value, dict) and "drift" in value else _PROCESS, where)
     x, y = rows(value["x"], 7, f"{where}.x"), rows(value["y"], outputs, f"{where}.y")
     excess, inflation, rest = (
         rows([value[key]], outputs, f"{where}.{key}")[0] for key in ("excess", "inflation", "remainder_mps2")
@@ -325,11 +335,16 @@ def _process(value: Any, outputs: int, name: str) -> StatedProcess:
     if len(x) != len(y):
         raise Refused(f"{where}: {len(x)} x belong to {len(y)} y")
     floors.check_process(noise, inflation, excess, rest, where)
-    lower = factor(value["kernel"], x, noise, f"{where}.kernel")
+    windows, drift = _windows(value["windows_us"], len(x), where), (0.0, 1.0)
+    more = noise * np.eye(len(x))
+    if "drift" in value:
+        variance, time_s = numbers(value["drift"], ("variance", "time_s"), f"{where}.drift")
+        drift = (variance, time_s)
+        floors.check_drift(drift, noise, excess, len(windows) == len(x), where)
+        more += wandering(drift, windows[:, 1], windows[:, 1])
+    lower = factor(value["kernel"], x, more, f"{where}.kernel")
     floors.check_fit(y, lower, inflation, where)
-    return StatedProcess(
-        value["kernel"], lower, inflation, rest, excess, x, y, noise, _windows(value["windows_us"], len(x), where)
-    )
+    return StatedProcess(value["kernel"], lower, inflation, rest, excess, x, y, noise, windows, drift)
 
 
 def _windows(value: Any, count: int, where: str) -> NDArray[np.int64]:

@@ -191,11 +191,12 @@ def _check_windows(known: StatedKnowledge, found: DerivedSamples) -> list[str]:
     for name, store, columns in zip(("lateral", "vertical"), known.stores, (slice(0, 2), slice(2, 3)), strict=True):
         mean, variance, _ = posterior(store.spec, store.x, store.y, store.lower, x, name)
         error = y[:, columns] - mean
+        steady = error - store.drifted(found.t_us[last])
         for i in range(error.shape[1]):
             blocks = max(len(error) // 10, 2)
             stated = float(store.inflation[i]), float(store.excess[i])
             try:
-                shown = check_colour(error[:, i], last, store.noise_var, *stated)
+                shown = check_colour(steady[:, i], last, store.noise_var, *stated)
             except Refused as refused:
                 raise Refused(f"knowledge.{name}, output {i}: {refused}") from None
             known_var = store.noise_var + stated[0] ** 2 * variance + stated[1]

@@ -2,7 +2,8 @@
 
 It is done in a process of its own: one that had run the compiler was seen to need 7 s for a flight that takes 5 s where
 the same functions come from the cache (on a noisy machine; its heap is large and scattered).  Each part compiles what
-its users call and no more; of two programs that begin at once, one compiles and the other waits for it.
+its users call and no more; of two programs that begin at once, one compiles and the other waits for it.  A flight's
+part takes two processes, which share what they compile through the cache.
 """
 
 from __future__ import annotations
@@ -11,40 +12,36 @@ import fcntl
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from flightstack.jit import cache_folder, sources_key
-from flightstack.typed_once import typed_once
+from flightstack.quick_compiling import quick_compiling
 from flightstack.types import InputError
 
 SIMULATOR, JSBSIM, FLIGHT = "simulator", "jsbsim", "flight"
 PARTS = (SIMULATOR, JSBSIM, FLIGHT)
-"""The simulated vehicle on the native plant; on JSBSim; both and the companion."""
+"""The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion."""
+_UNFILTERED = "unfiltered"
+"""What a companion without certifier and filter calls: half of a flight's part."""
 _SCENARIOS = ("paper-tracking", "minimum-snap")
 _EVERY_S = 5.0
 
 
-def ensure_compiled(say: Callable[[str], None], part: str = FLIGHT) -> None:
-    """Return when the cache holds what `part` needs; a failure only means that it is compiled later, in process.
+def ensure_compiled(say: Callable[[str], None], *parts: str) -> None:
+    """Return when the cache holds what `parts` (none: a flight) need; where that fails they are compiled when used.
 
     `say` hears what goes on, every few seconds.
     """
-    if compiled(part):
+    missing = [part for part in parts or (FLIGHT,) if not compiled(part)]
+    if not missing:
         return
     say("compiling (once on a new machine)")
-    path = os.pathsep.join(filter(None, sys.path))
-    child = subprocess.Popen(
-        [sys.executable, "-P", "-m", "flightstack.cli.compiled", part],
-        env={**os.environ, "PYTHONPATH": path},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    with child:
+    with _compiling(*missing) as child:
         try:
             assert child.stdout is not None
             for line in child.stdout:
@@ -54,9 +51,21 @@ def ensure_compiled(say: Callable[[str], None], part: str = FLIGHT) -> None:
             child.kill()
 
 
+def _compiling(*parts: str) -> subprocess.Popen[str]:
+    """A process that compiles; what it prints can be read."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "flightstack.cli.compiled", *parts],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+
 def compiled(part: str) -> bool:
-    """Whether the cache holds what a part needs; a flight's code holds the others'."""
-    return _marker(part).exists() or _marker(FLIGHT).exists()
+    """Whether the cache holds what a part needs."""
+    return _marker(part).exists() or (part == SIMULATOR and _marker(FLIGHT).exists())
 
 
 def _marker(part: str) -> Path:
@@ -100,13 +109,18 @@ def _tell_progress() -> None:
 
 def compile_part(part: str) -> None:
     """Compile everything that a part calls, in this process."""
-    if part == FLIGHT:
+    if part in (FLIGHT, _UNFILTERED):
         from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
 
-        for scenario in _SCENARIOS:
-            warm_up_all(prepare(FlyOptions(scenario=scenario)))
-        with suppress(InputError):  # not every machine has JSBSim
-            warm_up_all(prepare(FlyOptions(scenario=_SCENARIOS[0], plant=JSBSIM)))
+        if part == _UNFILTERED:
+            prepare(FlyOptions(scenario=_SCENARIOS[0], filtering=False)).flight.warm_up()
+            return
+        with _compiling(_UNFILTERED) as other:  # meanwhile: filter and certifier, then the simulator
+            setups = [prepare(FlyOptions(scenario=scenario)) for scenario in _SCENARIOS]
+            compile_part(SIMULATOR)
+            other.wait()
+        for setup in setups:
+            warm_up_all(setup)
         return
     from flightstack.cli.files import load_vehicle
     from flightstack_sim.grade import load_grade
@@ -120,12 +134,27 @@ def compile_part(part: str) -> None:
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     for part in parts or [FLIGHT]:
+        if part == _UNFILTERED:
+            _end_with(sys.stdin)
+            with quick_compiling():
+                compile_part(part)
+            continue
         with _alone():
             if not compiled(part):
                 _tell_progress()
-                with typed_once():
+                with quick_compiling():
                     compile_part(part)
                 _marker(part).touch()
+
+
+def _end_with(pipe: IO[str]) -> None:
+    """End this process when whoever holds the other end of `pipe` has ended."""
+
+    def watch() -> None:
+        pipe.read()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from flightstack.cli import files
-from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.compiled import FLIGHT, JSBSIM, ensure_compiled
 from flightstack.cli.filed import with_filed
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
@@ -118,7 +118,7 @@ def prepare(options: FlyOptions) -> Setup:
     if faults:
         settings["fault"] = options.fault or ""
     carried = {"truth.toml": vehicle_to_toml(truth)}
-    if options.plant == "jsbsim":
+    if options.plant == JSBSIM:
         from flightstack_sim.jsbsim.trial import try_out
 
         tried = try_out(truth, ((event.effect, dict(event.values)) for event in flight.scenario.events))
@@ -274,7 +274,8 @@ def fly_setup(
 
     `at_end` is called after the flight, with its log still open.
     """
-    ensure_compiled(lambda text: on_progress(0.0, text))
+    parts = (FLIGHT, JSBSIM) if setup.plant == JSBSIM else (FLIGHT,)
+    ensure_compiled(lambda text: on_progress(0.0, text), *parts)
     if planner is not None:
         setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)

@@ -25,9 +25,9 @@ from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of, linearise
 from flightstack.gap.naming.estimate import CI, covariance_of, without_nuisance
-from flightstack.gap.naming.metric import metric_of
+from flightstack.gap.naming.metric import bounded_step, metric_of
 from flightstack.gap.naming.ranged import STANDS_FOR
-from flightstack.gap.naming.search import SelectionState, bounded_step, pressed_beyond
+from flightstack.gap.naming.search import SelectionState, pressed_beyond
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Unexplained
 from flightstack.gap.simulate import Knob, value, with_value

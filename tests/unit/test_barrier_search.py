@@ -115,7 +115,7 @@ def to_north() -> tuple[Axis, Ledger]:
 
 def test_a_search_for_the_room_of_a_path_finds_more_of_it_than_the_largest_region_has() -> None:
     axis, needs = to_north()
-    worth = path().worth(axis, 0.0, 0.0)
+    worth = path().worth(axis, needs, 0.0, 0.0)
     largest, roomy = whole(largest_steps(axis, needs)), whole(largest_steps(axis, needs, worth=worth))
     assert largest is not None
     assert roomy is not None
@@ -124,7 +124,9 @@ def test_a_search_for_the_room_of_a_path_finds_more_of_it_than_the_largest_regio
     t_s = np.arange(0.0, 12.0, 0.01)
     e, v = 1.5 * np.sin(0.6 * t_s), 0.9 * np.cos(0.6 * t_s)
     ahead = axis.response.c1_s + axis.response.delay_s
-    found = np.minimum(h(roomy[0].barrier, e, v), h(roomy[0].barrier, e + ahead * v, v))
+    off = needs(roomy[0].barrier)[0].off_mps
+    there = [h(roomy[0].barrier, e + ahead * v, v + sign * off) for sign in (-1.0, 1.0)]
+    found = np.minimum(h(roomy[0].barrier, e, v), np.minimum(*there))
     assert worth(roomy[0].barrier) == pytest.approx(np.min(found), abs=0.02)
 
 
@@ -133,6 +135,6 @@ def test_what_was_flown_before_the_edge_was_near_is_forgotten() -> None:
     found = whole(largest_steps(axis, needs))
     assert found is not None
     flown, area = path(), found[0].barrier.area_m2ps
-    assert flown.worth(axis, 0.0, 0.0)(found[0].barrier) < 1.0
+    assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) < 1.0
     flown.take(at(20.0, 1.8, 0.0), REGION, np.zeros(3))
-    assert flown.worth(axis, 0.0, 0.0)(found[0].barrier) == area
+    assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) == area

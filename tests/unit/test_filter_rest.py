@@ -21,7 +21,10 @@ OFF_M, ROOM_H = 0.01, 0.05
 MADE = dataclasses.replace(
     certified(4000),
     centre_ned_m=tuple(CENTRE),
-    axes=tuple(dataclasses.replace(axis, setting=axis.setting._replace(off_m=OFF_M)) for axis in certified(4000).axes),
+    axes=tuple(
+        dataclasses.replace(axis, setting=axis.setting._replace(off_m=OFF_M, inner=0.15))
+        for axis in certified(4000).axes
+    ),
 )
 
 
@@ -83,3 +86,12 @@ def test_the_governors_limits_are_the_certificates_in_force_and_end_with_it() ->
     ended = safety.adopt(state, dataclasses.replace(MADE, governor=terms, knowledge={"hand_over": True}))
     assert safety.governed(ended) is None
     assert safety.in_force(ended) is None
+
+
+def test_where_no_place_has_room_it_rests_in_the_middle() -> None:
+    axes = tuple(dataclasses.replace(axis, setting=axis.setting._replace(inner=0.99)) for axis in MADE.axes)
+    safety = BarrierFilter(MODEL, LIMITS)
+    state = safety.adopt(safety.init(ORIGIN), dataclasses.replace(MADE, axes=axes))
+    state.memory[0, M_MODE] = ENGAGED
+    bent = safety.bend(state, output(ORIGIN + CENTRE + [0.2, -0.2, 0.1]))
+    np.testing.assert_allclose(bent.row[:3], ORIGIN + CENTRE, atol=1e-12)

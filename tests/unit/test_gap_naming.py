@@ -18,7 +18,8 @@ from flightstack.gap.naming import whitening
 from flightstack.gap.naming.candidates import candidates, negligible
 from flightstack.gap.naming.estimate import estimate
 from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
-from flightstack.gap.naming.search import LEAST_EVIDENCE, bounded_step, members, search
+from flightstack.gap.naming.metric import bounded_step
+from flightstack.gap.naming.search import LEAST_EVIDENCE, members, search
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.simulate import Knob, value
 from flightstack.types import F64

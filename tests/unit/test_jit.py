@@ -15,11 +15,13 @@ import numba
 import numpy as np
 import pytest
 
+from flightstack.cli import compiled
 from flightstack.jit import njit
-from flightstack.typed_once import typed_once
+from flightstack.quick_compiling import typed_once
 
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
+from flightstack.cli import compiled
 from flightstack.jit import njit
 from benchmarks.called import scale
 
@@ -112,3 +114,30 @@ def test_a_function_compiled_with_remembered_operations_computes_the_same() -> N
         quick = numba.njit(error_model="numpy")(work)(*arguments)
     for a, b in zip(plain, quick, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def compiling(*parts: str) -> subprocess.Popen[str]:
+        asked.append(parts)
+        for part in parts:
+            compiled._marker(part).touch()
+        return subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compiled, "_compiling", compiling)
+    for parts in ((), ("simulator",), ("jsbsim", "flight"), ("jsbsim",)):
+        compiled.ensure_compiled(lambda text: None, *parts)
+    assert asked == [("flight",), ("jsbsim",)]
+
+
+def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> None:
+    half = compiled._compiling(compiled._UNFILTERED)
+    assert half.stdin is not None
+    half.stdin.close()
+    assert half.wait(60.0) == 1
+    assert half.stdout is not None
+    half.stdout.close()

@@ -138,3 +138,47 @@ def test_a_perfect_vehicle_costs_nothing() -> None:
     )  # fmt: skip
     assert setting == (2.0, *(7 * [0.0]))
     assert all(each.mps2 == 0.0 for each in margins)
+
+
+NOTHING = Doubts(0.0, 0.0, 0.0, age_s=0.0)
+C1, DELAY, FASTEST, HARDEST, SPAN = 0.1, 0.02, 1.0 / np.sqrt(0.6), 4.0, 6.5
+"""Of SHAPES[0] and `authority`; the error is 0.4."""
+
+
+@pytest.mark.parametrize(
+    ("axis", "c2_s2", "accuracy", "doubts", "coupling", "off_m", "off_mps"),
+    [
+        # E over the delay: 1/2 E t^2, which z (position and C1 times speed) moves by C1 t E beside; z apart by C1 E
+        (2, 0.0, (0, 0, 0), NOTHING, 0.0, (0.01 + C1) * 0.02 * 0.4, 0.02 * 0.4 + C1 * 0.4),
+        (2, 0.0, (0, 0, 0), NOTHING, 0.3, 0.00088, 0.048 + 0.3),
+        # an estimate that is off, seen C1 + delay ahead; of E as much is the attitude's own
+        (2, 0.0, (0.01, 0.02, 0), NOTHING, 0.0, 0.00088 + 0.01 + 0.12 * 0.02, 0.048 + 0.02),
+        (2, 0.0, (0, 0, 0.1), NOTHING, 0.0, 0.11 * 0.02 * 0.3 + 0.11 * 0.02 * 0.1, 0.12 * 0.3 + 0.12 * 0.1),
+        (0, 0.003, (0, 0, 0.1), NOTHING, 0.0, 0.11 * 0.02 * 0.3 + (0.003 + 0.0022) * 0.1, 0.048),
+        # 8 ms more or less of delay: along the motion at its fastest, and by the hardest command
+        (2, 0.0, (0, 0, 0), NOTHING._replace(delay_s=0.008), 0.0, 0.00088 + 0.008 * FASTEST,
+         0.048 + 0.008 * 0.4 + 0.008 * HARDEST),
+        # the rotors' constant off by a fifth, dC: hardest (C1 + dC / 2) dC, and dC / e of the span between two lags
+        (2, 0.0, (0, 0, 0), NOTHING._replace(lag_share=0.2), 0.0, 0.00088 + HARDEST * 0.11 * 0.02,
+         0.048 + 0.02 * SPAN / np.e),
+        # sideways the rotors' doubt is one of delay; the rate loop's is of its lag, C2 / C1 = 30 ms
+        (0, 0.003, (0, 0, 0), NOTHING._replace(lag_share=0.2, rotor_lag_s=0.05), 0.0, 0.00088 + 0.01 * FASTEST,
+         0.048 + 0.01 * 0.4 + 0.01 * HARDEST),
+        (0, 0.003, (0, 0, 0), NOTHING._replace(rate_lag_share=0.2), 0.3, 0.00088 + 0.5 * C1 * 0.006 * SPAN,
+         0.048 + 0.3 + 0.006 * SPAN),
+        # a sample 50 ms old: E and the attitude's error over them and over what is ahead
+        (2, 0.0, (0, 0.02, 0.1), NOTHING._replace(age_s=0.05), 0.0,
+         0.11 * 0.02 * 0.4 + 0.12 * 0.02 + 0.05 * (0.02 + 0.145 * 0.4), 0.12 * 0.4 + 0.02 + 0.05 * 0.4),
+    ],
+)  # fmt: skip
+def test_by_how_much_the_state_may_be_off_is_the_sum_worked_out_by_hand(
+    axis: int, c2_s2: float, accuracy: tuple[float, ...], doubts: Doubts, coupling: float, off_m: float, off_mps: float
+) -> None:
+    setting, _ = ledger(
+        axis, SHAPES[0], authority(), Response(C1, c2_s2, DELAY), gamma_ps=2.0, dt_s=DT,
+        accuracy=Accuracy(*accuracy), doubts=doubts, coupling_mps=coupling,
+    )  # fmt: skip
+    late = doubts.delay_s + (doubts.lag_share * doubts.rotor_lag_s if axis != 2 else 0.0)
+    grown = late * FASTEST * (np.sqrt(1.0 + setting.eta) - 1.0)  # at the edge of the region with its eta, nearly
+    assert setting.off_m == pytest.approx(off_m + grown, rel=1e-3 if late else 1e-9)
+    assert setting.off_mps == pytest.approx(off_mps, rel=1e-9)

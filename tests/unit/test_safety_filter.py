@@ -315,7 +315,7 @@ def test_a_yaw_rate_that_asks_for_little_torque_passes_through_an_intervention()
     ("present", "wanted", "sent"),
     [
         (0.0, 1.3, 0.2), (0.0, -1.3, -0.2), (0.5, 2.0, 0.7), (-0.5, -2.0, -0.7), (1.0, -2.0, 0.6), (-1.0, 2.0, -0.6),
-        (9.0, -2.0, 2.0),
+        (9.0, -2.0, 2.0), (0.5, -1.0, 0.1), (0.3, -1.0, 0.0), (0.1, -1.0, -0.1),
     ],
 )  # fmt: skip
 def test_an_engaged_filter_lets_yaw_turn_gently_only_and_thrust_as_it_was(present, wanted, sent):

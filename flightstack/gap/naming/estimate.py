@@ -21,7 +21,8 @@ from scipy.special import chdtrc
 from flightstack.effects import EFFECTS
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
-from flightstack.gap.naming.search import SelectionState, bounded_step
+from flightstack.gap.naming.metric import bounded_step
+from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.simulate import Knob, value, with_value
 from flightstack.types import F64

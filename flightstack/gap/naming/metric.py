@@ -41,3 +41,27 @@ def metric_of(point: Linearised) -> Metric:
     t = 1.0 / np.concatenate([point.negligible, point.nuisance_size])
     inner = np.linalg.inv((x.T @ x) / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
     return Metric(rows, x, inner)
+
+
+def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:
+    """The step that gains most within the bounds, and how many coefficients it could move.
+
+    Active set: what leaves its range is put on the edge and the others are solved again.
+    """
+    size = np.sqrt(np.maximum(np.diag(k), 0.0))
+    active = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    movable = active.copy()
+    step = np.zeros(len(b))
+    for _ in range(len(b) + 1):
+        if not active.any():
+            break
+        at = np.flatnonzero(active)
+        rest = b[at] - k[np.ix_(at, ~active)] @ step[~active]
+        scaled = k[np.ix_(at, at)] / np.outer(size[at], size[at]) + 1e-9 * np.eye(len(at))
+        step[at] = np.linalg.solve(scaled, rest / size[at]) / size[at]
+        beyond = active & ((step < low) | (step > high))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
+        active &= ~beyond
+    return step, int(movable.sum())

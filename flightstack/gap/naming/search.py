@@ -19,7 +19,7 @@ from flightstack.effects import EFFECTS
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
-from flightstack.gap.naming.metric import Metric, metric_of
+from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
 from flightstack.gap.simulate import Knob, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -363,30 +363,6 @@ def judged_fit(
     points = float(state.metric.rows.sum())
     price = score(0.0, used, len(effects), points, len(state.point.candidates))
     return Fit(effects, vehicle, rows, chi2, used, chi2 + float(price), pressed)
-
-
-def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:
-    """The step that gains most within the bounds, and how many coefficients it could move.
-
-    Active set: what leaves its range is put on the edge and the others are solved again.
-    """
-    size = np.sqrt(np.maximum(np.diag(k), 0.0))
-    active = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
-    movable = active.copy()
-    step = np.zeros(len(b))
-    for _ in range(len(b) + 1):
-        if not active.any():
-            break
-        at = np.flatnonzero(active)
-        rest = b[at] - k[np.ix_(at, ~active)] @ step[~active]
-        scaled = k[np.ix_(at, at)] / np.outer(size[at], size[at]) + 1e-9 * np.eye(len(at))
-        step[at] = np.linalg.solve(scaled, rest / size[at]) / size[at]
-        beyond = active & ((step < low) | (step > high))
-        if not beyond.any():
-            break
-        step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
-        active &= ~beyond
-    return step, int(movable.sum())
 
 
 def _best_on_the_way(
