@@ -1,4 +1,4 @@
-"""Whether what was named makes the file's vehicle another one.
+"""Whether two logs hold the same flight, and whether what was named makes the file's vehicle another one.
 
 An effect of the table changes one thing of a vehicle.  Another vehicle differs in all that its body and motors are:
 thrust for its mass, moments of inertia, how fast its rotors answer.  Each may be far off alone (a file's thrust was
@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from flightstack.gap.records import Found
+import numpy as np
+
+from flightstack.gap.records import Found, Samples
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
 
@@ -23,6 +25,26 @@ _MANY = 4.0
 """And all of them together."""
 _BIG = 2.5
 """Enough where all moments of inertia are off to the same side by `_TURN`, and something is left unexplained."""
+
+
+_COMMON_S = 5.0
+_SAME_NOISE = 0.9
+"""Correlation of an accelerometer's changes from sample to sample: another flight of the same path has other noise."""
+
+
+def same_flight(a: Samples, b: Samples) -> bool:
+    """Whether two logs hold the same sensors' noise at the same times of their clocks: one flight recorded twice."""
+    if a.dt_s < b.dt_s:
+        a, b = b, a
+    common = (a.t_s >= b.t_s[0]) & (a.t_s <= b.t_s[-1])
+    if common.sum() * a.dt_s < _COMMON_S:
+        return False
+    own = a.accel_frd_mps2[common]
+    other = np.stack([np.interp(a.t_s[common], b.t_s, column) for column in b.accel_frd_mps2.T], axis=1)
+    x, y = (np.diff(each, axis=0) for each in (own, other))
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    return bool(x @ y > _SAME_NOISE * np.sqrt((x @ x) * (y @ y)))  # nothing known: 0 is not above 0
 
 
 def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found], *, unexplained: bool) -> str:

@@ -17,7 +17,7 @@ from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
-from flightstack.gap.likeness import other_vehicle
+from flightstack.gap.likeness import other_vehicle, same_flight
 from flightstack.gap.name import EVERYWHERE, Naming, name
 from flightstack.gap.naming.estimate import fills
 from flightstack.gap.pooled import Split
@@ -60,6 +60,7 @@ def analyse(
     logs without motor commands: then only sensor effects can be named.
     """
     checked, kept = _checked(logs, holdout, vehicle, columns, ground_d_m, kinematics_only, on_progress)
+    checked = _each_once(checked, kept)
     flights, held = [_usable(c) for c in checked], [_usable(c) for c in kept]
     of = pooled.split(flights, held)
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
@@ -193,6 +194,21 @@ def _refuse(path: Path, checked: Checked) -> None:
     if checked.samples is None:
         reasons = [finding.text for finding in checked.findings if finding.level == "refused"]
         raise InputError(f"log {path}: {reasons[0] if reasons else 'no part of it can be used'}")
+
+
+def _each_once(checked: Sequence[Checked], kept: Sequence[Checked]) -> list[Checked]:
+    """The flights to learn from, each from the log that says most of it; InputError for one that is to judge, too.
+
+    Twice the same noise passes for twice the evidence.
+    """
+    once: list[Checked] = []
+    for each in sorted(checked, key=lambda c: len(_usable(c).derived)):
+        if not any(same_flight(_usable(each), _usable(other)) for other in once):
+            once.append(each)
+    for each in kept:
+        if any(same_flight(_usable(each), _usable(other)) for other in once):
+            raise InputError(f"log {each.flight.name}: holds a flight that is learned from; the verdict needs another")
+    return [each for each in checked if each in once]
 
 
 def _usable(checked: Checked) -> Samples:

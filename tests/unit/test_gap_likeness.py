@@ -7,9 +7,10 @@ import pytest
 from shipped import load_vehicle
 
 from benchmarks import gap_draw
-from flightstack.gap.likeness import other_vehicle
+from flightstack.gap.likeness import other_vehicle, same_flight
 from flightstack.gap.records import Estimate, Found
 from flightstack.vehicle import Vehicle, with_effects
+from tests.gap_flights import as_samples, fly, quad, wander
 
 Effects = dict[str, dict[str, float]]
 BODY = ("payload", "thrust_scale", "inertia", "motor_lag")
@@ -68,3 +69,14 @@ def test_one_thing_far_off_is_named_and_not_refused() -> None:
     for effects in ({"thrust_scale": {"scale": 0.5}}, {"payload": {"mass_kg": quad.mass_kg}}):
         assert said(quad, effects, unexplained=True) == ""
     assert said(quad, {"inertia": {"scale_x": 2.5, "scale_y": 2.5, "scale_z": 2.5}}, unexplained=True) == ""
+
+
+def test_a_flight_recorded_twice_is_told_from_another_one_of_the_same_path() -> None:
+    one, again, slower = (
+        as_samples(fly(quad(), quad(), wander(), seconds=8.0, seed=seed, every_ms=every))
+        for seed, every in ((1, 8), (2, 8), (1, 16))
+    )
+    assert same_flight(one, one)
+    assert same_flight(one, slower)
+    assert same_flight(slower, one)
+    assert not same_flight(one, again)

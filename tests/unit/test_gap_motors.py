@@ -11,6 +11,7 @@ from flightstack.gap import classes
 from flightstack.gap.records import Estimate, Found
 from flightstack.gap.result import GapResult
 from flightstack.gap.workflow import analyse
+from flightstack.types import InputError
 from flightstack_logs.readers.csv_file import HEADER
 from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
 
@@ -91,7 +92,9 @@ def test_a_log_with_slow_motors_beside_a_whole_one_is_no_hindrance(flown: Flown,
     logs = [
         written(flown, motors, "motor_", tmp_path / f"{k}.csv") for k, motors in enumerate((flown.motor, slow(flown)))
     ]
-    assert {found.name for found in analyse(logs, quad()).found} >= {"linear_drag", "payload"}
+    assert {found.name for found in analyse(logs, quad()).found} == {"linear_drag", "payload"}
+    with pytest.raises(InputError, match="holds a flight that is learned from"):
+        analyse(logs[:1], quad(), holdout=logs[1:])
 
 
 def test_what_a_hover_shows_as_a_mean_only_is_named(tmp_path: Path) -> None:
