@@ -107,14 +107,17 @@ def _compare(
             if i == DOWN:
                 measured += STANDARD_GRAVITY_MPS2
             error[i] = measured - column_at(tables[i], 1, row[3 + i]) + gain * thrust_mps2 * turn[i, 2]
-    if np.isfinite(error).all():
+    if math.isfinite(error[0] + error[1] + error[2]):
         mean += _MEAN_SHARE * (error - mean)
         for i in range(3):
             if tables[i].size:
                 for k in range(2):
                     beyond = (error[i] if k == 0 else -error[i]) - bound[i] - _NOISE_MPS2
                     sums[k, i] = max(sums[k, i] + beyond * dt_s, 0.0)
-    return bool(np.any(sums[0] > allowed) or np.any(sums[1] > allowed))
+    over = False
+    for i in range(3):
+        over = over or sums[0, i] > allowed[i] or sums[1, i] > allowed[i]
+    return over
 
 
 def prepare() -> None:

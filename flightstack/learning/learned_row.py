@@ -118,7 +118,7 @@ def assemble(
     """
     carried(looked, carry_s, forward)
     most, gain_least, gain_most = limits[0], limits[1], limits[2]
-    if not np.isfinite(forward).all():
+    if not math.isfinite(forward.sum()):
         forward[:] = 0.0
     tilt, later = np.empty((3, 3)), np.empty((3, 3))
     step = 1e-3

@@ -10,7 +10,7 @@ import pytest
 from barriers import PAPER, changing, constant, cross_term, h
 
 from flightstack.barrier.condition import Setting, coefficients
-from flightstack.barrier.cover import Cover, bands, cover, region_box
+from flightstack.barrier.cover import Cover, _insert, bands, cover, region_box
 from flightstack.barrier.design import at_speed, published
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
@@ -181,3 +181,13 @@ def test_bands_are_the_reach_between_the_nodes() -> None:
     for row in bands(authority):
         for v in np.linspace(row[0] + 1e-9, row[1], 7):
             assert tuple(row[2:]) == authority.reach(v)
+
+
+def test_speeds_at_which_boxes_begin_rise_and_come_once() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        given = np.round(rng.normal(size=rng.integers(1, 12)), 1)
+        held, count = np.empty(len(given)), 0
+        for v in given.tolist():
+            count = _insert(held, count, v)
+        np.testing.assert_array_equal(held[:count], np.unique(given))
