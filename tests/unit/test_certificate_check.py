@@ -306,7 +306,7 @@ def test_the_process_is_that_of_scikit_learn() -> None:
     theirs = ConstantKernel(0.7) * Matern([0.8, 1.7], nu=1.5) + ConstantKernel(1.3) * RBF(1.1)
     model = GaussianProcessRegressor(theirs, alpha=0.05, optimizer=None).fit(x, y[:, 0])
     mean, std = model.predict(queries, return_std=True)
-    ours, variance, sums = posterior(spec, x, y, factor(spec, x, 0.05, ""), queries, "")
+    ours, variance, sums = posterior(spec, x, y, factor(spec, x, 0.05 * np.eye(25), ""), queries, "")
     alone = [model.fit(x, unit).predict(queries) for unit in np.eye(25)]  # the weight of one point
     np.testing.assert_allclose(sums, np.abs(alone).sum(axis=0), atol=1e-9)
     np.testing.assert_allclose(ours[:, 0], mean, atol=1e-10)

@@ -2,7 +2,8 @@
 
 Recorded by another client, which armed, selected OFFBOARD at 64 s and let its stream die at 111 s; PX4's failsafe then
 returned and landed, and that client's resumed stream brought OFFBOARD back at 125 s.  Our setpoints change nothing in a
-recording, so tracking means nothing; who may fly, and when to let go, does.
+recording, so tracking means nothing; who may fly, and when to let go, does.  A vehicle that obeys another does not
+turn as we tell it: `Swinging` would rightly land it 8 s on, so it's out of force here but where that itself is asked.
 """
 
 from __future__ import annotations
@@ -70,7 +71,23 @@ def _play(path: Path, *, arm: bool, systems: tuple[int, ...] = (PX4,)) -> Flown:
 
 @pytest.fixture(scope="module")
 def flown(recorded: Path) -> Flown:
-    return _play(recorded / "px4_sih_offboard.tlog", arm=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mavlink_bridge.notes._SWING_RAD", np.inf)
+        return _play(recorded / "px4_sih_offboard.tlog", arm=False)
+
+
+def test_a_real_px4_that_does_not_turn_as_it_is_told_is_landed_and_then_left_alone(recorded: Path) -> None:
+    """It flies on, obeying its own client, while we tell it otherwise, then ask for Land; then PX4's failsafe."""
+    flown = _play(recorded / "px4_sih_offboard.tlog", arm=False)
+    assert [state for _, state in flown.states][4:] == [State.OFFBOARD, State.LANDING, State.PILOT]
+    at = {state: t_s for t_s, state in flown.states}
+    assert at[State.OFFBOARD] + 3.0 < at[State.LANDING] < at[State.OFFBOARD] + 10.0
+    assert 111.4 < at[State.PILOT] < 112.6
+    assert flown.companion.reason.startswith("swinging: ")
+    modes = [command.params[:3] for command in flown.commands if command.command == 176]
+    assert modes
+    assert set(modes) == {(1.0, 4.0, 6.0)}  # AUTO.LAND and nothing else
+    assert flown.setpoints[-1][0] <= at[State.PILOT]
 
 
 def test_it_flies_from_the_pilots_offboard_to_px4s_failsafe_and_never_again(flown: Flown) -> None:
