@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.signal import csd, welch
+from scipy.special import chdtri
 
 from flightstack.types import F64
 
@@ -25,6 +26,8 @@ _BETTER = 0.8
 """Share of the usual crossovers' error below which others are taken."""
 _SLOW_S, _SLOWER_S = 3.0, 12.0
 """Means of the disagreement: of the power of the shorter's, one of white noise keeps a quarter in the longer's."""
+_CHANCE = 0.05
+"""Probability that white noise's few longer means pass for an error that does not fade."""
 _BOUNDED_HZ = 0.16
 """Below this the position is taken where the velocity errs slowly."""
 
@@ -39,6 +42,7 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
     by_position = np.gradient(position, dt_s, axis=0) - velocity
     by_inertia = inertial - velocity
     chosen, std = [], np.zeros(3)
+    share = _white_share(max(1, len(velocity) // round(_SLOWER_S / dt_s)))
     for axis in range(3):
         hz, errors = _errors(by_position[:, axis], by_inertia[:, axis], dt_s)
         left = {
@@ -52,12 +56,17 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
             best = _USUAL_HZ
         slow, slower = (_mean_power(by_position[:, axis], round(s / dt_s)) for s in (_SLOW_S, _SLOWER_S))
         least = left[best]
-        if slower > max(least, slow / 3.0):
+        if slower > max(least, share * slow):
             best = max(best[0], _BOUNDED_HZ), max(best[1], _USUAL_HZ[1])
             slower *= 0.5  # of two that differ by so much, each errs by half the power
         chosen.append(best)
         std[axis] = np.sqrt(least + slower)
     return chosen, std
+
+
+def _white_share(means: int) -> float:
+    """Of the shorter means' power, what so many of the longer hold of white noise at most, but for chance."""
+    return max(1.0 / 3.0, _SLOW_S / _SLOWER_S * float(chdtri(means, _CHANCE)) / means)
 
 
 def _mean_power(x: F64, block: int) -> float:

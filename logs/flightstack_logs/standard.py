@@ -19,6 +19,7 @@ from flightstack_logs.topics import TOPICS, severity_names
 from flightstack_logs.turn import euler_to_quaternion
 
 _OUTPUTS = 16
+_MOST_WHOLE = 1e9
 _LOW_US, _SPAN_US = 1000.0, 1000.0
 """Pulse widths of a command of 0, and more at one of 1."""
 _ARMED, _IN_AIR = 128, (2, 3, 4)
@@ -55,6 +56,12 @@ def _has(table: Table | None, names: Iterable[str], ndim: int = 1) -> bool:
         return False
     columns = [table.columns.get(name) for name in names]
     return all(column is not None and column.dtype.kind in "biuf" and column.ndim == ndim for column in columns)
+
+
+def _whole(values: np.ndarray, unknown: int = 0) -> NDArray[np.int64]:
+    """As whole numbers: what is none, or more than any output or share, as `unknown`."""
+    known = np.abs(values.astype(np.float64)) < _MOST_WHOLE  # False for NaN
+    return np.where(known, values, unknown).astype(np.int64)
 
 
 def _at(t_us: NDArray[np.int64], table: Table, values: F64) -> F64:
@@ -226,12 +233,12 @@ def _dataflash(tables: Found, first_us: int) -> Found:
         names = [name for i in range(1, _OUTPUTS + 1) if _has(outputs, (name := f"{before_3_4}{i}",))]
         wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
         if names:
-            wide[:, : len(names)] = _columns(outputs, *names)
+            wide[:, : len(names)] = _whole(_columns(outputs, *names))
         _put(found, "/vehicle/motors", outputs.t_us, outputs.t_us, wide)
     power = tables.get("BAT", tables.get("CURR"))
     if power is not None and _has(power, ("Volt", "Curr")):
         left = power["RemPct"] if _has(power, ("RemPct",)) else np.full(len(power), -1)
-        _put(found, "/vehicle/battery", power.t_us, power["Volt"], power["Curr"], left.astype(np.int64))
+        _put(found, "/vehicle/battery", power.t_us, power["Volt"], power["Curr"], _whole(left, -1))
     said = tables.get("MSG")
     if said is not None and "Message" in said.columns and said["Message"].dtype.kind in "US":
         level = np.full(len(said), "info")

@@ -174,6 +174,17 @@ def test_a_filters_velocity_that_errs_slowly_as_its_own_inertia_does_gives_way_t
     assert np.all(std < 0.05)
 
 
+def test_few_slow_means_of_white_noise_are_not_taken_for_a_velocity_that_errs_slowly() -> None:
+    """50 s hold four means of 12 s; at a third of the power of those over 3 s, one axis in seven was taken for slow."""
+    rng, dt, n = np.random.default_rng(11), 0.02, 2555
+    still, taken = np.zeros((n, 3)), 0
+    for _ in range(40):
+        steps = np.repeat(0.2 * rng.standard_normal((n // 50 + 1, 3)), 50, axis=0)[:n]
+        chosen, _ = crossovers(steps, still, np.gradient(steps, dt, axis=0), dt)
+        taken += sum(low == 0.16 for low, _ in chosen)
+    assert taken <= 12  # of 120, a tenth
+
+
 def test_turning_there_and_back(exact: Samples) -> None:
     v = exact.accel_frd_mps2
     assert rotate_inverse(exact.q_ned_frd, rotate(exact.q_ned_frd, v)) == pytest.approx(v, abs=1e-12)

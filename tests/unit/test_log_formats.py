@@ -225,6 +225,20 @@ def test_arducopters_old_names_of_outputs_are_known_and_a_filter_that_never_ran_
     assert "/vehicle/attitude" in idle.tables
 
 
+def test_a_signalling_nan_and_outputs_that_are_no_whole_numbers_are_read_without_a_warning(tmp_path: Path) -> None:
+    """Bytes of a damaged log, or one that describes its outputs as floats; pytest takes a warning for an error."""
+    whole, signalling = dataflash(), struct.pack("<I", 0x7F800001)
+    broken = whole.replace(struct.pack("<f", 0.1), signalling).replace(struct.pack("<f", 15.9), signalling)
+    letters, columns = (text.encode() for text in FORMATS["RCOU"])
+    as_halves = letters.replace(b"H", b"g").ljust(16, b"\0") + columns.ljust(64, b"\0")
+    broken = broken.replace(letters.ljust(16, b"\0") + columns.ljust(64, b"\0"), as_halves)
+    broken = broken.replace(struct.pack("<4H", *4 * (1500,)), struct.pack("<4e", np.nan, np.inf, -np.inf, 1500.0))
+    (path := tmp_path / "a.BIN").write_bytes(broken)
+    log = with_vehicle_topics(read(path))
+    assert np.all(log.tables["/vehicle/motors"]["pwm_us"][:, :4] == [0, 0, 0, 1500])
+    assert np.all(np.isnan(log.tables["/vehicle/battery"]["voltage_v"]))
+
+
 @pytest.mark.parametrize("kind", ["tlog", "dataflash"])
 def test_the_circle_is_the_same_under_our_topics_whoever_recorded_it(logs: dict[str, Path], kind: str) -> None:
     log = with_vehicle_topics(read(logs[kind]))

@@ -141,7 +141,7 @@ def _tables(kind: _Kind, data: bytes) -> dict[str, Table]:
     stamp = next((n for n in ("TimeUS", "TimeMS") if n in names and kind.row[n].kind in "iuf"), None)
     if stamp is None:
         return {}
-    t_us = (1.0 if stamp == "TimeUS" else 1e3) * rows[stamp].astype(np.float64)
+    t_us = (1.0 if stamp == "TimeUS" else 1e3) * _double(rows[stamp])
     good = np.flatnonzero((t_us >= 0.0) & (t_us < _LATEST_US))
     rows, stamps = rows[good], t_us[good].astype(np.int64)
     instance = next((name for name in ("I", "C", "Instance") if name in names and rows[name].dtype.kind in "iu"), None)
@@ -166,5 +166,12 @@ def _typed(values: np.ndarray, scale: float | None) -> np.ndarray:
     if values.dtype.kind == "S":
         return np.array([value.decode("utf-8", "replace") for value in values.tolist()], dtype=np.str_)
     if scale is not None:
-        return values.astype(np.float64) * scale
-    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+        return _double(values) * scale
+    return _double(values) if values.dtype.kind == "f" else values.astype(np.int64)
+
+
+def _double(values: np.ndarray) -> np.ndarray:
+    """As float64; NaN that signal, as damaged bytes may spell, are plain ones then: numpy warns of each use."""
+    with np.errstate(invalid="ignore"):
+        wide = values.astype(np.float64)
+    return np.where(np.isnan(wide), np.nan, wide)
