@@ -63,7 +63,7 @@ _SMOOTH_M = 0.1
 _SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
 _FADES_PS = tuple(2.5 - 0.1 * k for k in range(18))
 _TURNED_BACK = 0.1
-"""Of the speed that was stopped from; set: quad-x turns back by 0.025 of it at 2.5 / s, 5 kg that turn slowly by 0.46."""
+"""Of the speed that was stopped from; set: at 2.5 / s quad-x turns back by 0.025 of it, slow 5 kg by 0.46."""
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
 _LATE_S = 0.01
 _STEER_PS = 6.5
