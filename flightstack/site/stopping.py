@@ -26,6 +26,7 @@ g_h and the least thrust F_low that the governor lets through leave of weight an
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -60,6 +61,9 @@ _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
 _LED_S = 0.09
 _SMOOTH_M = 0.1
 _SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
+_FADES_PS = tuple(2.5 - 0.1 * k for k in range(18))
+_TURNED_BACK = 0.1
+"""Of the speed that was stopped from; set: at 2.5 / s quad-x turns back by 0.025 of it, slow 5 kg by 0.46."""
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
 _LATE_S = 0.01
 _STEER_PS = 6.5
@@ -236,6 +240,7 @@ def stopping(
             f"{prior.mass_high * (1.0 + prior.force_g):.2f}: nothing keeps it in a site but a certificate of less mass"
         )
     for row, each in zip(made.rows, made.soft, strict=True):
+        row[b.FADE] = _fade_ps(row, made.tubes()[1])
         each[slide.SLOW_S] = _slow_s(row, made.tubes()[1]) + _SMOOTH_LATE_S
     return made
 
@@ -324,14 +329,26 @@ def _authority(
     return a, up, min(a + _DEMAND * force_mps2, tilted)
 
 
+def _fade_ps(row: F64, tube: F64) -> float:
+    """How fast braking may fade with the speed, the fastest of some: lean that is taken back too late for the snap that
+    there is turns the way back, which costs the lean and the snap that following it needs."""
+    for fade_ps in _FADES_PS:
+        row[b.FADE] = fade_ps
+        turned = max(-float(points[:, VEL_N].min()) / speed for speed, points in _stops(row, tube))
+        if turned <= _TURNED_BACK:
+            break
+    return fade_ps
+
+
 def _slow_s(row: F64, tube: F64) -> float:
     """Time that a stop takes beyond its ideal way, at the worst of some speeds."""
-    points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
-    slow = 0.0
+    return max(float(points[-1, 0] - 0.5 * v**2 / row[b.ACROSS]) / v for v, points in _stops(row, tube))
+
+
+def _stops(row: F64, tube: F64) -> Iterator[tuple[float, F64]]:
+    """Ways to rest from level flight at some speeds, with the speed; as good as at rest where there is none in time."""
     for speed in (0.5, 1.0, 2.0, 3.0, 5.0):
-        start = np.zeros(b.ROW)
-        start[VEL_N] = speed
-        count = b.roll(start, row, tube, points, way)
-        if count:
-            slow = max(slow, (points[count - 1, 0] - 0.5 * speed**2 / row[b.ACROSS]) / speed)
-    return float(slow)
+        points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+        points[0, VEL_N] = speed
+        count = b.roll(points[0], row, tube, points, way)
+        yield speed, points[:count] if count else np.zeros((1, b.ROW))

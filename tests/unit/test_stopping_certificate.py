@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
@@ -17,6 +18,8 @@ from flightstack.cli.certify_site import narrowed
 from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
+from flightstack.rows import VEL_N
+from flightstack.site import backup
 from flightstack.site.certificate import as_json, prior_of, require_same
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
@@ -214,3 +217,23 @@ def test_a_refusal_says_what_is_missing() -> None:
     ringing = dataclasses.replace(governor, chi=90.0, margin=0.49)
     with pytest.raises(InputError, match=r"torque up to 90 times what is modelled.*MC_ROLLRATE_K"):
         stopping(vehicle, model, Limits(), estimate, ringing)
+
+
+def test_a_way_out_does_not_turn_back_where_little_snap_takes_lean_back() -> None:
+    """5 kg that turn slowly stopped from 2 m/s by flying back at 0.9: the nominal way alone, without any doubt."""
+    believed, _ = files.load_vehicle(None)
+    heavy = dataclasses.replace(
+        believed, mass_kg=5.0, inertia_kgm2=np.array([0.2, 0.21, 0.34]),
+        rotors=dataclasses.replace(
+            believed.rotors, position_m=believed.rotors.position_m * 0.4 / np.hypot(*believed.rotors.position_m[0, :2]),
+            max_thrust_n=2.0 * 5.0 * STANDARD_GRAVITY_MPS2 / 4.0, time_constant_s=0.06,
+        ),
+    )  # fmt: skip
+    model, estimate = Model.from_vehicle(heavy), estimate_bounds(error_statistics(load_grade("mocap")))
+    made = stopping(heavy, model, Limits(), estimate, governor_for(heavy, model, Limits(), "mocap"))
+    start, points, way = np.zeros(backup.ROW), np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
+    for speed in (1.5, 2.5, 4.0):
+        start[VEL_N] = speed
+        count = backup.roll(start, made.rows[8], made.tubes()[1], points, way)
+        assert count > 0
+        assert points[:count, VEL_N].min() > -0.12 * speed
