@@ -40,7 +40,7 @@ def leaning() -> AttackFlight:
     return engaged(World(0), 503)
 
 
-ENDS = pytest.mark.xfail(reason="leans 0.02 beyond the certificate for 0.14 s, inside: docs/limits.md", strict=False)
+ENDS = pytest.mark.xfail(reason="leans 0.02 beyond the certificate for 0.14 s, inside: docs/limits.md", strict=True)
 """What is open: barriers come before the lean; it ends a protection in 1 of 3 seeds since certificates come sooner."""
 
 
