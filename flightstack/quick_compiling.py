@@ -52,14 +52,26 @@ def typed_once() -> Iterator[None]:
 
 
 @contextmanager
+def locked(name: str) -> Iterator[None]:
+    """Nobody else does meanwhile what goes by this name; where there are no locks, all do."""
+    try:
+        file = (cache_folder() / f"{name}.lock").open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
 def kept_in_turn() -> Iterator[None]:
-    """One process at a time adds to the cache; where there are no locks, all do."""
+    """One process at a time adds to the cache."""
     keep = IndexDataCacheFile.save
 
     def save(self: Any, key: Any, data: Any) -> None:
-        with (cache_folder() / "keeping.lock").open("w") as file:
-            with suppress(OSError):
-                fcntl.flock(file, fcntl.LOCK_EX)
+        with locked("keeping"):
             keep(self, key, data)
 
     with _replaced((IndexDataCacheFile, save)):

@@ -8,20 +8,20 @@ part takes two processes, which share what they compile through the cache.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
 from flightstack.jit import cache_folder, sources_key
-from flightstack.quick_compiling import quick_compiling
+from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
+from mavlink_bridge.transport.machine import stand_back
 
 SIMULATOR, JSBSIM, FLIGHT = "simulator", "jsbsim", "flight"
 PARTS = (SIMULATOR, JSBSIM, FLIGHT)
@@ -72,20 +72,6 @@ def _marker(part: str) -> Path:
     return cache_folder() / f"{part}-is-compiled-{sources_key()}"
 
 
-@contextmanager
-def _alone() -> Iterator[None]:
-    """Nobody else compiles meanwhile; where there are no locks, all do."""
-    try:
-        file = (cache_folder() / "compiling.lock").open("w")
-    except OSError:
-        yield
-        return
-    with file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
 def _tell_progress() -> None:
     """From now on a line every few seconds says how many functions are compiled."""
     from numba.core import event
@@ -133,13 +119,14 @@ def compile_part(part: str) -> None:
 
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
+    stand_back()  # two processes that compile in real time leave nobody a processor for a minute
     for part in parts or [FLIGHT]:
         if part == _UNFILTERED:
             _end_with(sys.stdin)
             with quick_compiling():
                 compile_part(part)
             continue
-        with _alone():
+        with locked("compiling"):
             if not compiled(part):
                 _tell_progress()
                 with quick_compiling():

@@ -8,7 +8,6 @@ why.
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
 import socket
@@ -24,6 +23,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.barrier.search import Ratios
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.types import Learned
+from mavlink_bridge.transport.machine import stand_back
 
 _LENGTH = struct.Struct("<Q")
 _BUFFER = 1 << 20
@@ -198,20 +198,12 @@ def serve(end: socket.socket) -> None:
     """The process: one certificate after the other until the flight's end of the socket is closed."""
     for word in (signal.SIGINT, signal.SIGTERM):  # the flight's business: it lands, and then closes the socket
         signal.signal(word, signal.SIG_IGN)
-    _stand_back()
+    stand_back(_NICENESS)
     compile_all()
     with end, suppress(OSError):
         while (message := _read(end)) is not None:
             answer = pickle.dumps(_made(message), pickle.HIGHEST_PROTOCOL)
             end.sendall(_LENGTH.pack(len(answer)) + answer)
-
-
-def _stand_back() -> None:
-    """Run where the flight leaves room: a service's real-time priority (docs/companion.md) is inherited, not meant."""
-    with suppress(AttributeError, OSError):  # Linux has the first, Windows neither
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    with suppress(AttributeError, OSError):
-        os.nice(_NICENESS)
 
 
 def _made(message: bytes) -> _Reply:

@@ -28,6 +28,14 @@ def raise_priority() -> None:
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
 
 
+def stand_back(niceness: int = 0) -> None:
+    """Run where others leave room: a service's real-time priority (docs/companion.md) is inherited, not meant."""
+    with contextlib.suppress(AttributeError, OSError):  # Linux has the first, Windows neither
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with contextlib.suppress(AttributeError, OSError):
+        os.nice(niceness)
+
+
 def take_short_turns() -> bool:
     """Ask for turns of 0.1 ms on the processor, the shortest there are, and so to be let in soon; whether it is done.
 

@@ -15,12 +15,14 @@ import numba
 import numpy as np
 import pytest
 
+from flightstack import quick_compiling
 from flightstack.cli import compiled
 from flightstack.jit import njit
 from flightstack.quick_compiling import typed_once
 
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
+from flightstack import quick_compiling
 from flightstack.cli import compiled
 from flightstack.jit import njit
 from benchmarks.called import scale
@@ -141,3 +143,22 @@ def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> No
     assert half.wait(60.0) == 1
     assert half.stdout is not None
     half.stdout.close()
+
+
+def test_compiling_gives_back_the_priority_that_a_flight_was_started_with() -> None:
+    """Two processes that compiled in real time (`chrt -f 20 flightstack offboard`) held both processors."""
+    program = "import os\nfrom flightstack.cli import compiled\ncompiled.compiled = lambda part: True\n"
+    program += "compiled.main(['simulator'])\nprint(os.sched_getscheduler(0))"
+    raised = "import os, sys\nos.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))\n"  # needs no permission
+    command = [sys.executable, "-P", "-c", raised + "os.execv(sys.argv[1], sys.argv[1:])", sys.executable, "-P", "-c"]
+    done = subprocess.run([*command, program], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == os.SCHED_OTHER
+
+
+def test_a_cache_folder_that_went_away_stops_no_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quick_compiling, "cache_folder", lambda: tmp_path / "gone")
+    kept: list[object] = []
+    monkeypatch.setattr(quick_compiling.IndexDataCacheFile, "save", lambda self, key, data: kept.append(data))
+    with quick_compiling.kept_in_turn():
+        quick_compiling.IndexDataCacheFile.save(None, "key", "code")
+    assert kept == ["code"]
