@@ -222,7 +222,7 @@ def stopping(
     lag_across = slower * model.rate_lag_s + held_s
     lag_along = slower * model.motor_lag_s + held_s + 0.01
     snap = governor.roll_pitch_max * _alpha(vehicle, model) * G
-    tubes = across(lag_across, doubts[0], steady_pole_ps(snap)), along(lag_along, doubts[1])
+    tubes = across(lag_across, doubts[0], steady_pole_ps(snap, model.motor_lag_s)), along(lag_along, doubts[1])
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     down = _down(vehicle, prior, governor, least)

@@ -231,6 +231,8 @@ def test_a_way_out_does_not_turn_back_where_little_snap_takes_lean_back() -> Non
     )  # fmt: skip
     model, estimate = Model.from_vehicle(heavy), estimate_bounds(error_statistics(load_grade("mocap")))
     made = stopping(heavy, model, Limits(), estimate, governor_for(heavy, model, Limits(), "mocap"))
+    # and is followed no faster than rotors of 60 ms turn it: snap over 8.5 m/s^2, once for each 25 ms
+    assert (made.across.gains.acc_ps / 3.0) ** 2 <= made.snap_mps4 / (8.5 * 0.06 / 0.025)
     start, points, way = np.zeros(backup.ROW), np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed in (1.5, 2.5, 4.0):
         start[VEL_N] = speed
