@@ -185,7 +185,9 @@ def _inject(context: Context, params: Params) -> Result | None:
         return Result.DENIED
     unit, kind, instance = (_integer(value) if math.isfinite(value) else 0 for value in params[:3])
     view, sensors = context.view, context.view.vehicle.sensors
-    if unit == _MOTOR and kind in (WORKS, OFF) and 0 <= instance <= _MOTORS:
+    if unit == _MOTOR and kind in (STUCK, _WRONG) and 0 <= instance <= _MOTORS:
+        pass  # PX4 spoils the telemetry of its motor controllers, which is not sent here
+    elif unit == _MOTOR and kind in (WORKS, OFF) and 0 <= instance <= _MOTORS:
         view.vehicle.fail_motor(instance, failed=kind == OFF)
     elif unit == _BATTERY and kind in (WORKS, OFF):
         view.battery.forced = 0.0 if kind == OFF else None

@@ -94,6 +94,21 @@ def test_a_quadrotor_that_loses_a_motor_tumbles_and_falls() -> None:
         station.run_until(lambda station=station: station.vehicle.plant.on_ground, 4.0)  # type: ignore[misc]
 
 
+def test_all_motors_stop_and_one_of_them_alone_runs_again() -> None:
+    """PX4: FailureInjector.cpp, instance 0 is every motor; each has a bit of its own."""
+    station = airborne()
+    assert station.command(INJECT, MOTOR, 1.0, 0.0) == [0]
+    station.run(0.4)  # eight of the rotors' time constants of 50 ms
+    plant = station.vehicle.plant
+    assert sum(plant.truth().rotor_thrust_n) < math.exp(-7.0) * 9.81  # of a weight of 9.81 N
+    assert plant.vel_ned_mps[2] > 2.0
+    assert station.command(INJECT, MOTOR, 0.0, 2.0) == [0]
+    station.run(0.1)
+    assert [thrust > 0.1 for thrust in plant.truth().rotor_thrust_n] == [False, True, False, False]
+    for kind in (2.0, 4.0):  # the telemetry of motor controllers, which is not there
+        assert station.command(INJECT, MOTOR, kind, 0.0) == [0]
+
+
 def test_failures_are_injected_and_taken_back() -> None:
     station = airborne()
     assert station.command(INJECT, BATTERY, 1.0) == [0]
