@@ -232,7 +232,7 @@ class Companion:
         elif state is State.LANDING:
             self.land_command_us = t_us
             self._now.landing_limit_s = landing_limit_s(self._height_m())
-            if event is HandshakeEvent.STOP and self.mission is not None:
+            if event in (HandshakeEvent.STOP, HandshakeEvent.ENDED) and self.mission is not None:
                 self.mission = self.mission.stop(self._mission_time_s())
             self._mission_complete = event is HandshakeEvent.MISSION_DONE
             self._now.landing_for = "" if self._mission_complete else self.reason
@@ -340,9 +340,9 @@ class Companion:
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
         if reason := self._broken.take(record) or self._swinging.take(record):
-            self.stop(reason)
+            self._now.ending = self._now.ending or reason
         if record.filtered.handed_over:
-            self.stop("handed over: what kept the flight in its region was falsified by what was measured")
+            self._now.ending = "handed over: what kept the flight in its region was falsified by what was measured"
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
 

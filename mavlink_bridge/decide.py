@@ -76,6 +76,8 @@ class Situation:
     """Another companion on the link, in words; empty: none."""
     stop_requested: str = ""
     """Why the user wants to stop; empty: goes on."""
+    ending: str = ""
+    """Why the companion itself ends the flight early; empty: goes on."""
     fresh: bool = False
     """Attitude, position and IMU are there and not stale."""
     parameters_changed: bool = False
@@ -269,6 +271,8 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
         return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
+    if now.ending:
+        return Decision(HandshakeEvent.ENDED, now.ending)
     if now.trouble:
         fault = FAULTS[now.trouble]
         event = HandshakeEvent.FAULT_HOLD if fault.reaction is Reaction.HOLD else HandshakeEvent.FAULT_LAND

@@ -125,6 +125,8 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.OFFBOARD, FLYING, {"foreign_system": 2, "rival": "another"}, 1.0, None),  # in flight nobody is refused
     (State.OFFBOARD, FLYING, {"mission_done": True}, 1.0, E.MISSION_DONE),
     (State.OFFBOARD, FLYING, {"stop_requested": "enough"}, 1.0, E.STOP),
+    (State.OFFBOARD, FLYING, {"ending": "swinging"}, 1.0, E.ENDED),
+    (State.OFFBOARD, AWAY, {"ending": "swinging"}, 1.0, E.TOOK_OVER),  # the pilot comes first
     (State.OFFBOARD, DISARMED, {}, 1.0, E.TOOK_OVER),
     (State.OFFBOARD, {"armed": False, "heartbeat_at_us": ENTERED, "in_offboard": True}, {}, 1.0, None),
     (State.OFFBOARD, AWAY, {}, 1.0, E.TOOK_OVER),

@@ -271,7 +271,7 @@ def test_too_many_missed_ticks_hand_back_to_hold() -> None:
 @pytest.mark.parametrize(("swing_rad", "ends"), [(0.35, False), (0.9, True)])
 def test_a_vehicle_that_swings_instead_of_turning_as_told_lands(swing_rad: float, ends: bool) -> None:
     """Rolling to and fro at 1 Hz, whatever it is told (level, nearly): rms 0.25 and 0.64 rad; 0.4 counts."""
-    companion, _, vehicle, start = flying()
+    companion, notes, vehicle, start = flying()
 
     def alter(message: Any) -> Any:
         t_s = (message[0] - start) * 1e-6
@@ -290,6 +290,7 @@ def test_a_vehicle_that_swings_instead_of_turning_as_told_lands(swing_rad: float
     exchange(companion, vehicle, 8.0, start_us=start, until=lambda: companion.state is not State.OFFBOARD)
     assert (companion.state is State.LANDING) is ends
     assert companion.reason.startswith("swinging: ") is ends
+    assert any("the companion ends the flight early (swinging: " in text for text in notes.texts("state")) is ends
 
 
 def test_a_guard_that_does_not_let_go_ends_the_flight() -> None:
