@@ -86,9 +86,8 @@ def _shell(*words: str, watched_s: float = 10.0) -> Callable[[Scene], None]:
         scene.began_s = time.monotonic()
         folder = os.environ["PX4_SHELL"]
         filled = [word.format(port=14580 + scene.px4.instance) for word in words[1:]]
-        subprocess.run(
-            [f"{folder}/px4-{words[0]}", "--instance", str(scene.px4.instance), *filled], check=False, timeout=10.0
-        )
+        program = [f"{folder}/px4-{words[0]}", "--instance", str(scene.px4.instance), *filled]
+        scene.others.append(subprocess.Popen(program))  # PX4 may never answer
         scene.wait(lambda: scene.ended, watched_s)
 
     return deed
