@@ -91,6 +91,8 @@ class Px4Sim:
             replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed, plant=options.plant
         )
         self.server = Server(vehicle, system=options.sysid)
+        if options.speed <= 0.0:
+            self.server.gcs_waiting = set()
         self.recording = Recording()
         self._seam = Seam(self.server, 2, options.seed)
         self._ports = (free_port(), free_port())
@@ -165,6 +167,7 @@ class Px4Sim:
             self._collect()
             self._wait_for_client()
             self._wait_for_wall()
+        self._hear_ground_stations()
         self._flush()
 
     def step_until(self, condition: Callable[[], bool], timeout_s: float = 60.0) -> bool:
@@ -179,6 +182,7 @@ class Px4Sim:
     def serve(self) -> None:
         """Answer what clients have asked, at the vehicle's present time: commands, parameters, missions."""
         self._receive()
+        self._hear_ground_stations()
         self.server.answer()
         self._collect()
         self._flush()
@@ -287,20 +291,29 @@ class Px4Sim:
             self._sockets[index].send(self._packed[index])
             self._packed[index] = b""
 
+    def _hear_ground_stations(self) -> None:
+        """One that comes by the wall's time counts from here on: between two steps, whenever within one it came."""
+        for index in self.server.gcs_waiting or ():
+            self.server.hear_gcs(index)
+        self.server.gcs_waiting = None if self.server.gcs_waiting is None else set()
+
     def _wait_for_client(self) -> None:
-        """Let a client that answers TIMESYNC keep up."""
+        """Let a client that answers TIMESYNC keep up; as a ground station it is there as long as it does."""
         for index, socket in enumerate(self._sockets):
-            synced_us = self.server.synced_us(index)
-            if synced_us is None:
+            port = self.server.port(index)
+            if port.synced_us is None:
                 continue
-            if self.server.t_us - synced_us <= SYNC_LAG_US:
+            if self.server.t_us - port.synced_us <= SYNC_LAG_US:
                 self._absent = False
+                stepped = self.server.gcs_waiting is not None
+                if stepped and port.has_gcs(self.server.t_us, self.server.vehicle.params):
+                    self.server.hear_gcs(index)  # its heartbeats come by the wall's time
                 continue
             if self._absent:
                 continue
             self._flush()
             limit_s = time.monotonic() + SYNC_PATIENCE_S
-            while self.server.t_us - (self.server.synced_us(index) or 0) > SYNC_LAG_US:
+            while self.server.t_us - port.synced_us > SYNC_LAG_US:
                 left_s = limit_s - time.monotonic()
                 if left_s <= 0.0:
                     self._absent = True
