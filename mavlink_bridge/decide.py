@@ -325,8 +325,8 @@ def _landing(now: Situation, now_us: int) -> Decision | None:
         where = "on the ground" if view.on_ground else "in the air"
         return Decision(
             HandshakeEvent.TIMEOUT,
-            f"{why}{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own report: "
-            f"left to PX4{_says(view, now_us, 10)}",
+            f"{why}{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own "
+            f"report: left to PX4{_says(view, now_us, 10)}",
         )
     return None
 
