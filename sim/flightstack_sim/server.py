@@ -297,6 +297,7 @@ class Server:
             self.mission.finished,
             self._sticks_at_us,
             self.detector.failed,
+            self.view.silent(),
             self.mission.returns,
         )
 
@@ -318,11 +319,8 @@ class Server:
     def _watch_mission(self) -> None:
         """What was stored, and which item was reached: said once at once, then every second."""
         said, state = self.mission.renew(), self.navigator.state
-        if (
-            said
-            or not self.mission.valid
-            or (self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION)
-        ):
+        waits = self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION
+        if said or waits or not self.mission.valid:
             state.mission_state = NOT_STARTED
         self.view.mission_valid = self.mission.valid
         self._say(said, self.view.t_us)
