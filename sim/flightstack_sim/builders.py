@@ -86,8 +86,8 @@ def highres_imu(view: View) -> m.HighresImu:
     view.sample_air()
     means = tuple(sensors.mean_imu.tolist())
     return m.HighresImu(
-        view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
-        view.fields_updated,
+        view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m,
+        sensors.imu_degc, view.fields_updated,
     )  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def scaled_imu(view: View) -> m.ScaledImu:
     sensors = view.vehicle.sensors
     x, y, z = sensors.raw_accel_frd_mps2.tolist()
     gyro = tuple(sensors.mean_imu.tolist())[0:3]
-    return m.ScaledImu(view.stamp_us, (x, y, z), gyro, view.mag_frd_gauss, 15.0)
+    return m.ScaledImu(view.stamp_us, (x, y, z), gyro, view.mag_frd_gauss, sensors.imu_degc)
 
 
 def servo_output_raw(view: View) -> m.ServoOutputRaw:
@@ -293,7 +293,7 @@ def scaled_pressure(view: View) -> m.ScaledPressure | None:
     """Barometer."""
     sensors = view.vehicle.sensors
     if sensors.barometer.kind != OFF:
-        return m.ScaledPressure(view.stamp_us, sensors.pressure_hpa(), 0.0, 11.82)
+        return m.ScaledPressure(view.stamp_us, sensors.pressure_hpa(), 0.0, sensors.air_degc)
     return None
 
 

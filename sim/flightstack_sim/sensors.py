@@ -41,6 +41,8 @@ FIELD_NED_GAUSS = (0.2147, 0.0116, 0.4297)
 """Earth's magnetic field at Zurich (World Magnetic Model)."""
 HOME_ALTITUDE_M = 489.4
 """Height of the local origin above sea level."""
+STANDARD_DEGC = 11.82
+"""The standard atmosphere's temperature there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,8 @@ class Sensors:
         self.position_valid = True
         self.attitude_valid = True
         self.barometer, self.magnetometer = Failing(), Failing()
+        self.imu_degc, self.air_degc = 15.0, STANDARD_DEGC
+        """What the IMU and the barometer tell; the first as a PX4 with SIH does."""
         self._pressure_hpa, self._mag_frd_gauss = math.nan, (math.nan, math.nan, math.nan)
         self.position_resets = 0
         self.t_us = 0
