@@ -32,10 +32,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.autopilot import torque_per_slope
+from flightstack.autopilot import autopilot_of, torque_per_slope
 from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.model import Limits, Model
+from flightstack.rate_loop import steepness
 from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
@@ -219,7 +220,8 @@ def stopping(
     gain_low, gain_high = prior.gain
     unread = told.gain * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
     slower, held_s = 1.0 + told.lag * (_LAG_SHARE - 1.0), told.hold * _HOLD_S
-    lag_across = slower * model.rate_lag_s + held_s
+    rate_lag_s = _rate_lag_s(vehicle, model)
+    lag_across = slower * rate_lag_s + held_s
     lag_along = slower * model.motor_lag_s + held_s + 0.01
     snap = governor.roll_pitch_max * _alpha(vehicle, model) * G
     tubes = across(lag_across, doubts[0], steady_pole_ps(snap, model.motor_lag_s)), along(lag_along, doubts[1])
@@ -227,7 +229,7 @@ def stopping(
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     down = _down(vehicle, prior, governor, least)
     rows, soft = _rows(prior, (high, down), hardest, limits, tubes, _SNAP_SHARE * snap, lag_across, told)
-    chain, response = _answer(model, limits)
+    chain, response = _answer(model, limits, rate_lag_s)
     made = StoppingCertificate(
         prior, ledger, *tubes, first, rows, soft, chain, response, governor,
         (told.force * force + told.model * MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high, least,
@@ -270,6 +272,16 @@ def _alpha(vehicle: Vehicle, model: Model) -> float:
     return alpha * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else alpha
 
 
+def _rate_lag_s(vehicle: Vehicle, model: Model) -> float:
+    gains = autopilot_of(vehicle)
+    bend = steepness(model.hover_norm, model.thrust_model_factor, gains["thr_mdl_fac"])
+    lags = []
+    for alpha, name in zip(torque_per_slope(vehicle)[:2] * bend, ("roll", "pitch"), strict=True):
+        p, d = (gains[f"mc_{name}rate_k"] * gains[f"mc_{name}rate_{part}"] for part in "pd")
+        lags.append((1.0 + alpha * d) / (alpha * p))
+    return float(max(lags))
+
+
 def _rows(
     prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], snap: float,
     lag_across: float, told: Told,
@@ -295,15 +307,15 @@ def _rows(
     return np.array(rows), np.array(soft)
 
 
-def _answer(model: Model, limits: Limits) -> tuple[F64, F64]:
+def _answer(model: Model, limits: Limits, rate_lag_s: float) -> tuple[F64, F64]:
     """How the vehicle answers: `response.CHAIN` numbers, and (3, 3) of `response.lead`."""
     low_n, high_n = model.thrust_range_n(limits)
     steer, delay_us = 1.0 / _STEER_PS, round(1e6 * model.transport_delay_s)
     chain = np.array([
         model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
-        model.motor_lag_s, model.rate_lag_s, delay_us, delay_us, steer, G, 0.004,
+        model.motor_lag_s, rate_lag_s, delay_us, delay_us, steer, G, 0.004,
     ])  # fmt: skip
-    lateral = [steer, steer * model.rate_lag_s, 0.0]
+    lateral = [steer, steer * rate_lag_s, 0.0]
     return chain, np.array([lateral, lateral, [model.motor_lag_s, 0.0, 0.0]])
 
 
