@@ -1,6 +1,6 @@
 """Certificates of a stop (`flightstack.stopping/1`): ledger, tubes and braking worked out anew; shares no code.
 
-Across: p' = v, v' = a + d + r, a' = j, lag j' = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
+Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
 o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each
 input are integrated by Runge and Kutta's rule; the sum of their absolute areas, each times its bound, is the least
 radius that may be claimed.
@@ -28,7 +28,7 @@ _LIGHTEST, _HEAVIEST, _MOST_FORCE_G = 0.8, 1.5, 0.15
 _SPEEDS_MPS = (1.0, 3.0, 5.0)
 _LINES = ("force", "gain", "estimate", "torque", "model")
 _LOOP = (
-    "lag_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
+    "lag_s", "rotors_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
     "demand_mps2",
 )  # fmt: skip
 _TOP = (
@@ -121,20 +121,25 @@ def _radius(loop: dict[str, float], is_across: bool) -> float:
     """The sum of bounds times areas, after the initial errors."""
     if not (loop["lag_s"] > 1e-3 and min(loop.values()) >= 0.0):
         raise Refused("a loop's lag is at least 1 ms, and nothing in it is negative")
-    order = 5 if is_across else 4
+    if is_across != (loop["rotors_s"] > 1e-3):
+        raise Refused("across, rotors make the answer later by at least 1 ms; along, their lag is the loop's own")
+    order = 6 if is_across else 4
     a, into = np.zeros((order, order)), np.zeros((order, 4))
     a[0, 1] = a[1, 2] = 1.0
     asked, last = order - 2, order - 1
     a[asked, :2] = -loop["pos_ps3"], -loop["vel_ps2"]
-    a[asked, asked] -= 1.0
     gain = loop["acc_ps"] if is_across else 1.0
+    a[asked, 3 if is_across else asked] -= 1.0
     if is_across:
-        a[2, asked] = 1.0
+        a[2, 3] = a[3, asked] = 1.0
         a[asked, 2] = -gain
     a[asked, last] = -gain
     into[asked, 2:] = -loop["pos_ps3"], -loop["vel_ps2"]
-    a[asked] /= loop["lag_s"]
-    into[asked] /= loop["lag_s"]
+    late = loop["lag_s"] * (loop["rotors_s"] if is_across else 1.0)
+    a[asked] /= late
+    into[asked] /= late
+    if is_across:
+        a[asked, asked] = -1.0 / loop["rotors_s"]
     a[last, last] = -1.0 / _OBSERVER_S
     into[1, :2] = 1.0
     into[last, 0] = 1.0 / _OBSERVER_S

@@ -50,10 +50,11 @@ def _tubes(made: StoppingCertificate) -> dict[str, Tube]:
     return {"across": made.across, "along": made.along}
 
 
-def _loop(tube: Tube, doubts: LoopBounds, lag_s: float) -> dict[str, float]:
+def _loop(tube: Tube, doubts: LoopBounds, lags_s: tuple[float, float]) -> dict[str, float]:
     gains = {name: float(value) for name, value in tube.gains._asdict().items()}
     return {
-        "lag_s": lag_s,
+        "lag_s": lags_s[0],
+        "rotors_s": lags_s[1],
         **{name: float(value) for name, value in doubts._asdict().items()},
         **gains,
         "radius_m": float(tube.radius_m[-1]),
