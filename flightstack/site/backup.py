@@ -39,6 +39,7 @@ from flightstack.rows import (
     WAY_HALF,
     WAY_RADIUS,
 )
+from flightstack.site.swing import asked, turn_towards
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 STEP_S = 0.04
@@ -51,21 +52,18 @@ that is asked for (2), snap across (2); across, acceleration is that of the lean
 carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, PARAMETERS,
-) = *range(23), 26  # fmt: skip
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, PARAMETERS,
+) = *range(23), 26, 27  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
 lean on the way, m/s^2; of thrust what is kept for the force, m/s^2; what the rotors' lag makes later, s; and
-how jerk (less what is asked for) and snap go on over a step (2, 2): `turning`."""
+how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`."""
 _ASKED_N, _ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
-_SNAP_BESIDE = 0.6
-"""Of the snap, what turning towards the way may take, as the way itself takes some.  Set, by flights: with all of it
-slow vehicles swing."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
 _LEAST_UPRIGHT = 0.3
 
@@ -186,14 +184,11 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
     here = np.empty(ROW)
     point_of(chain, state, state[10:12], offset, gain, state[10:13], here)  # no more than its lean is looked at
     r = quat_to_matrix(state[6:10])
-    lean_n = (
-        target[ACC_N]
-        + (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
-    )
-    lean_e = (
-        target[ACC_E]
-        + (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
-    )
+    back_n = (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
+    back_e = (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
+    pole = p[ACC_GAIN] / 3.0
+    share = asked(math.sqrt(back_n * back_n + back_e * back_e), pole, p[SURE])
+    lean_n, lean_e = target[ACC_N] + share * back_n, target[ACC_E] + share * back_e
     by_n, by_e = lean_n - offset[0], lean_e - offset[1]
     size = math.sqrt(by_n * by_n + by_e * by_e)
     down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
@@ -203,9 +198,7 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
         lean_n, lean_e = offset[0] + by_n * most / size, offset[1] + by_e * most / size
     short_n, short_e = lean_n - here[ACC_N], lean_e - here[ACC_E]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
-    snap = _SNAP_BESIDE * p[SNAP]
-    late = snap * (p[LEAD_S] + p[ROTORS_S])  # it can be stopped again, by rates that follow late
-    turn = min(p[ACC_GAIN] * short, math.sqrt(late * late + 2.0 * snap * short) - late, 2.0 * p[JERK]) / short
+    turn = min(turn_towards(short, pole, p[SURE], p[LEAD_S] + p[ROTORS_S]), 2.0 * p[JERK]) / short
     turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
     jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
     upright = max(r[2, 2], _LEAST_UPRIGHT)

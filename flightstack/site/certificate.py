@@ -14,7 +14,7 @@ from flightstack.checked import number
 from flightstack.site import backup as b
 from flightstack.site.stopping import Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
-from flightstack.types import InputError
+from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
 SCHEMA = "flightstack.stopping/1"
 _AGREE = 1e-6
@@ -34,6 +34,12 @@ def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors:
         "learned": learned,
         "ledger": [dict(line._asdict()) for line in made.ledger],
         **loops,
+        "turning": {
+            "snap_mps4": made.turning.sure_mps4,
+            "way_mps4": made.turning.way_mps4,
+            "lean_mps2": float(least[b.LEAN]),
+            "fastest_mps3": made.turning.rate_radps * STANDARD_GRAVITY_MPS2,
+        },
         "braking": {
             "thrust_mps2": made.thrust_mps2,
             "least_thrust_mps2": made.least_mps2,
@@ -94,7 +100,7 @@ def _by_name(said: Any) -> dict[str, Any]:
 def require_same(text: str, source: str, made: StoppingCertificate) -> None:
     """InputError where any number of the file is not the one that follows from its prior for this vehicle."""
     said, again = (_by_name(json.loads(each)) for each in (text, as_json(made, "", "", "", {})))
-    for part in ("across", "along", "braking", "stops_within_m", *(line.name for line in made.ledger)):
+    for part in ("across", "along", "turning", "braking", "stops_within_m", *(line.name for line in made.ledger)):
         for key, value in again[part].items():
             found = said.get(part, {}).get(key) if isinstance(said.get(part), dict) else None
             if isinstance(value, str):

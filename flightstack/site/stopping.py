@@ -39,6 +39,7 @@ from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.approach import JERK_MOST_MPS3
+from flightstack.site.swing import Held
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
 from flightstack.site.tube import LoopBounds, Tube, across, along
 from flightstack.site.turning import Turning, turning
@@ -54,7 +55,10 @@ _DOWN_SHARE, _DOWN_LEAST, _DOWN_MOST = 0.4, 0.5, 2.0
 _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
-_JERK_RADPS, _SNAP_SHARE = 1.6, 0.85
+_JERK_RADPS, _RATE_SHARE = 1.6, 0.6
+_SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.05
+"""Of the fastest rates and of the snap that is sure, what the way out takes itself: less snap where a force at rest
+swings the vehicle further than the linear tube says, as it needs the rest to be kept on its way (so much more: _SLOW)."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
@@ -221,14 +225,17 @@ def stopping(
     gain_low, gain_high = prior.gain
     unread = told.gain * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
     slower, held_s = 1.0 + told.lag * (_LAG_SHARE - 1.0), told.hold * _HOLD_S
-    turn = turning(vehicle, model, governor)
+    turn = turning(vehicle, model, governor, limits)
     lags_across = slower * turn.lag_s + held_s, slower * turn.rotors_s
     lag_along = slower * model.motor_lag_s + held_s + 0.01
-    steady_ps = steady_pole_ps(turn.snap_mps4, model.motor_lag_s)
-    tubes = across(lags_across, doubts[0], steady_ps), along(lag_along, doubts[1])
+    down = _down(vehicle, prior, governor, least)
+    lean_most = _authority(gain_low * high, force, hardest, (down, limits))[2]
+    held = Held(turn.sure_mps4, lean_most, turn.rate_radps * G, _stepped(ledger, told))
+    tubes, linear = (across(lags_across, doubts[0], held), along(lag_along, doubts[1])), across(lags_across, doubts[0])
+    is_slow = tubes[0].radius_m[-1] > _SLOW * linear.radius_m[-1]
+    turn = turn._replace(way_mps4=(_SLOW_SHARE if is_slow else _SNAP_SHARE) * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    down = _down(vehicle, prior, governor, least)
     rows, soft = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told)
     chain, response = _answer(model, limits, turn.lag_s)
     made = StoppingCertificate(
@@ -276,14 +283,15 @@ def _rows(
     climb is braked by, m/s^2."""
     rows, soft, force, (high, brake) = [], [], prior.force_g * G, ends
     gain_low, gain_high = prior.gain
-    gains, down, snap, steps = tubes[0].gains, tubes[1].gains, _SNAP_SHARE * turn.sure_mps4, b.turned(*lags_s)
+    gains, down, snap, steps = tubes[0].gains, tubes[1].gains, turn.way_mps4, b.turned(*lags_s)
+    jerk = min(_JERK_RADPS, _RATE_SHARE * turn.rate_radps) * G
     for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
         a, up, lean_most = _authority(gain * high, force, hardest, (brake, limits))
         rows.append([
-            a, up, brake, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            a, up, brake, jerk, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
             down.vel_ps2, down.pos_ps3, lean_most, told.late * _LATE_S, lags_s[0], gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
-            told.force * _OVER * force, lags_s[1], *steps,
+            told.force * _OVER * force, lags_s[1], *steps, turn.sure_mps4,
         ])  # fmt: skip
         soft.append([
             tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
@@ -309,6 +317,12 @@ def _seen(ledger: tuple[Line, ...], way: int, told: Told) -> tuple[float, float]
     """What the accelerometer shows of the ledger, and what it does not; way 0 across, 1 along."""
     sizes = [getattr(told, line.name) * (line.across_mps2, line.along_mps2)[way] for line in ledger]
     return sum(sizes[:2]), sum(sizes[2:])
+
+
+def _stepped(ledger: tuple[Line, ...], told: Told) -> float:
+    """Half of the greatest step of force across: one force has one direction, so what of it is taken for thrust (up and
+    down) does not push across."""
+    return math.hypot(told.force * ledger[0].across_mps2, told.gain * ledger[1].across_mps2)
 
 
 def _authority(

@@ -13,7 +13,8 @@ answers at once but for one lag.  Bounded inputs of any shape move p by at most 
 
     |p(t)| <= D int |g_d| + R int |g_r| + eps_p (|x_p(t)| + int |g_p|) + eps_v (|x_v(t)| + int |g_v|)
 
-and the demand that the loop makes is bounded the same way.  o may start anywhere in [-D, D]: its own answer counts.
+and the demand that the loop makes is bounded the same way.  o may start anywhere in [-D, D], a at -o: the way
+begins with the vehicle as it is.
 Norms are worked out by integrating the answers over HORIZON_S in steps of STEP_S (matrix exponential).  For vectors the
 same bound holds: the loop is alike in all directions.
 Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of a linear system for bounded inputs).
@@ -21,12 +22,12 @@ Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
+from flightstack.site.swing import Held, radii
 from flightstack.types import F64
 
 STEP_S, HORIZON_S = 0.01, 8.0
@@ -73,11 +74,18 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lags_s: tuple[float, float], doubts: LoopBounds, most_ps: float = math.inf) -> Tube:
-    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched, no
-    faster than `most_ps`; lags_s: L and T."""
-    poles = [pole for pole in _ACROSS_POLES if pole <= most_ps] or [_ACROSS_POLES[0]]
-    return _best([of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lags_s, doubts) for pole in poles])
+def across(lags_s: tuple[float, float], doubts: LoopBounds, held: Held | None = None) -> Tube:
+    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched;
+    lags_s: L and T; held: what it swings by (`swing`) counts as well."""
+    tubes = [of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lags_s, doubts) for pole in _ACROSS_POLES]
+    if held is None:
+        return _best(tubes)
+    rest, found = (doubts.rest_mps2, doubts.eps_p_m, doubts.eps_v_mps), []
+    for tube in tubes:
+        if tube is not None:
+            swung = radii(tube.gains.acc_ps / 3.0, lags_s, held, rest, len(tube.radius_m))
+            found.append(tube._replace(radius_m=np.maximum(tube.radius_m, swung)))
+    return _best(list(found))
 
 
 def along(lag_s: float, doubts: LoopBounds) -> Tube:
@@ -125,13 +133,16 @@ def _tube(gains: Gains, matrix: F64, demand: F64, doubts: LoopBounds) -> Tube | 
     into[-1, 0] = 1.0 / OBSERVER_S
     into[-2, 2:] = matrix[-2, :2]
     sizes = np.array(doubts)
-    started = np.array([doubts.eps_p_m, doubts.eps_v_mps, *([0.0] * (order - 3)), doubts.force_mps2])
+    begun = np.zeros((order, 3))
+    begun[0, 0] = begun[1, 1] = begun[-1, 2] = 1.0
+    begun[2, 2] = -1.0
+    started = np.array([doubts.eps_p_m, doubts.eps_v_mps, doubts.force_mps2])
 
     def bound(row: F64) -> F64:
         """Of row @ state over time."""
         forced = np.abs(row @ answers @ into)
         grown = np.concatenate([np.zeros((1, 4)), np.cumsum(0.5 * STEP_S * (forced[1:] + forced[:-1]), axis=0)])
-        highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers) @ started)
+        highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers @ begun) @ started)
         return highest
 
     place, rate = np.eye(order)[0], np.eye(order)[1]

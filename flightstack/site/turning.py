@@ -30,7 +30,7 @@ from flightstack.barrier.response import (
 )
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.jit import njit
-from flightstack.model import Model
+from flightstack.model import Limits, Model
 from flightstack.rate_loop import SPREAD, steepness
 from flightstack.rows import RATE_X
 from flightstack.types import F64
@@ -54,9 +54,13 @@ class Turning(NamedTuple):
     sure_mps4: float
     """What is left of it where gains and lag are off by what the governor knows of: the copy that asks for most torque
     decides, and the vehicle may be the one that has least of it."""
+    rate_radps: float
+    """The fastest that is let through."""
+    way_mps4: float = 0.0
+    """What of it the way out takes."""
 
 
-def turning(vehicle: Vehicle, model: Model, governor: GovernorTerms) -> Turning:
+def turning(vehicle: Vehicle, model: Model, governor: GovernorTerms, limits: Limits) -> Turning:
     """Of a believed vehicle at hover."""
     gains = autopilot_of(vehicle)
     bend = steepness(model.hover_norm, model.thrust_model_factor, gains["thr_mdl_fac"])
@@ -66,7 +70,9 @@ def turning(vehicle: Vehicle, model: Model, governor: GovernorTerms) -> Turning:
         lag_s = max(lag_s, (1.0 + alpha * d) / (alpha * p))
         rotors_s = max(rotors_s, model.motor_lag_s / (1.0 + alpha * d))
     snap = governor.roll_pitch_max * float(alphas.min()) * G
-    return Turning(lag_s, rotors_s, snap, snap * (1.0 - SPREAD) / governor.chi)
+    rates = [math.radians(gains[f"mc_{name}rate_max"]) for name in ("roll", "pitch")]
+    rate_radps = min(*rates, *limits.rate_max_radps[:2])
+    return Turning(lag_s, rotors_s, snap, snap * (1.0 - SPREAD) / governor.chi, rate_radps)
 
 
 @njit

@@ -36,7 +36,7 @@ def slow() -> Vehicle:
 @pytest.fixture(scope="module")
 def turn(slow: Vehicle) -> Turning:
     model = Model.from_vehicle(slow)
-    return turning(slow, model, governor_for(slow, model, Limits(), "mocap"))
+    return turning(slow, model, governor_for(slow, model, Limits(), "mocap"), Limits())
 
 
 def answered(turn: Turning, asked: F64) -> F64:
@@ -77,6 +77,6 @@ def test_slow_rotors_turn_as_late_as_in_the_simulator(slow: Vehicle, turn: Turni
         vehicle.advance(ControlSetpoint(ControlKind.RATE, (float(each), 0.0, 0.0), norm), 4)
     off = float(np.abs(answered(turn, asked) - np.array(seen)).max())
     assert autopilot_of(slow)["mc_rollrate_k"] < 0.6
-    believed = Turning(Model.from_vehicle(slow).rate_lag_s, 0.004, 0.0, 0.0)
+    believed = Turning(Model.from_vehicle(slow).rate_lag_s, 0.004, 0.0, 0.0, 9.0)
     assert off < 0.15
     assert float(np.abs(answered(believed, asked) - np.array(seen)).max()) > 2.0 * off
