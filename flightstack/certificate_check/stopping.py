@@ -1,4 +1,4 @@
-"""Certificates of a stop (`flightstack.stopping/1`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/2`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
 o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each
@@ -17,7 +17,7 @@ import numpy as np
 from .intervals import F64
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/1"
+SCHEMA = "flightstack.stopping/2"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0

@@ -1,4 +1,4 @@
-"""Certificates of a stop as files, `flightstack.stopping/1` (JSON): what was learned, and all that follows from it.
+"""Certificates of a stop as files, `flightstack.stopping/2` (JSON): what was learned, and all that follows from it.
 
 A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
 the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
@@ -16,7 +16,7 @@ from flightstack.site.stopping import Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
-SCHEMA = "flightstack.stopping/1"
+SCHEMA = "flightstack.stopping/2"
 _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
 

@@ -58,7 +58,7 @@ _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
 _SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.05
 """Of the fastest rates and of the snap that is sure, what the way out takes itself: less snap where a force at rest
-swings the vehicle further than the linear tube says, as it needs the rest to be kept on its way (so much more: _SLOW)."""
+swings the vehicle further than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
