@@ -56,7 +56,7 @@ _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
-_SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.05
+_SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.13
 """Of the fastest rates and of the snap that is sure, what the way out takes itself: less snap where a force at rest
 swings the vehicle further than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
 _LEAN_MPS2 = 8.5
