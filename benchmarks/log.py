@@ -31,13 +31,15 @@ _BEGIN, _END = "<!-- log: begin -->", "<!-- log: end -->"
 _LONG_S, _WRITTEN_S, _WATCHED_S, _RUNS = 590.0, 30.0, 20.0, 3
 _PORT = 8795
 _BROWSER = """
-import sys, time, urllib.request
+import http.client, sys, time
+page = http.client.HTTPConnection("127.0.0.1", int(sys.argv[1]), timeout=1.0)  # kept, as by a browser
 while True:
     time.sleep(0.1)
     try:
-        urllib.request.urlopen(f"http://127.0.0.1:{sys.argv[1]}/state", timeout=1.0).read()
-    except OSError:
-        pass
+        page.request("GET", "/state")
+        page.getresponse().read()
+    except (OSError, http.client.HTTPException):
+        page.close()
 """
 
 

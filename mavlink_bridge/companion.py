@@ -27,7 +27,7 @@ from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link
 from mavlink_bridge.notes import BrokenPremise, GuardNotes, Swinging
 from mavlink_bridge.onlookers import MissionPlanner, Observer
-from mavlink_bridge.requests import CommandQueue, set_mode, stream_requests
+from mavlink_bridge.requests import DISARM, CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
@@ -210,9 +210,8 @@ class Companion:
         t_us = self._t_us
         if event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
             fault = FAULTS[self._now.trouble]
-            self._observer.on_event(
-                t_us, "fault", f"{self._now.trouble}: {fault.what}; {fault.reaction.value}", "warning"
-            )
+            text = f"{self._now.trouble}: {fault.what}; {fault.reaction.value}"
+            self._observer.on_event(t_us, "fault", text, "warning")
         severity = "warning" if state in (State.PILOT, State.LOST, State.REFUSED, State.HOLDING) else "info"
         text = f"{state.value}: {event.value}" + (f" ({self.reason})" if self.reason else "")
         self._observer.on_event(t_us, "state", text, severity)
@@ -232,7 +231,7 @@ class Companion:
         elif state is State.LANDING:
             self.land_command_us = t_us
             self._now.landing_limit_s = landing_limit_s(self._height_m())
-            if event is HandshakeEvent.STOP and self.mission is not None:
+            if event in (HandshakeEvent.STOP, HandshakeEvent.ENDED) and self.mission is not None:
                 self.mission = self.mission.stop(self._mission_time_s())
             self._mission_complete = event is HandshakeEvent.MISSION_DONE
             self._now.landing_for = "" if self._mission_complete else self.reason
@@ -245,6 +244,8 @@ class Companion:
             if self._ours(now_us):
                 self._calm()
                 self._command_mode(px4.MODE_HOLD if state is State.HOLDING else px4.MODE_LAND, now_us)
+        elif state is State.REFUSED and self._commands.status(px4.Cmd.COMPONENT_ARM_DISARM).request is not None:
+            self._commands.insist(DISARM)  # asked to arm: nobody would fly it; PX4 denies this in the air
         elif state is State.LANDED:
             self._set_phase("landed", t_us)
             self._command_mode(px4.MODE_HOLD, now_us)
@@ -257,7 +258,7 @@ class Companion:
         measurement = self._measurement
         assert measurement is not None  # STREAMING is not entered without one
         self.start_ned_m = measurement.pos_ned_m.copy()
-        if self._rested:  # at rest the mean says better where the vehicle stands than any one noisy sample
+        if self._rested:  # the mean at rest is better than any one noisy sample
             self.start_ned_m = self._rest_ned_m.copy()
         self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd), self._run_up)
         self._stack_state = self._stack.init(measurement, self.start_ned_m)
@@ -340,9 +341,9 @@ class Companion:
         if self._notes.take(record.guard, self._watch.resets, self._t_us, now_us):
             self.view.streams.observer.reset()
         if reason := self._broken.take(record) or self._swinging.take(record):
-            self.stop(reason)
+            self._now.ending = self._now.ending or reason
         if record.filtered.handed_over:
-            self.stop("handed over: what kept the flight in its region was falsified by what was measured")
+            self._now.ending = "handed over: what kept the flight in its region was falsified by what was measured"
         if self._planner is not None and self._now.state is State.OFFBOARD:
             self.mission = self._planner.step(self.mission, t_s, record)
 

@@ -44,7 +44,7 @@ class CompanionConfig:
     link_loss_s: float = 3.0
     """Heartbeats missing for so long: the link is lost (PX4 sends 1 Hz)."""
     blind_s: float = 0.5
-    """The guard has flown for so long without a break (no usable state, outside the envelope): hand back."""
+    """The guard has flown for so much longer than not (no usable state, outside the envelope): hand back."""
     stream_before_offboard_s: float = 0.5
     tick_s: float = 0.004
     """Between two steps of the companion, where nothing is missed."""
@@ -76,6 +76,8 @@ class Situation:
     """Another companion on the link, in words; empty: none."""
     stop_requested: str = ""
     """Why the user wants to stop; empty: goes on."""
+    ending: str = ""
+    """Why the companion itself ends the flight early; empty: goes on."""
     fresh: bool = False
     """Attitude, position and IMU are there and not stale."""
     parameters_changed: bool = False
@@ -269,6 +271,8 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
         return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
+    if now.ending:
+        return Decision(HandshakeEvent.ENDED, now.ending)
     if now.trouble:
         fault = FAULTS[now.trouble]
         event = HandshakeEvent.FAULT_HOLD if fault.reaction is Reaction.HOLD else HandshakeEvent.FAULT_LAND
@@ -311,8 +315,8 @@ def _landing(now: Situation, now_us: int) -> Decision | None:
     if view.heartbeat_at_us > now.entered_us and not view.armed:
         return Decision(HandshakeEvent.DISARMED)
     settled = view.mode_at_us > now.entered_us + SECOND_US // 2
+    why = f"{now.landing_for}; " if now.landing_for else ""
     if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
-        why = f"{now.landing_for}; " if now.landing_for else ""
         return Decision(
             HandshakeEvent.TOOK_OVER,
             f"{why}the mode changed to {view.mode_name} while landing: leaving the vehicle to the pilot",
@@ -321,8 +325,8 @@ def _landing(now: Situation, now_us: int) -> Decision | None:
         where = "on the ground" if view.on_ground else "in the air"
         return Decision(
             HandshakeEvent.TIMEOUT,
-            f"{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own report: "
-            f"left to PX4{_says(view, now_us, 10)}",
+            f"{why}{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own "
+            f"report: left to PX4{_says(view, now_us, 10)}",
         )
     return None
 

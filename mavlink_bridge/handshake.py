@@ -64,6 +64,7 @@ class HandshakeEvent(Enum):
     ENGAGED = "armed and in OFFBOARD"
     MISSION_DONE = "the scenario's end is reached"
     STOP = "the user asked to stop"
+    ENDED = "the companion ends the flight early"
     TOOK_OVER = "the mode was changed or the vehicle disarmed by someone else"
     DISARMED = "disarmed after our landing"
     LINK_LOST = "nothing heard for too long"
@@ -110,6 +111,7 @@ TRANSITIONS: Mapping[State, Mapping[HandshakeEvent, State]] = MappingProxyType(
         _S.OFFBOARD: {
             _E.MISSION_DONE: _S.LANDING,
             _E.STOP: _S.LANDING,
+            _E.ENDED: _S.LANDING,
             _E.FAULT_LAND: _S.LANDING,
             _E.FAULT_HOLD: _S.HOLDING,
             _E.TOOK_OVER: _S.PILOT,

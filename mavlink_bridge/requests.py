@@ -36,6 +36,9 @@ STREAMS: tuple[tuple[type, int], ...] = (
 """The streams that the companion asks for: message, interval in us (-1: off)."""
 
 
+DISARM: Request = (px4.Cmd.COMPONENT_ARM_DISARM, (0.0,))
+
+
 def stream_requests() -> list[Request]:
     """One SET_MESSAGE_INTERVAL per row of `STREAMS`."""
     return [

@@ -197,8 +197,10 @@ def unsafe(values: Mapping[str, float], *, dead_man: bool = True) -> str:
 def remarks(values: Mapping[str, float], model: Model) -> str:
     """What was read and what is made of it, for the log."""
     factor, believed = values.get("THR_MDL_FAC", 0.0), hover_setpoint(values, model.hover_norm)
+    loss_t_s = values.get("COM_OF_LOSS_T", math.nan)
+    risk = ": should the link break, the last body rates go on for so long, 0.2 to 0.5 s is better"
     parts = [
-        f"COM_OF_LOSS_T {values.get('COM_OF_LOSS_T', math.nan):g} s",
+        f"COM_OF_LOSS_T {loss_t_s:g} s{risk if loss_t_s > _LOSS_T_ALONE_S else ''}",
         f"COM_OBL_RC_ACT {values.get('COM_OBL_RC_ACT', math.nan):g}",
         f"THR_MDL_FAC {factor:g}",
         f"MPC_THR_HOVER {values.get('MPC_THR_HOVER', math.nan):.2f}, by the vehicle file {believed:.2f}",

@@ -26,9 +26,12 @@ class Flown(NamedTuple):
 
 
 def command(px4: Px4, folder: Path, scenario: str, *more: str, arm: bool = True) -> list[str]:
-    """`flightstack offboard` for this PX4, its files in `folder`."""
-    words = [*px4.bench.prefix, sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", px4.address]
-    words += ["--scenario", scenario, "--out", str(folder), "--json", str(folder / "flight.json")]
+    """`flightstack offboard` for this PX4 (`fly --px4-hil` where it waits for its physics), its files in `folder`."""
+    words = [*px4.bench.prefix, sys.executable, "-m", "flightstack.cli.main"]
+    filed = ["--out", str(folder), "--json", str(folder / "flight.json")]
+    if px4.kind == "hil":
+        return [*words, "fly", scenario, "--px4-hil", "--hil-port", str(px4.hil_port), *filed, *more]
+    words += ["offboard", "--connect", px4.address, "--scenario", scenario, *filed]
     if "--vehicle" not in more:
         words += ["--vehicle", VEHICLE]
     return [*words, *(["--arm"] if arm else []), *more]

@@ -29,6 +29,8 @@ class Attack(NamedTuple):
     soft: bool = True
     """The ground is to be met gently."""
     params: tuple[tuple[str, float], ...] = ()
+    kind: str = "sih"
+    """Of PX4: `hil` has our plant behind it, whose sensors can fail."""
 
 
 def flown(bench: Bench, runs: int, attacks: Mapping[str, Attack]) -> list[Row]:
@@ -41,7 +43,7 @@ def _row(bench: Bench, name: str, attack: Attack, runs: int) -> Row:
     notes, seen = [], ""
     for number in range(runs):
         folder = log_folder(bench, "attack-" + "-".join(name.replace("/", " ").split()))
-        with Px4(bench, params=dict(attack.params)) as px4:
+        with Px4(bench, attack.kind, params=dict(attack.params)) as px4:
             scene = Scene(bench, px4, folder)
             try:
                 attack.deed(scene)

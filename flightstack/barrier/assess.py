@@ -236,9 +236,9 @@ def _limit_rows(
 
     Thrust bounds the vertical interval, exactly: it acts along the predicted axis.  The budget's gives way to what the
     barrier needs, a little more while the lean turns; the vehicle's own does not.  The lean n that is steered to, and
-    the one that comes of how fast it turns, keep within the certificate's; where both lateral axes are certified these
-    bounds give way to the accelerations nearest to an upright n that the barriers allow: lean never takes what position
-    needs.
+    the one that comes of how fast it turns, keep within the certificate's.  Sideways the barriers' intervals reach to
+    these bounds: a barrier that wants all at once gets what can be turned back in time.  A lean that turns too fast to
+    be stopped runs beyond the certificate, and is late for the next wall.
     """
     chain, gain = flat[P_CHAIN:P_BOUNDS], offset[_GAIN]
     ends, still, edge, asked = np.empty(3), np.zeros(3), np.empty(2), np.empty(2)
@@ -255,17 +255,13 @@ def _limit_rows(
     high[2] = min(wide[1], edge[0], max(asked[0], wide[0]))
     r = quat_to_matrix(predicted[1, 6:10])
     force = gain * chain[C_LEAD_THRUST]
-    upright, near = np.empty(2), np.empty(2)  # u whose n is upright, and the nearest one that the barriers allow
-    for i in range(2):
-        still_u = wanted[i] + force * chain[C_STEER] * (rate[1] * r[i, 0] - rate[0] * r[i, 1])
-        upright[i] = still_u + force * r[i, 2]
-        near[i] = min(max(upright[i], low[i]), high[i])
-    both = flat[P_CERTIFIED] > 0.0 and flat[P_CERTIFIED + 1] > 0.0
     for k in range(2):
         rows[3 + k, k] = 1.0
-        needed = near[k] if both else upright[k]
-        low[3 + k] = min(upright[k] - force * _steered(flat, r[k, 2]), needed)
-        high[3 + k] = max(upright[k] + force * _steered(flat, -r[k, 2]), needed)
+        still_u = wanted[k] + force * chain[C_STEER] * (rate[1] * r[k, 0] - rate[0] * r[k, 1])
+        upright = still_u + force * r[k, 2]  # u whose n is upright
+        low[3 + k] = upright - force * _steered(flat, r[k, 2])
+        high[3 + k] = upright + force * _steered(flat, -r[k, 2])
+        low[k], high[k] = min(low[k], high[3 + k]), max(high[k], low[3 + k])
     turn = force * chain[C_STEER] * max(r[2, 2], 0.1)
     for k in range(2):  # roll and pitch rate as `command_for` has them
         size = max(math.sqrt(r[1, k] * r[1, k] + r[0, k] * r[0, k]), 1e-9)
@@ -284,7 +280,7 @@ def _steered(flat: F64, lean: float) -> float:
     if turn <= 0.0:
         return float(most)
     rate = math.sqrt(turn * turn * wait * wait + 2.0 * turn * room) - turn * wait
-    return min(most, lean + flat[P_CHAIN + C_STEER] * rate)  # type: ignore[no-any-return]
+    return max(min(most, lean + flat[P_CHAIN + C_STEER] * rate), -most)  # type: ignore[no-any-return]
 
 
 @njit

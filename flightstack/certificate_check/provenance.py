@@ -11,6 +11,8 @@
                 as the best of all pairs does: as one in 40 true ones does not, by chi squared of two.  Below 0.2 m/s^2
                 of thrust's fast part the log says nothing
     log         over 1 s spans, rates explain the attitude and force explains the velocity, in all but 0.1 %
+    age         in 49 of 50 ticks the newest sample was no older than the premise's age_s, which the maker takes so that
+                99 of 100 are
 
 A log that is invented from beginning to end passes: only a signature by the recorder would help.
 """
@@ -46,6 +48,7 @@ _HALF_TICK_S = 0.002
 _LADDER_S = np.geomspace(0.004, 0.1, 9)
 """Lags that any vehicle's rotors may have."""
 _CHI2 = 7.4
+_OLDER, _ROUNDED_S = 0.02, 0.0005
 
 
 def check_keys(value: Any, stores: list[StatedProcess]) -> bool:
@@ -97,7 +100,19 @@ def check_flight(
     lines += _check_windows(known, found)
     lines.append(_check_delay(data, known, found, believed))
     lines.append(_check_itself(ticks, data["premises"]["estimate"]))
+    lines.append(check_age(ticks, float(data["premises"]["age_s"])))
     return lines
+
+
+def check_age(ticks: Ticks, age_s: float) -> str:
+    """Refused where the newest sample was older than stated more often than now and then."""
+    ages_s = np.min([ticks.tick[f"{name}_age_us"] for name in ("position", "attitude", "imu")], axis=0) * 1e-6
+    older = int(np.sum(ages_s > age_s + _ROUNDED_S))
+    if older > _OLDER * len(ages_s):
+        raise Refused(
+            f"premises.age_s = {age_s:g}: in {older} of {len(ages_s)} ticks of the log the newest sample was older"
+        )
+    return f"age: the newest sample older than {1e3 * age_s:.3g} ms in {older} of {len(ages_s)} ticks"
 
 
 def _vehicle(

@@ -12,6 +12,7 @@ from flightstack.barrier.premise_watch import NAMES
 from flightstack.barrier.records import AXES, Certificate
 from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
+from flightstack.cli.height_events import HeightEvents
 from flightstack.estimate_observer import POOR_MPS
 from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
@@ -208,6 +209,7 @@ class LogObserver:
         self._learner_events = LearnerEvents(self._tell)
         self._filter_events = FilterEvents(self._tell)
         self._estimate_events = EstimateEvents(self._tell)
+        self._height_events = HeightEvents(self._tell)
         self._estimate_due_us = 0
         self._certifier = certifier
         if certifier is not None and certifier.elsewhere is not None:
@@ -228,6 +230,7 @@ class LogObserver:
         """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
         if not self._placed and self.companion is not None and self.companion.mission is not None:
             self._placed = True
+            self._height_events.begin()
             self._log.scene(self._clock.t_us, self._scene(self.companion.start_ned_m))
         if self._way_ned_m is not None and record.t_us >= self._way_due_us:
             self._way_due_us = record.t_us + _WAY_PERIOD_US
@@ -289,6 +292,7 @@ class LogObserver:
         """A message of the vehicle, as a table."""
         if self.message_to is not None:
             self.message_to(t_us, message)
+        self._height_events.on_message(t_us, message)
         t_us = self._clock.t_us
         kind = type(message)
         topic = _TOPIC_OF.get(kind)

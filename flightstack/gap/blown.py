@@ -16,9 +16,9 @@ from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
-from flightstack.gap.classes import splitting_manoeuvre
+from flightstack.gap.classes import splitting_manoeuvre, together
 from flightstack.gap.gusts import Gusts, as_found, gusts
-from flightstack.gap.held import far_from_noise
+from flightstack.gap.held import far_from_noise, upright
 from flightstack.gap.name import Naming
 from flightstack.gap.naming.estimate import CI
 from flightstack.gap.pooled import Split
@@ -31,28 +31,42 @@ _LEAST_P = 1e-3
 """Of there being no such effect, gusts being what they are: an effect that the search found, so no further chances."""
 _MAY_BE_P = 0.05
 """Below this a wind that is not named is what the gusts' mean can't be told from."""
+_NO_GUSTS = 0.9
+"""Share of what is left of the turning that is not noise, from which no gusts are looked for."""
 _MEANS = ("constant_force",)
 """What the mean of gusts may be taken for; a wind is looked for in its place."""
 _WIND = "steady_wind"
+_LOAD = "payload"
+"""What a wind that blows up or down may be, and its twins."""
+_LOADS = ("thrust_scale", "constant_force")
+_WORSE = 1.05
+"""Times what the names leave of a figure without gusts: beyond, the names fitted beside gusts are others."""
 
 
 def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
     """Turbulence where it explains what is left of the force, and the names that hold beside it."""
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
         return naming, gap
-    if far_from_noise(gap, ONE_STEP[1:]):  # gusts act through drag: they don't make a turning that nothing explains
+    if far_from_noise(
+        gap, ONE_STEP[1:], _NO_GUSTS
+    ):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
     back = [f for f in naming.proposed if f.name not in {*held, *_MEANS, _WIND} and _is_force(f)]
     kept = [f for f in naming.found if f.name != _WIND]
-    wind = [] if held & set(_MEANS) else [_wind(vehicle, naming)]
+    wind = [] if held & set(_MEANS) else [_proposed(vehicle, naming, _WIND)]
     told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)})
     if told is None and back:  # what was taken back may stand for gusts itself
         told = _beside(vehicle, naming, of, [*kept, *wind], {f.name for f in wind})
-    if told is None:
+    if told is not None and any(upright(f) for f in told[0].found) and not held & {_LOAD, *_LOADS}:
+        load = _proposed(vehicle, naming, _LOAD)
+        told = _beside(vehicle, naming, of, [*kept, load, *wind], {_LOAD, _WIND})
+    if told is None or any(upright(f) for f in told[0].found):  # no steady wind goes through the ground
         return naming, gap
     named, blown, twins = told
     after = pooled.figures(named.vehicle, of)
+    if any(_is_worse(getattr(after, name), getattr(gap.after, name)) for name in ONE_STEP):
+        return naming, gap
     most = blown.sigma_mps.high / blown.sigma_mps.estimate  # how hard it blew on held-out data nobody knows better
     made = (most * blown.force_rms_mps2, most * blown.turning_rms_radps2)
     floor = pooled.noise_floor(named.vehicle, of, after, made)
@@ -90,7 +104,7 @@ def _beside(
         if worst == _WIND and chance[worst] < _MAY_BE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
-    slow = [f for f in named.found if f.name in (_WIND, *_MEANS)]
+    slow = [f for f in named.found if f.name in (_WIND, *_MEANS) or f.name in tested & {_LOAD}]
     for f in slow:
         named = _by_gusts(vehicle, named, f, turned, blown)
     if unsure is not None:
@@ -100,15 +114,23 @@ def _beside(
 
 def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> float:
     """Probability of the flights if this effect were as the file has it, gusts being what they are (Wald's test)."""
+    count, statistic = _wald(vehicle, at, found, turned, blown)
+    if not count:
+        return 0.0 if found.name != _WIND else 1.0  # no force shows it: it is not gusts that it may be
+    return float(chdtrc(count, statistic))
+
+
+def _wald(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> tuple[int, float]:
+    """How many parameters of the effect the force shows, and their squared distance from the file's in errors."""
     mine = [k for k, knob in enumerate(turned) if knob.effect == found.name and blown.covariance[k, k] > 0.0]
     if not mine:
-        return 0.0 if found.name != _WIND else 1.0  # no force shows it: it is not gusts that it may be
+        return 0, 0.0
     own = [turned[k].parameter for k in mine]
     start = np.nan_to_num([value(vehicle, found.name, p) for p in own])
     off = np.array([value(at, found.name, p) for p in own]) + blown.beside[mine] - start
     size = np.sqrt(np.diag(blown.covariance)[mine])
     scaled = np.linalg.pinv(blown.covariance[np.ix_(mine, mine)] / np.outer(size, size), rcond=1e-9, hermitian=True)
-    return float(chdtrc(len(mine), float((off / size) @ scaled @ (off / size))))
+    return len(mine), float((off / size) @ scaled @ (off / size))
 
 
 def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[Knob], blown: Gusts) -> Naming:
@@ -121,17 +143,26 @@ def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[K
             before = value(vehicle, knob.effect, knob.parameter)
             parameters[knob.parameter] = Estimate(before, now, now - reach, now + reach)
     moved = with_value(naming.vehicle, found.name, {p: e.estimate for p, e in parameters.items()})
-    names = tuple(replace(f, parameters=parameters) if f.name == found.name else f for f in naming.found)
+    own = replace(found, parameters=parameters)
+    if not found.delta_bic:  # it was not the search that found it
+        count, statistic = _wald(vehicle, naming.vehicle, found, turned, blown)
+        own = replace(own, delta_bic=-statistic, p_value=float(chdtrc(count, statistic)) if count else 1.0)
+    names = tuple(own if f.name == found.name else f for f in naming.found)
     return replace(naming, found=names, vehicle=moved)
 
 
-def _wind(vehicle: Vehicle, naming: Naming) -> Found:
-    """The wind that was found, or one that still is what the file has."""
+def _is_worse(now: float | None, was: float | None) -> bool:
+    return now is not None and was is not None and now > _WORSE * was
+
+
+def _proposed(vehicle: Vehicle, naming: Naming, effect: str) -> Found:
+    """The effect as it was found, or as the file has it; a load is nothing that a thrust or a force is not."""
     for f in (*naming.found, *naming.proposed):
-        if f.name == _WIND:
+        if f.name == effect:
             return f
-    own = {knob.parameter: value(vehicle, _WIND, knob.parameter) for knob in knobs(_WIND)}
-    return Found(_WIND, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
+    own = {knob.parameter: value(vehicle, effect, knob.parameter) for knob in knobs(effect)}
+    made = Found(effect, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
+    return together(made, _LOADS) if effect == _LOAD else made
 
 
 def _whole(found: Found) -> dict[str, float]:

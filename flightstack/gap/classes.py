@@ -21,7 +21,7 @@ _ALIKE_SHARE = 0.002
 """Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
 _HELD_UP = 0.5
-"""Share of a named payload's weight from which a force against it is no force."""
+"""Share of what a named payload weighs, or a thrust scale takes, from which a force against it is no force."""
 
 
 def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ...]:
@@ -123,11 +123,12 @@ def together(found: Found, others: tuple[str, ...]) -> Found:
     return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
-def doubled(found: Sequence[Found]) -> tuple[str, ...]:
+def doubled(found: Sequence[Found], mass_kg: float) -> tuple[str, ...]:
     """Named effects (strongest first) that the logs can't tell from a stronger one that is named too.
 
-    A force that holds up more than half of what a named payload weighs (or pulls down what is missing of it) is none
-    either: both together are thrust that answers commands less than it should, round the same mean.
+    A force that holds up more than half of what a named payload weighs or a named thrust scale takes (or pulls down
+    what it adds) is none either: both together are thrust that answers commands less than it should, round the
+    same mean.
     """
     gone = [
         weaker.name
@@ -136,8 +137,10 @@ def doubled(found: Sequence[Found]) -> tuple[str, ...]:
         if weaker.name in other.indistinguishable_from and other.name in weaker.indistinguishable_from
     ]
     of = {f.name: f.parameters for f in found}
-    if {"payload", "constant_force"} <= of.keys():
-        weight_n = STANDARD_GRAVITY_MPS2 * of["payload"]["mass_kg"].estimate
+    if "constant_force" in of and {"payload", "thrust_scale"} & of.keys():
+        carried_kg = of["payload"]["mass_kg"].estimate if "payload" in of else 0.0
+        lost = 1.0 - of["thrust_scale"]["scale"].estimate if "thrust_scale" in of else 0.0
+        weight_n = STANDARD_GRAVITY_MPS2 * (carried_kg + lost * mass_kg)
         down_n = of["constant_force"]["down_n"].estimate
         gone += ["constant_force"] if -down_n * np.sign(weight_n) > _HELD_UP * abs(weight_n) else []
     return tuple(dict.fromkeys(gone))

@@ -33,7 +33,7 @@ _SURE = 2.0
 """Standard errors by which a slope must miss what is allowed."""
 _LEAST = 0.5
 """Slope below which less than nothing of the effect's own share is closed."""
-_NOT_NOISE = 0.9
+NOT_NOISE = 0.5
 """Share of what a model leaves, in mean square, that is not the noise floor's: from there it lacks something."""
 _LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
 """What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
@@ -104,24 +104,28 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP) -> bool:
-    """Whether what the model leaves of force or torque (or of one of them) is hardly the sensors' noise any more."""
+def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP, share: float = NOT_NOISE) -> bool:
+    """Whether of what the model leaves of force or torque (or of one of them) this share is not the sensors' noise."""
     pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in figures]
     known = [(now, least) for now, least in pairs if now is not None and least is not None]
-    return any(least**2 < (1.0 - _NOT_NOISE) * now**2 for now, least in known)
+    return any(least**2 < (1.0 - share) * now**2 for now, least in known)
 
 
 def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:
     """Named effects that, far from the noise, stand for something else.
 
     Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
-    of its being the same), and a wind that blows up or down more than along: no steady wind goes through the ground.
+    of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground, and
+    a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing.
     """
     ends = on_edge(believed, found)
-    return tuple(f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or _upright(f))
+    names = {f.name for f in found}
+    gone = {f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or upright(f)}
+    gone |= {"steady_wind"} if names >= {"steady_wind", "constant_force"} else set()
+    return tuple(f.name for f in found if f.name in gone)
 
 
-def _upright(found: Found) -> bool:
+def upright(found: Found) -> bool:
     """Whether it is a wind steeper than half a right angle."""
     if found.name != "steady_wind":
         return False

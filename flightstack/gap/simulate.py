@@ -31,6 +31,8 @@ _TOGETHER = 12
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
 _COARSE_S = 0.0105
+_UPRIGHT = frozenset({"down_n", "down_mps"})
+"""Without motors only side force is compared: what is vertical shows in it by the lean, as a loop's answer does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +97,8 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
 
     Central differences through the simulator, one-sided where the range ends.  Columns that the log can't measure are
-    NaN; an effect that the log can't show (`unseen`) is 0 everywhere.  Where few rows are asked for, a fast log is not
-    evaluated at each of its samples: the low-pass leaves nothing between them.
+    NaN; what the log can't show (`unseen`, upright without motors) is 0 everywhere.  Where few rows are asked for, a
+    fast log is not evaluated at each of its samples: the low-pass leaves nothing between them.
     """
     flight = track(samples)
     count = len(range(0, len(samples.t_s), every))
@@ -107,7 +109,10 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     row = params_row(vehicle, flight.step_s)
     base = Run(row, flight)
     turned = [_turned(vehicle, row, knob) for knob in columns]
-    seen = [k for k, knob in enumerate(columns) if not flight.missing & set(EFFECTS[knob.effect].needs)]
+    mute = _UPRIGHT if "motor" in flight.missing else frozenset()
+    seen = [
+        k for k, c in enumerate(columns) if not (flight.missing & set(EFFECTS[c.effect].needs) or c.parameter in mute)
+    ]
     shared = [k for k in seen if not EFFECTS[columns[k].effect].has_states and not _is_sensor(columns[k])]
     for begin in range(0, len(shared), _TOGETHER):
         part = shared[begin : begin + _TOGETHER]

@@ -253,7 +253,14 @@ def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tupl
         forces = _to_refine(naming, gap)
         naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
         gap = _verdict(vehicle, naming, of)
-    if len(of.flights) > 1 or far_from_noise(gap):
+    if len(of.flights) == 1 and not far_from_noise(gap):
+        return naming, of, gap
+    naming = naming.as_wide_as_it_varies()
+    while unsure := vanished(naming.found):
+        naming = naming.without(unsure, "is not sure to be there: it differs that much from stretch to stretch")
+        forces = _to_refine(naming, gap)
+        naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
+        gap = _verdict(vehicle, naming, of)
         naming = naming.as_wide_as_it_varies()
     return naming, of, gap
 
@@ -311,7 +318,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
 
 def _merged(named: Naming) -> Naming:
     """The verdict with one name for each class: what the logs can't tell from a stronger name is its twin."""
-    gone = doubled(named.found)
+    gone = doubled(named.found, named.vehicle.mass_kg)
     return (
         replace(named.without(gone, "these logs can't tell it from what is named"), unexplained=named.unexplained)
         if gone

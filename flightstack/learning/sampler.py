@@ -15,7 +15,8 @@ Latency.  A bank of candidate delays runs beside each other; each one's delayed 
 measured specific force along the thrust axis, both without what is slower than 0.1 s (what the state does to the force
 is slow), forgetting over some seconds.  The delay with the least residual wins once thrust has been excited enough, it
 explains half of the force's fast part, and its lead is clear.  It is unknown (NaN), and the delay of the file stands,
-until so much is explained and delays two steps away leave clearly more: PX4's simulator's IMU is too noisy to show it.
+until so much is explained and delays two steps away leave clearly more, by what so many samples can tell: PX4's
+simulator's IMU is too noisy to show it.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ _EXPLAINED = 0.5
 """Share of the fast force's variance that the delayed thrust must explain before delays are told apart."""
 _CURVED = 1.02
 """What delays two steps away must leave at least, of the chosen one's residual variance."""
+_TOLD = 7.4
+"""And by so much more, over the number of samples: a true delay that seems so much worse is one in 40 (chi squared of
+two, delay and lag)."""
 _GAP_MAX_S = 0.05
 _SAME_S = 5e-7
 """Stamps of whole microseconds that differ by less are one."""
@@ -237,8 +241,9 @@ def _choose_latency(memory: F64) -> None:
     if left > (1.0 - _EXPLAINED) * memory[b + _B_FF] / memory[b + _B_COUNT]:
         return
     memory[_M_PICK] = pick
+    curved = max(_CURVED, 1.0 + _TOLD / memory[b + _B_COUNT])
     for k in (pick - 2, pick + 2):
-        if 0 <= k < _CANDIDATES and _left(memory, k)[0] < _CURVED * _left(memory, pick)[0]:
+        if 0 <= k < _CANDIDATES and _left(memory, k)[0] < curved * _left(memory, pick)[0]:
             return
     memory[_M_EVIDENT] = 1.0
 

@@ -30,6 +30,7 @@ from flightstack_sim.autopilot.params import ParamResult
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.grade import load_grade
 from flightstack_sim.plant import Truth
+from flightstack_sim.sensors import STANDARD_DEGC
 from flightstack_sim.server import Server
 from flightstack_sim.shell import GCS, ONBOARD, Seam
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -45,6 +46,7 @@ TICK_MS: Final = 4
 TICK_US: Final = 1000 * TICK_MS
 DATAGRAM_BYTES: Final = 1400
 """Messages of one step are packed: a socket that nobody reads meanwhile holds 5 s of the offboard link, not 0.4 s."""
+ZERO_DEGC_K: Final = 273.15
 SYNC_LAG_US: Final = 150_000
 """How far the vehicle may be ahead of a client's last answer to TIMESYNC, which is asked every 100 ms."""
 SYNC_PATIENCE_S: Final = 1.0
@@ -91,11 +93,14 @@ class Px4Sim:
             replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed, plant=options.plant
         )
         self.server = Server(vehicle, system=options.sysid)
+        if options.speed <= 0.0:
+            self.server.gcs_waiting = set()
         self.recording = Recording()
         self._seam = Seam(self.server, 2, options.seed)
         self._ports = (free_port(), free_port())
         self._sockets = tuple(UdpSocket.bind(HOST, 0, peer=(HOST, port), latch=True) for port in self._ports)
         self._packed = [b"", b""]
+        self._thrust_scale = truth.effects.get("thrust_scale", {}).get("scale", 1.0)
         self._memory: dict[int, Connection] = {}
         self._end_us = 0.0
         self._wall_s = -1.0
@@ -165,6 +170,7 @@ class Px4Sim:
             self._collect()
             self._wait_for_client()
             self._wait_for_wall()
+        self._hear_ground_stations()
         self._flush()
 
     def step_until(self, condition: Callable[[], bool], timeout_s: float = 60.0) -> bool:
@@ -179,6 +185,7 @@ class Px4Sim:
     def serve(self) -> None:
         """Answer what clients have asked, at the vehicle's present time: commands, parameters, missions."""
         self._receive()
+        self._hear_ground_stations()
         self.server.answer()
         self._collect()
         self._flush()
@@ -213,10 +220,24 @@ class Px4Sim:
     def set_effect(self, name: str, **values: float) -> None:
         """An effect of the physics has these values from now on: `steady_wind`, north_mps=3.0 (see EFFECTS)."""
         self.server.vehicle.plant.set_effect(name, values)
+        if name == "thrust_scale":
+            self._thrust_scale = values.get("scale", 1.0)
 
     def wind(self, north_mps: float, east_mps: float, down_mps: float = 0.0) -> None:
         """The air moves so over ground from now on; it acts through the vehicle's drag effects."""
         self.set_effect("steady_wind", north_mps=north_mps, east_mps=east_mps, down_mps=down_mps)
+
+    def temperature(self, degc: float) -> None:
+        """The air's temperature from now on: sensors tell it, and thrust goes with the air's density at this pressure.
+
+        The vehicle file's thrust holds at the standard atmosphere's 11.8 degrees; drag stays as it is.
+        """
+        if not -60.0 <= degc <= 60.0:
+            raise InputError(f"temperature({degc}): degrees Celsius from -60 to 60")
+        sensors, scale = self.server.vehicle.sensors, self._thrust_scale
+        sensors.imu_degc = sensors.air_degc = float(degc)
+        ratio = (STANDARD_DEGC + ZERO_DEGC_K) / (degc + ZERO_DEGC_K)
+        self.server.vehicle.plant.set_effect("thrust_scale", {"scale": scale * ratio})
 
     def battery(self, remaining: float | None) -> None:
         """The charge that the autopilot is told, 0..1; None: the simulated one again."""
@@ -287,20 +308,29 @@ class Px4Sim:
             self._sockets[index].send(self._packed[index])
             self._packed[index] = b""
 
+    def _hear_ground_stations(self) -> None:
+        """One that comes by the wall's time counts from here on: between two steps, whenever within one it came."""
+        for index in self.server.gcs_waiting or ():
+            self.server.hear_gcs(index)
+        self.server.gcs_waiting = None if self.server.gcs_waiting is None else set()
+
     def _wait_for_client(self) -> None:
-        """Let a client that answers TIMESYNC keep up."""
+        """Let a client that answers TIMESYNC keep up; as a ground station it is there as long as it does."""
         for index, socket in enumerate(self._sockets):
-            synced_us = self.server.synced_us(index)
-            if synced_us is None:
+            port = self.server.port(index)
+            if port.synced_us is None:
                 continue
-            if self.server.t_us - synced_us <= SYNC_LAG_US:
+            if self.server.t_us - port.synced_us <= SYNC_LAG_US:
                 self._absent = False
+                stepped = self.server.gcs_waiting is not None
+                if stepped and port.has_gcs(self.server.t_us, self.server.vehicle.params):
+                    self.server.hear_gcs(index)  # its heartbeats come by the wall's time
                 continue
             if self._absent:
                 continue
             self._flush()
             limit_s = time.monotonic() + SYNC_PATIENCE_S
-            while self.server.t_us - (self.server.synced_us(index) or 0) > SYNC_LAG_US:
+            while self.server.t_us - port.synced_us > SYNC_LAG_US:
                 left_s = limit_s - time.monotonic()
                 if left_s <= 0.0:
                     self._absent = True

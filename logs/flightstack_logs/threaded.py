@@ -27,12 +27,12 @@ CAPACITY = 20_000
 class ThreadedLog:
     """A `FlightLog` behind a queue; it may only be used through this object until `close` has returned."""
 
-    def __init__(self, log: FlightLog, *, capacity: int = CAPACITY, start: bool = True) -> None:
+    def __init__(self, log: FlightLog, *, capacity: int = CAPACITY, start: bool = True, poll_s: float = POLL_S) -> None:
         self.log = log
         self.dropped = 0
         """Calls that found the queue full."""
         self._queue: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
-        self._capacity = capacity
+        self._capacity, self._poll_s = capacity, poll_s
         self._last_t_us = 0
         self._stop = threading.Event()
         self._late = False
@@ -113,7 +113,7 @@ class ThreadedLog:
 
     def _run(self) -> None:
         polls = 0
-        while not self._stop.wait(POLL_S):
+        while not self._stop.wait(self._poll_s):
             polls += 1
             self._drain()
             if polls >= FLUSH_POLLS:

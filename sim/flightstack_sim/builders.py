@@ -14,6 +14,7 @@ from flightstack_sim.autopilot.requests import ESTIMATE_READY_US
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.battery_state import CURRENT_A
 from flightstack_sim.plans import FENCE, MISSION, RALLY
+from flightstack_sim.sensors import OFF
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
 
@@ -21,17 +22,13 @@ NAN: Final = math.nan
 
 _STANDBY, _ACTIVE, _CRITICAL = 3, 4, 5
 _UNUSED_SERVOS, _DISARMED_SERVOS, _NO_OUTPUTS = (900,) * 12, (900,) * 16, (0.0,) * 16
-_ALIGNED_US: Final = 2_500_000
 _SENSORS_PRESENT, _SENSORS_ENABLED, _SENSORS_HEALTHY = 0x0300402F, 0x0301402F, 0x0320C83F
-_PREARM_CHECK: Final = 1 << 28
-_RANGEFINDER_M: Final = 100.0
-_TERMINATED: Final = 8
+_PREARM_CHECK, _HEALTH_BITS = 1 << 28, {"Compass": 4, "Baro": 8}
+_RANGEFINDER_M, _TERMINATED = 100.0, 8
 _NO_ITEMS, _NO_MISSION = 0xFFFF, 1
-_CAPABILITIES: Final = 0xE8FF
 _GOOD_RATIOS: Final = (0.05, 0.05, 0.05, 0.05, 0.01)
-_VERSION: Final = 0x01120040  # 1.18.0 alpha
-_UID: Final = 5283920058631409231
-_HOUR_US: Final = 3_600_000_000
+_CAPABILITIES, _VERSION = 0xE8FF, 0x01120040  # 1.18.0 alpha
+_UID, _ALIGNED_US, _HOUR_US = 5283920058631409231, 2_500_000, 3_600_000_000
 _CELLS_ABSENT: Final = (NAN,) * 9
 
 
@@ -89,8 +86,8 @@ def highres_imu(view: View) -> m.HighresImu:
     view.sample_air()
     means = tuple(sensors.mean_imu.tolist())
     return m.HighresImu(
-        view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m, 15.0,
-        view.fields_updated,
+        view.stamp_us, means[3:6], means[0:3], view.mag_frd_gauss, view.pressure_hpa, 0.0, view.altitude_m,
+        sensors.imu_degc, view.fields_updated,
     )  # fmt: skip
 
 
@@ -99,7 +96,7 @@ def scaled_imu(view: View) -> m.ScaledImu:
     sensors = view.vehicle.sensors
     x, y, z = sensors.raw_accel_frd_mps2.tolist()
     gyro = tuple(sensors.mean_imu.tolist())[0:3]
-    return m.ScaledImu(view.stamp_us, (x, y, z), gyro, view.mag_frd_gauss, 15.0)
+    return m.ScaledImu(view.stamp_us, (x, y, z), gyro, view.mag_frd_gauss, sensors.imu_degc)
 
 
 def servo_output_raw(view: View) -> m.ServoOutputRaw:
@@ -231,8 +228,9 @@ def extended_sys_state(view: View) -> m.ExtendedSysState:
 
 def sys_status(view: View) -> m.SysStatus:
     """Sensors' health, with the arming checks in bit 28, and the battery."""
-    health = _SENSORS_HEALTHY | (_PREARM_CHECK if view.can_arm else 0)
-    battery = view.battery
+    health, battery = _SENSORS_HEALTHY | (_PREARM_CHECK if view.can_arm else 0), view.battery
+    for sensor in view.silent():
+        health &= ~_HEALTH_BITS[sensor]
     return m.SysStatus(
         _SENSORS_PRESENT, _SENSORS_ENABLED, health, 100, battery.voltage_v, CURRENT_A, round(100.0 * battery.remaining),
         health_extended=1,
@@ -291,9 +289,12 @@ def gps_raw_int(view: View) -> m.GpsRawInt | None:
     )  # fmt: skip
 
 
-def scaled_pressure(view: View) -> m.ScaledPressure:
+def scaled_pressure(view: View) -> m.ScaledPressure | None:
     """Barometer."""
-    return m.ScaledPressure(view.stamp_us, view.vehicle.sensors.pressure_hpa(), 0.0, 11.82)
+    sensors = view.vehicle.sensors
+    if sensors.barometer.kind != OFF:
+        return m.ScaledPressure(view.stamp_us, sensors.pressure_hpa(), 0.0, sensors.air_degc)
+    return None
 
 
 def vibration(view: View) -> m.Vibration:

@@ -27,6 +27,7 @@ from flightstack_sim.autopilot.requests import (
     StartRequest,
     TerminateRequest,
 )
+from flightstack_sim.sensors import OFF, STUCK, WORKS
 from flightstack_sim.streams import LinkStreams
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
@@ -38,10 +39,10 @@ UNSUPPORTED_FRAME: Final = 9
 _START: Final = 300
 _TERMINATE: Final = 185
 _INJECT: Final = 420
-_GPS_UNIT, _BATTERY, _MOTOR = 4, 100, 101
+_MAG, _BARO, _GPS_UNIT, _BATTERY, _MOTOR = 2, 3, 4, 100, 101
 """FAILURE_UNIT."""
-_WORKS, _OFF, _STUCK, _WRONG = 0, 1, 2, 4
-"""FAILURE_TYPE."""
+_WRONG: Final = 4
+"""Of FAILURE_TYPE, beside sensors.WORKS, OFF, STUCK."""
 _MOTORS: Final = 4
 _GET_HOME: Final = 410
 _REQUEST_PROTOCOL: Final = 519
@@ -179,16 +180,22 @@ def _terminate(context: Context, params: Params) -> Result | None:
 
 
 def _inject(context: Context, params: Params) -> Result | None:
-    """INJECT_FAILURE; what isn't simulated is UNSUPPORTED."""
+    """INJECT_FAILURE; what isn't simulated is UNSUPPORTED, and DENIED is all without SYS_FAILURE_EN."""
+    if context.view.vehicle.params.get("SYS_FAILURE_EN") != 1.0:
+        return Result.DENIED
     unit, kind, instance = (_integer(value) if math.isfinite(value) else 0 for value in params[:3])
     view, sensors = context.view, context.view.vehicle.sensors
-    if unit == _MOTOR and kind in (_WORKS, _OFF) and 0 <= instance <= _MOTORS:
-        view.vehicle.fail_motor(instance, failed=kind == _OFF)
-    elif unit == _BATTERY and kind in (_WORKS, _OFF):
-        view.battery.forced = 0.0 if kind == _OFF else None
-    elif unit == _GPS_UNIT and kind == _WORKS:
+    if unit == _MOTOR and kind in (STUCK, _WRONG) and 0 <= instance <= _MOTORS:
+        pass  # PX4 spoils the telemetry of its motor controllers, which is not sent here
+    elif unit == _MOTOR and kind in (WORKS, OFF) and 0 <= instance <= _MOTORS:
+        view.vehicle.fail_motor(instance, failed=kind == OFF)
+    elif unit == _BATTERY and kind in (WORKS, OFF):
+        view.battery.forced = 0.0 if kind == OFF else None
+    elif unit in (_MAG, _BARO) and kind in (WORKS, OFF, STUCK) and 0 <= instance <= 1:
+        (sensors.magnetometer if unit == _MAG else sensors.barometer).become(kind, view.t_us)
+    elif unit == _GPS_UNIT and kind == WORKS:
         sensors.position_valid = True
-    elif unit == _GPS_UNIT and kind in (_OFF, _STUCK, _WRONG):
+    elif unit == _GPS_UNIT and kind in (OFF, STUCK, _WRONG):
         sensors.position_valid = False  # whatever is wrong with it, the estimator takes it no more
     else:
         return Result.UNSUPPORTED

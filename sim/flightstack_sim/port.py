@@ -31,6 +31,11 @@ class Port:
         self.gcs_at_us = NEVER
         self.text_id = 0
         self.synced_us: int | None = None
+        """When the last TIMESYNC that the client has answered was sent; None before it answered any."""
+
+    def has_gcs(self, now_us: int, params: Params) -> bool:
+        """Whether a ground station has been heard lately."""
+        return now_us - self.gcs_at_us < params.get("COM_DL_LOSS_T") * 1e6
 
     def send_parameters(self, params: Params) -> None:
         """Some more of the parameters that were asked for."""

@@ -41,6 +41,8 @@ FIELD_NED_GAUSS = (0.2147, 0.0116, 0.4297)
 """Earth's magnetic field at Zurich (World Magnetic Model)."""
 HOME_ALTITUDE_M = 489.4
 """Height of the local origin above sea level."""
+STANDARD_DEGC = 11.82
+"""The standard atmosphere's temperature there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,30 @@ class Fix:
     pos_horizontal_std_m: float
     pos_vertical_std_m: float
     vel_std_mps: float
+
+
+WORKS, OFF, STUCK = 0, 1, 2
+"""MAVLink's FAILURE_TYPE: as ever, no samples, the last one again and again."""
+_LOST_US = 1_000_000
+"""PX4's checks want a barometer's and a magnetometer's sample within a second."""
+
+
+class Failing:
+    """What was made of a sensor by INJECT_FAILURE."""
+
+    __slots__ = ("_since_us", "kind")
+
+    def __init__(self) -> None:
+        self.kind, self._since_us = WORKS, 0
+
+    def become(self, kind: int, now_us: int) -> None:
+        """Off, stuck, or working again, from now on."""
+        if kind != self.kind:
+            self.kind, self._since_us = kind, now_us
+
+    def lost(self, now_us: int) -> bool:
+        """Whether PX4 misses its samples."""
+        return self.kind == OFF and now_us - self._since_us >= _LOST_US
 
 
 class Sensors:
@@ -74,6 +100,10 @@ class Sensors:
         """Of the local frame's origin above the sea: what the barometer feels."""
         self.position_valid = True
         self.attitude_valid = True
+        self.barometer, self.magnetometer = Failing(), Failing()
+        self.imu_degc, self.air_degc = 15.0, STANDARD_DEGC
+        """What the IMU and the barometer tell; the first as a PX4 with SIH does."""
+        self._pressure_hpa, self._mag_frd_gauss = math.nan, (math.nan, math.nan, math.nan)
         self.position_resets = 0
         self.t_us = 0
         imu = grade.imu
@@ -188,14 +218,18 @@ class Sensors:
     def pressure_hpa(self) -> float:
         """Barometer now: standard atmosphere at the true height, with noise."""
         altitude_m = self.origin_altitude_m - float(self._pos_ned_m[2])
-        noise_pa = self.grade.air.baro_std_pa * self._air_normal()
-        return 1013.25 * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588) + 0.01 * noise_pa
+        if self.barometer.kind != STUCK or math.isnan(self._pressure_hpa):
+            noise_pa = self.grade.air.baro_std_pa * self._air_normal()
+            self._pressure_hpa = 1013.25 * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588) + 0.01 * noise_pa
+        return self._pressure_hpa
 
     def mag_frd_gauss(self) -> Tuple3:
         """Magnetometer now: Earth's field turned into the body, with noise."""
-        x, y, z = _to_body(self._q_ned_frd.tolist(), FIELD_NED_GAUSS)
-        normal, std = self._air_normal, self.grade.air.mag_std_gauss
-        return x + std[0] * normal(), y + std[1] * normal(), z + std[2] * normal()
+        if self.magnetometer.kind != STUCK or math.isnan(self._mag_frd_gauss[0]):
+            x, y, z = _to_body(self._q_ned_frd.tolist(), FIELD_NED_GAUSS)
+            normal, std = self._air_normal, self.grade.air.mag_std_gauss
+            self._mag_frd_gauss = x + std[0] * normal(), y + std[1] * normal(), z + std[2] * normal()
+        return self._mag_frd_gauss
 
     def _air_normal(self) -> float:
         """The next normal for the barometer or the magnetometer."""

@@ -36,7 +36,7 @@ from flightstack_sim.streams import LinkKind
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link, Received
-from mavlink_bridge.px4 import TYPE_GCS
+from mavlink_bridge.px4 import COMPONENT_GCS, TYPE_GCS
 
 SLOW_US: Final = 100_000
 HOME_SET_US: Final = 3_820_000
@@ -76,11 +76,12 @@ class Server:
         self.faults = Injector(faults)
         self.deaf_to: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from the autopilot."""
+        self.gcs_waiting: set[int] | None = None
+        """Links whose ground station has come, where whoever steps says when it counts (`hear_gcs`); None: at once."""
         self._ports = [Port(kind, system, self.plans) for kind in links]
         self._requests: list[Request] = []
         self._offboard: ControlSetpoint | None = None
         self._offboard_at_us = NEVER
-        self._gcs_at_us = NEVER
         self._breached = False
         self.stick_flight = StickFlight(vehicle.params)
         self.detector = FailureDetector(vehicle.params)
@@ -94,13 +95,13 @@ class Server:
         """Simulated time since boot."""
         return self.vehicle.plant.t_us
 
+    def port(self, index: int) -> Port:
+        """All that one link has for itself."""
+        return self._ports[index]
+
     def link(self, index: int) -> Link:
         """The protocol side of a link: statistics, and whatever a test wants to see."""
         return self._ports[index].link
-
-    def synced_us(self, index: int) -> int | None:
-        """When the last TIMESYNC that a link's client has answered was sent; None before it answered any."""
-        return self._ports[index].synced_us
 
     # --- in ---
 
@@ -113,13 +114,13 @@ class Server:
             handler = _HANDLERS.get(kind)
             if handler is not None and kind not in self.deaf_to and self._addressed(received.message):
                 handler(self, link_index, received)
+            if self.gcs_waiting is not None and received.component == COMPONENT_GCS:
+                self.gcs_waiting.add(link_index)  # before its first heartbeat, which comes by the wall's time
 
     def _addressed(self, message: Any) -> bool:
         """Whether a message is for us: our system or all, the autopilot or all components."""
-        return getattr(message, "target_system", 0) in (0, self.system) and getattr(message, "target_component", 0) in (
-            0,
-            1,
-        )
+        system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+        return system in (0, self.system) and component in (0, 1)
 
     def _on_attitude_target(self, link_index: int, received: Received) -> None:
         setpoint = from_attitude_target(received.message, self._offboard)
@@ -143,10 +144,16 @@ class Server:
 
     def _on_heartbeat(self, link_index: int, received: Received) -> None:
         if received.message.type == TYPE_GCS:
+            there = self._ports[link_index].has_gcs(self.t_us, self.vehicle.params)
+            self.hear_gcs(link_index) if there or self.gcs_waiting is None else self.gcs_waiting.add(link_index)
+
+    def hear_gcs(self, link_index: int) -> None:
+        """A link's ground station is there now."""
+        if m.Heartbeat not in self.deaf_to:
             port = self._ports[link_index]
-            if not self._has_gcs(port):
+            if not port.has_gcs(self.t_us, self.vehicle.params):
                 self.commander.report_again()
-            port.gcs_at_us = self._gcs_at_us = received.t_us
+            port.gcs_at_us = self.t_us
 
     def _on_command(self, link_index: int, received: Received) -> None:
         port = self._ports[link_index]
@@ -282,7 +289,7 @@ class Server:
             self._offboard_at_us if usable else NEVER,
             self.navigator.state.takeoff_done,
             requests,
-            self._gcs_at_us,
+            max(port.gcs_at_us for port in self._ports),
             self.view.battery.remaining,
             valid,
             self._breached,
@@ -290,6 +297,7 @@ class Server:
             self.mission.finished,
             self._sticks_at_us,
             self.detector.failed,
+            self.view.silent(),
             self.mission.returns,
         )
 
@@ -311,11 +319,8 @@ class Server:
     def _watch_mission(self) -> None:
         """What was stored, and which item was reached: said once at once, then every second."""
         said, state = self.mission.renew(), self.navigator.state
-        if (
-            said
-            or not self.mission.valid
-            or (self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION)
-        ):
+        waits = self.mission.reached < 0 and self.commander.state.mode is not modes.MISSION
+        if said or waits or not self.mission.valid:
             state.mission_state = NOT_STARTED
         self.view.mission_valid = self.mission.valid
         self._say(said, self.view.t_us)
@@ -358,14 +363,10 @@ class Server:
                 event = self.events.add(notice.event_id, notice.log_levels, notice.arguments, now_us)
                 self.view.event_sequence = self.events.sequence
             for port in self._ports:
-                if notice.text and self._has_gcs(port):
+                if notice.text and port.has_gcs(self.t_us, self.vehicle.params):
                     port.send_text(notice)
                 if event is not None:
                     port.link.send(event)
-
-    def _has_gcs(self, port: Port) -> bool:
-        """Whether a ground station's heartbeat has been seen on the link lately."""
-        return self.t_us - port.gcs_at_us < self.vehicle.params.get("COM_DL_LOSS_T") * 1e6
 
 
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {

@@ -72,9 +72,8 @@ class SimulatedVehicle:
         return self.sensors.fix
 
     def fail_motor(self, number: int, *, failed: bool) -> None:
-        """A motor (1 to 4; 0: any) gives no thrust from now on, or works again; one at a time."""
-        effectiveness = 0.0 if failed else 1.0
-        self.plant.set_effect("rotor_fault", {"rotor": float(number or 1), "effectiveness": effectiveness})
+        """A motor (1 to 4; 0: all) is stopped from now on, or runs again."""
+        self.control.rate.stop_motor(number, stopped=failed)
 
     def advance(self, setpoint: ControlSetpoint, n_ms: int = ESTIMATE_EVERY_MS) -> None:
         """Fly `setpoint` for n_ms milliseconds."""

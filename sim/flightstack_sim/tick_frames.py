@@ -44,7 +44,7 @@ class TickFrames:
         """Queue the messages whose numbers (1 to 4, as in KINDS) are the octal digits of `order`, in their order."""
         vehicle, setpoint = view.vehicle, view.setpoint
         spinning = setpoint.kind is not ControlKind.OFF and abs(setpoint.thrust_norm) < np.inf
-        air = (*view.mag_frd_gauss, view.pressure_hpa, view.altitude_m)
+        air = (*view.mag_frd_gauss, view.pressure_hpa, view.altitude_m, vehicle.sensors.imu_degc)
         count = _write(
             order, view.stamp_us,
             (vehicle.sensors.state, vehicle.rate_frd_radps, vehicle.sensors.mean_imu, vehicle.motor_command), air,
@@ -65,7 +65,7 @@ _PRESSURE, _ALTITUDE, _TEMPERATURE, _FIELDS = 11, 13, 14, 30
 
 @njit
 def _write(
-    order: int, stamp_us: int, state: tuple[F64, F64, F64, F64], air: tuple[float, float, float, float, float],
+    order: int, stamp_us: int, state: tuple[F64, F64, F64, F64], air: tuple[float, float, float, float, float, float],
     fields: int, spinning: bool, sender: tuple[int, int, int], memory: Any,
 ) -> int:  # fmt: skip
     estimate, rate, imu, motors = state
@@ -81,9 +81,9 @@ def _write(
             for i in range(3):
                 floats[2 + i], floats[5 + i] = imu[3 + i], imu[i]
                 floats[8 + i] = air[i]
-            _, _, _, pressure_hpa, altitude_m = air
+            _, _, _, pressure_hpa, altitude_m, degc = air
             floats[_PRESSURE], floats[_ALTITUDE] = pressure_hpa, altitude_m
-            floats[_TEMPERATURE], halves[_FIELDS] = 15.0, fields
+            floats[_TEMPERATURE], halves[_FIELDS] = degc, fields
         elif kind == _MOTORS:
             words[0] = min(stamp_us, 0xFFFF_FFFF)
             for i in range(8):

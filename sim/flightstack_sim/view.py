@@ -19,6 +19,7 @@ from flightstack_sim.battery_state import BatteryState
 from flightstack_sim.estimator import EstimatorAccuracy
 from flightstack_sim.fence import FenceWatch
 from flightstack_sim.plans import Plans
+from flightstack_sim.sensors import OFF
 from flightstack_sim.simulated_vehicle import SimulatedVehicle
 
 _MAG_PERIOD_US: Final = 20_000
@@ -246,16 +247,23 @@ class View:
         w, x, y, z = control.q_setpoint_ned_frd.tolist()
         return self.t_us, (w, x, y, z), control.thrust_setpoint
 
+    def silent(self) -> tuple[str, ...]:
+        """The sensors whose data PX4 misses (SYS_HAS_BARO, SYS_HAS_MAG)."""
+        sensors, params = self.vehicle.sensors, self.vehicle.params
+        watched = (("Baro", sensors.barometer, "SYS_HAS_BARO"), ("Compass", sensors.magnetometer, "SYS_HAS_MAG"))
+        return tuple(name for name, sensor, has in watched if sensor.lost(self.t_us) and params.get(has) != 0.0)
+
     def sample_air(self) -> None:
         """Magnetometer (50 Hz) and barometer (about 21 Hz) for HIGHRES_IMU; `fields_updated` says which are new."""
         fields = 0x3F
-        if self.t_us - self._mag_at_us >= _MAG_PERIOD_US:
+        sensors = self.vehicle.sensors
+        if self.t_us - self._mag_at_us >= _MAG_PERIOD_US and sensors.magnetometer.kind != OFF:
             self._mag_at_us = self.t_us
-            self.mag_frd_gauss = self.vehicle.sensors.mag_frd_gauss()
+            self.mag_frd_gauss = sensors.mag_frd_gauss()
             fields |= 0x1C0
-        if self.t_us - self._baro_at_us >= _BARO_PERIOD_US:
+        if self.t_us - self._baro_at_us >= _BARO_PERIOD_US and sensors.barometer.kind != OFF:
             self._baro_at_us = self.t_us
-            self.pressure_hpa = self.vehicle.sensors.pressure_hpa()
+            self.pressure_hpa = sensors.pressure_hpa()
             self.altitude_m = 44330.8 * (1.0 - (self.pressure_hpa / 1013.25) ** 0.190263)
             fields |= 0x1A00
         self.fields_updated = fields

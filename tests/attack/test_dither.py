@@ -12,11 +12,8 @@ from benchmarks import attack_adversary
 from benchmarks.attack_adversary import GRADIENT, INNER, KNOWN, NOISE, PUSH, SINE, SQUARE, Strategy
 from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World
-from flightstack.barrier.premise_watch import NAMES
 
 pytestmark = pytest.mark.attack
-
-LEAN_NORTH = NAMES.index("lean north")
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -40,21 +37,13 @@ def leaning() -> AttackFlight:
     return engaged(World(0), 503)
 
 
-ENDS = pytest.mark.xfail(reason="leans 0.02 beyond the certificate for 0.14 s, inside: docs/limits.md", strict=True)
-"""What is open: barriers come before the lean; it ends a protection in 1 of 3 seeds since certificates come sooner."""
-
-
-@pytest.mark.parametrize("k", [16, 7, pytest.param(3, marks=ENDS)])
+@pytest.mark.parametrize("k", [16, 7, 3])
 def test_who_leans_and_drops_the_thrust_does_not_end_the_protection(leaning: AttackFlight, k: int) -> None:
     """Each of them took the lean (0.11 beyond it) or the thrust out of the certificate's, and with it the protection,
-    where the governor let the turning of one lateral axis take the other's, and thrust fell below the budget's."""
+    where the governor let the turning of one lateral axis take the other's, and thrust fell below the budget's; the
+    last, flown after the others, where a barrier in need turned the lean faster than it could be stopped."""
     strategy = attack_adversary.decode(attack_adversary.drawn(np.random.default_rng([77, k])))
     held(leaning.attack(strategy, 6.0))
-
-
-def test_who_leans_and_drops_the_thrust_stays_inside(leaning: AttackFlight) -> None:
-    strategy = attack_adversary.decode(attack_adversary.drawn(np.random.default_rng([77, 3])))
-    held(leaning.attack(strategy, 6.0), may_break=(LEAN_NORTH,))
 
 
 def test_nor_when_all_axes_are_pushed_and_thrust_goes_up_wherever_it_dithers() -> None:

@@ -150,3 +150,27 @@ def test_browsers_that_never_read_or_go_away_change_nothing(tmp_path: Path) -> N
         logs.append(path.read_bytes())
     assert len(read(tmp_path / "True.mcap").tables["/tick"]) == 1500
     assert logs[0] == logs[1]
+
+
+def test_a_kept_connection_sees_what_is_new_and_ends_with_the_flight() -> None:
+    port = free_tcp_pair()
+    recorder = LiveRecorder(None, port)
+    connection = http.client.HTTPConnection(HOST, port + 1, timeout=5.0)
+
+    def asked() -> Any:
+        connection.request("GET", "/state")
+        return json.loads(connection.getresponse().read())
+
+    flown(recorder)
+    first = asked()
+    kept = connection.sock
+    recorder.scene(200_000, StoppingWay(np.array([[0.25, -0.5, -1.0], [np.nan, 0.0, -1.0]])))
+    recorder.event(204_000, "mode", "HOLD")
+    second = asked()
+    assert connection.sock is kept
+    assert first["scene"]["way"] == [[0.25, -0.5, -1.0], [0.75, -0.5, -1.0]]
+    assert second["scene"] == first["scene"] | {"way": [[0.25, -0.5, -1.0], [None, 0.0, -1.0]]}
+    assert second["events"] == [*first["events"], [0.204, "mode", "HOLD"]]
+    recorder.close()
+    with pytest.raises((http.client.HTTPException, OSError)):
+        asked()

@@ -22,7 +22,7 @@ REPLIES = frozenset({
 })  # fmt: skip
 
 
-def flight() -> list[tuple[int, str, bytes]]:
+def flight(kind: str, flown_s: float = FLOWN_S) -> list[tuple[int, str, bytes]]:
     """Found, armed and taken off by MAVSDK; what the vehicle said of itself: time (us), name, payload."""
     from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
     from mavsdk.asyncio.plugins.action import ActionAsync
@@ -30,18 +30,18 @@ def flight() -> list[tuple[int, str, bytes]]:
     px4 = Px4Sim(Px4Options())
 
     async def run() -> None:
-        async with Mavsdk(Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)) as mavsdk:
+        async with Mavsdk(Configuration.create_with_component_type(ComponentType[kind])) as mavsdk:
             await mavsdk.add_any_connection(px4.mavsdk_address)
             px4.step(FOUND_S)
             system = await px4.call(mavsdk.first_autopilot(20.0))
             action = ActionAsync(system)
             await px4.call(action.arm())
             await px4.call(action.takeoff())
-            px4.step(FLOWN_S)
+            px4.step(flown_s)
 
     try:
         asyncio.run(asyncio.wait_for(run(), 60.0))
-        assert px4.now_s == pytest.approx(FOUND_S + FLOWN_S, abs=0.01)
+        assert px4.now_s == pytest.approx(FOUND_S + flown_s, abs=0.01)
         assert px4.truth.pos_ned_m[2] < -2.0
         return own_messages(px4)
     finally:
@@ -64,8 +64,16 @@ def own_messages(px4: Px4Sim) -> list[tuple[int, str, bytes]]:
     return said
 
 
-def test_two_flights_by_mavsdk_say_the_same_at_the_same_times() -> None:
-    first: list[Any] = flight()
+@pytest.mark.parametrize("kind", ["COMPANION_COMPUTER", "GROUND_STATION"])
+def test_two_flights_by_mavsdk_say_the_same_at_the_same_times(kind: str) -> None:
+    first: list[Any] = flight(kind)
     assert len({name for _, name, _ in first}) > 20
     assert len(first) > 3000
-    assert flight() == first
+    assert flight(kind) == first
+
+
+def test_a_ground_station_that_answers_is_not_lost_in_a_long_step() -> None:
+    """Its heartbeats come once a second of the wall, in which the vehicle flies a minute; PX4 loses it after 10 s."""
+    texts = b" ".join(payload for _, name, payload in flight("GROUND_STATION", 30.0) if name == "STATUSTEXT")
+    assert b"Takeoff detected" in texts  # it is there: PX4 tells texts to ground stations only
+    assert b"GCS connection" not in texts  # and was not lost meanwhile

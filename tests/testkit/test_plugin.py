@@ -188,3 +188,28 @@ def test_body_rates_are_flown_by_px4s_rate_loop() -> None:
         truth = vehicle.step(Rates((0.0, 0.0, 0.5), 0.6))
     assert truth.pos_ned_m[2] < -0.1
     assert truth.rate_frd_radps[2] == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("degc", [40.0, -20.0])
+def test_thrust_goes_with_the_airs_density_and_sensors_tell_its_temperature(
+    px4_fleet: Callable[[int], Fleet], degc: float
+) -> None:
+    """Ideal gas: at one pressure density goes with 1 / T; a hover needs T / T0 times the thrust of one at T0."""
+    commands = []
+    for px4, warmed in zip(px4_fleet(2), (False, True), strict=True):
+        client = px4.connect()
+        if warmed:
+            px4.temperature(degc)
+        px4.step(5.0)
+        client.mav.command_long_send(0, 1, TAKEOFF, 0, *NOT_SET)
+        client.mav.command_long_send(0, 1, ARM, 0, 1, 0, 0, 0, 0, 0, 0)
+        px4.step(10.0)
+        assert px4.truth.pos_ned_m[2] == pytest.approx(-2.5, abs=0.1)
+        commands.append(float(np.mean(px4.server.vehicle.motor_command)))
+        told = {m.temperature for m in drain(client) if m.get_type() == "HIGHRES_IMU"}
+        assert told == {degc if warmed else 15.0}
+    factor = px4.server.vehicle.plant.vehicle.rotors.thrust_model_factor
+    usual, changed = (factor * command**2 + (1.0 - factor) * command for command in commands)
+    assert changed / usual == pytest.approx((degc + 273.15) / (11.82 + 273.15), rel=0.005)
+    with pytest.raises(InputError, match="from -60 to 60"):
+        px4.temperature(math.nan)

@@ -123,7 +123,7 @@ class FakePx4:
             answer(self.arm_result)
             for text in self.texts if self.arm_result else ():
                 self.link.send(m.Statustext(2, text))
-            self.armed = self.armed or self.arm_result == 0
+            self.armed = command.params[0] == 1.0 and (self.armed or self.arm_result == 0)
         elif command.command == 512:
             if self.answers_version:
                 answer(0)

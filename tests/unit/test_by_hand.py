@@ -7,11 +7,11 @@ import math
 import pytest
 
 from mavlink_bridge import messages as m
-from tests.unit.station import ARM, MODE, OFFBOARD_MODE, Station, airborne
+from tests.unit.station import ARM, LAND, MODE, OFFBOARD_MODE, Station, airborne
 
 POSCTL, ALTCTL, STABILIZED = (1.0, 3.0), (1.0, 2.0), (1.0, 7.0)
 TERMINATE, INJECT = 185, 420
-MOTOR, BATTERY, GPS = 101.0, 100.0, 4.0
+MOTOR, BATTERY, GPS, BARO, MAG = 101.0, 100.0, 4.0, 3.0, 2.0
 
 
 def sticks(station: Station, seconds: float, x: int = 0, y: int = 0, z: int = 500, r: int = 0) -> None:
@@ -94,6 +94,21 @@ def test_a_quadrotor_that_loses_a_motor_tumbles_and_falls() -> None:
         station.run_until(lambda station=station: station.vehicle.plant.on_ground, 4.0)  # type: ignore[misc]
 
 
+def test_all_motors_stop_and_one_of_them_alone_runs_again() -> None:
+    """PX4: FailureInjector.cpp, instance 0 is every motor; each has a bit of its own."""
+    station = airborne()
+    assert station.command(INJECT, MOTOR, 1.0, 0.0) == [0]
+    station.run(0.4)  # eight of the rotors' time constants of 50 ms
+    plant = station.vehicle.plant
+    assert sum(plant.truth().rotor_thrust_n) < math.exp(-7.0) * 9.81  # of a weight of 9.81 N
+    assert plant.vel_ned_mps[2] > 2.0
+    assert station.command(INJECT, MOTOR, 0.0, 2.0) == [0]
+    station.run(0.1)
+    assert [thrust > 0.1 for thrust in plant.truth().rotor_thrust_n] == [False, True, False, False]
+    for kind in (2.0, 4.0):  # the telemetry of motor controllers, which is not there
+        assert station.command(INJECT, MOTOR, kind, 0.0) == [0]
+
+
 def test_failures_are_injected_and_taken_back() -> None:
     station = airborne()
     assert station.command(INJECT, BATTERY, 1.0) == [0]
@@ -107,3 +122,64 @@ def test_failures_are_injected_and_taken_back() -> None:
         assert station.command(INJECT, GPS, 0.0) == [0]
     for unit, kind, instance in ((MOTOR, 99.0, 1.0), (MOTOR, 1.0, 9.0), (77.0, 1.0, 0.0)):
         assert station.command(INJECT, unit, kind, instance) == [3]
+
+
+def air_samples(station: Station, seconds: float) -> tuple[list[float], list[tuple[float, ...]], int]:
+    """New pressures and fields of HIGHRES_IMU, and how many SCALED_PRESSURE came."""
+    station.clear()
+    station.run(seconds)
+    heard = station.all(m.HighresImu, 0)
+    pressures = [each.abs_pressure_hpa for each in heard if each.fields_updated & 0x200]
+    fields = [each.mag_frd_gauss for each in heard if each.fields_updated & 0x1C0]
+    return pressures, fields, len(station.all(m.ScaledPressure, 1))
+
+
+@pytest.mark.parametrize(("unit", "name", "bit", "component"), [(BARO, "Baro", 8, 1), (MAG, "Compass", 4, 27)])
+def test_a_barometer_or_compass_that_is_off_is_missed_after_a_second_and_bars_arming(
+    unit: float, name: str, bit: int, component: int
+) -> None:
+    """PX4: SimulatorMavlink.cpp blocks its samples; baroCheck.cpp, magnetometerCheck.cpp want one within a second."""
+    station = airborne()
+    station.heartbeat_every_us = 1_000_000  # texts go to ground stations
+    assert len(air_samples(station, 2.0)[0 if unit == BARO else 1]) > 10
+    assert station.command(INJECT, unit, 1.0, 0.0) == [0]
+    pressures, fields, scaled = air_samples(station, 2.0)
+    assert not (pressures if unit == BARO else fields)
+    assert len(fields if unit == BARO else pressures) > 10
+    assert (scaled == 0) == (unit == BARO)
+    assert any(event.arguments[:6] == b"\xff\xff\xff\xff" + bytes([component, 0]) for event in station.all(m.Event))
+    assert station.state.armed  # it flies on
+    assert station.last(m.SysStatus).health & (4 | 8) == 12 - bit
+    assert station.command(LAND) == [0]
+    station.run_until(lambda: not station.state.armed, 30.0)
+    station.clear()
+    assert station.command(ARM, 1.0) == [1]
+    station.run(1.2)
+    assert any(f"No valid data from {name} 0" in text for text in station.texts())
+    assert station.command(INJECT, unit, 0.0, 0.0) == [0]
+    station.run(1.0)
+    assert station.last(m.SysStatus).health & 12 == 12
+    assert station.command(ARM, 1.0) == [0]
+
+
+def test_a_stuck_barometer_or_compass_repeats_its_last_sample() -> None:
+    station = airborne()
+    for unit, kind in ((BARO, 0), (MAG, 1)):
+        assert station.command(INJECT, unit, 2.0, 1.0) == [0]
+        repeated = air_samples(station, 1.0)[kind]
+        assert len(repeated) > 10
+        assert len(set(repeated)) == 1
+        assert station.command(INJECT, unit, 0.0, 1.0) == [0]
+        again = air_samples(station, 1.0)[kind]
+        assert len(set(again)) == len(again)
+
+
+def test_nothing_is_injected_where_the_parameter_forbids_it() -> None:
+    """PX4: mavlink_receiver.cpp answers DENIED unless SYS_FAILURE_EN is set."""
+    station = airborne()
+    station.vehicle.params.set("SYS_FAILURE_EN", 0.0)
+    for unit in (MOTOR, BATTERY, GPS, BARO, MAG):
+        assert station.command(INJECT, unit, 1.0, 0.0) == [2]
+    station.run(1.0)
+    assert station.vehicle.sensors.position_valid
+    assert station.vehicle.plant.pos_ned_m[2] < -0.5

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from shipped import load_scenario, load_vehicle
 
+from flightstack.certificate_check.provenance import check_age
+from flightstack.certificate_check.reading import Refused
 from flightstack.certificate_check.samples import TICK, WINDOW, Believed, Ticks, samples
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
@@ -67,3 +69,16 @@ def test_every_window_of_the_learner_is_found_where_ticks_repeat_a_sample(
         assert found.fit[index].all()
         np.testing.assert_allclose(store.values, found.y[index][:, :, columns].mean(axis=1), atol=1e-9)
         np.testing.assert_allclose(store.places, found.x[index].mean(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize(("older", "refused"), [(0, False), (20, False), (21, True), (1000, True)])
+def test_a_log_whose_newest_samples_were_older_than_the_premise_is_refused(older: int, refused: bool) -> None:
+    """One tick in 50; the maker's own rule is one in 100.  The newest of the three streams counts."""
+    ages_us = np.where(np.arange(1000) < older, 6000, 2400)
+    tick = {"position_age_us": ages_us + 3000, "attitude_age_us": ages_us, "imu_age_us": ages_us + 1000}
+    ticks = Ticks(np.arange(1000), tick, *(np.zeros((1000, 3)) for _ in range(3)))
+    if refused:
+        with pytest.raises(Refused, match=f"in {older} of 1000 ticks of the log the newest sample was older"):
+            check_age(ticks, 0.002)
+    else:
+        assert f"in {older} of 1000 ticks" in check_age(ticks, 0.002)

@@ -229,6 +229,20 @@ def test_once_px4_lands_silence_is_not_answered() -> None:
     assert companion.last_word(now).flags == 0
 
 
+@pytest.mark.parametrize("late_us", [0, 300_000])
+def test_stop_while_arming_leaves_nothing_armed(late_us: int) -> None:
+    """Ctrl-C as a real PX4 armed: it stayed armed in OFFBOARD without setpoints, then in Return, for 20 s and more."""
+    companion, _ = build()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: vehicle.armed)
+    now = exchange(companion, vehicle, 1e-6 * late_us, start_us=now) if late_us else now
+    assert companion.state is State.STREAMING
+    companion.stop("stopped by the user")
+    exchange(companion, vehicle, 0.1, start_us=now)
+    assert companion.state is State.REFUSED
+    assert not vehicle.armed
+
+
 def test_stop_in_flight_lands_and_is_no_completed_flight() -> None:
     companion, _ = build()
     vehicle = FakePx4()

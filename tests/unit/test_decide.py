@@ -125,6 +125,8 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.OFFBOARD, FLYING, {"foreign_system": 2, "rival": "another"}, 1.0, None),  # in flight nobody is refused
     (State.OFFBOARD, FLYING, {"mission_done": True}, 1.0, E.MISSION_DONE),
     (State.OFFBOARD, FLYING, {"stop_requested": "enough"}, 1.0, E.STOP),
+    (State.OFFBOARD, FLYING, {"ending": "swinging"}, 1.0, E.ENDED),
+    (State.OFFBOARD, AWAY, {"ending": "swinging"}, 1.0, E.TOOK_OVER),  # the pilot comes first
     (State.OFFBOARD, DISARMED, {}, 1.0, E.TOOK_OVER),
     (State.OFFBOARD, {"armed": False, "heartbeat_at_us": ENTERED, "in_offboard": True}, {}, 1.0, None),
     (State.OFFBOARD, AWAY, {}, 1.0, E.TOOK_OVER),
@@ -288,9 +290,11 @@ def test_what_a_vehicle_lacks_is_told_when_the_time_is_over(view: dict[str, Any]
 def test_a_landing_that_does_not_end_is_told_with_where_the_vehicle_is() -> None:
     for on_ground, where in ((True, "on the ground"), (False, "in the air")):
         view = {**ARMED, "on_ground": on_ground, "heard_at_us": ENTERED + 3 * S}
-        decision = decide(situation(State.LANDING, view, landing_limit_s=2.0), ENTERED + 3 * S)
+        now = situation(State.LANDING, view, landing_limit_s=2.0, landing_for="guard: tipped over")
+        decision = decide(now, ENTERED + 3 * S)
         assert decision is not None
-        assert f"2 s after Land was commanded the vehicle is armed, {where} by its own report" in decision.reason
+        words = f"2 s after Land was commanded the vehicle is armed, {where} by its own report"
+        assert decision.reason.startswith(f"guard: tipped over; {words}")
 
 
 def test_a_landing_that_someone_ends_says_why_it_had_begun() -> None:

@@ -219,6 +219,32 @@ def test_the_intervals_of_offsets_cover_the_truth_as_often_as_they_say() -> None
     assert covered >= 30
 
 
+def test_in_a_hover_whose_attitude_is_noisier_than_its_turning_the_gyros_stamps_are_not_told_wrongly() -> None:
+    """Least squares on a noisy attitude's rate believed its first guess to 0.2 ms, 24 ms off: a transport delay.
+
+    Twelve flights, turning by 9 mrad/s rms, attitude good to 1 mrad: what 95 % intervals claim, and nothing is put
+    right that is not late.
+    """
+    wrong = 0
+    for seed in range(12):
+        rng = np.random.default_rng([77, seed])
+        t_s = np.arange(0.0, 30.0, 0.005)
+        late_s = 0.0 if seed % 2 else 0.015
+        wave = [(rng.uniform(0.2, 3.0), rng.uniform(0.0, 6.0), axis) for axis in (0, 1, 2) * 6]
+        rate, angle = np.zeros((len(t_s), 3)), np.zeros((len(t_s), 3))
+        for hz, phase, axis in wave:
+            size = 0.009 * np.sqrt(2.0 / 6.0)
+            rate[:, axis] += size * np.cos(2.0 * np.pi * hz * (t_s - late_s) + phase)
+            angle[:, axis] += size / (2.0 * np.pi * hz) * np.sin(2.0 * np.pi * hz * t_s + phase)
+        q = np.hstack([np.ones((len(t_s), 1)), 0.5 * (angle + 1e-3 * rng.standard_normal(angle.shape))])
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
+        gyro = rate + 2e-3 * rng.standard_normal(rate.shape)
+        signals = {"q_ned_frd": Signal(t_s, q, "q"), "rate_frd_radps": Signal(t_s, gyro, "gyro")}
+        (found,) = find_offsets(signals, (0.1, 29.9))
+        wrong += bool(np.isfinite(found.low_s)) and not found.low_s <= late_s <= found.high_s
+    assert wrong <= 2  # of twelve 95 % intervals more than two miss in one of fifty
+
+
 def test_an_offset_that_the_motion_can_not_tell_is_unknown_not_zero() -> None:
     """Motors: their lateness is lag and delay. And in hover nothing tells the accelerometer's."""
     found = {each.signal: each for each in right().offsets}

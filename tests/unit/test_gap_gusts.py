@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.gap import blown as blown_module
 from flightstack.gap import pooled
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.gusts import gusts
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Naming, name
-from flightstack.gap.records import Gap, Samples
+from flightstack.gap.pooled import Split
+from flightstack.gap.records import Estimate, Found, Gap, Samples
 from flightstack.gap.simulate import knobs
 from flightstack.gap.verdict import gap_of, unexplained
+from flightstack.vehicle import Vehicle
 from tests import gap_batch as batch
 from tests.gap_hidden import HIDDEN, believed
 
@@ -82,6 +85,30 @@ def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Namin
             told = found.parameters[parameter]
             assert told.low <= true <= told.high, parameter
     assert not unexplained(naming.unexplained, gap, named=True).significant
+
+
+def test_beside_gusts_no_steady_wind_goes_through_the_ground(
+    flights: dict[str, Samples], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a payload a wind of 6.9 m/s from below was named once: then a load is tried, else nothing is said."""
+    of = pooled.split([flights["turbulence"]], [])
+    naming = name(believed(), of.flights, of.fit, of.holdout)
+    before = pooled.figures(believed(), of)
+    gap = gap_of(before, before, pooled.noise_floor(believed(), of, before))
+    blown = gusts(believed(), of.flights, [s.valid for s in of.flights])
+    up = {"north_mps": -1.0, "east_mps": -0.8, "down_mps": -6.9}
+    wind = Found("steady_wind", {p: Estimate(0.0, x, x - 1.0, x + 1.0) for p, x in up.items()}, -100.0, 1.0, 1e-9)
+    tried: list[set[str]] = []
+
+    def beside(vehicle: Vehicle, said: Naming, of: Split, found: list[Found], tested: set[str]) -> object:
+        tried.append({f.name for f in found})
+        return None if "payload" in tried[-1] else (replace(said, found=(wind,)), blown, ())
+
+    monkeypatch.setattr(blown_module, "_beside", beside)
+    said, same = with_turbulence(believed(), naming, of, gap)
+    assert tried == [{"steady_wind"}, {"payload", "steady_wind"}]
+    assert said is naming
+    assert same is gap
 
 
 def test_a_thrust_that_fades_is_no_gust(flights: dict[str, Samples]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
@@ -25,8 +26,9 @@ from flightstack.gap.pooled import Split
 from flightstack.gap.records import Estimate, Figures, Found, Gap
 from flightstack.gap.simulate import disagreement
 from flightstack.gap.workflow import analyse
+from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from tests.gap_flights import as_samples, fly, hidden, quad, wander
+from tests.gap_flights import as_samples, fly, hidden, hover, quad, wander
 
 HIDDEN = {"payload": {"mass_kg": 0.2}, "rotor_drag": {"k_d_kg_per_rad": 2e-4}}
 POOR = Gap(Figures(1.0, 1.0, None), Figures(0.9, 0.9, None), Figures(0.1, 0.1, None), 0.1)
@@ -64,12 +66,12 @@ def test_nothing_held_out_nothing_is_doubted(flown: Split) -> None:
     assert doubtful(quad(), [found("payload", -1.0)], nothing, beside=True) == ()
 
 
-def test_far_from_the_noise_is_where_nine_tenths_of_what_is_left_are_not_noise() -> None:
+def test_far_from_the_noise_is_where_half_of_what_is_left_is_not_noise() -> None:
     def gap(floor: float) -> Gap:
         return replace(POOR, noise_floor=Figures(floor, floor, None))
 
-    assert far_from_noise(gap(0.9 * 0.31))
-    assert not far_from_noise(gap(0.9 * 0.32))
+    assert far_from_noise(gap(0.9 * 0.70))
+    assert not far_from_noise(gap(0.9 * 0.71))
 
 
 def test_an_estimate_at_the_end_of_its_range_stands_for_something_else() -> None:
@@ -90,6 +92,16 @@ def test_no_steady_wind_goes_through_the_ground(down_mps: float, proxy: bool) ->
     assert proxies(quad(), [wind, found("payload")], {}) == (("steady_wind",) if proxy else ())
 
 
+def test_a_wind_beside_a_constant_force_stands_for_something_else_far_from_the_noise() -> None:
+    """On an indoor flight they undid each other: 0.0107 N by the drag north, and -0.0098 N; left is their torque."""
+    blows = {"north_mps": Estimate(0.0, 1.03, 0.96, 1.10), "east_mps": Estimate(0.0, -0.55, -0.58, -0.51)}
+    pushes = {"north_n": Estimate(0.0, -0.0097, -0.0107, -0.0087), "east_n": Estimate(0.0, 0.0064, 0.0059, 0.007)}
+    wind = Found("steady_wind", blows | {"down_mps": Estimate(0.0, 0.0, 0.0, 0.0)}, -64.0, 0.2, 1e-9)
+    force = Found("constant_force", pushes | {"down_n": Estimate(0.0, 0.01, 0.0, 0.02)}, -85.0, 0.1, 1e-9)
+    assert proxies(quad(), [force, wind], {}) == ("steady_wind",)
+    assert proxies(quad(), [wind], {}) == ()
+
+
 @pytest.mark.parametrize(("mass_kg", "down_n", "gone"), [(0.47, -3.4, True), (0.47, 3.4, False), (-0.2, 1.5, True)])
 def test_a_force_that_holds_up_what_was_named_as_weight_is_none(mass_kg: float, down_n: float, gone: bool) -> None:
     """Seen on a 50 Hz log: noise on commands looks like a weight of 4.6 N and a force of 3.4 N that holds it up."""
@@ -97,8 +109,25 @@ def test_a_force_that_holds_up_what_was_named_as_weight_is_none(mass_kg: float, 
     force = {p: Estimate(0.0, x, x - 0.1, x + 0.1) for p, x in values.items()}
     weight = {"mass_kg": Estimate(0.0, mass_kg, mass_kg - 0.1, mass_kg + 0.1)}
     names = [Found("payload", weight, -50.0, 0.1, 1e-9), Found("constant_force", force, -50.0, 0.1, 1e-9)]
-    assert doubled(names) == (("constant_force",) if gone else ())
-    assert doubled(names[1:]) == ()
+    assert doubled(names, quad().mass_kg) == (("constant_force",) if gone else ())
+    assert doubled(names[1:], quad().mass_kg) == ()
+
+
+@pytest.mark.parametrize(("scale", "down_n", "gone"), [(0.7, -7.6, True), (0.7, 7.6, False), (1.3, 7.6, True)])
+def test_a_force_that_holds_up_what_a_thrust_scale_takes_is_none(scale: float, down_n: float, gone: bool) -> None:
+    """Seen on a hover whose thrust fades, 2.87 kg: commands rise, thrust does not; 0.70 of it and 7.6 N from below."""
+    values = {"north_n": 0.0, "east_n": 0.0, "down_n": down_n}
+    force = {p: Estimate(0.0, x, x - 0.1, x + 0.1) for p, x in values.items()}
+    lost = Found("thrust_scale", {"scale": Estimate(1.0, scale, scale - 0.1, scale + 0.1)}, -136.0, 1.0, 1e-9)
+    assert doubled([lost, Found("constant_force", force, -77.0, 1.0, 1e-9)], 2.87) == (
+        ("constant_force",) if gone else ()
+    )
+
+
+def test_a_rotor_beyond_a_whole_one_is_not_weak() -> None:
+    """Another order of motors was named a weak rotor of 1.02."""
+    assert plausible(quad(), "rotor_fault", "effectiveness") == (0.0, 1.0)
+    assert plausible(quad(), "rotor_fault", "rotor") == (1.0, 4.0)
 
 
 def test_of_two_names_that_are_each_other_s_twin_the_stronger_stays() -> None:
@@ -107,8 +136,8 @@ def test_of_two_names_that_are_each_other_s_twin_the_stronger_stays() -> None:
         replace(fault, indistinguishable_from=("rotor_drag",)),
         replace(shift, indistinguishable_from=("payload",)),
     ]
-    assert doubled(twins) == ("rotor_drag",)
-    assert doubled([twins[0], shift]) == ()
+    assert doubled(twins, quad().mass_kg) == ("rotor_drag",)
+    assert doubled([twins[0], shift], quad().mass_kg) == ()
 
 
 def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model() -> None:
@@ -257,3 +286,24 @@ def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) ->
     assert said.found == ()
     assert said.unexplained.significant
     assert "position" in said.unexplained.depends_on
+
+
+def test_a_drag_is_not_looked_for_where_the_velocity_is_error_rather_than_motion() -> None:
+    """In a hover a filter's slow error passes for speed without force: a drag that the file has "is not there"."""
+    still, moving = (as_samples(fly(quad(), quad(), at, seconds=30.0, seed=4)) for at in (hover(), wander()))
+    rng = np.random.default_rng(4)
+
+    def wandering(std: float, tau_s: float) -> F64:
+        keep = float(np.exp(-still.dt_s / tau_s))
+        steps = std * np.sqrt(1.0 - keep**2) * rng.standard_normal(still.vel_ned_mps.shape)
+        return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0))
+
+    erring = replace(
+        still,
+        vel_ned_mps=still.vel_ned_mps + wandering(0.06, 12.0),
+        pos_ned_m=still.pos_ned_m + wandering(0.15, 30.0),
+    )
+    for samples, muted in ((erring, True), (still, False), (moving, False)):
+        masks = [samples.valid]
+        mute = simulator_bench(quad(), [samples], masks, masks).mute
+        assert ({"linear_drag", "rotor_drag", "parasitic_drag"} <= mute) is muted

@@ -366,6 +366,8 @@ def test_an_empty_flight_is_a_page_that_says_not_recorded() -> None:
     [
         (Outcome("hover", True, flight_time_s=30.0, rmse_m=0.012, max_m=1.5),
          "hover completed, 30.0 s flown, tracking error 1.2 cm rms (at most 1.50 m)."),
+        (Outcome("hover", False, "stopped by the user", flight_time_s=0.0),
+         "hover failed before take-off: stopped by the user."),
         (Outcome("hover", False, "left its region.", flight_time_s=12.34),
          "hover failed after 12.3 s: left its region."),
         (Outcome("hover", False, rmse_m=2.0), "hover failed. Tracking error 2.00 m rms."),
@@ -374,6 +376,14 @@ def test_an_empty_flight_is_a_page_that_says_not_recorded() -> None:
 )  # fmt: skip
 def test_the_headline_says_what_happened_and_why(outcome: Outcome, expected: str) -> None:
     assert words.headline(FlightReport(outcome)) == expected
+
+
+@pytest.mark.parametrize(("command", "note"), [(0.0, "not recorded"), (1.0, "a motor at its limit: 100 %")])
+def test_motors_that_never_turned_are_not_at_their_limit(command: float, note: str) -> None:
+    """A flight that Ctrl-C ended as the vehicle armed."""
+    flight = FlightReport(Outcome(), motors=signal([0.0, 0.5, 1.0], np.full((3, 4), command)))
+    saturated = next(f for f in words.figures(flight) if f.label == "Thrust at its limit")
+    assert (saturated.value, saturated.note) == ("–", note)
 
 
 def test_a_failed_check_shows_in_the_verdict() -> None:

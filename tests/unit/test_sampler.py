@@ -132,6 +132,28 @@ def test_the_latency_of_thrust_is_found_from_the_flight_itself() -> None:
     assert sample[s.S_LATENCY] == pytest.approx(0.020, abs=0.0041)
 
 
+def test_a_delay_that_few_samples_seem_to_show_is_not_told() -> None:
+    """60 gentle climbs of 1.6 s: none is told two steps or more off the true 4 ms.  By 2 % of residual alone 35 were
+    told, four of them 12 to 20 ms; in flight such a delay stood until somebody shook the vehicle."""
+    told = []
+    for seed in range(60):
+        run, rng = Run(), np.random.default_rng(seed)
+        wanted, u = [MODEL.weight_n] * 2, MODEL.hover_norm
+        keep = math.exp(-0.004 / MODEL.motor_lag_s)
+        rise, phase = rng.uniform(0.02, 0.06), rng.uniform(0.0, 6.0)
+        for k in range(400):
+            wanted.append(MODEL.weight_n * (1.0 + 0.08 * math.sin(rise * k + phase)))
+            now = MODEL.norm_of(wanted[-2])
+            u = now + keep * (u - now)
+            force = -MODEL.thrust_of(u) / MODEL.mass_kg + rng.normal(scale=0.2)
+            sample = run.tick(np.array([0.0, 0.0, force]), wanted[-1])
+            if math.isfinite(sample[s.S_LATENCY]):
+                told.append(float(sample[s.S_LATENCY]))
+                break
+    assert told
+    assert max(abs(each - 0.004) for each in told) <= 0.0041
+
+
 def test_hovering_says_nothing_of_latency() -> None:
     run, rng = Run(), np.random.default_rng(2)
     for _ in range(2000):

@@ -172,15 +172,24 @@ def _coarse(seen: Motion, names: tuple[str, ...], high_hz: float) -> F64:
 
 
 def _rates_fit(seen: Motion, high_hz: float) -> _Fit | None:
-    """gyro(t) = rate(t - lateness) + bias + a small turn of the rate, for an attitude that is not the gyro's."""
+    """gyro(t) = rate(t - lateness) + bias + a small turn of the rate, for an attitude that is not the gyro's.
+
+    In a hover a noisy attitude turns more than the vehicle: the gyro's columns have the attitude's for instruments.
+    """
     dt_s = seen.dt_s
     turning = band(rates_of(seen["q_ned_frd"], dt_s), dt_s, 0.0, high_hz)
     gyro = band(seen["rate_frd_radps"], dt_s, 0.0, high_hz)
-    late = -np.gradient(turning, dt_s, axis=0)
-    turned = [np.cross(turning, unit) for unit in np.eye(3)]
-    table = np.stack([late, *turned], axis=-1)
-    return _clustered([gyro[:, axis] - turning[:, axis] for axis in range(3)],
-                      [table[:, axis] for axis in range(3)], seen, free=1)  # fmt: skip
+    by_gyro, by_attitude = (
+        np.stack([-np.gradient(rate, dt_s, axis=0), *(np.cross(rate, unit) for unit in np.eye(3))], axis=-1)
+        for rate in (gyro, turning)
+    )
+    return _clustered(
+        [gyro[:, axis] - turning[:, axis] for axis in range(3)],
+        [by_gyro[:, axis] for axis in range(3)],
+        seen,
+        free=1,
+        instruments=[by_attitude[:, axis] for axis in range(3)],
+    )
 
 
 def _velocity_fit(seen: Motion, high_hz: float, sought: int) -> _Fit | None:
@@ -259,11 +268,14 @@ def _position(signals: Mapping[str, Signal], span_s: tuple[float, float], veloci
     return {name: Offset(name, total, total - float(half), total + float(half))}
 
 
-def _clustered(left: list[F64], right: list[F64], seen: Motion, free: int | None = None) -> _Fit | None:
+def _clustered(
+    left: list[F64], right: list[F64], seen: Motion, free: int | None = None, instruments: list[F64] | None = None
+) -> _Fit | None:
     """Least squares over the axes, each weighed by its own residual; errors by blocks of time.
 
     left: per axis (N,); right: per axis (N, k).  A constant for each axis is fitted along.  `free`: the first so many
-    unknowns are what is sought, the others may be undetermined.
+    unknowns are what is sought, the others may be undetermined.  `instruments`: `right` as somebody else measured it:
+    noise in `right` makes what it is multiplied with too small, noise in both does not (instrumental variables).
     """
     keep = seen.known
     block = max(4, round(_BLOCK_S / seen.dt_s))
@@ -273,25 +285,26 @@ def _clustered(left: list[F64], right: list[F64], seen: Motion, free: int | None
     rows = slice(0, blocks * block)
     mask = keep[rows, None]
     right = [(part[rows] - part[rows].mean(axis=0)) * mask for part in right]
+    by = right if instruments is None else [(part[rows] - part[rows].mean(axis=0)) * mask for part in instruments]
     left = [(part[rows] - part[rows].mean()) * mask[:, 0] for part in left]
     size = np.sqrt(sum(np.mean(part * part, axis=0) for part in right))
     if not np.all(size[: free or len(size)] > 0.0):
         return None
     scale = np.where(size > 0.0, size, 1.0)
-    right = [part / scale for part in right]
+    right, by = [part / scale for part in right], [part / scale for part in by]
     ridge = 1e-9 * len(keep) * np.eye(len(scale))
     weights = np.ones(len(left))
     value: F64 = np.zeros(len(scale))
     for _ in range(3):
-        normal = sum(w * part.T @ part for w, part in zip(weights, right, strict=True)) + ridge
-        toward = sum((w * p.T @ y for w, p, y in zip(weights, right, left, strict=True)), np.zeros(len(scale)))
+        normal = sum(w * z.T @ part for w, z, part in zip(weights, by, right, strict=True)) + ridge
+        toward = sum((w * z.T @ y for w, z, y in zip(weights, by, left, strict=True)), np.zeros(len(scale)))
         value = np.asarray(np.linalg.solve(normal, toward), np.float64)
         residual = [y - p @ value for p, y in zip(right, left, strict=True)]
         power = np.array([max(float(np.mean(part * part)), 1e-16) for part in residual])
         weights = power.min() / power
-    normal = sum(w * part.T @ part for w, part in zip(weights, right, strict=True)) + ridge
-    gain = sum((w * p * r[:, None] for w, p, r in zip(weights, right, residual, strict=True)), np.zeros_like(right[0]))
+    normal = sum(w * z.T @ part for w, z, part in zip(weights, by, right, strict=True)) + ridge
+    gain = sum((w * z * r[:, None] for w, z, r in zip(weights, by, residual, strict=True)), np.zeros_like(right[0]))
     scores = gain.reshape(blocks, block, -1).sum(axis=1)
     inverse = np.linalg.inv(normal)
-    covariance = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - len(scale))
+    covariance = inverse @ (scores.T @ scores) @ inverse.T * blocks / max(1, blocks - len(scale))
     return _Fit(value / scale, np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale, blocks)

@@ -26,6 +26,12 @@ _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
 _MOST_KNOWN = 64
+_DRAGS = frozenset({"linear_drag", "rotor_drag", "parasitic_drag"})
+_MOVED = 3.0
+"""Times its own error (one standard deviation) that a level velocity must vary for a drag to be told.
+
+Least squares on a noisy velocity find a drag too small by the noise's share of its variance: here a tenth.
+"""
 _MOST_ROWS = 12_000
 """Of all flights together, four minutes at 50 a second: of longer logs fewer are taken.
 
@@ -114,16 +120,24 @@ def simulator_bench(
     every = _every(flights)
     off = [residual(vehicle, s).y[:, 2] for s in flights]
     lift = [float(np.sqrt(np.mean(y[np.isfinite(y)] ** 2))) if np.isfinite(y).any() else 0.0 for y in off]
-    speaks = any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True))
+    mute = set() if any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True)) else {"battery_sag"}
+    mute |= set() if any(_moves(s) for s in flights) else _DRAGS
     return SimulatorBench(
         tuple(flights),
         tuple(with_smooth_commands(s, vehicle) for s in flights),
         every,
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(fit, every, strict=True)],
         [np.asarray(m, dtype=bool)[::k] for m, k in zip(holdout, every, strict=True)],
-        frozenset() if speaks else frozenset({"battery_sag"}),
+        frozenset(mute),
         trifles,
     )
+
+
+def _moves(samples: Samples) -> bool:
+    """Whether the level velocity is motion rather than error: in a hover it may be an estimator's alone."""
+    flight = track(samples)
+    varies = np.nanvar(flight.vel_ned_mps[samples.valid, :2], axis=0)
+    return not float(varies.sum()) < _MOVED**2 * float(np.sum(flight.vel_std_mps[:2] ** 2))
 
 
 def _every(flights: Sequence[Samples]) -> tuple[int, ...]:

@@ -65,6 +65,7 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
         "com_offset": (-arm, arm),
         "payload": (-0.5 * vehicle.mass_kg, spec.maximum),
         "blade_flapping": (0.0, spec.maximum),  # a disk tilts away from the wind
+        "rotor_fault": (spec.minimum, spec.maximum if spec.integer else 1.0),  # a rotor beyond a whole one is not weak
     }
     low, high = own.get(effect, (spec.minimum, spec.maximum))
     return max(low, spec.minimum), min(high, spec.maximum)

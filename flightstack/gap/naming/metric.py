@@ -26,12 +26,32 @@ class Metric:
         shown = self.x.T @ mine
         return float(mine @ mine - shown @ self.inner @ shown)
 
+    def columns(self, x: F64) -> Columns:
+        """Columns (R, k), ready for any rows."""
+        mine = x[self.rows]
+        cross = self.x.T @ mine
+        return Columns(self, mine, cross, mine.T @ mine - cross.T @ self.inner @ cross)
+
     def normal(self, x: F64, r: F64) -> tuple[F64, F64]:
         """K (k, k) and b (k,) of columns (R, k) against rows (R,)."""
-        mine, data = x[self.rows], r[self.rows]
-        cross = self.x.T @ mine
-        k = mine.T @ mine - cross.T @ self.inner @ cross
-        return k, mine.T @ data - cross.T @ (self.inner @ (self.x.T @ data))
+        ready = self.columns(x)
+        return ready.k, ready.toward(r)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Columns as a metric measures them."""
+
+    metric: Metric
+    x: F64
+    cross: F64
+    k: F64
+    """(k, k)."""
+
+    def toward(self, r: F64) -> F64:
+        """b (k,) against rows (R,)."""
+        data = r[self.metric.rows]
+        return np.asarray(self.x.T @ data - self.cross.T @ (self.metric.inner @ (self.metric.x.T @ data)))
 
 
 def metric_of(point: Linearised) -> Metric:

@@ -284,22 +284,22 @@ def _fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicl
     for _ in range(_STEPS if group else 0):
         slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
         raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
-        x = layout.stack([np.nan_to_num(values) for values in raw])
+        x = metric.columns(layout.stack([np.nan_to_num(values) for values in raw]))
         before = chi2
         for _ in range(_CHORDS):
             now = np.array([value(vehicle, c.effect, p) for c, p in slots])
             low = np.array([c.spec(p).minimum for c, p in slots]) - now
             high = np.array([c.spec(p).maximum for c, p in slots]) - now
-            k, b = metric.normal(x, rows)
-            step, used = bounded_step(k, b, low, high)
-            if 2.0 * float(b @ step) - float(step @ k @ step) < _CONVERGED:
+            b = x.toward(rows)
+            step, used = bounded_step(x.k, b, low, high)
+            if 2.0 * float(b @ step) - float(step @ x.k @ step) < _CONVERGED:
                 break
             moved, new_rows, new_chi2 = _best_on_the_way(state, vehicle, slots, now, step, chi2)
             if new_chi2 >= chi2:
                 break
             vehicle, rows, chi2 = moved, new_rows, new_chi2
         sides = [at_physical_end(state.start, c.effect, p, value(vehicle, c.effect, p)) for c, p in slots]
-        pressed = frozenset(slots[i][0].effect for i in pressed_beyond(*metric.normal(x, rows), np.array(sides)))
+        pressed = frozenset(slots[i][0].effect for i in pressed_beyond(x.k, x.toward(rows), np.array(sides)))
         if before - chi2 < 10.0 * _CONVERGED:
             break
     effects = {c.effect: dict(vehicle.effects[c.effect]) for c in group}

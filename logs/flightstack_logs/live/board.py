@@ -20,13 +20,17 @@ _EVENTS = 40
 
 
 class Board:
-    """Written by the flight's thread, read by the page's; each entry is replaced as a whole, so no lock is needed."""
+    """Written by the flight's thread, read by the page's; each entry is replaced as a whole, so no lock is needed.
+
+    What stays as it is is rendered once: points and events as they come, the scene when a browser asks for a new one.
+    """
 
     def __init__(self) -> None:
         self._now: dict[str, Any] = {}
-        self._path: deque[tuple[float, ...]] = deque(maxlen=_PATH_POINTS)
-        self._events: deque[tuple[float, str, str]] = deque(maxlen=_EVENTS)
+        self._path: deque[str] = deque(maxlen=_PATH_POINTS)
+        self._events: deque[str] = deque(maxlen=_EVENTS)
         self._scene: dict[str, Any] = {}
+        self._texts: dict[str, tuple[Any, str]] = {}
         self._point_due_us = 0
 
     def tick(self, t_us: int, record: TickRecord) -> None:
@@ -49,14 +53,14 @@ class Board:
         }
         if t_us >= self._point_due_us:
             self._point_due_us = t_us + _POINT_US
-            self._path.append(tuple(at.tolist()))
+            self._path.append(_rendered(at))
 
     def truth(self, t_us: int, truth: Any) -> None:
         """The simulator's truth; without a companion it is also what moves."""
         self._now |= {"t_s": t_us * 1e-6, "true_ned_m": [float(value) for value in truth.pos_ned_m]}
         if "pos_ned_m" not in self._now and t_us >= self._point_due_us:
             self._point_due_us = t_us + _POINT_US
-            self._path.append(tuple(self._now["true_ned_m"]))
+            self._path.append(_rendered(self._now["true_ned_m"]))
 
     def status(self, mode: str, armed: bool, landed: bool) -> None:
         """What the vehicle says of itself."""
@@ -68,40 +72,51 @@ class Board:
 
     def event(self, t_us: int, name: str, text: str) -> None:
         """Something happened."""
-        self._events.append((t_us * 1e-6, name, text))
+        self._events.append(_rendered((t_us * 1e-6, name, text)))
         if name == "phase":
             self._now["phase"] = text
 
     def scene(self, view: viewer.Shown) -> None:
         """What does not move, what a new certificate allows, or how the vehicle would stop."""
         if isinstance(view, viewer.SceneRegion):
-            self._scene["certified"] = _region(view)
+            more: dict[str, Any] = {"certified": _region(view)}
         elif isinstance(view, viewer.StoppingWay):
-            self._scene["way"] = view.pos_ned_m.tolist()
+            more = {"way": view.pos_ned_m}
         else:
             path = np.zeros((0, 3)) if view.reference_ned_m is None else view.reference_ned_m
-            self._scene |= {
-                "reference": path[:: max(1, len(path) // _REFERENCE_POINTS)].tolist(),
-                "site": [line.tolist() for line in view.site_ned_m],
-            }
+            more = {"reference": path[:: max(1, len(path) // _REFERENCE_POINTS)], "site": list(view.site_ned_m)}
             if view.region is not None:
-                self._scene["region"] = _region(view.region)
+                more["region"] = _region(view.region)
+        self._scene |= more
 
     def as_json(self) -> bytes:
         """All of it; what is not finite is null."""
-        said = {"now": dict(self._now), "path": list(self._path), "events": list(self._events), "scene": self._scene}
-        return json.dumps(_finite(said)).encode()
+        for name, value in list(self._scene.items()):
+            if name not in self._texts or self._texts[name][0] is not value:
+                self._texts[name] = value, f'"{name}":{_rendered(value)}'
+        scene = ",".join(text for _, text in list(self._texts.values()))
+        path, events = ",".join(self._path), ",".join(self._events)
+        return (
+            f'{{"now":{_rendered(dict(self._now))},"path":[{path}],"events":[{events}],"scene":{{{scene}}}}}'.encode()
+        )
 
 
 def _region(region: viewer.SceneRegion) -> dict[str, Any]:
     return {"shape": region.shape, "center": list(region.center_ned_m), "half": list(region.half_size_m)}
 
 
+def _rendered(value: Any) -> str:
+    return json.dumps(_finite(value), separators=(",", ":"))
+
+
 def _finite(value: Any) -> Any:
+    """For a page: to the millimetre and millisecond; what is not finite as null."""
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return round(value, 3) if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return _finite(value.tolist())
     if isinstance(value, Iterable) and not isinstance(value, str | bytes):
         return [_finite(each) for each in value]
     return value

@@ -24,11 +24,13 @@ class PageServer(ThreadingHTTPServer):
         super().__init__((HOST, port), _Request)
         self.board = board
         self.page = files(__package__).joinpath("page.html").read_bytes()
+        self.stopped = False
         self._thread = threading.Thread(target=self.serve_forever, args=(0.2,), name="live page", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """No further request is answered."""
+        self.stopped = True
         self.shutdown()
         self.server_close()
 
@@ -37,11 +39,15 @@ class PageServer(ThreadingHTTPServer):
 
 
 class _Request(BaseHTTPRequestHandler):
-    timeout = _TIMEOUT_S
+    timeout, disable_nagle_algorithm = _TIMEOUT_S, True
+    protocol_version = "HTTP/1.1"  # a browser keeps its connection: no new thread for each of its questions
     server: PageServer
 
     def do_GET(self) -> None:
         """The page, or what it shows."""
+        if self.server.stopped:
+            self.close_connection = True
+            return
         name = (self.headers.get("Host") or "").rpartition(":")[0]
         if name not in (HOST, "localhost"):  # another site's name that leads here
             self.send_error(403)

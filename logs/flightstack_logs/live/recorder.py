@@ -66,7 +66,7 @@ class LiveRecorder:
         except (RuntimeError, OSError) as error:
             self._page.stop()
             raise InputError(_taken(port, str(error))) from None
-        self._shown = ThreadedLog(shown, capacity=_QUEUE)
+        self._shown = ThreadedLog(shown, capacity=_QUEUE, poll_s=0.5 * _PERIOD_S)
         self._tick_due_us = self._truth_due_us = self._timing_due_us = 0
         self._tick_due_s = self._truth_due_s = 0.0
 

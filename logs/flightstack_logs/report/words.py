@@ -112,7 +112,7 @@ def headline(flight: FlightReport) -> str:
     name = outcome.scenario
     time = "" if outcome.flight_time_s is None else seconds(outcome.flight_time_s)
     if outcome.completed is False:
-        after = f" after {time}" if time else ""
+        after = " before take-off" if outcome.flight_time_s == 0.0 else f" after {time}" if time else ""
         why = f": {outcome.reason.rstrip('.')}" if outcome.reason else ""
         error = "" if outcome.rmse_m is None else f" Tracking error {length(outcome.rmse_m)} rms."
         return f"{name} failed{after}{why}.{error}"
@@ -164,7 +164,7 @@ def _estimate(flight: FlightReport) -> tuple[KeyFigure, ...]:
 def _saturation(flight: FlightReport) -> KeyFigure:
     start, end = judged_span(flight)
     motors = ""
-    if flight.motors is not None:
+    if flight.motors is not None and (flight.motors.values > 0.0).any():  # none ever turned: no limit was met
         at_limit = signals.within(motor_saturation(flight.motors), start, end)
         motors = f"a motor at its limit: {percent(float(np.mean(at_limit)))}" if at_limit.size else ""
     if flight.thrust_saturated is None:

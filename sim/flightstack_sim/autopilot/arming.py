@@ -29,6 +29,8 @@ class Conditions:
     """Whether there is a horizontal position."""
     gcs_missing: bool = False
     """Whether a ground station is needed (NAV_DLL_ACT) and none is heard."""
+    silent: tuple[str, ...] = ()
+    """Of `notices.SILENT`, the sensors that give no data; they bar arming, not flying on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,8 @@ def check(mode: Mode, conditions: Conditions) -> Checks:
         can_run &= ~modes.OFFBOARD.bit
     if not conditions.position_valid:
         can_run &= ~modes.POSITION_WORD
-    can_arm = can_run if conditions.estimate_ready and not conditions.gcs_missing else 0
+    ready = conditions.estimate_ready and not conditions.gcs_missing and not conditions.silent
+    can_arm = can_run if ready else 0
     if mode.prevents_arming and not conditions.armed:
         can_arm &= ~modes.PREVENTS_ARMING_WORD
     return Checks(conditions, mode, can_arm, can_run)
@@ -95,5 +98,9 @@ def report(checks: Checks) -> tuple[Notice, ...]:
     if conditions.gcs_missing:
         failed.append(notices.check_failed("check_rc_dl_no_dllink", 0x33, ~0, notices.COMMUNICATION))
         errors |= 1 << notices.COMMUNICATION
+    health = 0
+    for name, component in (notices.SILENT[sensor] for sensor in conditions.silent):
+        failed.append(notices.check_failed(name, 0x33, ~0, component, b"\0"))
+        health |= 1 << component
     summary = notices.check_summary(errors, warnings, checks.can_arm, checks.can_run)
-    return summary, *failed, notices.health_summary(0, 0)
+    return summary, *failed, notices.health_summary(health, 0)

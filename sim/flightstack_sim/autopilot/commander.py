@@ -156,6 +156,7 @@ class Commander:
             armed=state.armed,
             position_valid=inputs.position_valid,
             gcs_missing=state.gcs_lost and not state.armed and self._params.get("NAV_DLL_ACT") > 0.0,
+            silent=inputs.silent,
         )
         if ready and not state.checks.conditions.estimate_ready:
             self._notices.append(notices.READY)
@@ -372,6 +373,8 @@ class Commander:
                         self._notices.append(notices.HEADING_NOT_STABLE)
                     if state.checks.conditions.gcs_missing:
                         self._notices.append(notices.NO_GCS)
+                    for sensor in state.checks.conditions.silent:
+                        self._notices.append(Notice(0, 0, b"", notices.CRITICAL, notices.NO_DATA.format(sensor)))
                     result = TEMPORARILY_REJECTED
         elif request.param == 0.0:
             if state.armed and not state.landed and not request.force:

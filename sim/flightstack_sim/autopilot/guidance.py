@@ -135,13 +135,13 @@ class Guidance:
 
     def _fill(self, setpoint: ControlSetpoint, state: F64) -> None:
         """The position loop's setpoint (11,)."""
-        target = self.position.setpoint
-        target[0:3], target[3:6], target[6:9] = setpoint.pos_ned_m, setpoint.vel_ned_mps, setpoint.acc_ned_mps2
+        target = [*setpoint.pos_ned_m, *setpoint.vel_ned_mps, *setpoint.acc_ned_mps2]
         if setpoint.kind in HOLDING_KINDS:
+            unset = [math.isnan(value) for value in target]
             for axis in range(3):
-                if math.isnan(target[axis]) and math.isnan(target[3 + axis]):
+                if unset[axis] and unset[3 + axis]:
                     target[axis] = self._hold_ned_m[axis]
-            if not np.isnan(target[0:2]).any() and np.isnan(target[3:5]).all():
+            if unset[VEL_N] and unset[VEL_E] and not (math.isnan(target[0]) or math.isnan(target[1])):
                 self._move_reference(target, state)
             else:  # a way of its own: what follows it begins where the vehicle is
                 self._start_reference(state, moving=True)
@@ -151,16 +151,16 @@ class Guidance:
             self._yaw_rad = setpoint.yaw_rad
         elif not math.isnan(setpoint.yaw_rate_radps):
             self._yaw_rad += setpoint.yaw_rate_radps * self._dt_s
-        target[SP_YAW] = self._yaw_rad
+        self.position.setpoint[:SP_YAW], self.position.setpoint[SP_YAW] = target, self._yaw_rad
 
     def _start_reference(self, state: F64, *, moving: bool) -> None:
         north, east, _, v_north, v_east = state[:5].tolist()
         self._reference = (north, east, v_north, v_east) if moving else (north, east, 0.0, 0.0)
 
-    def _move_reference(self, target: F64, state: F64) -> None:
+    def _move_reference(self, target: list[float], state: F64) -> None:
         """Replace the horizontal target by the next point of a way there with limited speed and acceleration."""
         north, east, v_north, v_east = self._reference
-        to_n, to_e = float(target[0]) - north, float(target[1]) - east
+        to_n, to_e = target[0] - north, target[1] - east
         left_m = math.hypot(to_n, to_e)
         asked = self._last.speed_mps
         cruise = asked if asked > 0.0 else self._limits[ControlKind.GOTO][0]

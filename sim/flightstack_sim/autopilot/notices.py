@@ -67,6 +67,7 @@ RETURNING: Final = _said("commander_rtl", 0x66, INFO, "Returning to launch")
 RTL_LANDS: Final = _said("rtl_land_at_destination", 0x66, INFO, "RTL: land at destination")
 GCS_LOST: Final = _said("commander_gcs_lost", 0x64, INFO, "Connection to ground station lost")
 GCS_REGAINED: Final = _said("commander_dl_regained", 0x66, INFO, "GCS connection regained")
+NO_DATA: Final = "Preflight Fail: No valid data from {} 0\t"
 NO_GCS: Final = Notice(0, 0, b"", 4, "Preflight Fail: No connection to the ground control station\t")
 REPOSITION_REJECTED: Final = _said("commander_reposition_rejected", 0x63, CRITICAL, "Reposition command rejected")
 ORBIT_REJECTED: Final = Notice(0, 0, b"", CRITICAL, "Orbit command rejected")
@@ -201,6 +202,8 @@ REMOTE_CONTROL: Final = 7
 COMMUNICATION: Final = 12
 """Health components (bit numbers) that the checks report under."""
 _HEALTH_PRESENT: Final = 0x38021C0A
+SILENT: Final = {"Baro": ("check_baro_no_data", 1), "Compass": ("check_mag_no_data", 27)}
+"""Sensors that may give no data: the check that fails then, and its health component."""
 _ANY_MODE: Final = 0xFFFFFFFF
 
 
@@ -214,9 +217,9 @@ def check_summary(errors: int, warnings: int, can_arm: int, can_run: int) -> Not
     return _event("commander_arming_check_summary", 0x88, arguments)
 
 
-def check_failed(name: str, levels: int, modes: int, component: int) -> Notice:
-    """One failing check and the modes that it bars."""
-    return _event(name, levels, struct.pack("<IB", modes & _ANY_MODE, component))
+def check_failed(name: str, levels: int, modes: int, component: int, more: bytes = b"") -> Notice:
+    """One failing check, the modes that it bars, and what else the event tells."""
+    return _event(name, levels, struct.pack("<IB", modes & _ANY_MODE, component) + more)
 
 
 def health_summary(errors: int, warnings: int) -> Notice:

@@ -36,8 +36,22 @@ _TARGET = Struct("6d")  # these six in one go, which is several times as fast as
 _FILTER, _RATE, _ACC, _INTEGRAL, _TORQUE, _LOST, _STARTED = 6, 12, 15, 18, 21, 24, 27
 _STATE_SIZE = 28
 # places in its configuration
-_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE = 0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 22, 23
-_CONFIG_SIZE = 24
+_P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE, _STOPPED = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    15,
+    18,
+    19,
+    20,
+    21,
+    22,
+    23,
+    24,
+)
+_CONFIG_SIZE = 28
 # and of all in the loop's one row: state, configuration, motor commands, then the mixer's rows
 _CONFIG = _STATE_SIZE
 _MOTORS = _CONFIG + _CONFIG_SIZE
@@ -102,6 +116,11 @@ class RateControl:
         c[_ALPHA_YAW] = first_order_alpha(params.get("MC_YAW_TQ_CUTOFF"), self._dt_s)
         c[_DT] = self._dt_s
         c[_CURVE] = params.get("THR_MDL_FAC")
+
+    def stop_motor(self, number: int, *, stopped: bool) -> None:
+        """Motor 1 to 4, 0: all, gets no command from now on whatever the loop wants, or its own again."""
+        for index in range(_ROTORS) if number == 0 else (number - 1,):
+            self._config[_STOPPED + index] = stopped
 
     def set_target(self, rate: tuple[float, float, float], thrust: float, *, armed: bool, hold_integral: bool) -> None:
         """Rates (rad/s, NaN: the measured rate, so no action of P and I) and collective thrust from now on."""
@@ -178,3 +197,6 @@ def rate_step(gyro: F64, row: F64) -> None:
         for i in range(motors.shape[0]):
             linear = 1.0 - curve
             motors[i] = (math.sqrt(linear * linear + 4.0 * curve * motors[i]) - linear) / (2.0 * curve)
+    for i in range(_ROTORS):  # the loop does not know, as PX4's doesn't (CA_FAILURE_MODE 0)
+        if c[_STOPPED + i] != 0.0:
+            motors[i] = 0.0

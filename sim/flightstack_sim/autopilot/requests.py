@@ -122,6 +122,8 @@ class Inputs(NamedTuple):
     """When a pilot's sticks last came."""
     attitude_failed: bool = False
     """The failure detector's verdict."""
+    silent: tuple[str, ...] = ()
+    """Of `notices.SILENT`, the sensors that give no data."""
     mission_returns: bool = False
     """Its present item asks for Return."""
 

@@ -1,0 +1,53 @@
+"""How fast an engaged filter lets the vehicle lean: no faster than the governor stops it within the certificate."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from lagging_plant import authority
+from shipped import load_vehicle
+from test_safety_filter import LIMITS, MODEL, QUAD, TILT, Hand, at, certified
+
+from flightstack.barrier.torque import governor_terms
+from flightstack.barrier.turning import turning
+from flightstack.frames import quat_from_rotation_vector, quat_to_matrix
+from flightstack.safety_filter import CHANGED
+from flightstack.types import changed
+
+TERMS = governor_terms(load_vehicle("quad-x"), QUAD, LIMITS, (1e-3, 1e-3, 7e-4))
+GOVERNED = dataclasses.replace(
+    certified(4000),
+    axes=tuple(
+        dataclasses.replace(axis, authority=axis.authority if axis.axis == 2 else authority(-2.4, 2.4, 0.1))
+        for axis in certified(4000).axes
+    ),
+    governor=TERMS,
+)
+MOST = math.sin(TILT) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(
+    ("lean", "place", "speed"), [(-0.25, 0.1, 0.2), (-0.25, 0.2, 0.0), (-0.1, 0.2, 0.4), (0.1, 0.2, 0.6)]
+)
+def test_a_barrier_in_need_turns_the_lean_no_faster_than_can_be_stopped(
+    axis: int, lean: float, place: float, speed: float
+) -> None:
+    """A lean rate w goes on for the time t0 and is then taken back at s: it stops at lean + w t0 + w^2 / (2 s)."""
+    hand = Hand(GOVERNED).engaged()
+    turn = np.zeros(3)
+    turn[1 - axis] = math.asin(lean) * (1.0 if axis == 0 else -1.0)
+    along = np.eye(3)[axis]
+    seen = changed(at(), pos_ned_m=place * along, vel_ned_mps=speed * along, q_ned_frd=quat_from_rotation_vector(turn))
+    r = quat_to_matrix(seen.q_ned_frd)
+    assert r[axis, 2] == pytest.approx(lean)
+    sent, filtered = hand.step(seen)
+    w = float(sent.rate_frd_radps[1] * r[axis, 0] - sent.rate_frd_radps[0] * r[axis, 1])
+    s, t0 = turning(TERMS, MODEL, GOVERNED.budget.low_mps2)
+    assert filtered.status == CHANGED
+    assert filtered.high_ned_mps2[axis] < -1.5  # of 2.4 that the barrier may want
+    assert w > 0.2
+    assert lean + w * t0 + w * w / (2.0 * s) <= MOST + 1e-3
