@@ -39,8 +39,8 @@ class ModelFlight(FenceFlight):
         self._erring = ErringEstimate(_EXACT, self.score.packed)
         made = self.plan_of.certificate
         self._units = []
-        for each, lag_s in zip((made.across, made.along), made.lags_s, strict=True):
-            moved = tube.of_gains(each.gains, lag_s, _REST)
+        for each, lags_s in zip((made.across, made.along), made.lags_s, strict=True):
+            moved = tube.of_gains(each.gains, lags_s, _REST)
             assert moved is not None
             self._units.append(moved.radius_m)
         self.most_mps2, self.followed = np.zeros(2), 0

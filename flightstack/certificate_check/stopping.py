@@ -1,9 +1,10 @@
-"""Certificates of a stop (`flightstack.stopping/1`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/2`): ledger, tubes and braking worked out anew; shares no code.
 
-Across: p' = v, v' = a + d + r, a' = j, lag j' = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
+Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
 o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each
 input are integrated by Runge and Kutta's rule; the sum of their absolute areas, each times its bound, is the least
-radius that may be claimed.
+radius that may be claimed.  So is the greatest distance of the loop whose turning is bounded (`_swung`), under square
+waves of force and under one along the velocity.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ import numpy as np
 from .intervals import F64
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/1"
+SCHEMA = "flightstack.stopping/2"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
+_SWING_STEP_S, _SWING_S, _WAVES = 0.01, 8.0, 24
+_ASKED_SHARE, _TURN_SHARE = 0.5, 0.7
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
 _K_SIGMA = 4.3
@@ -28,12 +31,12 @@ _LIGHTEST, _HEAVIEST, _MOST_FORCE_G = 0.8, 1.5, 0.15
 _SPEEDS_MPS = (1.0, 3.0, 5.0)
 _LINES = ("force", "gain", "estimate", "torque", "model")
 _LOOP = (
-    "lag_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
+    "lag_s", "rotors_s", "force_mps2", "rest_mps2", "eps_p_m", "eps_v_mps", "acc_ps", "vel_ps2", "pos_ps3", "radius_m",
     "demand_mps2",
 )  # fmt: skip
 _TOP = (
-    "schema", "vehicle", "vehicle_hash", "sensors", "prior", "learned", "ledger", "across", "along", "braking",
-    "stops_within_m",
+    "schema", "vehicle", "vehicle_hash", "sensors", "prior", "learned", "ledger", "across", "along", "turning",
+    "braking", "stops_within_m",
 )  # fmt: skip
 
 
@@ -55,13 +58,16 @@ def check_stopping(text: str) -> list[str]:
     _learned(top["learned"], (low, high, force_g))
     sums = _ledger(top["ledger"], force_g)
     lines = ["prior: holds what the flight is said to have shown", f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
-    radius = 0.0
+    radius, turning = 0.0, _turning(top["turning"], top["braking"], high)
     for i, name in enumerate(("across", "along")):
         loop = dict(zip(_LOOP, numbers(top[name], _LOOP, name), strict=True))
         for key, total in zip(("force_mps2", "rest_mps2"), sums[i], strict=True):
             if not loop[key] >= total - 1e-9:
                 raise Refused(f"{name}.{key} = {loop[key]:.4g} is less than its lines in the ledger: {total:.4g}")
         found = _radius(loop, i == 0)
+        if i == 0:
+            steps = [number(top["ledger"][line]["across_mps2"], "ledger") for line in (0, 1)]
+            found = max(found, _swung(loop, turning, float(np.hypot(steps[0], steps[1]))))
         if not loop["radius_m"] >= (1.0 - _ROOM) * found:
             raise Refused(f"{name}: the tube reaches {found:.4f} m, not {loop['radius_m']:.4f} m")
         lines.append(f"{name}: tube of {loop['radius_m']:.3f} m, found {found:.3f} m")
@@ -121,20 +127,25 @@ def _radius(loop: dict[str, float], is_across: bool) -> float:
     """The sum of bounds times areas, after the initial errors."""
     if not (loop["lag_s"] > 1e-3 and min(loop.values()) >= 0.0):
         raise Refused("a loop's lag is at least 1 ms, and nothing in it is negative")
-    order = 5 if is_across else 4
+    if is_across != (loop["rotors_s"] > 1e-3):
+        raise Refused("across, rotors make the answer later by at least 1 ms; along, their lag is the loop's own")
+    order = 6 if is_across else 4
     a, into = np.zeros((order, order)), np.zeros((order, 4))
     a[0, 1] = a[1, 2] = 1.0
     asked, last = order - 2, order - 1
     a[asked, :2] = -loop["pos_ps3"], -loop["vel_ps2"]
-    a[asked, asked] -= 1.0
     gain = loop["acc_ps"] if is_across else 1.0
+    a[asked, 3 if is_across else asked] -= 1.0
     if is_across:
-        a[2, asked] = 1.0
+        a[2, 3] = a[3, asked] = 1.0
         a[asked, 2] = -gain
     a[asked, last] = -gain
     into[asked, 2:] = -loop["pos_ps3"], -loop["vel_ps2"]
-    a[asked] /= loop["lag_s"]
-    into[asked] /= loop["lag_s"]
+    late = loop["lag_s"] * (loop["rotors_s"] if is_across else 1.0)
+    a[asked] /= late
+    into[asked] /= late
+    if is_across:
+        a[asked, asked] = -1.0 / loop["rotors_s"]
     a[last, last] = -1.0 / _OBSERVER_S
     into[1, :2] = 1.0
     into[last, 0] = 1.0 / _OBSERVER_S
@@ -142,6 +153,7 @@ def _radius(loop: dict[str, float], is_across: bool) -> float:
         raise Refused("a loop does not settle")
     starts = np.zeros((order, 3))
     starts[0, 0] = starts[1, 1] = starts[last, 2] = 1.0
+    starts[2, 2] = -1.0  # the way begins with the lean that there is, whatever of the force is seen
     bounds = np.array([loop["force_mps2"], loop["rest_mps2"], loop["eps_p_m"], loop["eps_v_mps"]])
     begun = np.array([loop["eps_p_m"], loop["eps_v_mps"], loop["force_mps2"]])
     return _greatest(a, np.hstack([into, starts]), bounds, begun)
@@ -158,6 +170,47 @@ def _greatest(a: F64, x: F64, bounds: F64, begun: F64) -> float:
         area += 0.5 * h * (np.abs(x[0, :4]) + np.abs(after[0, :4]))
         x = after
         greatest = max(greatest, float(area @ bounds + np.abs(x[0, 4:]) @ begun))
+    return greatest
+
+
+def _turning(value: Any, braking: Any, high: float) -> tuple[float, float, float]:
+    """Snap, lean, fastest turning; the way takes no more than all of the snap, the lean no more than thrust carries."""
+    snap, way, lean, fastest = numbers(value, ("snap_mps4", "way_mps4", "lean_mps2", "fastest_mps3"), "turning")
+    if not (0.0 < way <= snap and lean > 0.0 and fastest > 0.0):
+        raise Refused("turning: nothing of it may be 0, and the way takes no more than all of the snap")
+    thrust = float(braking["thrust_mps2"]) / high
+    if not np.hypot(_GRAVITY, lean) <= thrust + 1e-9:
+        raise Refused(f"turning: a lean of {lean:.3f} m/s^2 takes more than the least thrust, {thrust:.3f} m/s^2")
+    return snap, lean, fastest
+
+
+def _swung(loop: dict[str, float], turning: tuple[float, float, float], force: float) -> float:
+    """The greatest distance from rest with bounded snap, lean and turning; a lane for each course of the force."""
+    (snap, lean, fastest), pole = turning, loop["acc_ps"] / 3.0
+    if not (np.isclose(loop["vel_ps2"], 3.0 * pole**2) and np.isclose(loop["pos_ps3"], pole**3)):
+        raise Refused("across: gains of no triple pole")
+    periods = np.repeat(np.geomspace(0.5, 12.0, _WAVES), 2)
+    turned = np.where(np.arange(2 * _WAVES) % 2 == 0, 1.0, -1.0)
+    late = _TURN_SHARE * snap * (loop["lag_s"] + loop["rotors_s"])
+    p, v, a, j, s, seen = (np.zeros(2 * _WAVES + 1) for _ in range(6))
+    p[:], v[:], a[:], seen[:] = loop["eps_p_m"], loop["eps_v_mps"], -force, force
+    follows, greatest = 1.0 - np.exp(-_SWING_STEP_S / loop["rotors_s"]), 0.0
+    for k in range(round(_SWING_S / _SWING_STEP_S)):
+        greatest = max(greatest, float(np.abs(p).max()))
+        wave = turned * np.where(np.floor(2.0 * k * _SWING_STEP_S / periods) % 2.0 == 1.0, 1.0, -1.0)
+        way = np.append(wave, np.where(v[-1] < 0.0, -1.0, 1.0))
+        linear = -(pole * (v - loop["eps_v_mps"] * np.sign(v)) + pole**2 / 3.0 * (p - loop["eps_p_m"] * np.sign(p)))
+        most = _ASKED_SHARE * np.cbrt(snap) * np.cbrt((linear / pole) ** 2)
+        short = np.clip(np.clip(linear, -most, most) - seen, -lean, lean) - a
+        room = np.abs(short)
+        turn = np.minimum(loop["acc_ps"] * room, np.sqrt(late**2 + 2.0 * _TURN_SHARE * snap * room) - late)
+        asked = np.sign(short) * np.minimum(turn, fastest)
+        s += follows * (np.clip((asked - j) / loop["lag_s"], -snap, snap) - s)
+        seen += _SWING_STEP_S / _OBSERVER_S * (way * force - seen)
+        p += _SWING_STEP_S * v
+        v += _SWING_STEP_S * (a + way * (force + loop["rest_mps2"]))
+        a += _SWING_STEP_S * j
+        j += _SWING_STEP_S * s
     return greatest
 
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.linalg import expm
 
 from flightstack.barrier.response import (
     C_CURVE,
     C_NORM_HIGH,
     C_NORM_LOW,
-    C_ROTOR_LAG,
     C_SPECIFIC,
     S_ROTORS,
     STATE,
@@ -39,33 +39,40 @@ from flightstack.rows import (
     WAY_HALF,
     WAY_RADIUS,
 )
+from flightstack.site.swing import asked, turn_towards
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 STEP_S = 0.04
 _SUBSTEPS = 2
 STEPS = 192
 """7.7 s: a way that takes longer is none."""
-ROW = 13
+ROW = 15
 """Numbers of a point: position (3, NED), velocity (3), acceleration (3), jerk across (2), jerk across
-that is asked for (2); across, acceleration is that of the lean, with thrust that
+that is asked for (2), snap across (2); across, acceleration is that of the lean, with thrust that
 carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, PARAMETERS,
-) = range(22)  # fmt: skip
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, PARAMETERS,
+) = *range(23), 26, 27  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
-lean on the way, m/s^2; of thrust what is kept for the force, m/s^2."""
+lean on the way, m/s^2; of thrust what is kept for the force, m/s^2; what the rotors' lag makes later, s; and
+how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`."""
 _ASKED_N, _ASKED_E = 11, 12
+SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 _STOPPABLE = 0.7
 """Of the jerk that snap can take away before the lean is reached."""
-_SNAP_BESIDE, _ROTORS_SHARE = 0.6, 0.5
-"""Of the snap, what turning towards the way may take, as the way itself takes some; of the rotors' lag, what the rates'
-leaves out.  Set, by flights: with all of the snap slow vehicles swing, with all of the lag others answer too late."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
 _LEAST_UPRIGHT = 0.3
+
+
+def turned(lag_s: float, rotors_s: float) -> list[float]:
+    """How jerk, less what is asked for, and snap go on over a step: (2, 2), row by row."""
+    rate = np.array([[0.0, 1.0], [-1.0 / (lag_s * rotors_s), -1.0 / rotors_s]])
+    out: list[float] = expm(STEP_S / _SUBSTEPS * rate).ravel().tolist()
+    return out
 
 
 @njit_called
@@ -111,7 +118,8 @@ def _step(x: F64, p: F64, dt: float) -> None:
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E])
     brake = min(p[ACROSS] / max(speed, 1e-9), p[FADE])
     rate_lag = max(p[LEAD_S], dt)
-    jn, je = -brake * x[VEL_N] - x[ACC_N] - rate_lag * x[JERK_N], -brake * x[VEL_E] - x[ACC_E] - rate_lag * x[JERK_E]
+    jn = -brake * x[VEL_N] - x[ACC_N] - rate_lag * (x[JERK_N] + p[ROTORS_S] * x[SNAP_N])
+    je = -brake * x[VEL_E] - x[ACC_E] - rate_lag * (x[JERK_E] + p[ROTORS_S] * x[SNAP_N + 1])
     short = max(math.sqrt(jn * jn + je * je), 1e-9)
     turn = min(_LEAN_GAIN_PS * short, _STOPPABLE * math.sqrt(2.0 * p[SNAP] * short), p[JERK]) / short
     jn, je = turn * jn, turn * je
@@ -121,9 +129,10 @@ def _step(x: F64, p: F64, dt: float) -> None:
         sn, se = sn * p[SNAP] / size, se * p[SNAP] / size
     x[_ASKED_N] += dt * sn
     x[_ASKED_E] += dt * se
-    follows = 1.0 - math.exp(-dt / rate_lag)
     for i in range(2):
-        x[9 + i] += follows * (x[11 + i] - x[9 + i])
+        behind, snap = x[9 + i] - x[11 + i], x[SNAP_N + i]
+        x[9 + i] = x[11 + i] + p[TURN] * behind + p[TURN + 1] * snap
+        x[SNAP_N + i] = p[TURN + 2] * behind + p[TURN + 3] * snap
     most = p[UP] if x[VEL_D] > 0.0 else p[DOWN]
     wanted = -x[VEL_D] * min(most / max(abs(x[VEL_D]), 1e-9), p[FADE_DOWN])
     lift = math.sqrt(
@@ -141,8 +150,8 @@ def _step(x: F64, p: F64, dt: float) -> None:
 
 
 @njit
-def point_of(chain: F64, state: F64, offset: F64, gain: float, asked: F64, out: F64) -> None:
-    """A predicted state (`response.ahead`) as a point of a way, under body rates asked for (3,).
+def point_of(chain: F64, state: F64, spin: F64, offset: F64, gain: float, asked: F64, out: F64) -> None:
+    """A predicted state (`turning.ahead`) and its spin (2,) as a point of a way, under body rates asked for (3,).
 
     offset (3,): acceleration without thrust.
     """
@@ -155,6 +164,7 @@ def point_of(chain: F64, state: F64, offset: F64, gain: float, asked: F64, out: 
         out[6 + i] = offset[i] - force * r[i, 2]
         out[9 + i] = -force * (state[RATE_Y] * r[i, 0] - state[RATE_X] * r[i, 1])
         out[11 + i] = -force * (asked[1] * r[i, 0] - asked[0] * r[i, 1])
+        out[SNAP_N + i] = -force * (spin[1] * r[i, 0] - spin[0] * r[i, 1])
 
 
 @njit
@@ -172,16 +182,13 @@ def at_time(points: F64, count: int, time_s: float, out: F64) -> None:
 def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64, rate: F64) -> float:
     """The command that keeps a predicted state (STATE,) to a point: normalised thrust, body rates into `rate` (3,)."""
     here = np.empty(ROW)
-    point_of(chain, state, offset, gain, state[10:13], here)
+    point_of(chain, state, state[10:12], offset, gain, state[10:13], here)  # no more than its lean is looked at
     r = quat_to_matrix(state[6:10])
-    lean_n = (
-        target[ACC_N]
-        + (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
-    )
-    lean_e = (
-        target[ACC_E]
-        + (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
-    )
+    back_n = (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
+    back_e = (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
+    pole = p[ACC_GAIN] / 3.0
+    share = asked(math.sqrt(back_n * back_n + back_e * back_e), pole, p[SURE])
+    lean_n, lean_e = target[ACC_N] + share * back_n, target[ACC_E] + share * back_e
     by_n, by_e = lean_n - offset[0], lean_e - offset[1]
     size = math.sqrt(by_n * by_n + by_e * by_e)
     down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
@@ -191,9 +198,7 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
         lean_n, lean_e = offset[0] + by_n * most / size, offset[1] + by_e * most / size
     short_n, short_e = lean_n - here[ACC_N], lean_e - here[ACC_E]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
-    snap = _SNAP_BESIDE * p[SNAP]
-    late = snap * (p[LEAD_S] + _ROTORS_SHARE * chain[C_ROTOR_LAG])  # it can be stopped again, by rates that follow late
-    turn = min(p[ACC_GAIN] * short, math.sqrt(late * late + 2.0 * snap * short) - late, 2.0 * p[JERK]) / short
+    turn = min(turn_towards(short, pole, p[SURE], p[LEAD_S] + p[ROTORS_S]), 2.0 * p[JERK]) / short
     turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
     jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
     upright = max(r[2, 2], _LEAST_UPRIGHT)

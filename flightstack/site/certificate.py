@@ -1,4 +1,4 @@
-"""Certificates of a stop as files, `flightstack.stopping/1` (JSON): what was learned, and all that follows from it.
+"""Certificates of a stop as files, `flightstack.stopping/2` (JSON): what was learned, and all that follows from it.
 
 A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
 the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
@@ -14,9 +14,9 @@ from flightstack.checked import number
 from flightstack.site import backup as b
 from flightstack.site.stopping import Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
-from flightstack.types import InputError
+from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
-SCHEMA = "flightstack.stopping/1"
+SCHEMA = "flightstack.stopping/2"
 _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
 
@@ -34,6 +34,12 @@ def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors:
         "learned": learned,
         "ledger": [dict(line._asdict()) for line in made.ledger],
         **loops,
+        "turning": {
+            "snap_mps4": made.turning.sure_mps4,
+            "way_mps4": made.turning.way_mps4,
+            "lean_mps2": float(least[b.LEAN]),
+            "fastest_mps3": made.turning.rate_radps * STANDARD_GRAVITY_MPS2,
+        },
         "braking": {
             "thrust_mps2": made.thrust_mps2,
             "least_thrust_mps2": made.least_mps2,
@@ -50,10 +56,11 @@ def _tubes(made: StoppingCertificate) -> dict[str, Tube]:
     return {"across": made.across, "along": made.along}
 
 
-def _loop(tube: Tube, doubts: LoopBounds, lag_s: float) -> dict[str, float]:
+def _loop(tube: Tube, doubts: LoopBounds, lags_s: tuple[float, float]) -> dict[str, float]:
     gains = {name: float(value) for name, value in tube.gains._asdict().items()}
     return {
-        "lag_s": lag_s,
+        "lag_s": lags_s[0],
+        "rotors_s": lags_s[1],
         **{name: float(value) for name, value in doubts._asdict().items()},
         **gains,
         "radius_m": float(tube.radius_m[-1]),
@@ -93,7 +100,7 @@ def _by_name(said: Any) -> dict[str, Any]:
 def require_same(text: str, source: str, made: StoppingCertificate) -> None:
     """InputError where any number of the file is not the one that follows from its prior for this vehicle."""
     said, again = (_by_name(json.loads(each)) for each in (text, as_json(made, "", "", "", {})))
-    for part in ("across", "along", "braking", "stops_within_m", *(line.name for line in made.ledger)):
+    for part in ("across", "along", "turning", "braking", "stops_within_m", *(line.name for line in made.ledger)):
         for key, value in again[part].items():
             found = said.get(part, {}).get(key) if isinstance(said.get(part), dict) else None
             if isinstance(value, str):

@@ -18,9 +18,7 @@ from flightstack.barrier.response import (
     CHAIN,
     M_ROTORS,
     STATE,
-    _advance,
     acceleration,
-    ahead,
     command_for,
     follow_rotors,
     lead,
@@ -34,17 +32,19 @@ from flightstack.site import slide
 from flightstack.site.backup import JERK, LEAD_S, ROW, SNAP, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
 from flightstack.site.clearance import CHUTE, FLOOR, GROUND, OPEN, TILT_CODE, clear_of
 from flightstack.site.tube import OBSERVER_S
+from flightstack.site.turning import ahead, seen, turn_on
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 (
     COMMITTED, SINCE_US, COUNT, GAIN, READ_S, LAST_US, EDGE, CLEARANCE, OFF, KEPT, SHARE, HOLD_S, FORCE,
 ) = range(13)  # fmt: skip
-SENT, LEFT, BEYOND_S, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7, FORCE + 8
+SENT, LEFT, BEYOND_S, SPIN, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7, FORCE + 8, FORCE + 10
 """1 where a way out is committed; when it begins, its number of points; the gain and for how long it was read; time of
 the last tick; what was nearest to being forbidden, how clear the way is; how far the vehicle is from the way that it
 follows; 1 where it follows it; share of the wanted command that was let through; the hold; the force that
 the accelerometer shows (3, NED, m/s^2); body rates sent last (3); 1 once the chute of take-off was left; for how long
-the force has been more than the certificate says (s; BROKEN_S: once and for all)."""
+the force has been more than the certificate says (s; BROKEN_S: once and for all); what roll and pitch rate change by
+(2, 1/s^2)."""
 WAITING, PASSED, CHANGED = 1, 2, 3
 _READ_AFTER_S, _READ_TIME_S = 0.5, 0.5
 _AIRBORNE_M = 0.1
@@ -56,9 +56,9 @@ _FORCE_MOST_MPS2 = 4.0
 _TILT_AHEAD_S = 0.12
 _ABOVE_M = 0.25
 _FREE = -9
-_DRAG, _OPEN_SHARE, _GAINS = CHAIN + 12, CHAIN + 13, CHAIN + 14
+_DRAG, _OPEN_SHARE, _GAINS, _ROTORS_S = CHAIN + 12, CHAIN + 13, CHAIN + 14, CHAIN + 17
 """Places of a packed vehicle, after chain, response (3, 3) and rate limits (3): drag (1/s), how uncertain the gain is,
-its range and the step of the rows."""
+its range and the step of the rows, `turning.Turning.rotors_s`."""
 
 
 class Known(NamedTuple):
@@ -102,6 +102,8 @@ class Now(NamedTuple):
 
     chain: F64
     state: F64
+    spin: F64
+    rotors_s: float
     offset: F64
     origin: F64
     numbers: F64
@@ -151,15 +153,12 @@ def is_read(n: F64) -> bool:
 def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> bool:
     """Whether the way out after a command that is held for a tick is clear; the way is in `scratch` and `way`."""
     chain, n, p, origin = now.chain, now.numbers, of.row, now.origin
-    after, command, start, asked = now.state.copy(), np.empty(5), np.empty(ROW), np.empty(3)
-    command[0], command[1] = 0.0, norm
-    for i in range(3):
-        command[2 + i] = rate[i]
-    _advance(after, chain, norm, command, n[HOLD_S], now.offset, n[GAIN])
+    after, spin, start, asked = now.state.copy(), now.spin.copy(), np.empty(ROW), np.empty(3)
+    turn_on(after, spin, chain, now.rotors_s, norm, rate, n[HOLD_S], now.offset, n[GAIN])
     ahead_radps = p[SNAP] * p[LEAD_S] / STANDARD_GRAVITY_MPS2  # what changes the lean's jerk by the snap
     for i in range(3):  # the governor lets rates lead the present ones by so much
         asked[i] = min(max(rate[i], after[RATE_X + i] - ahead_radps), after[RATE_X + i] + ahead_radps)
-    point_of(chain, after, now.offset, n[GAIN], asked, start)
+    point_of(chain, after, spin, now.offset, n[GAIN], asked, start)
     for i in range(3):
         start[i] -= origin[i]
     r = quat_to_matrix(after[6:10])
@@ -197,11 +196,12 @@ def _decide(
     """
     n, rate, begins_us = kept.numbers, buffers.rate, times_us[2] + known.vehicle[C_RATE_DELAY]
     state, offset, at = np.empty(STATE), np.zeros(3), _now(known, kept, origin, measured, times_us, commands)
-    _predict(known, kept, measured, times_us, state, offset)
+    spin = n[SPIN : SPIN + 2].copy()
+    _predict(known, kept, measured, times_us, (state, spin, offset))
     for i in range(3):
         n[SENT + i] = commands.sent_rate[i]
         rate[i] = commands.wanted_rate[i]
-    now = Now(known.vehicle[:CHAIN], state, offset, origin, n)
+    now = Now(known.vehicle[:CHAIN], state, spin, known.vehicle[_ROTORS_S], offset, origin, n)
     of = Keeping(known.rows[at], known.tubes[1 if is_read(n) else 0], site)
     s = known.soft[at]
     if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
@@ -232,6 +232,7 @@ def _now(
     dt = min(max((now_us - n[LAST_US]) * 1e-6, 0.001), 0.05) if n[LAST_US] >= 0.0 else 0.004
     n[LAST_US], n[HOLD_S], chain[C_HOLD] = now_us, dt, dt
     follow_rotors(kept.memory, chain, times_us[1])
+    seen(kept.memory, chain, vehicle[_ROTORS_S], measured, times_us[1], dt, n[SPIN : SPIN + 2])
     _observe(n, chain, measured, kept.memory[0, M_ROTORS], dt, origin[2] - measured[2], gains, vehicle[_DRAG])
     least = max(n[GAIN] * (1.0 - vehicle[_OPEN_SHARE]), gains[0]) if is_read(n) else gains[0]
     return int(min(max((least - gains[0]) / vehicle[_GAINS + 2], 0.0), len(known.rows) - 1.0))
@@ -239,14 +240,17 @@ def _now(
 
 @njit
 def _predict(
-    known: Known, kept: Kept, measured: F64, times_us: tuple[float, float, float], state: F64, offset: F64
+    known: Known, kept: Kept, measured: F64, times_us: tuple[float, float, float], out: tuple[F64, F64, F64]
 ) -> None:  # fmt: skip
-    """The state (STATE,) when a command sent now begins to act, and the acceleration without thrust (3,)."""
-    n, chain, drag = kept.numbers, known.vehicle[:CHAIN], known.vehicle[_DRAG]
+    """The state (STATE,) and its spin (2,) when a command sent now begins to act, and the acceleration without thrust
+    (3,)."""
+    n, vehicle, (state, spin, offset) = kept.numbers, known.vehicle, out
+    chain, drag = vehicle[:CHAIN], vehicle[_DRAG]
     for i in range(3):
         offset[i] = n[FORCE + i] - drag * measured[3 + i]
     offset[2] += STANDARD_GRAVITY_MPS2
-    ahead(kept.memory, chain, measured, times_us[1], times_us[2] + chain[C_RATE_DELAY], offset, n[GAIN], state)
+    span_us = times_us[1], times_us[2] + chain[C_RATE_DELAY]
+    ahead(kept.memory, chain, vehicle[_ROTORS_S], measured, span_us, offset, n[GAIN], state, spin)
 
 
 @njit

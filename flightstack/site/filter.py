@@ -69,7 +69,7 @@ class _Known(NamedTuple):
     def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
         """Of a certificate."""
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
-        ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP]
+        ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP, made.turning.rotors_s]
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
         far, doubts = made.soft[0].copy(), made.doubts[0]
         far[slide.RADIUS] = made.kept_m

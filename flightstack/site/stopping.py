@@ -32,7 +32,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.autopilot import torque_per_slope
 from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import GovernorTerms, within
 from flightstack.model import Limits, Model
@@ -40,8 +39,10 @@ from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.approach import JERK_MOST_MPS3
+from flightstack.site.swing import Held
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
 from flightstack.site.tube import LoopBounds, Tube, across, along
+from flightstack.site.turning import Turning, turning
 from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
@@ -54,7 +55,10 @@ _DOWN_SHARE, _DOWN_LEAST, _DOWN_MOST = 0.4, 0.5, 2.0
 _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
-_JERK_RADPS, _SNAP_SHARE = 1.6, 0.5
+_JERK_RADPS, _RATE_SHARE = 1.6, 0.6
+_SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.13
+"""Of the fastest rates and of the snap that is sure, what the way out takes itself: less snap where a force at rest
+swings the vehicle further than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
@@ -141,11 +145,13 @@ class StoppingCertificate:
     """What the accelerometer leaves open of the gain, as a share of it."""
     doubts: tuple[LoopBounds, LoopBounds]
     """Across and along: what the tubes are made of."""
-    lags_s: tuple[float, float]
+    lags_s: tuple[tuple[float, float], tuple[float, float]]
+    """Across and along: of the rates (of thrust), and what the rotors add."""
     thrust_mps2: float
     """The most that the believed vehicle has, within the governor's limits."""
     least_mps2: float
     """The least."""
+    turning: Turning
 
     @property
     def radius_m(self) -> float:
@@ -165,7 +171,7 @@ class StoppingCertificate:
     @property
     def snap_mps4(self) -> float:
         """How fast jerk can change with the torque that the governor lets through."""
-        return float(self.rows[0, b.SNAP]) / _SNAP_SHARE
+        return self.turning.snap_mps4
 
     def tubes(self) -> F64:
         """(2, b.STEPS, 2) radius and half height after each step of a way: before the gain was read, and after."""
@@ -219,18 +225,23 @@ def stopping(
     gain_low, gain_high = prior.gain
     unread = told.gain * 0.5 * (gain_high - gain_low) / math.sqrt(gain_low * gain_high) * G
     slower, held_s = 1.0 + told.lag * (_LAG_SHARE - 1.0), told.hold * _HOLD_S
-    lag_across = slower * model.rate_lag_s + held_s
+    turn = turning(vehicle, model, governor, limits)
+    lags_across = slower * turn.lag_s + held_s, slower * turn.rotors_s
     lag_along = slower * model.motor_lag_s + held_s + 0.01
-    snap = governor.roll_pitch_max * _alpha(vehicle, model) * G
-    tubes = across(lag_across, doubts[0], steady_pole_ps(snap, model.motor_lag_s)), along(lag_along, doubts[1])
+    down = _down(vehicle, prior, governor, least)
+    lean_most = _authority(gain_low * high, force, hardest, (down, limits))[2]
+    held = Held(turn.sure_mps4, lean_most, turn.rate_radps * G, _stepped(ledger, told))
+    tubes, linear = (across(lags_across, doubts[0], held), along(lag_along, doubts[1])), across(lags_across, doubts[0])
+    is_slow = tubes[0].radius_m[-1] > _SLOW * linear.radius_m[-1]
+    turn = turn._replace(way_mps4=(_SLOW_SHARE if is_slow else _SNAP_SHARE) * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    down = _down(vehicle, prior, governor, least)
-    rows, soft = _rows(prior, (high, down), hardest, limits, tubes, _SNAP_SHARE * snap, lag_across, told)
-    chain, response = _answer(model, limits)
+    rows, soft = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told)
+    chain, response = _answer(model, limits, turn.lag_s)
     made = StoppingCertificate(
         prior, ledger, *tubes, first, rows, soft, chain, response, governor,
-        (told.force * force + told.model * MODEL_ALONG_MPS2) / G, doubts, (lag_across, lag_along), high, least,
+        (told.force * force + told.model * MODEL_ALONG_MPS2) / G, doubts,
+        (lags_across, (lag_along, 0.0)), high, least, turn,
     )  # fmt: skip
     if gain_low * high < (1.0 + prior.force_g) * G:
         raise InputError(
@@ -264,46 +275,41 @@ def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: f
     return down
 
 
-def _alpha(vehicle: Vehicle, model: Model) -> float:
-    """Angular acceleration of roll and pitch at full torque, rad/s^2, the lesser of both."""
-    alpha = float(torque_per_slope(vehicle)[:2].min())
-    return alpha * 2.0 * model.hover_norm if model.thrust_model_factor > 0.5 else alpha
-
-
 def _rows(
-    prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], snap: float,
-    lag_across: float, told: Told,
+    prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], turn: Turning,
+    lags_s: tuple[float, float], told: Told,
 ) -> tuple[F64, F64]:  # fmt: skip
     """`backup` and `slide` parameters for each gain of the prior, the least first; `ends`: the most thrust, and what a
     climb is braked by, m/s^2."""
     rows, soft, force, (high, brake) = [], [], prior.force_g * G, ends
     gain_low, gain_high = prior.gain
-    gains, down = tubes[0].gains, tubes[1].gains
+    gains, down, snap, steps = tubes[0].gains, tubes[1].gains, turn.way_mps4, b.turned(*lags_s)
+    jerk = min(_JERK_RADPS, _RATE_SHARE * turn.rate_radps) * G
     for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
         a, up, lean_most = _authority(gain * high, force, hardest, (brake, limits))
         rows.append([
-            a, up, brake, _JERK_RADPS * G, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
-            down.vel_ps2, down.pos_ps3, lean_most, told.late * _LATE_S, lag_across, gain * high,
+            a, up, brake, jerk, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            down.vel_ps2, down.pos_ps3, lean_most, told.late * _LATE_S, lags_s[0], gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
-            told.force * _OVER * force,
+            told.force * _OVER * force, lags_s[1], *steps, turn.sure_mps4,
         ])  # fmt: skip
         soft.append([
             tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
             _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * brake,
-            min(JERK_MOST_MPS3, snap / _SNAP_SHARE * _LED_S),
+            min(JERK_MOST_MPS3, turn.snap_mps4 * _LED_S),
         ])  # fmt: skip
     return np.array(rows), np.array(soft)
 
 
-def _answer(model: Model, limits: Limits) -> tuple[F64, F64]:
+def _answer(model: Model, limits: Limits, rate_lag_s: float) -> tuple[F64, F64]:
     """How the vehicle answers: `response.CHAIN` numbers, and (3, 3) of `response.lead`."""
     low_n, high_n = model.thrust_range_n(limits)
     steer, delay_us = 1.0 / _STEER_PS, round(1e6 * model.transport_delay_s)
     chain = np.array([
         model.max_thrust_n / model.mass_kg, model.thrust_model_factor, model.norm_of(low_n), model.norm_of(high_n),
-        model.motor_lag_s, model.rate_lag_s, delay_us, delay_us, steer, G, 0.004,
+        model.motor_lag_s, rate_lag_s, delay_us, delay_us, steer, G, 0.004,
     ])  # fmt: skip
-    lateral = [steer, steer * model.rate_lag_s, 0.0]
+    lateral = [steer, steer * rate_lag_s, 0.0]
     return chain, np.array([lateral, lateral, [model.motor_lag_s, 0.0, 0.0]])
 
 
@@ -311,6 +317,12 @@ def _seen(ledger: tuple[Line, ...], way: int, told: Told) -> tuple[float, float]
     """What the accelerometer shows of the ledger, and what it does not; way 0 across, 1 along."""
     sizes = [getattr(told, line.name) * (line.across_mps2, line.along_mps2)[way] for line in ledger]
     return sum(sizes[:2]), sum(sizes[2:])
+
+
+def _stepped(ledger: tuple[Line, ...], told: Told) -> float:
+    """Half of the greatest step of force across: one force has one direction, so what of it is taken for thrust (up and
+    down) does not push across."""
+    return math.hypot(told.force * ledger[0].across_mps2, told.gain * ledger[1].across_mps2)
 
 
 def _authority(

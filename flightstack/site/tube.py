@@ -1,10 +1,11 @@
 """How far a vehicle that follows a known way can be from it: exact for the linear loop, whatever the disturbance does.
 
 Across, the loop is a chain: position error p, its rate v, the acceleration a that lean gives, its rate j, which follows
-what is asked for with the rate loop's lag; the observer's o follows what the accelerometer shows beyond the model:
+what is asked for with the rate loop's lag L and the rotors' T (`turning`); the observer's o follows what the
+accelerometer shows beyond the model:
 
-    p' = v,   v' = a + d + r,   a' = j,   tau_o o' = d - o
-    tau j' = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j
+    p' = v,   v' = a + d + r,   a' = j,   j' = s,   tau_o o' = d - o
+    T s' = (-(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j) / L - s
 
 d is a force that the accelerometer shows (at most D), r what it does not (R); n_p and n_v are the estimate's errors, at
 most eps_p and eps_v, from the first moment on (the way begins where the vehicle is believed to be).  Up and down thrust
@@ -12,7 +13,8 @@ answers at once but for one lag.  Bounded inputs of any shape move p by at most 
 
     |p(t)| <= D int |g_d| + R int |g_r| + eps_p (|x_p(t)| + int |g_p|) + eps_v (|x_v(t)| + int |g_v|)
 
-and the demand that the loop makes is bounded the same way.  o may start anywhere in [-D, D]: its own answer counts.
+and the demand that the loop makes is bounded the same way.  o may start anywhere in [-D, D], a at -o: the way
+begins with the vehicle as it is.
 Norms are worked out by integrating the answers over HORIZON_S in steps of STEP_S (matrix exponential).  For vectors the
 same bound holds: the loop is alike in all directions.
 Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of a linear system for bounded inputs).
@@ -20,12 +22,12 @@ Source: C. Desoer, M. Vidyasagar, "Feedback Systems", 1975, section VI (gain of 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
+from flightstack.site.swing import Held, radii
 from flightstack.types import F64
 
 STEP_S, HORIZON_S = 0.01, 8.0
@@ -37,8 +39,8 @@ _ACROSS_POLES = tuple(0.8 + 0.2 * k for k in range(11))
 _ALONG_POLES = tuple(0.75 + 0.25 * k for k in range(18))
 
 
-_THRUST, _SEEN, _SEEN_ALONG = 3, 4, 3
-"""Of a loop's state, after position, velocity and acceleration asked for: thrust, and what the observer saw."""
+_JERK, _SNAP, _SEEN, _SEEN_ALONG = 3, 4, 5, 3
+"""Of a loop's state, after position, velocity and acceleration; and what the observer saw."""
 
 
 class LoopBounds(NamedTuple):
@@ -72,26 +74,36 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lag_s: float, doubts: LoopBounds, most_ps: float = math.inf) -> Tube:
-    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched, no
-    faster than `most_ps`."""
-    poles = [pole for pole in _ACROSS_POLES if pole <= most_ps] or [_ACROSS_POLES[0]]
-    return _best([of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lag_s, doubts) for pole in poles])
+def across(lags_s: tuple[float, float], doubts: LoopBounds, held: Held | None = None) -> Tube:
+    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched;
+    lags_s: L and T; held: what it swings by (`swing`) counts as well."""
+    tubes = [of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lags_s, doubts) for pole in _ACROSS_POLES]
+    if held is None:
+        return _best(tubes)
+    rest, found = (doubts.rest_mps2, doubts.eps_p_m, doubts.eps_v_mps), []
+    for tube in tubes:
+        if tube is not None:
+            swung = radii(tube.gains.acc_ps / 3.0, lags_s, held, rest, len(tube.radius_m))
+            found.append(tube._replace(radius_m=np.maximum(tube.radius_m, swung)))
+    return _best(list(found))
 
 
 def along(lag_s: float, doubts: LoopBounds) -> Tube:
     """The vertical loop with the least tube that asks for no more than there is."""
-    return _best([of_gains(Gains(0.0, 2.0 * pole, pole**2), lag_s, doubts) for pole in _ALONG_POLES])
+    return _best([of_gains(Gains(0.0, 2.0 * pole, pole**2), (lag_s, 0.0), doubts) for pole in _ALONG_POLES])
 
 
-def of_gains(gains: Gains, lag_s: float, doubts: LoopBounds) -> Tube | None:
+def of_gains(gains: Gains, lags_s: tuple[float, float], doubts: LoopBounds) -> Tube | None:
     """The tube of a loop; None where it does not settle well within the horizon."""
+    lag_s, rotors_s = lags_s
     if gains.acc_ps > 0.0:
-        matrix = np.zeros((5, 5))
-        matrix[[0, 1, 2], [1, 2, 3]] = 1.0
-        matrix[_THRUST] = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, -gains.acc_ps]) / lag_s
+        matrix = np.zeros((6, 6))
+        matrix[[0, 1, 2, _JERK], [1, 2, _JERK, _SNAP]] = 1.0
+        asked = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, 0.0, -gains.acc_ps])
+        matrix[_SNAP] = asked / (lag_s * rotors_s)
+        matrix[_SNAP, _SNAP] = -1.0 / rotors_s
         matrix[_SEEN, _SEEN] = -1.0 / OBSERVER_S
-        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
+        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
     else:
         matrix = np.zeros((4, 4))
         matrix[[0, 1], [1, 2]] = 1.0
@@ -121,13 +133,16 @@ def _tube(gains: Gains, matrix: F64, demand: F64, doubts: LoopBounds) -> Tube | 
     into[-1, 0] = 1.0 / OBSERVER_S
     into[-2, 2:] = matrix[-2, :2]
     sizes = np.array(doubts)
-    started = np.array([doubts.eps_p_m, doubts.eps_v_mps, *([0.0] * (order - 3)), doubts.force_mps2])
+    begun = np.zeros((order, 3))
+    begun[0, 0] = begun[1, 1] = begun[-1, 2] = 1.0
+    begun[2, 2] = -1.0
+    started = np.array([doubts.eps_p_m, doubts.eps_v_mps, doubts.force_mps2])
 
     def bound(row: F64) -> F64:
         """Of row @ state over time."""
         forced = np.abs(row @ answers @ into)
         grown = np.concatenate([np.zeros((1, 4)), np.cumsum(0.5 * STEP_S * (forced[1:] + forced[:-1]), axis=0)])
-        highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers) @ started)
+        highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers @ begun) @ started)
         return highest
 
     place, rate = np.eye(order)[0], np.eye(order)[1]

@@ -161,6 +161,14 @@ def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> No
     assert row["changed"] > 0
 
 
+@pytest.mark.parametrize(("seed", "seconds"), [(975010, 2.0), (980007, 3.5)])
+def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, seconds: float) -> None:
+    """Rotors of 63 ms, for which PX4 flies a third of the default gains; 37 m/s^4 of snap: both left their sites."""
+    row = flight({"kind": "drawn", "seconds": seconds}, seed, tmp_path)
+    assert row["exits"] == 0
+    assert row["opened"] == 0
+
+
 @pytest.mark.parametrize(("away", "leaves"), [("all", True), ("nothing", False)])
 def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves: bool) -> None:
     """The way out alone, truth at the edge of what is declared, the estimate off by all of it: exits can be seen."""

@@ -8,25 +8,27 @@ from scipy.signal import StateSpace, lsim
 from flightstack.site.tube import OBSERVER_S, STEP_S, LoopBounds, Tube, across
 from flightstack.types import F64
 
-LAG_S = 0.06
+LAG_S, ROTORS_S = 0.06, 0.03
+LAGS_S = LAG_S, ROTORS_S
 T = np.arange(0.0, 6.0, STEP_S)
 
 
 def loop(tube: Tube) -> StateSpace:
-    """p, v, a, j, o, written down anew; inputs d, r, n_p, n_v."""
-    k = tube.gains
+    """p, v, a, j, s, o, written down anew; inputs d, r, n_p, n_v."""
+    k, late = tube.gains, LAG_S * ROTORS_S
     a = np.array([
-        [0, 1, 0, 0, 0],
-        [0, 0, 1, 0, 0],
-        [0, 0, 0, 1, 0],
-        [-k.pos_ps3 / LAG_S, -k.vel_ps2 / LAG_S, -k.acc_ps / LAG_S, -1 / LAG_S, -k.acc_ps / LAG_S],
-        [0, 0, 0, 0, -1 / OBSERVER_S],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0],
+        [0, 0, 0, 1, 0, 0],
+        [0, 0, 0, 0, 1, 0],
+        [-k.pos_ps3 / late, -k.vel_ps2 / late, -k.acc_ps / late, -1 / late, -1 / ROTORS_S, -k.acc_ps / late],
+        [0, 0, 0, 0, 0, -1 / OBSERVER_S],
     ])  # fmt: skip
-    asked = [0, 0, -k.pos_ps3 / LAG_S, -k.vel_ps2 / LAG_S]
+    asked, none = [0, 0, -k.pos_ps3 / late, -k.vel_ps2 / late], [0, 0, 0, 0]
     b = np.array([
-        [0, 0, 0, 0], [1, 1, 0, 0], [0, 0, 0, 0], asked, [1 / OBSERVER_S, 0, 0, 0],
+        none, [1, 1, 0, 0], none, none, asked, [1 / OBSERVER_S, 0, 0, 0],
     ])  # fmt: skip
-    return StateSpace(a, b, np.eye(1, 5), np.zeros((1, 4)))
+    return StateSpace(a, b, np.eye(1, 6), np.zeros((1, 4)))
 
 
 def moved(tube: Tube, inputs: F64, start: F64) -> F64:
@@ -35,31 +37,31 @@ def moved(tube: Tube, inputs: F64, start: F64) -> F64:
 
 def test_nothing_within_the_doubts_leaves_the_tube() -> None:
     doubts = LoopBounds(1.5, 0.3, 0.02, 0.05)
-    tube = across(LAG_S, doubts)
+    tube = across(LAGS_S, doubts)
     rng = np.random.default_rng(0)
     for _ in range(60):
         held = rng.integers(1, 120)
         signs = np.repeat(rng.choice([-1.0, 1.0], (len(T) // held + 1, 4)), held, axis=0)[: len(T)]
-        start = np.array([0.02, 0.05, 0.0, 0.0, 1.5]) * rng.choice([-1.0, 1.0], 5)
+        start = np.array([0.02, 0.05, 0.0, 0.0, 0.0, 1.5]) * rng.choice([-1.0, 1.0], 6)
         assert np.all(np.abs(moved(tube, signs * np.array(doubts), start)) <= tube.radius_m[: len(T)] * 1.005)
 
 
 def test_the_worst_disturbance_comes_to_its_rim() -> None:
     """Bang-bang by the sign of the answer, backwards in time: the bound is tight, so half of it would be broken."""
     doubts = LoopBounds(1.5, 0.0, 0.0, 0.0)
-    tube = across(LAG_S, doubts)
+    tube = across(LAGS_S, doubts)
     pulse = np.zeros((len(T), 4))
     pulse[0, 0] = 1.0 / STEP_S
-    answer = moved(tube, pulse, np.zeros(5))
+    answer = moved(tube, pulse, np.zeros(6))
     inputs = np.zeros((len(T), 4))
     inputs[:, 0] = 1.5 * np.sign(answer[::-1])
-    start = np.array([0.0, 0.0, 0.0, 0.0, inputs[0, 0]])
+    start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, inputs[0, 0]])
     worst = float(np.abs(moved(tube, inputs, start))[-1])
     assert 0.9 * tube.radius_m[-1] - 0.05 < worst <= tube.radius_m[-1] * 1.01
     assert worst > 0.5 * tube.radius_m[-1]
 
 
 def test_less_doubt_is_a_narrower_tube() -> None:
-    wide, narrow = across(LAG_S, LoopBounds(1.5, 0.3, 0.02, 0.05)), across(LAG_S, LoopBounds(0.75, 0.15, 0.01, 0.025))
+    wide, narrow = across(LAGS_S, LoopBounds(1.5, 0.3, 0.02, 0.05)), across(LAGS_S, LoopBounds(0.75, 0.15, 0.01, 0.025))
     assert narrow.radius_m[-1] <= 0.55 * wide.radius_m[-1]
     assert np.all(np.diff(wide.radius_m) >= 0.0)

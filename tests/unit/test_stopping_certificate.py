@@ -22,6 +22,7 @@ from flightstack.rows import VEL_N
 from flightstack.site import backup
 from flightstack.site.certificate import as_json, prior_of, require_same
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
+from flightstack.site.tube import across
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
@@ -79,10 +80,15 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
         (_times("ledger", 0, "across_mps2", by=0.5), "less than the prior's"),
         (_set("ledger", 3, "name", to="luck"), "torque is expected"),
         (_times("ledger", 2, "across_mps2", by=-1.0), "negative"),
-        (_times("across", "lag_s", by=4.0), "across"),
+        (_times("across", "lag_s", by=1.5), "across"),
+        (_times("across", "lag_s", by=4.0), "settle"),
+        (_set("across", "rotors_s", to=0.0), "rotors"),
+        (_set("along", "rotors_s", to=0.02), "rotors"),
+        (_times("turning", "snap_mps4", by=0.5), "turning: nothing"),
+        (_times("turning", "lean_mps2", by=4.0), "turning: a lean"),
         (_set("across", "pos_ps3", to=0.0), "does not settle"),
         (_times("braking", "across_mps2", by=3.0), "braking"),
-        (_set("prior", "mass_high", to=1.8), "braking"),
+        (_set("prior", "mass_high", to=1.8), "takes more than the least thrust"),
         (_set("prior", "force_g", to=0.3), "less than the prior's"),
         (_set("across", "radius_m", to=float("nan")), "number"),
         (_set("across", "more", to=1.0), "not known"),
@@ -115,16 +121,20 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, 
 @pytest.fixture
 def radii_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the checker finds of a loop is kept: most changes leave one of the two as it was, or both."""
-    kept: dict[Any, float] = {}
-    radius = stopping_check._radius
+    monkeypatch.setattr(stopping_check, "_radius", _once(stopping_check._radius))
+    monkeypatch.setattr(stopping_check, "_swung", _once(stopping_check._swung))
 
-    def once(loop: dict[str, float], is_across: bool) -> float:
-        key = (*loop.values(), is_across)
+
+def _once(work: Callable[..., float]) -> Callable[..., float]:
+    kept: dict[Any, float] = {}
+
+    def once(loop: dict[str, float], *more: Any) -> float:
+        key = (*loop.values(), *more)
         if key not in kept:
-            kept[key] = radius(loop, is_across)
+            kept[key] = work(loop, *more)
         return kept[key]
 
-    monkeypatch.setattr(stopping_check, "_radius", once)
+    return once
 
 
 @pytest.mark.usefixtures("radii_kept")
@@ -231,8 +241,10 @@ def test_a_way_out_does_not_turn_back_where_little_snap_takes_lean_back() -> Non
     )  # fmt: skip
     model, estimate = Model.from_vehicle(heavy), estimate_bounds(error_statistics(load_grade("mocap")))
     made = stopping(heavy, model, Limits(), estimate, governor_for(heavy, model, Limits(), "mocap"))
-    # and is followed no faster than rotors of 60 ms turn it: snap over 8.5 m/s^2, once for each 25 ms
-    assert (made.across.gains.acc_ps / 3.0) ** 2 <= made.snap_mps4 / (8.5 * 0.06 / 0.025)
+    # and swings further than a loop that turns as fast as it likes
+    assert made.radius_m > 1.5 * across(made.lags_s[0], made.doubts[0]).radius_m[-1]
+    verdict = check(as_json(made, "heavy", "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0}))
+    assert verdict.valid, verdict.lines
     start, points, way = np.zeros(backup.ROW), np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed in (1.5, 2.5, 4.0):
         start[VEL_N] = speed
