@@ -51,7 +51,7 @@ from flightstack.governor import GovernorLimits
 from flightstack.jit import njit
 from flightstack.model import Limits, Model
 from flightstack.rate_loop import SPREAD, butterworth2, first_order_alpha, steepness
-from flightstack.types import F64, InputError, Tuple3
+from flightstack.types import F64, InputError, Tuple3, Tuple4
 from flightstack.vehicle import Vehicle
 
 UNMODELLED = 1.06
@@ -68,6 +68,12 @@ _NODES = 5
 """Values of alpha and of tau between the ends of their doubts, ends included."""
 _COMMANDS = 3
 _ROUNDS = 4
+_MARGIN_MOST = 0.49
+_SETTLED, _GROWN, _RINGING = 0.002, 1.002, 1.5
+"""How exactly D is looked for where the rounds give none; they do where chi at it is greater than its own by a share,
+or the worst copy's noise is so many times the believed loop's (quad-x: 1.11): it rings."""
+_LATE, UNBOUNDED = 0.01, 1e3
+"""Share of an answer's power that its last third may hold: it falls by more than 2 / s then; and the noise beyond."""
 _YAW_SHARE = 0.18
 """Of D, what yaw may take."""
 _LEAST, _MOST = 0.03, 0.12
@@ -146,14 +152,40 @@ def governor_terms(
         while r_max > _LEAST and scale * max(loop.thrust_error(torque, trim)) > LINE_MOST_MPS2:
             r_max, y_max = 0.98 * r_max, 0.98 * y_max
             torque = chi * r_max + noise, chi_yaw * y_max + noise_yaw
-        margin = min(float((tilt * torque[0] + turn * torque[1]).max()) + trim, 0.49)
+        margin = min(loop.spread(torque) + trim, _MARGIN_MOST)
         figures = chi, chi_yaw, noise, noise_yaw
+    margin, figures = _settled(loop, gyro_noise_radps_rthz, (r_max, y_max, trim), margin, figures)
     chi, chi_yaw, noise, noise_yaw = figures
     lift, loss = loop.thrust_error((chi * r_max + noise, chi_yaw * y_max + noise_yaw), trim)
     return GovernorTerms(
         r_max, y_max, margin, *figures, trim, scale * lift, scale * loss,
         loop.as_json(gyro_noise_radps_rthz, model), dict(loop.autopilot),
     )  # fmt: skip
+
+
+def _settled(
+    loop: _Loop, density: Tuple3, asked: tuple[float, float, float], margin: float, figures: Tuple4
+) -> tuple[float, Tuple4]:
+    """D and the figures that hold at it.  `asked`: r_max, y_max and trim.
+
+    A loop that is steady at hover may ring near full command, where rotors give twice as much for a command: chi and
+    the noise of the worst copy at 1 - D are without bound then, and D must be so large that no such command is given.
+    """
+    r_max, y_max, trim = asked
+
+    def needed(at: float) -> tuple[float, Tuple4]:
+        chi, chi_yaw = (UNMODELLED * each for each in loop.doubt(at))
+        noise, noise_yaw = loop.noise(density, 1.0 - at, _CORNERS)
+        return loop.spread((chi * r_max + noise, chi_yaw * y_max + noise_yaw)) + trim, (chi, chi_yaw, noise, noise_yaw)
+
+    chi, chi_yaw, noise, _ = needed(margin)[1]
+    if chi <= _GROWN * figures[0] and chi_yaw <= _GROWN * figures[1] and noise <= _RINGING * figures[2]:
+        return margin, figures
+    low, high = margin, _MARGIN_MOST
+    while high - low > _SETTLED:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed(middle)[0] > middle else (low, middle)
+    return high, needed(high)[1]
 
 
 def parse_governor(value: object, where: str) -> GovernorTerms:
@@ -214,6 +246,11 @@ class _Loop:
         """PX4's collective thrust whose undone curve is this command."""
         return self.undone * norm * norm + (1.0 - self.undone) * norm
 
+    def spread(self, torque: tuple[float, float]) -> float:
+        """How far a rotor's command is from the collective one at most, at these torques (roll and pitch, yaw)."""
+        tilt, turn = np.hypot(self.mix[:, 0], self.mix[:, 1]), np.abs(self.mix[:, 2])
+        return float((tilt * torque[0] + turn * torque[1]).max())
+
     def kernels(self, axis: int, norm: float) -> F64:
         """(_STEPS, tau, alpha, copies) g of every true loop against each model, at a held command."""
         return _kernels(
@@ -233,12 +270,20 @@ class _Loop:
             chi_yaw = max(chi_yaw, 1.0 + float(np.abs(_nearest(self.kernels(2, float(norm)))).sum(axis=0).max()))
         return chi, chi_yaw
 
-    def noise(self, density: Tuple3, norm: float) -> tuple[float, float]:
-        """NOISE_SIGMA deviations of the torque that gyro noise makes, at the greatest command."""
-        sigma = [
-            density[axis] * math.sqrt(0.5 / _STEP_S * float(np.sum(_noise_answer(self._constants(axis, norm)) ** 2)))
-            for axis in range(3)
-        ]
+    def noise(
+        self, density: Tuple3, norm: float, copies: tuple[tuple[float, float], ...] = _CORNERS[:1]
+    ) -> tuple[float, float]:
+        """NOISE_SIGMA deviations of the torque that gyro noise makes at a command; of several copies the worst's, and
+        no bound where one's answer has not ended."""
+        sigma = [0.0, 0.0, 0.0]
+        for axis in range(3):
+            for alpha, lag in copies:
+                c = self._constants(axis, norm)
+                c[_ALPHA], c[_LAG] = alpha * c[_ALPHA], lag * c[_LAG]
+                answer = _noise_answer(c) ** 2
+                power, late = 0.5 / _STEP_S * float(np.sum(answer)), float(np.sum(answer[2 * _STEPS // 3 :]))
+                ended = len(copies) == 1 or late <= _LATE * float(np.sum(answer))
+                sigma[axis] = max(sigma[axis], density[axis] * math.sqrt(power) if ended else UNBOUNDED)
         return NOISE_SIGMA * max(sigma[:2]), NOISE_SIGMA * sigma[2]
 
     def thrust_error(self, torque: tuple[float, float], trim: float) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from flightstack.autopilot import autopilot_of
 from flightstack.cli import files
 from flightstack.cli.compiled import FLIGHT, JSBSIM, ensure_compiled
 from flightstack.cli.filed import with_filed
@@ -19,6 +20,7 @@ from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
+from flightstack.cli.vehicle_gains import tuned
 from flightstack.dotted import changed_vehicle
 from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
@@ -100,13 +102,11 @@ def prepare(options: FlyOptions) -> Setup:
     """Read and check everything before anything moves; InputError with one line where something is wrong."""
     faults = parse_faults(options.fault)
     flight = prepare_flight(options)
+    truth = _truth(options, flight)
+    gains = autopilot_of(flight.believed, truth)  # as `offboard` reads them from its vehicle
+    if flight.protection.filter.enabled and tuned(flight.believed, gains) is not flight.believed:
+        flight = prepare_flight(options, gains)
     scenario = flight.scenario
-    if options.truth is None:
-        truth = scenario.truth_vehicle(flight.believed)
-    else:
-        truth, _ = files.load_vehicle(options.truth)
-        if options.truth == scenario.flight.get("truth"):
-            truth = changed_vehicle(truth, scenario.truth.changes, scenario.name)
     sensors = options.grade(flight.scenario)
     settings = {
         "truth": truth.name,
@@ -128,6 +128,16 @@ def prepare(options: FlyOptions) -> Setup:
     most_s = flight.protection.round_trip_max_s
     companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
     return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
+
+
+def _truth(options: FlyOptions, flight: Prepared) -> Vehicle:
+    """What really flies."""
+    if options.truth is None:
+        return flight.scenario.truth_vehicle(flight.believed)
+    truth, _ = files.load_vehicle(options.truth)
+    if options.truth == flight.scenario.flight.get("truth"):
+        truth = changed_vehicle(truth, flight.scenario.truth.changes, flight.scenario.name)
+    return truth
 
 
 _WARM: set[tuple[str, ...]] = set()

@@ -20,6 +20,7 @@ from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import VehicleLink, parameters_set
+from flightstack.cli.vehicle_gains import ask_gains, changed
 from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
@@ -101,6 +102,11 @@ def offboard(
     if prepared.protection.unattainable:
         say(f"not protected: {prepared.protection.unattainable}")
     with _key(options.signing_key) as signer:
+        if prepared.protection.filter.enabled:
+            gains = ask_gains(options.connect, signer, options.heartbeat_timeout_s)
+            if others := changed(prepared.believed, gains):
+                say(others)
+                prepared = prepare_flight(options, gains)
         ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
             messages.prepare()

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 
 from flightstack.barrier.provenance import Trail
 from flightstack.cli import files
@@ -21,6 +22,7 @@ from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, Prote
 from flightstack.cli.quiet import quieted
 from flightstack.cli.recorder import LogObserver, path_of, scene_of
 from flightstack.cli.site import TimedSiteFilter, envelope, load_site
+from flightstack.cli.vehicle_gains import tuned
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
 from flightstack.learning.learner import GpLearner, LearnerConfig
@@ -31,7 +33,7 @@ from flightstack.scenario import Scenario
 from flightstack.seams import Learner
 from flightstack.stack import Stack
 from flightstack.types import InputError
-from flightstack.vehicle import Vehicle
+from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack.warmup import warm_up
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.topics import CERTIFICATE, SITE_OUTLINES, Attachment
@@ -120,15 +122,21 @@ class Prepared:
         )
 
 
-def prepare_flight(options: FlightOptions) -> Prepared:
-    """Read and check everything before anything moves; InputError with one line where something is wrong."""
+def prepare_flight(options: FlightOptions, gains: Mapping[str, float] = MappingProxyType({})) -> Prepared:
+    """Read and check everything before anything moves; InputError with one line where something is wrong.
+
+    gains: what the vehicle has of `[autopilot]`, in place of what its file says.
+    """
     scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
     if options.duration_s is not None:
         scenario = scenario.with_duration(options.duration_s)
     require_run_up(scenario)
     if options.site is not None:
         scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
-    believed, vehicle_file = files.load_vehicle(options.vehicle)
+    filed, vehicle_file = files.load_vehicle(options.vehicle)
+    believed = tuned(filed, gains)
+    if believed is not filed:
+        vehicle_file = replace(vehicle_file, text=vehicle_to_toml(believed))
     learned = None if options.learned is None else files.read_text(options.learned)
     model, name = Model.from_vehicle(believed), controller_name(options)
     controller, learner = build(name, model, scenario.limits, learning=options.learning)

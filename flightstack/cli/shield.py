@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from select import select
+from types import MappingProxyType
 from typing import Any
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
@@ -24,6 +25,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
+from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
 from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.governor import Governor
 from flightstack.model import Model
@@ -64,12 +66,12 @@ class ShieldOptions:
 
 
 def shield_stack(
-    options: ShieldOptions, place: tuple[float, float] | None
+    options: ShieldOptions, place: tuple[float, float] | None, gains: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Stack, Relay, StateObserver | None]:
     """The stack behind the router; InputError, one line, where site, vehicle or certificate won't do."""
     site = load_site(options.site, place)
     scenario, _ = files.load_scenario(_SCENARIO)
-    believed, _ = files.load_vehicle(options.vehicle)
+    believed = tuned(files.load_vehicle(options.vehicle)[0], gains)
     model, limits = Model.from_vehicle(believed), envelope(scenario.limits, site)
     grade = load_grade(options.sensors)
     statistics = error_statistics(grade)
@@ -103,7 +105,10 @@ def shield(
     """Route until stopped; the JSON."""
     site, place = ask_vehicle(options.site, options.connect, 10.0)
     options = replace(options, site=site)
-    stack, relay, refiner = shield_stack(options, place)
+    gains = ask_gains(options.connect, None, 10.0)
+    if others := changed(files.load_vehicle(options.vehicle)[0], gains):
+        say(others)
+    stack, relay, refiner = shield_stack(options, place, gains)
     messages.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
     router = ShieldRouter(stack, relay, refiner)

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.estimate_bounds import EstimateBounds
-from flightstack.barrier.torque import GovernorTerms, within
+from flightstack.barrier.torque import UNBOUNDED, GovernorTerms, within
 from flightstack.model import Limits, Model
 from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
@@ -260,7 +260,7 @@ def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: f
     """What a climb is braked by; InputError where the vehicle can't come down."""
     gain = prior.gain[1]
     down = min(_DOWN_SHARE * (G - gain * least_mps2 - _OVER * prior.force_g * G), _DOWN_MOST)
-    if down < _DOWN_LEAST and governor.chi > _RINGING:
+    if down < _DOWN_LEAST and (governor.chi > _RINGING or governor.noise >= UNBOUNDED):
         raise InputError(
             f"vehicle {vehicle.name}: its rate loop rings where gain and lag are 20 % off (torque up to "
             f"{min(governor.chi, 999.0):.0f} times what is modelled): no torque can be promised; lower MC_ROLLRATE_K, "

@@ -1,0 +1,70 @@
+"""The rate gains and filters that a vehicle really has: certificates, governor and ways out count on them.
+
+They are read before a protected flight, and stand in place of what the vehicle file says or leaves to PX4's defaults.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import replace
+
+from flightstack.autopilot import autopilot_of, float32
+from flightstack.autopilot_params import AUTOPILOT_PARAMS
+from flightstack.cli.set_params import VehicleLink
+from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
+from mavlink_bridge.signing import Signer
+from mavlink_bridge.transport.address import open_address, parse_address
+
+_ANSWER_LIMIT_S = 5.0
+_SAME = 1e-6
+"""Share: PX4's floats have 24 bits."""
+
+
+def tuned(vehicle: Vehicle, gains: Mapping[str, float]) -> Vehicle:
+    """The vehicle with these values of `[autopilot]`; the very same where it has them already."""
+    has = autopilot_of(vehicle)
+    if all(math.isclose(has[key], float32(value), rel_tol=_SAME, abs_tol=1e-12) for key, value in gains.items()):
+        return vehicle
+    return replace(vehicle, autopilot={**vehicle.autopilot, **gains})
+
+
+def ask_gains(connect: str, signer: Signer | None, within_s: float) -> dict[str, float]:
+    """`[autopilot]` of the vehicle at an address, without what it does not know.
+
+    InputError where nobody answers in time, or a value is beyond what a vehicle file may say.
+    """
+    address = parse_address(connect)
+    with closing(open_address(address, signer)) as transport:
+        wire = VehicleLink(transport, address, signer, within_s)
+        session = wire.session([param.name for param in AUTOPILOT_PARAMS.values()])
+        if not wire.run(session, lambda: session.identified, within_s):
+            raise InputError(
+                f"no vehicle answered at {connect} within {within_s:g} s: its rate gains, on which every protection "
+                "counts, are not known"
+            )
+        wire.run(session, lambda: session.settled, _ANSWER_LIMIT_S)
+    gains = {}
+    for key, param in AUTOPILOT_PARAMS.items():
+        if param.name not in session.stored:
+            continue
+        value = gains[key] = session.stored[param.name].value
+        if not param.minimum <= value <= param.maximum:
+            raise InputError(
+                f"{param.name} is {value:g} on the vehicle: nothing is certified outside "
+                f"{param.minimum:g} to {param.maximum:g}"
+            )
+    return gains
+
+
+def changed(vehicle: Vehicle, gains: Mapping[str, float]) -> str:
+    """What the vehicle has otherwise than its file, in words; empty where nothing."""
+    has = autopilot_of(vehicle)
+    others = [
+        f"{AUTOPILOT_PARAMS[key].name} {value:g} ({has[key]:g})"
+        for key, value in gains.items()
+        if not math.isclose(has[key], float32(value), rel_tol=_SAME, abs_tol=1e-12)
+    ]
+    return f"as the vehicle has it, not as its file: {', '.join(others)}" if others else ""
