@@ -25,10 +25,7 @@ _SAME = 1e-6
 
 def tuned(vehicle: Vehicle, gains: Mapping[str, float]) -> Vehicle:
     """The vehicle with these values of `[autopilot]`; the very same where it has them already."""
-    has = autopilot_of(vehicle)
-    if all(math.isclose(has[key], float32(value), rel_tol=_SAME, abs_tol=1e-12) for key, value in gains.items()):
-        return vehicle
-    return replace(vehicle, autopilot={**vehicle.autopilot, **gains})
+    return replace(vehicle, autopilot={**vehicle.autopilot, **gains}) if _others(vehicle, gains) else vehicle
 
 
 def ask_gains(connect: str, signer: Signer | None, within_s: float) -> dict[str, float]:
@@ -61,10 +58,15 @@ def ask_gains(connect: str, signer: Signer | None, within_s: float) -> dict[str,
 
 def changed(vehicle: Vehicle, gains: Mapping[str, float]) -> str:
     """What the vehicle has otherwise than its file, in words; empty where nothing."""
-    has = autopilot_of(vehicle)
-    others = [
-        f"{AUTOPILOT_PARAMS[key].name} {value:g} ({has[key]:g})"
-        for key, value in gains.items()
-        if not math.isclose(has[key], float32(value), rel_tol=_SAME, abs_tol=1e-12)
-    ]
-    return f"as the vehicle has it, not as its file: {', '.join(others)}" if others else ""
+    words = [f"{AUTOPILOT_PARAMS[key].name} {gains[key]:g} ({has:g})" for key, has in _others(vehicle, gains).items()]
+    return f"as the vehicle has it, not as its file: {', '.join(words)}" if words else ""
+
+
+def _others(vehicle: Vehicle, gains: Mapping[str, float]) -> dict[str, float]:
+    """What the file has of the gains that are others; of rotors that nobody can mix nothing: they are refused."""
+    try:
+        has = autopilot_of(vehicle)
+    except InputError:
+        return {}
+    same = {k: math.isclose(has[k], float32(v), rel_tol=_SAME, abs_tol=1e-12) for k, v in gains.items()}
+    return {key: has[key] for key, is_same in same.items() if not is_same}
