@@ -103,7 +103,7 @@ def offboard(
         say(f"not protected: {prepared.protection.unattainable}")
     with _key(options.signing_key) as signer:
         if prepared.protection.filter.enabled:
-            gains = ask_gains(options.connect, signer, options.heartbeat_timeout_s)
+            gains = ask_gains(options.connect, signer, options.heartbeat_timeout_s, prepared.believed)
             if others := changed(prepared.believed, gains):
                 say(others)
                 prepared = prepare_flight(options, gains)

@@ -105,8 +105,9 @@ def shield(
     """Route until stopped; the JSON."""
     site, place = ask_vehicle(options.site, options.connect, 10.0)
     options = replace(options, site=site)
-    gains = ask_gains(options.connect, None, 10.0)
-    if others := changed(files.load_vehicle(options.vehicle)[0], gains):
+    file, _ = files.load_vehicle(options.vehicle)
+    gains = ask_gains(options.connect, None, 10.0, file)
+    if others := changed(file, gains):
         say(others)
     stack, relay, refiner = shield_stack(options, place, gains)
     messages.prepare()

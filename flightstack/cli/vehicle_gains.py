@@ -15,6 +15,7 @@ from flightstack.autopilot_params import AUTOPILOT_PARAMS
 from flightstack.cli.set_params import VehicleLink
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
+from mavlink_bridge.param_session import Stored
 from mavlink_bridge.signing import Signer
 from mavlink_bridge.transport.address import open_address, parse_address
 
@@ -28,26 +29,41 @@ def tuned(vehicle: Vehicle, gains: Mapping[str, float]) -> Vehicle:
     return replace(vehicle, autopilot={**vehicle.autopilot, **gains}) if _others(vehicle, gains) else vehicle
 
 
-def ask_gains(connect: str, signer: Signer | None, within_s: float) -> dict[str, float]:
-    """`[autopilot]` of the vehicle at an address, without what it does not know.
+def ask_gains(connect: str, signer: Signer | None, within_s: float, file: Vehicle) -> dict[str, float]:
+    """`[autopilot]` of the vehicle at an address.
 
-    InputError where nobody answers in time, or a value is beyond what a vehicle file may say.
+    InputError where nobody answers in time, a value is beyond what a vehicle file may say, or one is neither told nor
+    stated in the file: PX4's default would be a guess.
     """
     address = parse_address(connect)
     with closing(open_address(address, signer)) as transport:
         wire = VehicleLink(transport, address, signer, within_s)
-        session = wire.session([param.name for param in AUTOPILOT_PARAMS.values()])
-        if not wire.run(session, lambda: session.identified, within_s):
+        met = wire.session([])
+        if not wire.run(met, lambda: met.identified, within_s):
             raise InputError(
                 f"no vehicle answered at {connect} within {within_s:g} s: its rate gains, on which every protection "
                 "counts, are not known"
             )
-        wire.run(session, lambda: session.settled, _ANSWER_LIMIT_S)
+        stored: dict[str, Stored] = {}
+        open_names = {param.name for param in AUTOPILOT_PARAMS.values()}
+        while open_names:  # a name that is refused ends a session: the others are asked for again
+            session = wire.session(sorted(open_names))
+            wire.run(session, lambda session=session: session.settled, _ANSWER_LIMIT_S)  # type: ignore[misc]
+            stored |= session.stored
+            refused = open_names.intersection(session.problem.split())
+            open_names -= refused | set(stored)
+            if not refused:
+                break
     gains = {}
     for key, param in AUTOPILOT_PARAMS.items():
-        if param.name not in session.stored:
+        if param.name not in stored:
+            if key not in file.autopilot:
+                raise InputError(
+                    f"the vehicle does not tell {param.name}, on which every protection counts: state {key} in "
+                    "[autopilot] of the vehicle file"
+                )
             continue
-        value = gains[key] = session.stored[param.name].value
+        value = gains[key] = stored[param.name].value
         if not param.minimum <= value <= param.maximum:
             raise InputError(
                 f"{param.name} is {value:g} on the vehicle: nothing is certified outside "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,11 @@ from simulator import HOST, free_ports, simulator
 
 from flightstack.api import load_vehicle, vehicle_to_toml
 from flightstack.autopilot import autopilot_of
+from flightstack.cli import vehicle_gains
 from flightstack.cli.flight import FlyOptions, prepare
 from flightstack.cli.main import main
 from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
+from flightstack.types import InputError
 
 SITE = """schema = "flightstack.site/1"
 floor_m = 0.3
@@ -30,7 +33,7 @@ def test_a_vehicle_with_other_gains_is_flown_by_them_or_refused(
     port, gcs_port = free_ports()
     flight = ["offboard", "--connect", f"udpin:{HOST}:{port}", "--site", str(tmp_path / "field.toml"), "--dry-run"]
     with simulator(port, gcs_port, "--vehicle", str(true)):
-        gains = ask_gains(f"udpin:{HOST}:{port}", None, 20.0)
+        gains = ask_gains(f"udpin:{HOST}:{port}", None, 20.0, QUAD)
         for out in ("one", "two"):
             with pytest.raises(SystemExit) as ended:
                 main([*flight, "--out", str(tmp_path / out)])
@@ -75,3 +78,17 @@ def test_a_simulated_flight_is_certified_with_the_gains_that_its_autopilot_flies
     assert "mc_rollrate_k" in made.flight.carried["vehicle.toml"]  # the log says with which
     assert tuned(QUAD, autopilot_of(QUAD)) is QUAD
     assert not changed(QUAD, autopilot_of(QUAD))
+
+
+def test_a_gain_that_the_vehicle_does_not_tell_is_not_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It answers MAV_PARAM_ERROR for a name that it does not know, as an older PX4's parameter would be."""
+    known = vehicle_gains.AUTOPILOT_PARAMS["mc_yaw_tq_cutoff"]._replace(name="MC_OF_NO_PX4")
+    monkeypatch.setitem(vehicle_gains.AUTOPILOT_PARAMS, "mc_yaw_tq_cutoff", known)
+    port, gcs_port = free_ports()
+    with simulator(port, gcs_port):
+        with pytest.raises(InputError, match=r"does not tell MC_OF_NO_PX4.*state mc_yaw_tq_cutoff"):
+            ask_gains(f"udpin:{HOST}:{port}", None, 20.0, QUAD)
+        stated = replace(QUAD, autopilot={"mc_yaw_tq_cutoff": 2.0})
+        gains = ask_gains(f"udpin:{HOST}:{port}", None, 20.0, stated)
+    assert "mc_yaw_tq_cutoff" not in gains
+    assert len(gains) == len(vehicle_gains.AUTOPILOT_PARAMS) - 1
