@@ -31,8 +31,8 @@ _RESETS, _RESETS_WITHIN_US = 3, 10_000_000
 _UNAIDED_S = 5.0
 """EKF2_NOAID_TOUT's default: for so long PX4's estimator holds a position without aid for good."""
 RESET_MOST_M = VELOCITY_ERROR_MPS * _UNAIDED_S
-"""What a vehicle can have moved unnoticed: a velocity that is off by more contradicts the IMU.  A farther reset says that
-one of the two positions is wrong, and not which."""
+"""What a vehicle can have moved unnoticed: a velocity that is off by more contradicts the IMU.  A farther reset says
+that one of the two positions is wrong, and not which."""
 _STEPS_KEPT = 16
 _BACK_US = 1_000_000
 _FLAG_ATTITUDE = 0x01
