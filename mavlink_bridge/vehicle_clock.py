@@ -12,7 +12,7 @@ that became slow.  Round trips (TIMESYNC) can: one that is quick and contradicts
 from __future__ import annotations
 
 from collections import deque
-from itertools import combinations
+from itertools import combinations, pairwise
 from statistics import median
 
 _BUCKET_US = 250_000
@@ -20,6 +20,9 @@ _BUCKETS = 12
 _JUMP_US = 500_000
 _ROUND_TRIP_MAX_US = 30_000
 _SLIP_US = 2_000
+_AHEAD_US = 10_000
+"""A stamp so far ahead of the line: the clock ran ahead, and a line through both sides of that would have a wrong rate."""
+_TRIPS = 6
 
 
 class VehicleClock:
@@ -36,6 +39,8 @@ class VehicleClock:
         self._bucket_id = 0
         self._best: tuple[int, int] | None = None
         self._buckets: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)
+        self._trips: deque[tuple[int, int]] = deque(maxlen=_TRIPS)
+        """Local and vehicle time in the middle of the last round trips."""
 
     @property
     def synchronised(self) -> bool:
@@ -52,6 +57,11 @@ class VehicleClock:
         if abs(lead) > _JUMP_US and abs(lead) > _JUMP_US * rate and len(self._buckets) >= 2:
             self.jumps += 1
             self._restart(stamp_us, local_us)
+            return
+        if lead > _AHEAD_US * max(1.0, rate) and len(self._buckets) >= 2:  # none comes before it was sent
+            self.slips += 1
+            self._restart(stamp_us, local_us)
+            self.rate = rate
             return
         bucket = local_us // _BUCKET_US
         if bucket != self._bucket_id:
@@ -71,10 +81,15 @@ class VehicleClock:
             return
         middle_us = (asked_us + answered_us) // 2
         error_us = vehicle_us - self.vehicle_us(middle_us)
+        if not self._trips or middle_us > self._trips[-1][0]:
+            self._trips.append((middle_us, vehicle_us))
         if abs(error_us) > (trip_us / 2 + _SLIP_US) * max(1.0, self.rate):
             self.slips += 1
-            self.jumps += abs(error_us) > _JUMP_US * max(1.0, self.rate)
-            rate = self.rate
+            jumped = abs(error_us) > _JUMP_US * max(1.0, self.rate)
+            self.jumps += jumped
+            told = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(self._trips)]
+            fitted = jumped or len(self._buckets) >= 2 or len(told) < 2
+            rate = self.rate if fitted else median(told)
             self._restart(vehicle_us, middle_us)
             self.rate = rate
 
