@@ -21,7 +21,7 @@ _JUMP_US = 500_000
 _ROUND_TRIP_MAX_US = 30_000
 _SLIP_US = 2_000
 _AHEAD_US = 10_000
-"""A stamp so far ahead of the line: the clock ran ahead, and a line through both sides of that would have a wrong rate."""
+"""A stamp so far ahead of the line: the clock ran ahead, and a line through both sides of that has a wrong rate."""
 _TRIPS = 6
 
 
