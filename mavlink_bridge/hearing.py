@@ -30,7 +30,7 @@ class Hearing:
         """Everything that has arrived; vehicle and local time."""
         now, link = self._now, self._link
         if now.system == 0:
-            now.unvouched = link.stats.unsigned + link.stats.bad_signature
+            now.unvouched = link.refused
         for received in link.take_events():
             if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
                 self._take(received.message, t_us, now_us)

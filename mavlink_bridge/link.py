@@ -61,6 +61,9 @@ class Received(NamedTuple):
 class Signing(Protocol):
     """MAVLink 2 signing, as the link needs it."""
 
+    refused: int
+    """Frames that did not count."""
+
     def judge(self, frame: bytes, signed: bool, number: int, now_us: int) -> str:
         """Empty where a received frame (whole, signature included) may be used, else the counter it belongs to."""
 
@@ -139,6 +142,11 @@ class Link:
     def signing(self) -> bool:
         """What goes out is signed, and only what is rightly signed comes in."""
         return self._signing is not None
+
+    @property
+    def refused(self) -> int:
+        """Frames that did not count for want of our key's signature; 0 where there is no key."""
+        return 0 if self._signing is None else self._signing.refused
 
     def expect_peer(self, system: int) -> None:
         """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""

@@ -95,6 +95,8 @@ class Signer:
         """No stamp from here on has been used."""
         self.seen: dict[Stream, int] = dict(seen or {})
         """The newest stamp of each stream."""
+        self.refused = 0
+        """Frames that did not count, those included with which a stranger began to speak."""
 
     def secret(self) -> bytes:
         """The key's bytes, for the dead-man, which signs with a link id of its own."""
@@ -119,11 +121,14 @@ class Signer:
         if stream is not None:
             self.seen[stream] = stamp
             self.next_stamp = max(self.next_stamp, min(stamp, _STAMP_MAX))  # a peer with the better clock leads
+        self.refused += bool(fault)
         return fault
 
     def vouches(self, frame: bytes, signed: bool) -> bool:
         """Whether a frame that nobody has taken yet is rightly signed and new; it is still to be judged."""
-        return self._weigh(frame, signed, -1)[0] == ""
+        vouched = self._weigh(frame, signed, -1)[0] == ""
+        self.refused += not vouched
+        return vouched
 
     def _weigh(self, frame: bytes, signed: bool, number: int) -> tuple[str, Stream | None, int]:
         """The counter it belongs to, empty where it is good; its stream and stamp where they count from now on."""

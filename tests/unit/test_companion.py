@@ -85,6 +85,15 @@ def test_a_vehicle_without_our_key_is_told_from_silence() -> None:
     assert "frames without the key's signature" in companion.reason
 
 
+def test_a_stranger_whose_first_datagram_is_not_signed_with_our_key_is_counted() -> None:
+    """Over UDP nobody becomes the peer without it, and nothing else of it is read."""
+    signer, stranger = Signer(SecretKey(bytes(range(32))), lambda: 1), Link(1, 1)
+    stranger.send(m.Heartbeat(2, 12, 0x81, HOLD, 4))
+    (frame,) = stranger.datagrams_to_send()
+    assert not signer.vouches(frame, False)
+    assert Link(240, 191, signing=signer).refused == 1
+
+
 def test_a_refused_arming_says_why_in_the_vehicles_words() -> None:
     companion, _ = build()
     vehicle = FakePx4(arm_result=1, texts=("Arming denied: Resolve system health failures first",))

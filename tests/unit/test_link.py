@@ -188,7 +188,7 @@ class _FakeSigning:
     """Signs with a running number and takes only what carries the next one."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = self.refused = 0
 
     def signature(self, frame: bytes) -> bytes:
         assert frame[2] == 1
