@@ -11,18 +11,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
 from flightstack.cli.live_view import shown_live
-from flightstack.cli.preparation import text_file
-from flightstack.cli.versions import versions
 from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.writer import FlightLog, Recorder
+from flightstack_logs.recorder import Recorder
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
@@ -34,6 +31,9 @@ from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.px4 import describe_mode
 from mavlink_bridge.transport.clock import utc_us
 from mavlink_bridge.transport.udp import UdpSocket
+
+if TYPE_CHECKING:
+    from flightstack_logs.writer import FlightLog
 
 HOST = "127.0.0.1"
 OFFBOARD_PORT = 14540
@@ -120,10 +120,16 @@ def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = N
     path = path or options.log
     if path is None:
         return None
+    # half a second of imports, for whoever keeps a log
+    from flightstack.cli.versions import versions
+    from flightstack_logs.log_clock import clock_metadata
+    from flightstack_logs.topics import Attachment
+    from flightstack_logs.writer import FlightLog
+
     settings = {"seed": str(options.seed), "plant": options.plant, "pace": "realtime", "speed": f"{options.speed:g}"}
     clock = clock_metadata(utc_us(), simulated=False)
     metadata = {"settings": settings, "versions": versions(), "clock": clock}
-    truth = text_file("truth.toml", vehicle_text)
+    truth = Attachment.of_text("truth.toml", vehicle_text)
     return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True, compact=True)
 
 
