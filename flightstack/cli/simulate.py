@@ -158,6 +158,11 @@ class Instance:
                 self.status = status
                 log.write("/vehicle/status", vehicle.t_us, status)
 
+    def news(self) -> list[tuple[int, str]]:
+        """Faults that have begun or ended and warnings, with the vehicle's time."""
+        server = self.shell.server
+        return [(at_us, f"fault {words}") for at_us, words in server.faults.new()] + server.console.take()
+
     def close(self) -> None:
         """Close its sockets and its log."""
         self.shell.close()
@@ -291,18 +296,19 @@ def simulate(
 
 
 def _loop(
-    instances: list[Instance], options: SimOptions, stop_requested: Callable[[], str], on_fault: Callable[[str], None]
+    instances: list[Instance], options: SimOptions, stop_requested: Callable[[], str], on_news: Callable[[str], None]
 ) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     first = instances[0].shell.server
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
+    several = len(instances) > 1
     ticks = 0
     while end_us is None or first.t_us < end_us:
         pace.wait()
         for instance in instances:
             instance.tick()
-            for at_us, words in instance.shell.server.faults.new():
-                on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
+            for at_us, words in instance.news():
+                on_news(f"{at_us * 1e-6:.1f} s: {f'vehicle {instance.shell.server.system}: ' * several}{words}")
         ticks += 1
         if ticks % 25 == 0 and stop_requested():
             break
