@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from flightstack.jit import cache_folder, sources_key
+from flightstack.jit import cache_folder, machine_key, sources_key
 from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
 from mavlink_bridge.transport.machine import stand_back
@@ -69,7 +69,7 @@ def compiled(part: str) -> bool:
 
 
 def _marker(part: str) -> Path:
-    return cache_folder() / f"{part}-is-compiled-{sources_key()}"
+    return cache_folder() / f"{part}-is-compiled-{sources_key()}-{machine_key()}"
 
 
 def _tell_progress() -> None:

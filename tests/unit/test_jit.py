@@ -20,7 +20,7 @@ from numba.core.caching import NullCache
 import flightstack_sim
 from flightstack import quick_compiling
 from flightstack.cli import compiled
-from flightstack.jit import njit
+from flightstack.jit import machine_key, njit
 from flightstack.quick_compiling import typed_once
 
 SIMULATOR_FILES = [
@@ -199,6 +199,21 @@ def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
     for parts in ((), ("simulator",), ("jsbsim", "flight"), ("jsbsim",)):
         compiled.ensure_compiled(lambda text: None, *parts)
     assert asked == [("flight",), ("jsbsim",)]
+
+
+def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container's cache came with the mark and numba would load none of its code: all was compiled at the start."""
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    compiled._marker("simulator").touch()
+    assert compiled.compiled("simulator")
+    monkeypatch.setattr(numba.core.config, "CPU_NAME", "x86-64-v2")
+    machine_key.cache_clear()
+    try:
+        assert not compiled.compiled("simulator")
+    finally:
+        machine_key.cache_clear()
 
 
 def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> None:
