@@ -174,7 +174,7 @@ def _compare(nodes: F64, table: F64, known: knowledge.StatedKnowledge, name: str
         raise Refused(f"{name}.authority.{_AUTHORITY[row]}[{node}] = {stated:.9g}, the knowledge gives {found:.9g}")
     points = " and ".join(str(len(store.x)) for store in known.stores) or "no"
     lines.append(
-        f"{name}: {table.shape[1]} nodes of the authority worked out anew from {points} points at {known.k:.3g} sigma "
+        f"{name}: {table.shape[1]} nodes of the authority worked out anew from {points} points at {known.k_queries[_AXES.index(name)]:.3g} sigma "
         f"({known.queries} queries each); errors up to {nodes[5:].max():.4g} m/s^2"
     )
 
