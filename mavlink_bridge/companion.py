@@ -70,7 +70,7 @@ class Companion:
         """Vehicle time of the command to land; -1 before."""
         self.last_t_us = 0
         """Vehicle time of the latest step in which something was decided."""
-        self.ticks = 0
+        self.ticks = self._t_us = 0
         self._stack, self._scenario, self._config = stack, scenario, config
         self._observer, self._planner = observer, planner
         self._rest_ned_m: F64 = np.zeros(3)
@@ -87,7 +87,6 @@ class Companion:
         self._mission_complete = False
         self._landing = False
         """PX4 has taken the command to land; that the mode falls back to OFFBOARD after it disarms means nothing."""
-        self._t_us = 0
         self._measurement: Measurement | None = None
         """The state at this step; None until every stream has been heard."""
         self._phase_now = self._fault = ""
@@ -204,8 +203,9 @@ class Companion:
 
     def _enter(self, state: State, event: HandshakeEvent, now_us: int) -> None:
         """What happens once, on the way into a state."""
-        self._now.state, self._now.entered_us = state, now_us
-        t_us = self._t_us
+        self._now.state, self._now.entered_us, t_us = state, now_us, self._t_us
+        if state in FINAL or event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
+            self._notes.end(t_us)
         if event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
             fault = FAULTS[self._now.trouble]
             text = f"{self._now.trouble}: {fault.what}; {fault.reaction.value}"

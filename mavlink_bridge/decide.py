@@ -74,6 +74,8 @@ class Situation:
     """The vehicle's system id; 0 before the first heartbeat."""
     foreign_system: int = 0
     """Another autopilot on the link; 0: none."""
+    unvouched: int = 0
+    """Frames dropped for want of our key's signature before anybody was heard."""
     rival: str = ""
     """Another companion on the link, in words; empty: none."""
     stop_requested: str = ""
@@ -132,10 +134,11 @@ def _disconnected(now: Situation, now_us: int) -> Decision | None:
         return Decision(HandshakeEvent.HEARTBEAT)
     timeout_s = now.config.heartbeat_timeout_s
     if _in_state_s(now, now_us) > timeout_s:
+        unsigned = f"; {now.unvouched} frames without the key's signature were dropped" if now.unvouched else ""
         return Decision(
             HandshakeEvent.TIMEOUT,
             f"no heartbeat of an autopilot within {timeout_s:g} s: "
-            "check that the vehicle or simulator runs and sends to this address and port",
+            f"check that the vehicle or simulator runs and sends to this address and port{unsigned}",
         )
     return None
 

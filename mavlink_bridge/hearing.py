@@ -32,6 +32,8 @@ class Hearing:
     def take_all(self, t_us: int, now_us: int) -> None:
         """Everything that has arrived; vehicle and local time."""
         now, link = self._now, self._link
+        if now.system == 0:
+            now.unvouched = link.stats.unsigned + link.stats.bad_signature
         for received in link.take_events():
             if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
                 self._take(received.message, t_us, now_us)

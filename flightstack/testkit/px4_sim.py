@@ -160,6 +160,11 @@ class Px4Sim:
 
         ValueError for a time that is negative or no number.
         """
+        self.advance(seconds)
+        self.end_step()
+
+    def advance(self, seconds: float) -> None:
+        """A part of a step: what the vehicle says waits until a datagram is full or the step ends."""
         if not 0.0 <= seconds < math.inf:
             raise ValueError(f"step takes a time of 0 s or more, not {seconds!r}")
         self._end_us += seconds * 1e6
@@ -170,6 +175,9 @@ class Px4Sim:
             self._collect()
             self._wait_for_client()
             self._wait_for_wall()
+
+    def end_step(self) -> None:
+        """After its parts: ground stations count that have come, and everything is sent."""
         self._hear_ground_stations()
         self._flush()
 

@@ -126,6 +126,23 @@ def test_a_fleet_moves_together_and_each_vehicle_has_its_own_client(px4_fleet: C
         assert {message.get_srcSystem() for message in known} == {number}
 
 
+def test_a_socket_that_nobody_reads_holds_five_seconds_of_each_vehicle_of_a_fleet(
+    px4_fleet: Callable[[int], Fleet],
+) -> None:
+    """Sent anew every 4 ms, one second of small datagrams filled it: a test that stepped 2 s found no heartbeat."""
+    fleet = px4_fleet(2)
+    clients = [mavutil.mavlink_connection(vehicle.address) for vehicle in fleet]
+    fleet.step(0.5)
+    for client in clients:
+        while client.recv_match(blocking=False) is not None:
+            pass
+    fleet.step(5.0)
+    for client in clients:
+        kinds = [message.get_type() for message in iter(lambda one=client: one.recv_match(blocking=False), None)]
+        assert kinds.count("HEARTBEAT") == 5
+        client.close()
+
+
 FAILS = """
 def test_it_fails(px4_sim):
     px4_sim.step(0.5)
