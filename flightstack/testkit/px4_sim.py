@@ -85,9 +85,11 @@ def free_port() -> int:
 class Px4Sim:
     """One vehicle.  `server` (flightstack_sim.server.Server) is all that is behind it, for what is not offered here."""
 
-    def __init__(self, options: Px4Options) -> None:
+    def __init__(self, options: Px4Options, say: Callable[[str], None] = _log.warning) -> None:
+        if not 0.0 <= options.speed < math.inf:
+            raise InputError(f"speed {options.speed:g}: give 0 (as fast as it goes) or times real time")
         self.options = options
-        ensure_compiled(_log.warning, JSBSIM if options.plant == JSBSIM else SIMULATOR)
+        ensure_compiled(say, JSBSIM if options.plant == JSBSIM else SIMULATOR)
         truth, self._file = load_vehicle(options.vehicle)
         vehicle = simulated_vehicle(
             replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed, plant=options.plant

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flightstack.cli.versions import versions
-from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.topics import Attachment
-from flightstack_logs.writer import FlightLog
 from flightstack_sim.plant import Truth
 from flightstack_sim.shell import ONBOARD
 
@@ -38,6 +34,12 @@ class Recording:
 
     def write(self, path: Path, settings: dict[str, str], vehicle_text: str) -> Path:
         """The log: truth, what the offboard link carried, what came on any.  InputError where it can't be written."""
+        # half a second of imports, for a flight whose log is wanted
+        from flightstack.cli.versions import versions
+        from flightstack_logs.log_clock import clock_metadata
+        from flightstack_logs.topics import Attachment
+        from flightstack_logs.writer import FlightLog
+
         clock = clock_metadata(UNIX_AT_BOOT_US, simulated=True)
         metadata = {"settings": settings, "versions": versions(), "clock": clock}
         path.parent.mkdir(parents=True, exist_ok=True)
