@@ -54,6 +54,8 @@ class CompanionConfig:
     """How the autopilot's estimate errs; None: it is taken as it is reported."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
+    counted: Mapping[str, float] = field(default_factory=dict)
+    """Parameters that certificates count on, by PX4's names: one that is told to be another ends protection."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
     """What PX4's parameters (by name) say against the vehicle file, one line each."""
 
@@ -84,6 +86,8 @@ class Situation:
     """Attitude, position and IMU are there and not stale."""
     parameters_changed: bool = False
     """Since they were judged somebody set one."""
+    gains_changed: bool = False
+    """The vehicle told of a parameter that is not what certificates count on."""
     unfit: str = ""
     """Row of the fault table that says that the state can't be flown with; empty: it can."""
     trouble: str = ""
