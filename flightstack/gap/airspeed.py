@@ -34,6 +34,8 @@ Least squares on a noisy velocity find a drag too small by the noise's share of 
 _BY_AIR = DRAGS | {"induced_inflow"}
 _ALIKE_S = 12.0
 """For so long an estimator's slow error stays much the same."""
+_STILL_MPS = 0.01
+"""A mean error that intervals need not hold."""
 _NONE = 0.01
 """Share of a velocity's power that passes for none."""
 _MOST_STARTS = 60
@@ -78,7 +80,7 @@ def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
     """(N, 12, 3) how the prediction changes for each m/s by which the velocity over ground is off."""
     flight = track(samples)
     out = np.zeros((len(samples.t_s), COLUMNS, 3))
-    if not flight.vel_std_mps.any() or not vehicle.effects.keys() & _BY_AIR:
+    if not vehicle.effects.keys() & _BY_AIR or np.max(offset(samples, samples.valid)) < _STILL_MPS:
         return out
     p = params_row(vehicle, flight.step_s)
     base = Run(p, flight).shown(p)
