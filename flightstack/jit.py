@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching
+from numba.core import caching, registry
 from numba.core import config as _numba_config
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 
@@ -155,6 +155,13 @@ def sources_key() -> str:
             if b"flightstack.jit" in text:
                 digest.update(path.relative_to(folder).as_posix().encode() + text)  # type: ignore[arg-type]
     return digest.hexdigest()[:20]
+
+
+@cache
+def machine_key() -> str:
+    """Hash over the processor that code is made for: numba loads no other's, so a cache may come from elsewhere."""
+    codegen = registry.cpu_target.target_context.codegen()
+    return hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:12]
 
 
 def _drop_unused_folders(base: Path) -> None:

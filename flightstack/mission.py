@@ -25,6 +25,8 @@ _SETTLE_S = 1.5
 _RUN_UPS_S = (*(3.0 * 1.15**k for k in range(22)), *(3.0 / 1.15**k for k in range(1, 10)))
 """Durations tried in their order: 3 s, longer ones up to a minute for fast starts, shorter ones where one would have to
 come from below the ground."""
+LEAST_RISE = 0.5
+"""Share of the first climb's height that a flight has to reach."""
 _LEAST_HEIGHT_M = 0.4
 _LEAST_CLIMB_S = 1.5
 _ACC_MAX_MPS2 = 4.0
@@ -165,6 +167,12 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     braking = _braking(scenario.trajectory.at(scenario.duration_s), 0.0)
     legs.append(_Leg("done", track_end_s, braking.moved(start)))
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
+
+
+def never_flew(rose_m: float | None, climb_m: float) -> str:
+    """Why a vehicle that rose no higher has not flown, one line."""
+    rose = "its height is not known" if rose_m is None else f"it rose {max(rose_m, 0.0):.2f} m"
+    return f"never flew: {rose} of the {climb_m:.2f} m of its first climb (at least half counts)"
 
 
 def first_height_m(scenario: Scenario) -> float:

@@ -15,7 +15,16 @@ import numpy as np
 
 from flightstack.applied import Applied
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.premise_watch import Seen, WatchState, interrupted, is_inside, watch, watched
+from flightstack.barrier.premise_watch import (
+    RATE_GAINS,
+    Seen,
+    WatchState,
+    ended_by,
+    interrupted,
+    is_inside,
+    watch,
+    watched,
+)
 from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.governor import Governor, GovernorState
@@ -109,6 +118,10 @@ class Stack:
             control=control, sent=sent, measurement=measurement, carried_n=weight, filtered=_UNFILTERED,
             watch=interrupted(state.watch),
         )  # fmt: skip
+
+    def gains_changed(self, state: StackState) -> StackState:
+        """State after the vehicle told of other rate gains: a certificate in force is over, the vehicle is braked."""
+        return state._replace(watch=ended_by(state.watch, state.measurement, RATE_GAINS))
 
     def carried(self, state: StackState | None, measurement: Measurement, now_us: int) -> Measurement:
         """A state as of its newest sample, at `now_us`; before each tick.  No stack's state: nothing was sent."""

@@ -86,7 +86,12 @@ def _places(values: Mapping[str, float], source: str) -> F64:
         raise InputError(f"{source}: CA_ROTOR_COUNT = {count:g}: only vehicles of {ROTORS} rotors can be described")
     missing = [name for name in PLACES if not math.isfinite(values.get(name, math.nan))]
     if missing:
-        raise InputError(f"{source}: {missing[0]} is not told: these are not the parameters of a PX4 multicopter")
+        why = "these are not the parameters of a PX4 multicopter"
+        if "MC_ROLLRATE_P" in values:  # geometry was in mixer files before PX4 1.14
+            why = (
+                "a PX4 this old keeps its geometry in mixer files; copy a vehicle file and change it (docs/vehicle.md)"
+            )
+        raise InputError(f"{source}: {missing[0]} is not told: {why}")
     told = np.array([values[name] for name in PLACES]).reshape(ROTORS, 2)
     if np.linalg.norm(told, axis=1).min() <= 0.0:
         raise InputError(f"{source}: CA_ROTOR*_PX and _PY put a rotor at the centre: set the geometry in PX4 first")

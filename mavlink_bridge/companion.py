@@ -70,16 +70,15 @@ class Companion:
         """Vehicle time of the command to land; -1 before."""
         self.last_t_us = 0
         """Vehicle time of the latest step in which something was decided."""
-        self.ticks = 0
-        self._stack, self._scenario, self._observer, self._config = stack, scenario, observer, config
-        self._planner = planner
+        self.ticks = self._t_us = 0
+        self._stack, self._scenario, self._config = stack, scenario, config
+        self._observer, self._planner = observer, planner
         self._rest_ned_m: F64 = np.zeros(3)
         self._rested = 0
         self.start_ned_m: F64 = np.zeros(3)
         """Estimated position where the flight began, (3,): the scenario's coordinates are relative to it."""
-        self._commands = CommandQueue(link)
+        self._commands, self._voice = CommandQueue(link), Voice(link)
         self._now = Situation(config, self.view, self._commands)
-        self._voice = Voice(link)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
         errs = config.estimate
         self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
@@ -88,12 +87,10 @@ class Companion:
         self._mission_complete = False
         self._landing = False
         """PX4 has taken the command to land; that the mode falls back to OFFBOARD after it disarms means nothing."""
-        self._t_us = 0
         self._measurement: Measurement | None = None
         """The state at this step; None until every stream has been heard."""
-        self._phase_now = ""
-        self._fault = ""
-        """Row of the fault table that ended the flight; empty: none."""
+        self._phase_now = self._fault = ""
+        """And the row of the fault table that ended the flight; empty: none."""
         self._notes = GuardNotes(observer)
         self._run_up = run_up_of(scenario)
         self._broken, self._swinging = BrokenPremise(observer), Swinging()
@@ -206,8 +203,9 @@ class Companion:
 
     def _enter(self, state: State, event: HandshakeEvent, now_us: int) -> None:
         """What happens once, on the way into a state."""
-        self._now.state, self._now.entered_us = state, now_us
-        t_us = self._t_us
+        self._now.state, self._now.entered_us, t_us = state, now_us, self._t_us
+        if state in FINAL or event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
+            self._notes.end(t_us)
         if event in (HandshakeEvent.FAULT_LAND, HandshakeEvent.FAULT_HOLD):
             fault = FAULTS[self._now.trouble]
             text = f"{self._now.trouble}: {fault.what}; {fault.reaction.value}"
@@ -349,6 +347,8 @@ class Companion:
 
     def _tick(self, measurement: Measurement | None, setpoint: FlatOutput, t_us: int) -> TickRecord:
         assert self._stack_state is not None
+        if self._now.gains_changed:
+            self._stack_state = self._stack.gains_changed(self._stack_state)
         self._stack_state, command, record = self._stack.tick(self._stack_state, measurement, setpoint, t_us)
         self._voice.fly(command)
         self.view.latency.sent(command.t_us, command.thrust_norm)

@@ -54,6 +54,8 @@ class CompanionConfig:
     """How the autopilot's estimate errs; None: it is taken as it is reported."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
+    counted: Mapping[str, float] = field(default_factory=dict)
+    """Parameters that certificates count on, by PX4's names: one that is told to be another ends protection."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
     """What PX4's parameters (by name) say against the vehicle file, one line each."""
 
@@ -72,6 +74,8 @@ class Situation:
     """The vehicle's system id; 0 before the first heartbeat."""
     foreign_system: int = 0
     """Another autopilot on the link; 0: none."""
+    unvouched: int = 0
+    """Frames dropped for want of our key's signature before anybody was heard."""
     rival: str = ""
     """Another companion on the link, in words; empty: none."""
     stop_requested: str = ""
@@ -82,6 +86,8 @@ class Situation:
     """Attitude, position and IMU are there and not stale."""
     parameters_changed: bool = False
     """Since they were judged somebody set one."""
+    gains_changed: bool = False
+    """The vehicle told of a parameter that is not what certificates count on."""
     unfit: str = ""
     """Row of the fault table that says that the state can't be flown with; empty: it can."""
     trouble: str = ""
@@ -128,10 +134,11 @@ def _disconnected(now: Situation, now_us: int) -> Decision | None:
         return Decision(HandshakeEvent.HEARTBEAT)
     timeout_s = now.config.heartbeat_timeout_s
     if _in_state_s(now, now_us) > timeout_s:
+        unsigned = f"; {now.unvouched} frames without the key's signature were dropped" if now.unvouched else ""
         return Decision(
             HandshakeEvent.TIMEOUT,
             f"no heartbeat of an autopilot within {timeout_s:g} s: "
-            "check that the vehicle or simulator runs and sends to this address and port",
+            f"check that the vehicle or simulator runs and sends to this address and port{unsigned}",
         )
     return None
 

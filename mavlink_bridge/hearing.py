@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from mavlink_bridge import messages as m
@@ -16,6 +17,8 @@ _ANSWERS = (m.CommandAck, m.Timesync)
 _MODES = (m.Heartbeat, m.CurrentMode)
 _RARE = frozenset({*_ANSWERS, *_MODES, m.Statustext, m.ParamValue})
 """What is more to the companion than something to look at."""
+_SAME = 1e-6
+"""Share: PX4's floats have 24 bits."""
 _RIVALS = (m.SetAttitudeTarget, m.SetPositionTargetLocalNed, m.SetPositionTargetGlobalInt)
 
 
@@ -29,6 +32,8 @@ class Hearing:
     def take_all(self, t_us: int, now_us: int) -> None:
         """Everything that has arrived; vehicle and local time."""
         now, link = self._now, self._link
+        if now.system == 0:
+            now.unvouched = link.stats.unsigned + link.stats.bad_signature
         for received in link.take_events():
             if received.system == now.system != 0 and received.component == px4.COMPONENT_AUTOPILOT:
                 self._take(received.message, t_us, now_us)
@@ -62,11 +67,25 @@ class Hearing:
             self._now.commands.acknowledge(message)
         elif kind is m.Statustext:
             self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
-        elif kind is m.ParamValue and before is not None and view.params.values[message.param_id] != before:
-            self._parameter_changed(message.param_id, before, t_us)
+        elif kind is m.ParamValue:
+            if before is not None and view.params.values[message.param_id] != before:
+                self._parameter_changed(message.param_id, before, t_us)
+            self._count_on(message, t_us)
         elif kind in _MODES and view.custom_mode != self._mode_seen:
             self._mode_seen = view.custom_mode
             self._observer.on_event(t_us, "mode", f"vehicle is in {view.mode_name}", "info")
+
+    def _count_on(self, message: m.ParamValue, t_us: int) -> None:
+        """Whether a parameter is still what certificates count on."""
+        counted = self._now.config.counted.get(message.param_id)
+        if counted is None or math.isclose(message.value, counted, rel_tol=_SAME, abs_tol=1e-12):
+            return
+        if not self._now.gains_changed:
+            text = (
+                f"{message.param_id} is {message.value:g} now, certificates count on {counted:g}: none holds any more"
+            )
+            self._observer.on_event(t_us, "parameters", text, "warning")
+        self._now.gains_changed = True
 
     def _parameter_changed(self, name: str, before: float, t_us: int) -> None:
         """Somebody else set a parameter that was read already: PX4 tells every link."""

@@ -1,4 +1,4 @@
-"""The first hover decides what no parameter told: is the hover thrust that of the vehicle file?
+"""The first hover decides what no parameter told: is the hover thrust that of the vehicle file?  And whether it flies.
 
 Only where MPC_THR_HOVER stands at its default and the file is far from it (`flightstack.airframe`).  After the climb
 the vehicle stands still for a moment; the mean of the commanded thrust is then its hover thrust, whatever file the
@@ -11,13 +11,17 @@ import math
 from collections.abc import Callable
 
 from flightstack.airframe import HOVER_TOLERANCE, hover_differs, hover_setpoint, unsettled_hover
-from flightstack.mission import Mission
+from flightstack.mission import LEAST_RISE, Mission, never_flew
 from flightstack.model import Model
 from flightstack.types import TickRecord
 from mavlink_bridge.vehicle_view import VehicleView
 
 _FROM_S, _TO_S = 0.4, 1.4
 """After the climb's end: its last acceleration has died away; the mission waits for 1.5 s."""
+
+
+_CLIMB_LEAST_M = 0.5
+"""A lower first climb is not told from what an estimate wanders by."""
 
 
 class HoverCheck:
@@ -59,3 +63,28 @@ class HoverCheck:
             return
         self.contradiction = f"hover thrust: {believed:.2f} by the vehicle file, {said}"
         self._stop(self.contradiction)
+
+
+class RiseCheck:
+    """A planner that changes nothing, and asks for a stop where the vehicle has not risen in its first climb.
+
+    Held by something, too heavy or with too little thrust it would else run its motors for the whole scenario, leaning
+    to follow it on the ground.
+    """
+
+    def __init__(self, stop: Callable[[str], None]) -> None:
+        self._stop = stop
+        self._rose_m = 0.0
+        self._decided = False
+
+    def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
+        """See Planner."""
+        if self._decided:
+            return mission
+        self._rose_m = max(self._rose_m, mission.ground_down_m - float(record.measurement.pos_ned_m[2]))
+        if t_s >= mission.takeoff_end_s + _TO_S:
+            self._decided = True
+            climb_m = mission.ground_down_m - float(mission.reference(mission.takeoff_end_s).pos_ned_m[2])
+            if climb_m > _CLIMB_LEAST_M and not self._rose_m >= LEAST_RISE * climb_m:
+                self._stop(never_flew(self._rose_m, climb_m))
+        return mission

@@ -15,6 +15,9 @@ from mavlink_bridge.watchdogs import ResetWatch
 _AT_REST_MPS, _REST_LEAST_US, _REST_MOST_US = 0.2, 1_000_000, 5_000_000
 """After a premise was broken: slower than this counts as rest; no sooner and no later than so long it ends."""
 
+_EPISODE_APART_US = 1_000_000
+"""A guard that has not acted for so long has let go."""
+
 _SWING_RAD, _SWING_US = 0.4, 3_000_000
 """Of the attitude's error (rms), and over how long."""
 _SWING_MOST, _SWING_GAP_US = 0.5, 100_000
@@ -72,18 +75,30 @@ class Swinging:
 
 
 class GuardNotes:
-    """Tells the observer when the guard begins to act and lets go, and each counted reset."""
+    """Tells the observer when the guard begins to act and when it has let go, and each counted reset.
+
+    A guard that acts now and then is one episode: told are its begin, each kind of act once, and the count at its end.
+    """
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self._guard = ""
         self._flown_us, self._at_us = 0, -1
         """What `guard_s` says, at the local time of the latest tick; -1: none yet."""
+        self._acts: dict[str, int] = {}
+        """How often each kind of act began in this episode; empty: none."""
+        self._span_us = (0, 0)
+        """Vehicle time of the episode's first and latest tick."""
         self._resets = 0
 
     def begin(self) -> None:
         """The flight begins, or goes on after somebody else flew."""
         self._flown_us, self._at_us = 0, -1
+
+    def end(self, t_us: int) -> None:
+        """Nobody is guarded any more: an episode ends."""
+        if self._acts:
+            self._tell_end(t_us, "acted until the flight ended:")
 
     def guard_s(self, now_us: int) -> float:
         """By how much longer the guard has flown of late than not.
@@ -99,9 +114,11 @@ class GuardNotes:
         """A tick's guard by name (empty: none) and the resets so far, vehicle and local time; whether one was new."""
         acts = "" if guard.startswith("clip") else guard
         self._flown_us, self._at_us = round(1e6 * self.guard_s(now_us)), now_us
-        if acts != self._guard:
-            self._guard = acts
-            self._observer.on_event(t_us, "guard", f"guard: {acts or 'lets go'}", "warning" if acts else "info")
+        if acts:
+            self._note(acts, t_us)
+        elif self._acts and t_us - self._span_us[1] > _EPISODE_APART_US:
+            self._tell_end(t_us, "lets go: acted")
+        self._guard = acts
         is_new = resets.counted != self._resets
         if is_new:
             self._resets = resets.counted
@@ -109,3 +126,16 @@ class GuardNotes:
             text = f"reset: {FAULTS['reset'].what}; taken out: ({moved}) m in all"
             self._observer.on_event(t_us, "fault", text, "warning")
         return is_new
+
+    def _note(self, acts: str, t_us: int) -> None:
+        if acts not in self._acts:
+            self._observer.on_event(t_us, "guard", f"guard: {acts}", "warning")
+        self._span_us = (self._span_us[0] if self._acts else t_us, t_us)
+        self._acts[acts] = self._acts.get(acts, 0) + (acts != self._guard)
+
+    def _tell_end(self, t_us: int, how: str) -> None:
+        times, lasted_s = sum(self._acts.values()), 1e-6 * (self._span_us[1] - self._span_us[0])
+        kinds = "; ".join(self._acts)
+        often = f"{times} times" if times > 1 else "once"
+        self._observer.on_event(t_us, "guard", f"guard: {how} {often} within {lasted_s:.1f} s ({kinds})", "info")
+        self._acts = {}

@@ -19,9 +19,15 @@ MODE_HOLD = 0x03040000
 MODE_LAND = 0x06040000
 
 _MAIN_NAMES = {
-    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 10: "TERMINATION"
+    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 10: "TERMINATION",
+    11: "ALTITUDE_CRUISE",
 }  # fmt: skip
-_AUTO_NAMES = {1: "READY", 2: "TAKEOFF", 3: "HOLD", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
+_AUTO_NAMES = {
+    1: "READY", 2: "TAKEOFF", 3: "HOLD", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND",
+    10: "VTOL_TAKEOFF",
+} | {sub: f"EXTERNAL{sub - 10}" for sub in range(11, 19)}  # fmt: skip
+_POSITION_NAMES = {1: "ORBIT", 2: "POSITION_SLOW"}
+"""Sub modes of the main mode POSCTL that are modes of their own: in an orbit nobody holds sticks."""
 
 
 def main_mode(custom_mode: int) -> int:
@@ -36,10 +42,10 @@ def sub_mode(custom_mode: int) -> int:
 
 def describe_mode(custom_mode: int) -> str:
     """A custom_mode in PX4's words, e.g. AUTO.LAND."""
-    main = _MAIN_NAMES.get(main_mode(custom_mode), f"main mode {main_mode(custom_mode)}")
+    main, sub = _MAIN_NAMES.get(main_mode(custom_mode), f"main mode {main_mode(custom_mode)}"), sub_mode(custom_mode)
     if main == "AUTO":
-        return f"AUTO.{_AUTO_NAMES.get(sub_mode(custom_mode), str(sub_mode(custom_mode)))}"
-    return main
+        return f"AUTO.{_AUTO_NAMES.get(sub, str(sub))}"
+    return _POSITION_NAMES.get(sub, main) if main == "POSCTL" else main
 
 
 class Cmd(IntEnum):

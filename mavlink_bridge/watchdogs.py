@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from flightstack.consistency import JUMP_M, EstimateWatch
+from flightstack.consistency import JUMP_M, VELOCITY_ERROR_MPS, EstimateWatch
 from flightstack.types import Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.vehicle_clock import VehicleClock
@@ -28,6 +28,11 @@ _SECOND_US = 1_000_000
 _COUNTED_STEP_M = 0.05
 _COUNT_WITHIN_US = 200_000
 _RESETS, _RESETS_WITHIN_US = 3, 10_000_000
+_UNAIDED_S = 5.0
+"""EKF2_NOAID_TOUT's default: for so long PX4's estimator holds a position without aid for good."""
+RESET_MOST_M = VELOCITY_ERROR_MPS * _UNAIDED_S
+"""What a vehicle can have moved unnoticed: a velocity that is off by more contradicts the IMU.  A farther reset says
+that one of the two positions is wrong, and not which."""
 _STEPS_KEPT = 16
 _BACK_US = 1_000_000
 _FLAG_ATTITUDE = 0x01
@@ -47,6 +52,8 @@ class ResetWatch:
     _counter: int = -1
     _steps: deque[tuple[int, Tuple3]] = field(default_factory=lambda: deque(maxlen=_STEPS_KEPT))
     """(stamp, unexplained step) of the newest samples that are not in the shift."""
+    _far: bool = False
+    """A step was farther than `RESET_MOST_M`."""
     _uncounted_us: int = -1
     """Stamp of a jump that no counter has told yet; -1: none."""
     _resets_us: deque[int] = field(default_factory=lambda: deque(maxlen=_RESETS))
@@ -55,7 +62,7 @@ class ResetWatch:
     def begin(self) -> None:
         """From here on jumps are taken out."""
         self.shift_ned_m, self.counted = (0.0, 0.0, 0.0), 0
-        self._uncounted_us = -1
+        self._uncounted_us, self._far = -1, False
         self._steps.clear()
         self._resets_us.clear()
 
@@ -88,12 +95,15 @@ class ResetWatch:
     @property
     def trouble(self) -> str:
         """Name of a row, empty where all is well."""
+        if self._far:
+            return "reset-far"
         if 0 <= self._uncounted_us < self._now_us - _COUNT_WITHIN_US:
             return "jump"
         resets = self._resets_us
         return "resets" if len(resets) == _RESETS and resets[-1] - resets[0] < _RESETS_WITHIN_US else ""
 
     def _add(self, step: Tuple3) -> None:
+        self._far = self._far or _size(step) > RESET_MOST_M
         north, east, down = self.shift_ned_m
         self.shift_ned_m = (north + step[0], east + step[1], down + step[2])
 

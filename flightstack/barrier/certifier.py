@@ -357,6 +357,7 @@ class OnlineCertifier:
         else:
             response = Response(steer, steer * model.rate_lag_s, delay)
             lead = max(knowledge.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2))
+            accuracy = accuracy._replace(lead_share=lead / box.thrust_max_mps2)
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
 

@@ -1,11 +1,11 @@
 """What a certificate's bounds are worth: the statement, and the two figures that each process' residuals give it.
 
-    |a(q) - m(q)| <= k_n sqrt(i_B^2 s(q)^2 + g^2) + rho (1 + sum_j |w_j(q)|)
+    a(q) in the hull, over its node's queries p, of m(p) +- (k_a sqrt(i_B^2 s(p)^2 + g^2) + rho (1 + sum_j |w_j(p)|))
 
-m, s posterior mean and standard deviation at residual noise s_r, w_j the posterior weights of the points, g^2 the part
-of the error that no kernel knows (`learning.store`: excess, with its own inflation), along an axis all of it summed
-over the process' outputs.  i_B and rho come from the residuals r of the windows in the order of time (mean 0 by
-the model):
+k_a that of an axis (`hull_sigmas`), m, s posterior mean and standard deviation at residual noise s_r, w_j the posterior
+weights of the points, g^2 the part of the error that no kernel knows (`learning.store`: excess, with its own
+inflation), along an axis all of it summed over the process' outputs.  i_B and rho come from the residuals r of the
+windows in the order of time (mean 0 by the model):
 
     c_l     mean of r_i r_i+l over windows that follow each other without a gap
     S(f)    c_0 + 2 sum over l < B of min(1, 2 - 2 l / B) c_l cos(2 pi f l), the spectrum by a lag window with a flat
@@ -35,7 +35,9 @@ STATEMENT = (
     "noise, the remainder is at most rho and noise correlation ends within a block, all bounds of all certificates of "
     "this flight hold with probability 1 - delta; changes after the data are watched, not promised."
 )
-FORMULA = "|a(q) - m(q)| <= k sqrt(i_B^2 s(q)^2 + g^2) + rho (1 + sum_j |w_j(q)|)"
+FORMULA = (
+    "a(q) in the hull, over its node's queries p, of m(p) +- (k_a sqrt(i_B^2 s(p)^2 + g^2) + rho (1 + sum_j |w_j(p)|))"
+)
 ALLOWANCE = 1.21
 LEAST_INFLATION = math.sqrt(ALLOWANCE)
 BLOCK, LONGEST_BLOCK = 10, 40

@@ -25,8 +25,9 @@ A `last` certificate asks along down at the least height as well, where its prio
 and Bennett's or more: lo is mean - k sigma there, less what is not linear in near, g near / (1 - near).  What is
 learned is linear in near: the less of both ends' lo holds between, and counts where it is more than lo - g.
 
-**The bound.**  For each query and end [lo, hi] = mean -+ k sigma of the acceleration along the axis, cut with the
-initial interval (of -f - drag v) there.  A lateral one is taken without what thrust explains: + gain_d(v_d) f_i, gain_d
+**The bound.**  For each query and end [lo, hi] = mean -+ k_a sigma of the acceleration along the axis, cut with the
+initial interval (of -f - drag v) there; k_a is that of the axis' queries together (`hull_sigmas`; on the slice and in
+a `last` certificate k).  A lateral one is taken without what thrust explains: + gain_d(v_d) f_i, gain_d
 linear between the vertical nodes.  The node's interval is the hull over its queries, for lateral axes over both ends.
 Half its width and its middle give
 
@@ -73,6 +74,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri, zeta
 
+from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
 from flightstack.barrier.posterior import Accelerations, proximity
 from flightstack.barrier.queries import (
@@ -114,6 +116,9 @@ class Knowledge:
     delta: float
     """Chance that any bound of any certificate fails."""
     k_sigma: float
+    """Of the union over all single bounds."""
+    k_queries: tuple[float, float, float]
+    """Of each axis' queries, which need fewer together; of an axis that is not asked for, k_sigma."""
     version: int
     """Of the certificate, from 1."""
     hover_mps2: float
@@ -122,7 +127,7 @@ class Knowledge:
 
     def as_json(self) -> dict[str, object]:
         """Everything that the bounds are made of, as plain numbers, lists and tables."""
-        return _as_json(self.request)
+        return {**_as_json(self.request), "k_queries": list(self.k_queries)}
 
     @classmethod
     def of(cls, request: Request) -> Knowledge:
@@ -182,6 +187,8 @@ class _Hull(NamedTuple):
     bend: float
     wanted: float
     """W of a lateral axis."""
+    k: float
+    """Sigmas of its queries (`hull_sigmas`)."""
 
 
 def confidence(delta: float, version: int, statements: int, last: bool = False) -> float:
@@ -201,7 +208,8 @@ def _all_steps(request: Request) -> Iterator[dict[int, _Hull] | None]:
     for axis in (DOWN, *(i for i in request.envelope.axes if i != DOWN)):
         steering = None if axis == DOWN else _steering(hulls[DOWN], request.box)
         for hull in _hull_steps(request, axis, steering):
-            hulls[axis] = hull
+            if hull is not None:
+                hulls[axis] = hull
             yield None
     yield hulls
 
@@ -214,47 +222,52 @@ def _steering(down: _Hull, box: Budget) -> Steering:
     return Steering(down.v, gain, min(max(hover, box.low_mps2), box.high_mps2))
 
 
-def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Iterator[_Hull]:
-    """The axis' hull, filled piece by piece: it holds after the last."""
+def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Iterator[_Hull | None]:
+    """None after each piece of the work, the axis' hull after the last."""
     asked = queries(request.envelope, request.box, request.model.rotor_radius_m, axis, steering)
     shape = asked.speed_mps.shape[:3]
     speed, thrust = asked.speed_mps.reshape(-1, 3), asked.thrust_mps2.reshape(-1, 3)
     near = np.broadcast_to(asked.near, shape).reshape(-1)
-    explained, low, high = asked.explained_mps2.reshape(-1), np.empty(len(near)), np.empty(len(near))
-    bend = _bend(request, axis, asked.v_mps)
-    hull = _Hull(asked.v_mps, np.zeros(shape[:2]), np.zeros(shape[:2]), bend, asked.wanted_mps2)
+    learned = np.zeros((3, len(near)))
     size = len(near) if request.learned is None else _CHUNK
     for start in range(0, len(near), size):
         part = slice(start, start + size)
-        bounds = _interval(request, axis, speed[part], thrust[part], near[part])
-        ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust[part])
-        share = 0.0 if axis == DOWN else lean(request.box)
-        low[part] = bounds[0] + explained[part] - ground * (share or 1.0)
-        if axis == DOWN and request.last and request.learned is not None:
-            low[part] = np.maximum(low[part], np.minimum(bounds[0], _near_ground(request, speed[part], thrust[part])))
-        high[part] = bounds[1] + explained[part] + ground * share
-        if part.stop >= len(near):
-            hull.low[:] = low.reshape(shape).min(axis=2)
-            hull.high[:] = high.reshape(shape).max(axis=2)
-        yield hull
+        if request.learned is not None:
+            learned[:, part] = request.learned.at(axis, speed[part], thrust[part], near[part])
+        yield None
+    ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust)
+    share, explained = 0.0 if axis == DOWN else lean(request.box), asked.explained_mps2.reshape(-1)
+    sides = Sides(
+        *_learned_and_sure(request, axis, (speed, thrust), learned),
+        explained - ground * (share or 1.0),
+        explained + ground * share,
+    )
+    k = request.k
+    if request.learned is not None and not (request.last or request.envelope.slice_only):
+        groups = shape[0] * (2 if axis == DOWN else 1)
+        k = sigmas(Sides(*(part.reshape(groups, -1) for part in sides)), k)
+    bounds = sides.at(k)
+    low, high = bounds[0] + sides.below, bounds[1] + sides.above
+    if axis == DOWN and request.last and request.learned is not None:
+        low = np.maximum(low, np.minimum(bounds[0], _near_ground(request, speed, thrust)))
+    yield _Hull(
+        asked.v_mps, low.reshape(shape).min(axis=2), high.reshape(shape).max(axis=2), _bend(request, axis, asked.v_mps),
+        asked.wanted_mps2, k,
+    )  # fmt: skip
 
 
-def _interval(request: Request, axis: int, speed: F64, thrust: F64, near: F64) -> tuple[F64, F64]:
-    """Least and greatest true acceleration along an axis at each query."""
-    model, known = request.model, request.initial
-    low, high = np.full(len(near), -math.inf), np.full(len(near), math.inf)
+def _learned_and_sure(request: Request, axis: int, at: tuple[F64, F64], learned: F64) -> tuple[F64, F64, F64, F64, F64]:
+    """The first five parts of `Sides`, of mean, sigma and rest (3, n) at speeds and thrusts (n, 3)."""
+    model, known, (speed, thrust) = request.model, request.initial, at
+    none = np.full(len(speed), math.inf)
+    low, high = -none, none
     if known is not None:
         drag = max(model.drag_kgps) / model.mass_kg
         low, high = known.interval(axis, -thrust[:, axis] - drag * speed[:, axis])
+    mean, sigma, rest = learned
     if request.learned is None:
-        return low, high
-    mean, sigma, rest = request.learned.at(axis, speed, thrust, near)
-    least, most = mean - request.k * sigma - rest, mean + request.k * sigma + rest
-    apart = np.maximum(low, least) > np.minimum(high, most)
-    return (
-        np.where(apart, np.minimum(low, least), np.maximum(low, least)),
-        np.where(apart, np.maximum(high, most), np.minimum(high, most)),
-    )
+        return -none, none, sigma, low, high
+    return mean - rest, mean + rest, sigma, low, high
 
 
 def _near_ground(request: Request, speed: F64, thrust: F64) -> F64:
@@ -297,8 +310,10 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
         axis: min(part, float(authorities[axis].error_low_mps2.max() - request.attitude_mps2[axis]) - torque[axis])
         for axis, part in parts.items()
     }
+    north, east, down = (hulls[axis].k if axis in hulls else request.k for axis in range(3))
     return Knowledge(
-        authorities, parts, torque, request.box, request.delta, request.k, request.version, hover, request
+        authorities, parts, torque, request.box, request.delta, request.k, (north, east, down), request.version, hover,
+        request,
     )  # fmt: skip
 
 

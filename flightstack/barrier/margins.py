@@ -4,8 +4,9 @@ The condition (`condition`) is checked at a predicted state z^; what counts is t
 much z^ = (e, v) may be off: by (eps_e, eps_v), and *along the motion* by a time t: (t v, t a), a an acceleration in
 reach.  S is the span between the ends of the command, A the hardest of them, E the greatest doubt of the acceleration:
 
-    estimate   position + (c1 + delay) velocity + (c2 + c1 delay + delay^2 / 2) acceleration,
-               velocity + (c1 + delay) acceleration, as reported
+    estimate   position + (c1 + delay) velocity + c2 lead + (c1 delay + delay^2 / 2) acceleration,
+               velocity + c1 lead + delay acceleration, as reported; lead: the acceleration's error at the thrust F0
+               with which z is built (`response`), sideways F0 over the greatest thrust of it
     delay      t = d, the doubt of the time until a command has acted, in which commands act that were not counted, with
                d E; and the model's error over the delay itself, (delay^2 / 2 + c1 delay) E and delay E
     age        the newest sample is A old: over this time too the model predicts (`under_way`), with the commands that
@@ -60,7 +61,9 @@ class Accuracy(NamedTuple):
     pos_m: float
     vel_mps: float
     acc_mps2: float
-    """Of the acceleration that the thrust axis as estimated gives: g times the tilt's error."""
+    """Of the acceleration that the thrust axis as estimated gives, at the greatest thrust."""
+    lead_share: float = 1.0
+    """Of that, what it is off by at the thrust with which z is built."""
 
 
 class Doubts(NamedTuple):
@@ -318,11 +321,11 @@ def _sources(
         old * (accuracy.vel_mps + (c1 + delay + 0.5 * old) * whole), old * whole, 0.0,
         f"the newest sample {1e3 * old:.3g} ms old, over which the model may be off by {whole:.2g} m/s^2",
     )  # fmt: skip
-    seen = response.c2_s2 + (c1 + 0.5 * delay) * delay
+    acc, lead = accuracy.acc_mps2, accuracy.lead_share * accuracy.acc_mps2
     estimate = _Source(
         "estimate_error",
-        accuracy.pos_m + (c1 + delay) * accuracy.vel_mps + seen * accuracy.acc_mps2,
-        accuracy.vel_mps + (c1 + delay) * accuracy.acc_mps2, 0.0,
+        accuracy.pos_m + (c1 + delay) * accuracy.vel_mps + response.c2_s2 * lead + (c1 + 0.5 * delay) * delay * acc,
+        accuracy.vel_mps + c1 * lead + delay * acc, 0.0,
         f"position {1e3 * accuracy.pos_m:.3g} mm, velocity {1e2 * accuracy.vel_mps:.3g} cm/s, "
         f"acceleration {accuracy.acc_mps2:.2g} m/s^2",
     )  # fmt: skip

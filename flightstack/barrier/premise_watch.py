@@ -40,10 +40,12 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, Fla
 
 NAMES = (
     "", "speed north", "speed east", "speed down", "lean north", "lean east", "thrust", "applied thrust",
-    "thrust gain", "delay", "link", "command interval", "battery",
+    "thrust gain", "delay", "link", "command interval", "battery", "rate gains",
 )  # fmt: skip
 """Premises by their number; 0: none is broken."""
 _LATE_LINK, _LATE_COMMAND = 10, 11
+RATE_GAINS = 13
+"""Told by the vehicle, not seen in a tick."""
 _LAPSES = _LATE_LINK, _LATE_COMMAND
 BREACH_S = 0.02
 LAPSED_S = 0.2
@@ -122,6 +124,15 @@ def watched(
 def interrupted(state: WatchState) -> WatchState:
     """After somebody else flew: a lapse, whose length says nothing of this loop."""
     return state._replace(broken=_LATE_COMMAND) if state.version >= 0 else state
+
+
+def ended_by(state: WatchState, measurement: Measurement, premise: int) -> WatchState:
+    """After a premise that no tick sees was broken for good; a certificate that has ended stays as it ended."""
+    if state.version < 0 or state.ended:
+        return state
+    w, x, y, z = measurement.q_ned_frd.tolist()
+    yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return state._replace(broken=premise, ended=premise, rest=_rest(measurement, yaw_rad))
 
 
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:

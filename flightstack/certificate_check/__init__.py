@@ -173,8 +173,9 @@ def _compare(nodes: F64, table: F64, known: knowledge.StatedKnowledge, name: str
         stated, found = nodes[row, node], table[row, node]
         raise Refused(f"{name}.authority.{_AUTHORITY[row]}[{node}] = {stated:.9g}, the knowledge gives {found:.9g}")
     points = " and ".join(str(len(store.x)) for store in known.stores) or "no"
+    k = known.k_queries[_AXES.index(name)]
     lines.append(
-        f"{name}: {table.shape[1]} nodes of the authority worked out anew from {points} points at {known.k:.3g} sigma "
+        f"{name}: {table.shape[1]} nodes of the authority worked out anew from {points} points at {k:.3g} sigma "
         f"({known.queries} queries each); errors up to {nodes[5:].max():.4g} m/s^2"
     )
 

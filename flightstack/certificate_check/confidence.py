@@ -28,7 +28,9 @@ STATEMENT = (
     "noise, the remainder is at most rho and noise correlation ends within a block, all bounds of all certificates of "
     "this flight hold with probability 1 - delta; changes after the data are watched, not promised."
 )
-FORMULA = "|a(q) - m(q)| <= k sqrt(i_B^2 s(q)^2 + g^2) + rho (1 + sum_j |w_j(q)|)"
+FORMULA = (
+    "a(q) in the hull, over its node's queries p, of m(p) +- (k_a sqrt(i_B^2 s(p)^2 + g^2) + rho (1 + sum_j |w_j(p)|))"
+)
 BLOCK = 10
 _GAP = 2
 """Samples between windows that follow each other, at most."""

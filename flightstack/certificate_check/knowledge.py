@@ -11,12 +11,13 @@ is white and, with `drift`, v exp(-|t_i - t_j| / time) of their windows' last st
 Also, with mass ratio r and force |w| <= W,
 a = g e_d - (f + drag v) / r + w.
 
-At each node of speed and at both ends of the command the intervals (mean -+ k sigma, cut with what mass and force
-allow; their hull where they are apart) of 17 queries are joined: the other speeds and thrust at the corners of their
-ranges, and one in the middle, all at the greatest height.  What the ground adds below it lies between nothing and
-g = 2 near(least height) |f| along b.  In the last certificate of a flight, if the prior knows the ground, it is no more
-along down than what was learned says at the least height: mean - k sigma there, less g near / (1 - near).  Lateral
-intervals are those of what thrust does not do, a + gain f, over both ends.
+At each node of speed and at both ends of the command the intervals (mean -+ k_a
+sigma, k_a the axis' `k_queries`, cut with what mass and force allow; their hull where they are apart) of 17 queries are
+joined: the other speeds and thrust at the corners of their ranges, and one in the middle, all at the greatest height.
+What the ground adds below it lies between nothing and g = 2 near(least height) |f| along b.  In the last certificate of
+a flight, if the prior knows the ground, it is no more along down than what was learned says at the least height: mean -
+k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a + gain f, over both
+ends.
 The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
 neighbours' intervals too, and is made larger by k times the prior's deviation half-way between two nodes, and by what
 falsified bounds have added.
@@ -36,7 +37,8 @@ from numpy.typing import NDArray
 from . import floors
 from .gaussian import factor, kernel, posterior, wandering
 from .intervals import F64
-from .reading import Refused, Unreadable, number, numbers, rows, table_of
+from .reading import Refused, number, numbers, rows, stamps, table_of
+from .together import Asked, check_together
 
 NEAR = 1e-6
 """What two correct computations of a posterior may differ by, m/s^2."""
@@ -45,7 +47,7 @@ _MOST_VERSIONS = 100_000
 _KEYS = (
     "kind", "initial", "gravity_mps2", "drag_per_s", "rotor_radius_m", "speeds_mps", "heights_m", "nodes",
     "slice_only", "axes", "delta", "version", "k_sigma", "statements", "widen_mps2",
-    "torque_mps2",
+    "torque_mps2", "k_queries",
 )  # fmt: skip
 _LEARNED = ("lateral", "vertical", "sha256")
 _ALSO = ("doubts", "falsified", "hand_over", "last", "vehicle", "vehicle_hash")
@@ -64,6 +66,11 @@ class Box:
     lean: float
     low: float
     high: float
+
+    @property
+    def greatest(self) -> float:
+        """Thrust whose down part is `high` at the greatest tilt."""
+        return self.high / math.sqrt(1.0 - 2.0 * (self.lean / math.cos(math.pi / 8.0)) ** 2)
 
 
 @dataclass
@@ -106,6 +113,8 @@ class StatedKnowledge:
     heights: tuple[float, float]
     nodes: int
     k: float
+    k_queries: tuple[float, ...]
+    """Of each axis' queries."""
     widen: F64
     initial: tuple[float, float, float] | None
     stores: list[StatedProcess]
@@ -143,21 +152,29 @@ class StatedKnowledge:
 
     def hull(self, axis: int, gain: tuple[F64, float] | None) -> F64:
         """(2, 2, nodes) least and greatest acceleration, at the low and the high end; `gain` and hover of vertical."""
-        joint = np.empty((2, 2, self.nodes))
+        joint, asked = np.empty((2, 2, self.nodes)), []
         for end in range(2):
             parts = [self._query(axis, speed, end, gain) for speed in self.at(axis)]
             v, f, done = (np.concatenate([part[i] for part in parts]) for i in range(3))
-            low, high = self._interval(axis, v, f)
+            sides = self._interval(axis, v, f)
             near = self._near(self.heights[0])
             ground = 2.0 * near * np.linalg.norm(f, axis=1)
             below, above = (ground, 0.0) if axis == DOWN else (self.box.lean * ground, self.box.lean * ground)
             if (
                 axis == DOWN and self.last and self._knows_ground(near)
             ):  # learned at the least height: no more than that
-                a, sigma = self._learned(axis, v, f, near)
-                below = np.minimum(ground, np.maximum(low - (a - sigma - ground * near / (1.0 - near)), 0.0))
-            low, high = ((side + done).reshape(self.nodes, -1) for side in (low - below, high + above))
-            joint[0, end], joint[1, end] = low.min(axis=1), high.max(axis=1)
+                a, deviation, rest = self._learned(axis, v, f, near)
+                least = a - self.k * deviation - rest - ground * near / (1.0 - near)
+                below = np.minimum(ground, np.maximum(sides.low - least, 0.0))
+            for side in (sides.low, sides.mean_low, sides.sure_low):
+                side += done - below
+            for side in (sides.high, sides.mean_high, sides.sure_high):
+                side += done + above
+            asked.append(Asked(*(part.reshape(self.nodes, -1) for part in vars(sides).values())))
+            joint[0, end], joint[1, end] = asked[end].low.min(axis=1), asked[end].high.max(axis=1)
+        if self.stores:
+            k = self.k if self.last else self.k_queries[axis]
+            check_together(asked, axis != DOWN, k, self.k)
         return joint
 
     def _knows_ground(self, near: float) -> bool:
@@ -194,8 +211,8 @@ class StatedKnowledge:
         there = np.zeros(self.queries) if gain is None else np.interp(v[:, DOWN], self.at(DOWN), gain[0])
         return v, f, there * f[:, axis]
 
-    def _interval(self, axis: int, v: F64, f: F64) -> tuple[F64, F64]:
-        """Least and greatest true acceleration along an axis at each query."""
+    def _interval(self, axis: int, v: F64, f: F64) -> Asked:
+        """Least and greatest true acceleration along an axis at each query, and what they are made of."""
         g = float(self.data["gravity_mps2"])
         low, high = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         if self.initial is not None:
@@ -207,16 +224,19 @@ class StatedKnowledge:
                 middle + ends.max(axis=0) + self.initial[2] * g,
             )
         if not self.stores:
-            return low, high
-        a, sigma = self._learned(axis, v, f, self._near(self.heights[1]))
-        apart = np.maximum(low, a - sigma) > np.minimum(high, a + sigma)
-        return (
-            np.where(apart, np.minimum(low, a - sigma), np.maximum(low, a - sigma)),
-            np.where(apart, np.maximum(high, a + sigma), np.minimum(high, a + sigma)),
-        )
+            return Asked(low.copy(), high.copy(), low.copy(), high.copy(), np.zeros(len(v)), low, high)
+        a, deviation, rest = self._learned(axis, v, f, self._near(self.heights[1]))
+        k = self.k if self.last else self.k_queries[axis]
+        least, most = a - rest - k * deviation, a + rest + k * deviation
+        apart = np.maximum(low, least) > np.minimum(high, most)
+        return Asked(
+            np.where(apart, np.minimum(low, least), np.maximum(low, least)),
+            np.where(apart, np.maximum(high, most), np.minimum(high, most)),
+            a - rest, a + rest, deviation, low, high,
+        )  # fmt: skip
 
-    def _learned(self, axis: int, v: F64, f: F64, near: float) -> tuple[F64, F64]:
-        """Mean, and k sigma with the remainder, of the acceleration along an axis at each query."""
+    def _learned(self, axis: int, v: F64, f: F64, near: float) -> tuple[F64, F64, F64]:
+        """Mean, standard deviation and remainder of the acceleration along an axis at each query."""
         g = float(self.data["gravity_mps2"])
         size = np.linalg.norm(f, axis=1)
         b = f / size[:, None]
@@ -231,7 +251,7 @@ class StatedKnowledge:
         drag[:2] = drag[:2].mean()
         a = np.einsum("qj,qj->q", turn[:, axis], mean - drag * body) - f[:, axis] + (g if axis == DOWN else 0.0)
         rest = np.einsum("qj,qj->q", np.abs(turn[:, axis]), np.column_stack([side_rest, up_rest]))
-        return a, self.k * np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance)) + rest
+        return a, np.sqrt(np.einsum("qj,qj->q", turn[:, axis] ** 2, variance)), rest
 
 
 def _turns(b: F64) -> F64:
@@ -287,7 +307,7 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> StatedKno
     table_of(data, _KEYS + (_LEARNED if learned else ()) + also, "knowledge")
     if data.get("hand_over", False) is not False:
         raise Refused("knowledge.hand_over: what it rests on was falsified in flight")
-    for key, size in (("drag_per_s", 3), ("heights_m", 2), ("widen_mps2", 3)):
+    for key, size in (("drag_per_s", 3), ("heights_m", 2), ("widen_mps2", 3), ("k_queries", 3)):
         rows([data[key]], size, f"knowledge.{key}")
     for key in ("gravity_mps2", "rotor_radius_m", "delta", "k_sigma", "statements", "version", "torque_mps2"):
         number(data[key], f"knowledge.{key}")
@@ -319,7 +339,7 @@ def read(data: Any, box: Box, delta: float, k: float, version: Any) -> StatedKno
         raise Refused("knowledge.axes must be a list of axes, 0 to 2")
     widen, heights = np.array(data["widen_mps2"], np.float64), (float(low), float(high))
     stores = [_process(data[name], count, name) for name, count in (("lateral", 2), ("vertical", 1))] if learned else []
-    known = StatedKnowledge(data, box, speeds, heights, nodes, k, widen, initial, stores)
+    known = StatedKnowledge(data, box, speeds, heights, nodes, k, tuple(data["k_queries"]), widen, initial, stores)
     _check_chance(known, delta, k, version)
     return known
 
@@ -335,7 +355,7 @@ def _process(value: Any, outputs: int, name: str) -> StatedProcess:
     if len(x) != len(y):
         raise Refused(f"{where}: {len(x)} x belong to {len(y)} y")
     floors.check_process(noise, inflation, excess, rest, where)
-    windows, drift = _windows(value["windows_us"], len(x), where), (0.0, 1.0)
+    windows, drift = stamps(value["windows_us"], len(x), where), (0.0, 1.0)
     more = noise * np.eye(len(x))
     if "drift" in value:
         variance, time_s = numbers(value["drift"], ("variance", "time_s"), f"{where}.drift")
@@ -347,23 +367,13 @@ def _process(value: Any, outputs: int, name: str) -> StatedProcess:
     return StatedProcess(value["kernel"], lower, inflation, rest, excess, x, y, noise, windows, drift)
 
 
-def _windows(value: Any, count: int, where: str) -> NDArray[np.int64]:
-    """(n, 2) stamps; none where none are named."""
-    if value == []:
-        return np.zeros((0, 2), np.int64)
-    named = isinstance(value, list) and len(value) == count
-    if not named or not all(isinstance(row, list) and len(row) == 2 for row in value):
-        raise Unreadable(f"{where}.windows_us must be as many pairs of stamps as points, or none")
-    if not all(type(stamp) is int and 0 <= stamp < 2**53 for row in value for stamp in row):
-        raise Refused(f"{where}.windows_us: a stamp is no whole number from 0")
-    return np.array(value, np.int64)
-
-
 def _check_chance(known: StatedKnowledge, delta: float, k: float, version: Any) -> None:
     """delta, k_sigma, the count of statements and the hash of the points belong together."""
     data = known.data
     if (data["delta"], data["k_sigma"], data["version"]) != (delta, k, version):
         raise Refused("knowledge: delta, k_sigma and version are not the certificate's")
+    if any(known.k_queries[axis] != k for axis in range(3) if axis not in {DOWN, *data["axes"]}):
+        raise Refused("knowledge.k_queries of an axis that is not asked for is not k_sigma")
     if not known.stores:
         return
     if not isinstance(data.get("last", False), bool):

@@ -7,7 +7,8 @@ E: greatest error; S: span of the commands, A: greatest |u|; d, l, r: doubt of d
     age             o (vel + (c1 + delay + o / 2) (E + acc)),  o (E + acc);  o: the newest sample's age
     rotor_lag       vertical: A (c1 + l / 2) l,  l S / e + w
     attitude_lag    lateral: c1 r S / 2,  r S + w
-    estimate_error  pos + (c1 + delay) vel + (c2 + c1 delay + delay^2 / 2) acc,  vel + (c1 + delay) acc
+    estimate_error  pos + (c1 + delay) vel + c2 at + (c1 delay + delay^2 / 2) acc,  vel + c1 at + delay acc
+                    at: vertical acc; lateral its share at the thrust that is steered with, of the greatest
 
     off_m, off_mps = sum of x + t sup |v|,  sum of y + t A
     eta = sup (|dh/de| x + |dh/dv| y + t |dh/de v + dh/dv a|), x, y, t the sums of all, over {h >= -eta}
@@ -68,7 +69,8 @@ def check_ledger(
     doubts = known.data.get("doubts")
     if doubts is None:
         raise Refused("knowledge.doubts is missing: nothing says what the ledger rests on")
-    sources, eta = _sources(name == "down", response, nodes, doubts, estimate), 0.0
+    share = known.lead / known.box.greatest
+    sources, eta = _sources(name == "down", response, nodes, doubts, estimate, share), 0.0
     lag, hardest = "rotor_lag" if name == "down" else "attitude_lag", float(np.abs(nodes[3:5]).max())
     x, y, t = sources[lag]
     sources[lag] = x, y + _apart(name == "down", response, nodes, known, acc), t
@@ -116,26 +118,27 @@ def _margins(value: Any, name: str) -> dict[str, float]:
 
 
 def _sources(
-    vertical: bool, response: list[float], nodes: F64, doubts: Any, estimate: F64
+    vertical: bool, response: list[float], nodes: F64, doubts: Any, estimate: F64, share: float
 ) -> dict[str, tuple[float, float, float]]:
     """(x, y, t) by name."""
     pos, vel, acc = (float(each) for each in estimate)
-    late, share, rate_share, rotor, old = numbers(doubts, _DOUBTS, "knowledge.doubts")
-    if min(late, share, rate_share, rotor, old) < 0.0:
+    late, lag_share, rate_share, rotor, old = numbers(doubts, _DOUBTS, "knowledge.doubts")
+    if min(late, lag_share, rate_share, rotor, old) < 0.0:
         raise Refused("knowledge.doubts must be at least 0")
     c1, c2, delay = response
     error, span = float(nodes[5:].max()) - acc, float((nodes[N_HIGH] - nodes[N_LOW]).max())
-    lag, turn = share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
+    steered = acc if vertical else share * acc
+    lag, turn = lag_share * c1, rate_share * c2 / c1 if c1 > 0.0 else 0.0
     most, none = float(np.abs(nodes[3:5]).max()), (0.0, 0.0, 0.0)
-    late += 0.0 if vertical else share * rotor
+    late += 0.0 if vertical else lag_share * rotor
     return {
         "delay": ((0.5 * delay**2 + c1 * delay) * error, (late + delay) * error, late),
         "age": (old * vel + (old * c1 + old * delay + 0.5 * old**2) * (error + acc), old * (error + acc), 0.0),
         "rotor_lag": (most * (c1 + 0.5 * lag) * lag, lag * span / math.e, 0.0) if vertical else none,
         "attitude_lag": none if vertical else (0.5 * c1 * turn * span, turn * span, 0.0),
         "estimate_error": (
-            pos + (c1 + delay) * vel + (c2 + c1 * delay + 0.5 * delay**2) * acc,
-            vel + (c1 + delay) * acc,
+            pos + (c1 + delay) * vel + c2 * steered + (c1 * delay + 0.5 * delay**2) * acc,
+            vel + c1 * steered + delay * acc,
             0.0,
         ),
     }

@@ -8,11 +8,12 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import bounds
 from .intervals import F64
 
-SCHEMA = "flightstack.certificate/4"
+SCHEMA = "flightstack.certificate/5"
 
 
 class Refused(Exception):
@@ -116,3 +117,15 @@ def unsealed(text: str) -> dict[str, Any]:
     if seal != hashlib.sha256(canonical.encode()).hexdigest():
         raise Refused("seal does not fit: the file was changed after it was made")
     return data
+
+
+def stamps(value: Any, count: int, where: str) -> NDArray[np.int64]:
+    """(n, 2) stamps; none where none are named."""
+    if value == []:
+        return np.zeros((0, 2), np.int64)
+    named = isinstance(value, list) and len(value) == count
+    if not named or not all(isinstance(row, list) and len(row) == 2 for row in value):
+        raise Unreadable(f"{where}.windows_us must be as many pairs of stamps as points, or none")
+    if not all(type(stamp) is int and 0 <= stamp < 2**53 for row in value for stamp in row):
+        raise Refused(f"{where}.windows_us: a stamp is no whole number from 0")
+    return np.array(value, np.int64)

@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from flightstack.jit import cache_folder, sources_key
+from flightstack.jit import cache_folder, machine_key, sources_key
 from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
 from mavlink_bridge.transport.machine import stand_back
@@ -69,7 +69,7 @@ def compiled(part: str) -> bool:
 
 
 def _marker(part: str) -> Path:
-    return cache_folder() / f"{part}-is-compiled-{sources_key()}"
+    return cache_folder() / f"{part}-is-compiled-{sources_key()}-{machine_key()}"
 
 
 def _tell_progress() -> None:
@@ -120,6 +120,7 @@ def compile_part(part: str) -> None:
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
+    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED}  # the simulator takes every sum in its order
     for part in parts or [FLIGHT]:
         if part == _UNFILTERED:
             _end_with(sys.stdin)
@@ -129,7 +130,7 @@ def main(parts: list[str]) -> None:
         with locked("compiling"):
             if not compiled(part):
                 _tell_progress()
-                with quick_compiling():
+                with quick_compiling(strict):
                     compile_part(part)
                 _marker(part).touch()
 

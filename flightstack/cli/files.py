@@ -6,8 +6,8 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from flightstack.cli.result import FlightResult
 from flightstack.cli.shipped import path_of
 from flightstack.cli.shipped import shipped_names as shipped_names
 from flightstack.scenario import Scenario, parse_scenario, waypoints_scenario
@@ -15,6 +15,9 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle
 from flightstack.waypoints import parse_waypoints
 from mavlink_bridge.param_file import ParamFile, parse_params
+
+if TYPE_CHECKING:
+    from flightstack.cli.result import FlightResult
 
 DEFAULT_VEHICLE = "quad-x"
 

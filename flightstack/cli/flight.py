@@ -20,7 +20,7 @@ from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
-from flightstack.cli.vehicle_gains import tuned
+from flightstack.cli.vehicle_gains import counted_on, tuned
 from flightstack.dotted import changed_vehicle
 from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
@@ -126,7 +126,8 @@ def prepare(options: FlyOptions) -> Setup:
     grade = load_grade(sensors)
     flown = changed_grade(sensors, scenario.grade_changes, f"{scenario.name}: grade")
     most_s = flight.protection.round_trip_max_s
-    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade))
+    counted = counted_on(flight.believed) if flight.protection.filter.enabled else {}
+    companion = CompanionConfig(arm=True, round_trip_max_s=most_s, estimate=error_statistics(grade), counted=counted)
     return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
 
 

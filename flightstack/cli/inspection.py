@@ -14,7 +14,7 @@ from flightstack.types import TickRecord
 from mavlink_bridge.checklist import Inspection, checklist
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
-from mavlink_bridge.hover_check import HoverCheck
+from mavlink_bridge.hover_check import HoverCheck, RiseCheck
 from mavlink_bridge.vehicle_params import loss_time_problem
 
 _INSPECTION_S = 2.0
@@ -30,6 +30,7 @@ class Inspector:
         self._believe_file, self._dry_run = believe_file, dry_run
         self._companion: Companion | None = None
         self._hover: HoverCheck | None = None
+        self._rise: RiseCheck | None = None
         self._counted: tuple[int, Counter[type]] | None = None
         self._rates_hz: dict[type, float] = {}
         self._protection = prepared.protection
@@ -43,7 +44,7 @@ class Inspector:
 
     def attach(self, companion: Companion) -> None:
         """The companion whose vehicle is judged."""
-        self._companion = companion
+        self._companion, self._rise = companion, RiseCheck(companion.stop)
         if not self._believe_file:
             self._hover = HoverCheck(self._stack.model, companion.view, companion.stop)
 
@@ -53,7 +54,10 @@ class Inspector:
 
     def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
         """See Planner."""
-        return mission if self._hover is None else self._hover.step(mission, t_s, record)
+        for check in (self._hover, self._rise):  # what the file has to do with it is told first
+            if check is not None:
+                check.step(mission, t_s, record)
+        return mission
 
     def count(self, now_us: int) -> None:
         """Measure the streams' rates since the first call, at local time `now_us`."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from flightstack.cli.console import say
 from flightstack.errors import InputError
-from flightstack_logs.writer import Recorder
+from flightstack_logs.recorder import Recorder
 
 R = TypeVar("R", Recorder, "Recorder | None")
 
@@ -15,6 +14,7 @@ def shown_live(recorder: R, port: int | None) -> R | Recorder:
     """`recorder`, shown on `port` and the next one; itself where there is none.  InputError where one is taken."""
     if port is None:
         return recorder
+    from flightstack.cli.console import say
     from flightstack_logs.live.recorder import LiveRecorder
 
     try:

@@ -20,7 +20,7 @@ from flightstack.cli.real_time import PERIOD_US, RealTimeLoop
 from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import VehicleLink, parameters_set
-from flightstack.cli.vehicle_gains import ask_gains, changed
+from flightstack.cli.vehicle_gains import ask_gains, changed, counted_on
 from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
@@ -186,6 +186,7 @@ def companion_of(
         contradictions=inspector.contradictions,
         dead_man=options.dead_man,
         round_trip_max_s=prepared.protection.round_trip_max_s,
+        counted=counted_on(prepared.believed) if prepared.protection.filter.enabled else {},
     )
     companion = Companion(link, prepared.stack, prepared.scenario, observer, config, inspector)
     inspector.attach(companion)

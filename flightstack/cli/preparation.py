@@ -112,7 +112,7 @@ class Prepared:
     def attachments(self) -> tuple[Attachment, ...]:
         """The files that the log carries, the settings last."""
         files_of = {**self.carried, "settings.json": json.dumps(dict(self.settings), indent=1)}
-        return tuple(text_file(name, text) for name, text in files_of.items())
+        return tuple(Attachment.of_text(name, text) for name, text in files_of.items())
 
     def open_log(self, path: Path, clock: Mapping[str, str]) -> FlightLog:
         """Begin the flight's log; `clock`: of which date (`log_clock.clock_metadata`)."""
@@ -209,8 +209,3 @@ def _learner(file: files.TextFile, controller: str, believed: Vehicle, model: Mo
         raise InputError(f"--learned {file.path}: goes with --controller {DEFAULT_CONTROLLER} and learning only")
     priors = parse_stored(file.text, str(file.path), believed).priors
     return GpLearner(model, LearnerConfig(priors=priors))
-
-
-def text_file(name: str, text: str) -> Attachment:
-    """A text file carried inside the log."""
-    return Attachment(name, f"application/{name.rpartition('.')[2]}", text.encode())

@@ -41,7 +41,9 @@ DECIDING = frozenset(
 _ZERO = (0.0, 0.0, 0.0)
 _LOCATION_PERIOD_US = 200_000
 """GLOBAL_POSITION_INT comes at up to 125 Hz; a map needs less."""
-_STAGE_PERIOD_US = 100_000
+_STATUS_PERIOD_US = 100_000
+_STAGE_LASTS_US = 500_000
+"""A stage that was there before is told again once it has lasted so long."""
 _PREMISE_PERIOD_US = 1_000_000
 _ESTIMATE_PERIOD_US = 40_000
 _WAY_PERIOD_US = 500_000
@@ -51,15 +53,13 @@ _SURPRISING_TICKS = 8
 
 
 class LearnerEvents:
-    """Tells each new stage of the learner and each sudden change that it noticed, once.
-
-    A stage that comes and goes is told at most every 0.1 s.
-    """
+    """Tells each new stage of the learner, a stage that comes back when it lasts, and each sudden change, once."""
 
     def __init__(self, tell: Callable[[int, str, str, str], None]) -> None:
         self._tell = tell
-        self._stage = self._changes = 0.0
-        self._stage_due_us = 0
+        self._stage = self._highest = self._changes = 0.0
+        self._other_us = -1
+        """Since when the stage has been another than the one told; -1: it is that one."""
         self._recent: deque[F64] = deque(maxlen=_SURPRISING_TICKS)
 
     def on_learned(self, t_us: int, learned: Learned) -> None:
@@ -69,8 +69,12 @@ class LearnerEvents:
             return
         changes = learned.changes
         self._recent.append(learned.row)
-        if stage != self._stage and t_us >= self._stage_due_us:
-            self._stage, self._stage_due_us = stage, t_us + _STAGE_PERIOD_US
+        if stage == self._stage:
+            self._other_us = -1
+        elif self._other_us < 0:
+            self._other_us = t_us
+        if stage > self._highest or 0 <= self._other_us <= t_us - _STAGE_LASTS_US:
+            self._stage, self._highest, self._other_us = stage, max(stage, self._highest), -1
             self._tell(t_us, "learner", f"learner: {STAGES[int(stage)]}", "info")
         if changes > self._changes:
             self._tell(t_us, "learner", f"learner: sudden change noticed{self._where(learned)}", "warning")
@@ -116,7 +120,7 @@ class FilterEvents:
         kind = _kind(status)
         if kind == _kind(self._status) or t_us < self._due_us:
             return
-        before, self._status, self._due_us = _kind(self._status), status, t_us + _STAGE_PERIOD_US
+        before, self._status, self._due_us = _kind(self._status), status, t_us + _STATUS_PERIOD_US
         at = f"h {filtered.h:.3f}, at the state {filtered.h_state:.3f}"
         if status >= _FALLBACK:
             margins = _vector(filtered.margins_ned_ps)

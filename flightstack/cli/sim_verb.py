@@ -90,15 +90,18 @@ def sim(given: SimpleNamespace) -> None:
 
 def _run(options: SimOptions, interrupts: Interrupts, px4_hil: bool, json: Path | None) -> None:
     from flightstack.cli import files, terminal
-    from flightstack.cli.hil import serve
-    from flightstack.cli.simulate import simulate
+
+    if px4_hil:
+        from flightstack.cli.hil import serve as simulate
+    else:
+        from flightstack.cli.simulate import simulate
 
     def ready(text: str) -> None:
         interrupts.at_once = False
         print(text, flush=True)
 
     try:
-        result = (serve if px4_hil else simulate)(
+        result = simulate(
             options,
             stop_requested=interrupts.requested,
             on_ready=ready,

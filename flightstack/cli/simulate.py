@@ -11,18 +11,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
 from flightstack.cli.live_view import shown_live
-from flightstack.cli.preparation import text_file
-from flightstack.cli.versions import versions
 from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
-from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.writer import FlightLog, Recorder
+from flightstack_logs.recorder import Recorder
 from flightstack_sim.faults import parse_faults
 from flightstack_sim.grade import Grade, load_grade
 from flightstack_sim.server import Server
@@ -34,6 +31,9 @@ from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.px4 import describe_mode
 from mavlink_bridge.transport.clock import utc_us
 from mavlink_bridge.transport.udp import UdpSocket
+
+if TYPE_CHECKING:
+    from flightstack_logs.writer import FlightLog
 
 HOST = "127.0.0.1"
 OFFBOARD_PORT = 14540
@@ -120,10 +120,16 @@ def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = N
     path = path or options.log
     if path is None:
         return None
+    # half a second of imports, for whoever keeps a log
+    from flightstack.cli.versions import versions
+    from flightstack_logs.log_clock import clock_metadata
+    from flightstack_logs.topics import Attachment
+    from flightstack_logs.writer import FlightLog
+
     settings = {"seed": str(options.seed), "plant": options.plant, "pace": "realtime", "speed": f"{options.speed:g}"}
     clock = clock_metadata(utc_us(), simulated=False)
     metadata = {"settings": settings, "versions": versions(), "clock": clock}
-    truth = text_file("truth.toml", vehicle_text)
+    truth = Attachment.of_text("truth.toml", vehicle_text)
     return FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True, compact=True)
 
 
@@ -151,6 +157,11 @@ class Instance:
             if status != self.status:
                 self.status = status
                 log.write("/vehicle/status", vehicle.t_us, status)
+
+    def news(self) -> list[tuple[int, str]]:
+        """Faults that have begun or ended and warnings, with the vehicle's time."""
+        server = self.shell.server
+        return [(at_us, f"fault {words}") for at_us, words in server.faults.new()] + server.console.take()
 
     def close(self) -> None:
         """Close its sockets and its log."""
@@ -285,18 +296,19 @@ def simulate(
 
 
 def _loop(
-    instances: list[Instance], options: SimOptions, stop_requested: Callable[[], str], on_fault: Callable[[str], None]
+    instances: list[Instance], options: SimOptions, stop_requested: Callable[[], str], on_news: Callable[[str], None]
 ) -> Pace:
     pace = Pace(TICK_MS * 1000 / options.speed, patience_us=PATIENCE_US)
     first = instances[0].shell.server
     end_us = None if options.duration_s is None else round(options.duration_s * 1e6)
+    several = len(instances) > 1
     ticks = 0
     while end_us is None or first.t_us < end_us:
         pace.wait()
         for instance in instances:
             instance.tick()
-            for at_us, words in instance.shell.server.faults.new():
-                on_fault(f"{at_us * 1e-6:.1f} s: fault {words}")
+            for at_us, words in instance.news():
+                on_news(f"{at_us * 1e-6:.1f} s: {f'vehicle {instance.shell.server.system}: ' * several}{words}")
         ticks += 1
         if ticks % 25 == 0 and stop_requested():
             break

@@ -15,7 +15,7 @@ vehicle_app = typer.Typer(help="Make, check and fit vehicle files.", no_args_is_
 
 SCHEMA = "flightstack.vehicle-check/1"
 _ADDRESSES = ("udpin:", "udpout:", "serial:")
-_ULOG, _GZIP = b"ULog", b"\x1f\x8b"
+_ULOG, _GZIP, _DATAFLASH = b"ULog", b"\x1f\x8b", b"\xa3\x95"
 _LARGEST_TEXT = 4_000_000
 _WAIT_S, _ANSWERS_S = 10.0, 20.0
 FromOption = Annotated[str, typer.Option("--from", help="A PX4's address, a ULog, or a file of its parameters.")]
@@ -107,7 +107,7 @@ def parameters(source: str) -> dict[str, float]:
             head = file.read(4)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
-    if head == _ULOG or head[:2] == _GZIP:
+    if head == _ULOG or head[:2] in (_GZIP, _DATAFLASH):
         return _from_log(path)
     from flightstack.cli.files import read_text
     from mavlink_bridge.param_file import listed_params
@@ -118,12 +118,14 @@ def parameters(source: str) -> dict[str, float]:
 
 
 def _from_log(path: Path) -> dict[str, float]:
+    from flightstack_logs.ardupilot import as_px4
     from flightstack_logs.reader import read
 
-    told = read(path).metadata.get("parameters", {})
+    log = read(path)
+    told = {name: float(value) for name, value in log.metadata.get("parameters", {}).items()}
     if not told:
         raise InputError(f"log {path}: holds no parameters; a ULog of a PX4 does")
-    return {name: float(value) for name, value in told.items()}
+    return as_px4(told, str(path)) if log.kind == "dataflash" else told
 
 
 def _from_vehicle(source: str) -> dict[str, float]:

@@ -72,6 +72,11 @@ def ask_gains(connect: str, signer: Signer | None, within_s: float, file: Vehicl
     return gains
 
 
+def counted_on(believed: Vehicle) -> dict[str, float]:
+    """What certificates and governor take the vehicle's parameters for, by PX4's names."""
+    return {AUTOPILOT_PARAMS[key].name: value for key, value in autopilot_of(believed).items()}
+
+
 def changed(vehicle: Vehicle, gains: Mapping[str, float]) -> str:
     """What the vehicle has otherwise than its file, in words; empty where nothing."""
     words = [f"{AUTOPILOT_PARAMS[key].name} {gains[key]:g} ({has:g})" for key, has in _others(vehicle, gains).items()]

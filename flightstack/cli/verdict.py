@@ -15,10 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from flightstack.mission import LEAST_RISE, never_flew
 from flightstack.types import F64
 
-LEAST_RISE = 0.5
-"""Share of the first climb's height."""
 MOST_RMS_M = 0.5
 MOST_RMS_ROUGH_M = 1.0
 """With GPS, and on a real vehicle, whose own estimate is all that is known."""
@@ -83,8 +82,7 @@ class Flown:
         """Why a flight that came to its end was not flown, one line; empty where it was."""
         wanted_m = LEAST_RISE * self.first_height_m
         if self.rose_m is None or not self.rose_m >= wanted_m:
-            rose = "its height is not known" if self.rose_m is None else f"it rose {max(self.rose_m, 0.0):.2f} m"
-            return f"never flew: {rose} of the {self.first_height_m:.2f} m of its first climb (at least half counts)"
+            return never_flew(self.rose_m, self.first_height_m)
         if rmse_m is None:
             return "nothing of what was asked was flown: no tick of the track was scored"
         if not rmse_m <= self.most_rms_m:

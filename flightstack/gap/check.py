@@ -7,6 +7,7 @@ hold the vehicle up and whether its rotors are the log's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -17,13 +18,15 @@ from flightstack.gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
-from flightstack.gap.checks.say import ok, refused, warning
+from flightstack.gap.checks.say import how_to_record, ok, refused, warning
 from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal
 from flightstack.vehicle import Vehicle
 
-_PX4 = "PX4: SDLOG_MODE 0, SDLOG_PROFILE 25"
-
-
+_GROUND_OFF_M = {"mcap": 0.05, "ulog": 0.05, "dataflash": 0.3, "tlog": 0.3}
+"""Logs whose heights are an autopilot's own, and from which distance the ground is not at its frame's origin: in the
+last two heights and landing are told so rarely that 0.1 m may be a touch."""
+_STOOD_S, _LOW_M = 10.0, 0.1
+"""What is looked at before take-off; what is no height of a flight."""
 _MISSED = {
     "q_ned_frd": "attitude: drag and wind can't be told",
     "rate_frd_radps": "body rates: they come from the attitude",
@@ -41,7 +44,7 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     """
     signals, findings = settle_clocks(flight.signals, flight.kind)
     signals, more = speeds.commands_of_speeds(signals, vehicle)
-    findings += [*more, *_lacking(signals, kinematics_only)]
+    findings += [*more, *_lacking(signals, flight.kind, kinematics_only)]
     if _is_refused(findings):
         return Checked(flight, None, tuple(findings), ())
     signals, more = quality.settle_battery(signals, vehicle)
@@ -50,31 +53,32 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     findings += more
     if _is_refused(findings):
         return Checked(flight, None, tuple(findings), ())
+    ground_d_m = _ground(flight.kind, signals, ground_d_m, findings)
     span = flying_span(signals, vehicle, ground_d_m)
     if span is None:
-        findings.append(_not_flying())
+        findings.append(_not_flying(flight.kind))
         return Checked(flight, None, tuple(findings), ())
     signals, more = conventions.settle(signals, span)
-    findings += [*more, *judge_rates(signals, span)]
+    findings += [*more, *judge_rates(signals, span, flight.kind)]
     offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)
     read = replace(flight, signals=signals)
-    ground_d_m = _ground(read, span, ground_d_m, findings)
     samples = make_samples(flight.name, signals, vehicle, ground_d_m)
     if samples is None:
-        findings.append(_not_flying())
+        findings.append(_not_flying(flight.kind))
         return Checked(read, None, tuple(findings), offsets)
     samples, more = contact.leave_out(samples, vehicle, contact.standing_m(signals, vehicle, span, ground_d_m))
     findings += more
     samples, more = stopped.leave_out(samples, vehicle)
     findings += more
     if not samples.valid.any():
-        findings.append(_not_flying())
+        findings.append(_not_flying(flight.kind))
         return Checked(read, None, tuple(findings), offsets)
     if "motor" in signals:
         if not moves(samples):
-            findings.append(refused("flight", f"the motors never move: this is not a flight. Record one ({_PX4})"))
+            text = f"the motors never move: this is not a flight. Record one ({how_to_record(flight.kind)})"
+            findings.append(refused("flight", text))
         else:
             findings += judge_vehicle(samples, vehicle)
     seconds = float(np.sum(samples.valid)) * samples.dt_s
@@ -93,9 +97,9 @@ def _is_refused(findings: list[Finding]) -> bool:
     return any(each.level == "refused" for each in findings)
 
 
-def _not_flying() -> Finding:
+def _not_flying(kind: str) -> Finding:
     text = "no part of the log is a flight: landed, or motors too weak to hold the vehicle. Record 30 s in the air"
-    return refused("flight", f"{text} ({_PX4})")
+    return refused("flight", f"{text} ({how_to_record(kind)})")
 
 
 def _late(each: Offset) -> Finding:
@@ -104,31 +108,42 @@ def _late(each: Offset) -> Finding:
     return warning("offset", f"{each.signal}: stamps {size:.1f} ms {word} ({low:.1f} to {high:.1f}); put right")
 
 
-def _lacking(signals: Mapping[str, Signal], kinematics_only: bool) -> list[Finding]:
+def _lacking(signals: Mapping[str, Signal], kind: str, kinematics_only: bool) -> list[Finding]:
     """What can't be done without."""
     out = []
     if not {"vel_ned_mps", "pos_ned_m", "accel_frd_mps2", "acc_ned_mps2"} & signals.keys():
-        text = f"holds neither velocity nor acceleration; record position and IMU ({_PX4})"
+        text = f"holds neither velocity nor acceleration; record position and IMU ({how_to_record(kind)})"
         out.append(refused("signals", text))
     if "motor" not in signals:
-        text = f"holds no motor commands; record them ({_PX4}), or use --kinematics-only"
+        text = f"holds no motor commands; record them ({how_to_record(kind)}), or use --kinematics-only"
         out.append(Finding("motors", "warning" if kinematics_only else "refused", text))
     out += [warning("signals", f"holds no {what}") for name, what in _MISSED.items() if name not in signals]
     return out
 
 
-def _ground(flight: Flight, span: tuple[float, float], ground_d_m: float, findings: list[Finding]) -> float:
-    """Where an autopilot's own frame has the ground: at its position while it stood before take-off."""
-    if flight.kind not in ("mcap", "ulog") or ground_d_m or not {"landed", "pos_ned_m"} <= flight.signals.keys():
+def _ground(kind: str, signals: Mapping[str, Signal], ground_d_m: float, findings: list[Finding]) -> float:
+    """Where an autopilot's own frame has the ground: at its position while it stood before it took off.
+
+    NaN, for not known, where by that the vehicle flies at the ground or below it.
+    """
+    if kind not in _GROUND_OFF_M or ground_d_m or not {"landed", "pos_ned_m"} <= signals.keys():
         return ground_d_m
-    position = flight.signals["pos_ned_m"]
-    landed = flight.signals["landed"]
+    position, landed = signals["pos_ned_m"], signals["landed"]
     at = np.clip(np.searchsorted(landed.t_s, position.t_s, side="right") - 1, 0, len(landed.t_s) - 1)
-    stood = (landed.value[at] > 0.5) & (position.t_s < span[0]) & (position.t_s > span[0] - 10.0)
-    if stood.sum() < 10:
+    stands = landed.value[at] > 0.5
+    up = np.flatnonzero(~stands)
+    if not len(up):
         return ground_d_m
-    down = float(np.median(position.value[stood, 2]))
-    if abs(down) > 0.05:
-        findings.append(ok("ground", f"the ground lies at {down:.2f} m down, where the vehicle stood before take-off"))
-        return down
+    stood = stands & (position.t_s < position.t_s[up[0]]) & (position.t_s > position.t_s[up[0]] - _STOOD_S)
+    if stood.sum() >= 10:
+        down = float(np.median(position.value[stood, 2]))
+        if abs(down) > _GROUND_OFF_M[kind]:
+            text = f"the ground lies at {down:.2f} m down, where the vehicle stood before take-off"
+            findings.append(ok("ground", text))
+            ground_d_m = down
+    low = float(np.mean(ground_d_m - position.value[up, 2] < _LOW_M))
+    if low > 0.5:
+        text = f"by its position the vehicle is at or below the ground in {100.0 * low:.0f} % of its flight: not used"
+        findings.append(warning("height", text))
+        return math.nan
     return ground_d_m

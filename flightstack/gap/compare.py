@@ -24,6 +24,9 @@ HORIZON_S = 1.0
 EVERY_S = 0.5
 _SEGMENT_S = 2.0
 _NOISE_FROM = 0.6
+_FOLDED = 1.5
+"""Times what the top of the band shows, above which the differences of samples are no white noise: a log of white noise
+has 0.9 to 1.1."""
 
 
 def residual(vehicle: Vehicle, samples: Samples) -> Residual:
@@ -80,7 +83,8 @@ def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) 
 
     An autopilot filters what it logs, and then differences between samples say too little of the noise.  What is left
     of the residual from 0.6 of the cutoff on is taken for noise: of the same power at all lower frequencies for a
-    force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).
+    force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).  Where that
+    band shows clearly less than the samples' differences say, those hold vibration above the cutoff: the band counts.
     """
     return _noise_of(disagreement(vehicle, samples)[1], samples, mask)
 
@@ -100,7 +104,8 @@ def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
     for column in range(6):
         shape = np.maximum(hz, hz[1]) ** 2 if flight.averaged[column] else np.ones_like(hz)
         level = float(np.median(power[band, column] / shape[band]))
-        noise[column] = max(noise[column], math.sqrt(level * float(np.trapezoid(shape * gain, hz))))
+        shown = math.sqrt(level * float(np.trapezoid(shape * gain, hz)))
+        noise[column] = shown if shown < noise[column] / _FOLDED else max(noise[column], shown)
     return noise
 
 

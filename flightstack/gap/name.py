@@ -36,7 +36,7 @@ from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import moved
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.ranged import carried, is_touched
-from flightstack.gap.naming.search import Fit, SelectionState, members, search
+from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, members, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Across, Found, Rejected, Samples, Unexplained, Where
@@ -331,8 +331,11 @@ def _rejected(
         if effect in found:
             continue
         if effect in best.effects:
-            reason = "what it explains depends on something else as well" if effect in doubtful else "too thin"
-            out.append(Rejected(effect, -evidence(state, best, effect), reason))
+            fall = evidence(state, best, effect)
+            reason = "too thin" if fall < LEAST_EVIDENCE else "no better on data not used before"
+            if effect in doubtful:
+                reason = "what it explains depends on something else as well"
+            out.append(Rejected(effect, -fall, reason))
             continue
         if effect in bench.mute or all(unseen(s, effect) for s in bench.flights):
             out.append(Rejected(effect, 0.0, "this log can't show it"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import overload
 
@@ -35,11 +36,15 @@ class Fleet(Sequence[Px4Sim]):
 
     def step(self, seconds: float) -> None:
         """Let the time of all run so long."""
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"step takes a time of 0 s or more, not {seconds!r}")
         left_s = seconds
         while left_s > 1e-9:
             for vehicle in self._vehicles:
-                vehicle.step(min(STEP_S, left_s))
+                vehicle.advance(min(STEP_S, left_s))
             left_s -= STEP_S
+        for vehicle in self._vehicles:
+            vehicle.end_step()
 
     def close(self) -> None:
         """Give all ports back."""

@@ -6,6 +6,7 @@ Loaded into every pytest run of an environment that has flightstack: it imports 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,8 +57,17 @@ def _start(request: pytest.FixtureRequest, folder: Path, sysid: int) -> Px4Sim:
     from flightstack.errors import InputError
     from flightstack.testkit.px4_sim import Px4Sim
 
+    plugins = request.config.pluginmanager
+    terminal, capture = plugins.get_plugin("terminalreporter"), plugins.get_plugin("capturemanager")
+
+    def say(text: str) -> None:
+        if terminal is not None:  # a worker of pytest-xdist has none
+            with nullcontext() if capture is None else capture.global_and_fixture_disabled():
+                terminal.ensure_newline()
+                terminal.write_line(f"px4_sim: {text}")
+
     try:
-        vehicle = Px4Sim(_options(request, folder, sysid))
+        vehicle = Px4Sim(_options(request, folder, sysid), say)
     except InputError as error:
         raise pytest.UsageError(str(error)) from None
     request.node.stash.setdefault(_FLOWN, []).append(vehicle)
@@ -83,6 +93,8 @@ def px4_fleet(
     fleets: list[Fleet] = []
 
     def make(n: int) -> Fleet:
+        if n < 1:
+            raise ValueError(f"px4_fleet gives one vehicle or more, not {n}")
         flying = sum(len(fleet) for fleet in fleets)
         fleets.append(Fleet([_start(request, folder, flying + number + 1) for number in range(n)]))
         return fleets[-1]

@@ -85,9 +85,11 @@ def free_port() -> int:
 class Px4Sim:
     """One vehicle.  `server` (flightstack_sim.server.Server) is all that is behind it, for what is not offered here."""
 
-    def __init__(self, options: Px4Options) -> None:
+    def __init__(self, options: Px4Options, say: Callable[[str], None] = _log.warning) -> None:
+        if not 0.0 <= options.speed < math.inf:
+            raise InputError(f"speed {options.speed:g}: give 0 (as fast as it goes) or times real time")
         self.options = options
-        ensure_compiled(_log.warning, JSBSIM if options.plant == JSBSIM else SIMULATOR)
+        ensure_compiled(say, JSBSIM if options.plant == JSBSIM else SIMULATOR)
         truth, self._file = load_vehicle(options.vehicle)
         vehicle = simulated_vehicle(
             replace(truth, effects={}), truth, load_grade(options.sensors), seed=options.seed, plant=options.plant
@@ -160,6 +162,11 @@ class Px4Sim:
 
         ValueError for a time that is negative or no number.
         """
+        self.advance(seconds)
+        self.end_step()
+
+    def advance(self, seconds: float) -> None:
+        """A part of a step: what the vehicle says waits until a datagram is full or the step ends."""
         if not 0.0 <= seconds < math.inf:
             raise ValueError(f"step takes a time of 0 s or more, not {seconds!r}")
         self._end_us += seconds * 1e6
@@ -170,6 +177,9 @@ class Px4Sim:
             self._collect()
             self._wait_for_client()
             self._wait_for_wall()
+
+    def end_step(self) -> None:
+        """After its parts: ground stations count that have come, and everything is sent."""
         self._hear_ground_stations()
         self._flush()
 

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flightstack.cli.preparation import text_file
-from flightstack.cli.versions import versions
-from flightstack_logs.log_clock import clock_metadata
-from flightstack_logs.writer import FlightLog
 from flightstack_sim.plant import Truth
 from flightstack_sim.shell import ONBOARD
 
@@ -38,20 +34,25 @@ class Recording:
 
     def write(self, path: Path, settings: dict[str, str], vehicle_text: str) -> Path:
         """The log: truth, what the offboard link carried, what came on any.  InputError where it can't be written."""
+        # half a second of imports, for a flight whose log is wanted
+        from flightstack.cli.versions import versions
+        from flightstack_logs.log_clock import clock_metadata
+        from flightstack_logs.topics import Attachment
+        from flightstack_logs.writer import FlightLog
+
         clock = clock_metadata(UNIX_AT_BOOT_US, simulated=True)
         metadata = {"settings": settings, "versions": versions(), "clock": clock}
         path.parent.mkdir(parents=True, exist_ok=True)
-        log = FlightLog.open(
-            path, metadata=metadata, attachments=(text_file("truth.toml", vehicle_text),), overwrite=True
-        )
+        truth = Attachment.of_text("truth.toml", vehicle_text)
+        log = FlightLog.open(path, metadata=metadata, attachments=(truth,), overwrite=True)
         wire = [one for one in self._datagrams if one[2] == ONBOARD or one[0] == "tx"]
         waiting = 0
-        for truth in self._truths:
-            while waiting < len(wire) and wire[waiting][1] <= truth.t_us:
+        for state in self._truths:
+            while waiting < len(wire) and wire[waiting][1] <= state.t_us:
                 direction, t_us, _, data = wire[waiting]
                 log.mavlink(direction, t_us, data)
                 waiting += 1
-            log.truth(truth.t_us, truth)
+            log.truth(state.t_us, state)
         for direction, t_us, _, data in wire[waiting:]:
             log.mavlink(direction, t_us, data)
         log.close()

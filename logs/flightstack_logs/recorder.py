@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from flightstack.barrier.records import Certificate
-from flightstack.types import TickRecord
-from flightstack_logs import scene as viewer
-from flightstack_logs.topics import Attachment
+if TYPE_CHECKING:
+    from flightstack.barrier.records import Certificate
+    from flightstack.types import TickRecord
+    from flightstack_logs import scene as viewer
+    from flightstack_logs.topics import Attachment
 
 
 class Recorder(Protocol):

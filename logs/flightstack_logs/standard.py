@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack_logs import ardupilot
 from flightstack_logs.readers.csv_file import TABLE as CSV_TABLE
 from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import TOPICS, severity_names
@@ -92,6 +93,7 @@ def _stamps(table: Table, column: str, times: int) -> NDArray[np.int64]:
 def _mavlink(tables: Found, first_us: int) -> Found:
     """Of a telemetry log; messages as PX4 and ArduPilot send them."""
     found: Found = {}
+    said = ardupilot.parameters(tables)
     quaternion, euler = tables.get("ATTITUDE_QUATERNION"), tables.get("ATTITUDE")
     rates = ("rollspeed", "pitchspeed", "yawspeed")
     if quaternion is not None and _has(quaternion, ("time_boot_ms", "q1", "q2", "q3", "q4", *rates)):
@@ -104,12 +106,13 @@ def _mavlink(tables: Found, first_us: int) -> Found:
     if local is not None:
         stamps, place = _stamps(local, "time_boot_ms", 1000), _columns(local, "x", "y", "z")
         _put(found, "/vehicle/local_position", local.t_us, stamps, place, _columns(local, "vx", "vy", "vz"))
-    _mavlink_imu(tables, found)
+    _mavlink_imu(tables, found, ardupilot.board_to_frame(said))
     servo = tables.get("SERVO_OUTPUT_RAW")
     if servo is not None:
         names = [f"servo{i}_raw" for i in range(1, _OUTPUTS + 1) if f"servo{i}_raw" in servo.columns]
         wide = np.zeros((len(servo), _OUTPUTS), np.int64)
         wide[:, : len(names)] = _columns(servo, *names)
+        wide = ardupilot.motors_first(said, wide)
         _put(found, "/vehicle/motors", servo.t_us, _stamps(servo, "time_usec", 1), wide)
     power = tables.get("SYS_STATUS")
     if power is not None:
@@ -121,15 +124,15 @@ def _mavlink(tables: Found, first_us: int) -> Found:
     return found
 
 
-def _mavlink_imu(tables: Found, found: Found) -> None:
+def _mavlink_imu(tables: Found, found: Found, to_frame: F64) -> None:
     fine, coarse = tables.get("HIGHRES_IMU"), next((t for n in ("RAW_IMU", "SCALED_IMU") if (t := tables.get(n))), None)
     if fine is not None:
         stamps, force = _stamps(fine, "time_usec", 1), _columns(fine, "xacc", "yacc", "zacc")
         _put(found, "/vehicle/imu", fine.t_us, stamps, force, _columns(fine, "xgyro", "ygyro", "zgyro"))
     elif coarse is not None:  # milli-g and mrad/s; RAW_IMU too, as ArduPilot sends it
         stamp, times = ("time_usec", 1) if "time_usec" in coarse.columns else ("time_boot_ms", 1000)
-        force = 1e-3 * STANDARD_GRAVITY_MPS2 * _columns(coarse, "xacc", "yacc", "zacc")
-        rates = 1e-3 * _columns(coarse, "xgyro", "ygyro", "zgyro")
+        force = 1e-3 * STANDARD_GRAVITY_MPS2 * _columns(coarse, "xacc", "yacc", "zacc") @ to_frame.T
+        rates = 1e-3 * _columns(coarse, "xgyro", "ygyro", "zgyro") @ to_frame.T
         _put(found, "/vehicle/imu", coarse.t_us, _stamps(coarse, stamp, times), force, rates)
 
 
@@ -210,11 +213,13 @@ def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:
 
 def _dataflash(tables: Found, first_us: int) -> Found:
     found: Found = {}
+    said = ardupilot.parameters(tables)
+    to_frame = ardupilot.board_to_frame(said)
     attitude, imu = tables.get("ATT"), tables.get("IMU")
     if attitude is not None and _has(attitude, ("Roll", "Pitch", "Yaw")):
         turning = np.full((len(attitude), 3), np.nan)
         if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ")):
-            turning = _at(attitude.t_us, imu, _columns(imu, "GyrX", "GyrY", "GyrZ"))
+            turning = _at(attitude.t_us, imu, _columns(imu, "GyrX", "GyrY", "GyrZ") @ to_frame.T)
         q = euler_to_quaternion(np.deg2rad(_columns(attitude, "Roll", "Pitch", "Yaw")))
         _put(found, "/vehicle/attitude", attitude.t_us, attitude.t_us, q, turning)
     filtered = next((t for n in ("XKF1", "NKF1", "EKF1") if (t := tables.get(n)) is not None), None)
@@ -226,7 +231,7 @@ def _dataflash(tables: Found, first_us: int) -> Found:
             _put(found, "/vehicle/local_position", t_us, t_us, state[runs, :3], state[runs, 3:])
     if imu is not None and _has(imu, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")):
         force, turning = _columns(imu, "AccX", "AccY", "AccZ"), _columns(imu, "GyrX", "GyrY", "GyrZ")
-        _put(found, "/vehicle/imu", imu.t_us, imu.t_us, force, turning)
+        _put(found, "/vehicle/imu", imu.t_us, imu.t_us, force @ to_frame.T, turning @ to_frame.T)
     outputs = tables.get("RCOU")
     if outputs is not None:
         before_3_4 = "Ch" if _has(outputs, ("Ch1",)) else "C"  # ArduCopter's name of a channel changed
@@ -234,15 +239,19 @@ def _dataflash(tables: Found, first_us: int) -> Found:
         wide = np.zeros((len(outputs), _OUTPUTS), np.int64)
         if names:
             wide[:, : len(names)] = _whole(_columns(outputs, *names))
-        _put(found, "/vehicle/motors", outputs.t_us, outputs.t_us, wide)
+        _put(found, "/vehicle/motors", outputs.t_us, outputs.t_us, ardupilot.motors_first(said, wide))
     power = tables.get("BAT", tables.get("CURR"))
     if power is not None and _has(power, ("Volt", "Curr")):
         left = power["RemPct"] if _has(power, ("RemPct",)) else np.full(len(power), -1)
         _put(found, "/vehicle/battery", power.t_us, power["Volt"], power["Curr"], _whole(left, -1))
-    said = tables.get("MSG")
-    if said is not None and "Message" in said.columns and said["Message"].dtype.kind in "US":
-        level = np.full(len(said), "info")
-        _put(found, "/vehicle/statustext", said.t_us, level, level, said["Message"])
+    changes = ardupilot.states(tables)
+    if changes is not None:
+        at_us, armed, landed = changes
+        _put(found, "/vehicle/status", at_us, np.full(len(at_us), ""), armed, landed)
+    words = tables.get("MSG")
+    if words is not None and "Message" in words.columns and words["Message"].dtype.kind in "US":
+        level = np.full(len(words), "info")
+        _put(found, "/vehicle/statustext", words.t_us, level, level, words["Message"])
     return found
 
 

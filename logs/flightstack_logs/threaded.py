@@ -65,7 +65,8 @@ class ThreadedLog:
 
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
-        self._put(t_us, self.log.mavlink, direction, t_us, data)
+        if self.log.keeps_wire:  # most calls of a tick are for datagrams, and most logs don't keep them
+            self._put(t_us, self.log.mavlink, direction, t_us, data)
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""

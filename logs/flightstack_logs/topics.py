@@ -76,6 +76,11 @@ class Attachment:
     media_type: str
     data: bytes
 
+    @classmethod
+    def of_text(cls, name: str, text: str) -> Attachment:
+        """A text file; its name's ending says what it is."""
+        return cls(name, f"application/{name.rpartition('.')[2]}", text.encode())
+
 
 SITE_OUTLINES = "site-outlines.json"
 """Attachment of a flight in a site: its lines in metres from the place of arming."""

@@ -101,6 +101,11 @@ class FlightLog:
         self._true_trail = viewer.VehicleTrail(truth=True)
 
     @property
+    def keeps_wire(self) -> bool:
+        """Whether datagrams are kept."""
+        return self._wire
+
+    @property
     def context(self) -> foxglove.Context:
         """Where its channels are: another sink beside the file sees what is written."""
         return self._context

@@ -52,6 +52,13 @@ class PlanTransfer:
 
     def handle(self, message: Any, sender: Sender, now_us: int) -> list[Any]:
         """A message of the protocol that is addressed to this vehicle."""
+        answers = self._answer(message, sender, now_us)
+        for answer in answers:
+            if isinstance(answer, m.MissionAck) and answer.type != MissionResult.ACCEPTED and not self.said:
+                self.said.append(notices.plan_refused(MissionResult(answer.type).name))
+        return answers
+
+    def _answer(self, message: Any, sender: Sender, now_us: int) -> list[Any]:
         if isinstance(message, m.MissionCount):
             return self._on_count(message, sender, now_us)
         if isinstance(message, m.MissionItemInt | m.MissionItem):

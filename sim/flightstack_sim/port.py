@@ -43,7 +43,14 @@ class Port:
             for item in self.parameters.take(params, PARAMS_PER_TICK):
                 self.link.send(item)
 
-    def send_text(self, notice: Notice) -> None:
+    def tell(self, notice: Notice, event: m.Event | None, now_us: int, params: Params) -> None:
+        """An EVENT in any case, a text to who hears from a ground station."""
+        if notice.text and self.has_gcs(now_us, params):
+            self._send_text(notice)
+        if event is not None:
+            self.link.send(event)
+
+    def _send_text(self, notice: Notice) -> None:
         """A STATUSTEXT in chunks of 50."""
         self.text_id = self.text_id % 0xFFFF + 1
         for number in range(0, max(1, len(notice.text)), TEXT_CHUNK):

@@ -26,6 +26,7 @@ from flightstack_sim.autopilot.requests import NEVER, Inputs, Replies, Request, 
 from flightstack_sim.autopilot.setpoint import POSITION_KINDS, ControlSetpoint
 from flightstack_sim.autopilot.sticks import FLOWN_BY_STICKS, StickFlight, Sticks, from_manual_control
 from flightstack_sim.builders import gps_global_origin
+from flightstack_sim.console import Console
 from flightstack_sim.faults import Fault, Injector
 from flightstack_sim.fence import FenceWatch
 from flightstack_sim.plans import Plans
@@ -73,6 +74,7 @@ class Server:
         self.view.plans, self.view.fence = self.plans, self.fence
         self.view.sysid = system
         self.events = EventMemory()
+        self.console = Console()
         self.faults = Injector(faults)
         self.deaf_to: frozenset[type[Any]] = frozenset()
         """Messages that a fault keeps from the autopilot."""
@@ -358,15 +360,13 @@ class Server:
     def _say(self, notices: Sequence[Notice], now_us: int) -> None:
         """EVENTs go to every link, texts only to those that hear from a ground station."""
         for notice in notices:
+            self.console.add(notice, now_us)
             event = None
             if notice.event_id:
                 event = self.events.add(notice.event_id, notice.log_levels, notice.arguments, now_us)
                 self.view.event_sequence = self.events.sequence
             for port in self._ports:
-                if notice.text and port.has_gcs(self.t_us, self.vehicle.params):
-                    port.send_text(notice)
-                if event is not None:
-                    port.link.send(event)
+                port.tell(notice, event, self.t_us, self.vehicle.params)
 
 
 _HANDLERS: Final[dict[type[Any], Callable[[Server, int, Received], None]]] = {

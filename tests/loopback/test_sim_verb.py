@@ -105,6 +105,33 @@ def test_instances_have_px4s_ports_and_ids_a_taken_one_is_left_out_and_all_end_w
         assert {"/truth", "/mavlink/rx", "/mavlink/tx"} <= set(recorded.tables) | set(recorded.messages)
 
 
+def test_a_plan_that_is_none_gets_a_line_on_the_console_and_the_other_vehicle_flies_on() -> None:
+    port, gcs_port = free_ports()
+    clients = [mavutil.mavlink_connection(f"udpin:{HOST}:{port + i}", source_system=255) for i in (0, 1)]
+    with start("--port", port, "--gcs-port", gcs_port, "--instances", 2, PYTHONUNBUFFERED="1") as sim:
+        assert sim.stdout is not None
+        assert all("is up" in sim.stdout.readline() for _ in range(2))
+        for client in clients:
+            assert client.recv_match(type="HEARTBEAT", blocking=True, timeout=10.0) is not None
+        for _ in range(3):  # the same once more: one line
+            clients[0].mav.mission_count_send(1, 1, 65_535, 0)
+            assert clients[0].recv_match(type="MISSION_ACK", blocking=True, timeout=10.0).type == 4
+        clients[0].mav.mission_count_send(1, 1, 1, 0)
+        assert clients[0].recv_match(type="MISSION_REQUEST_INT", blocking=True, timeout=10.0).seq == 0
+        clients[0].mav.mission_item_int_send(1, 1, 0, 6, 31_999, 0, 1, 0, 0, 0, 0, 0, 0, 5.0, 0)
+        assert clients[0].recv_match(type="MISSION_ACK", blocking=True, timeout=10.0).type == 3
+        clients[1].mav.ping_send(0, 5, 0, 0)
+        assert clients[1].recv_match(type="PING", blocking=True, timeout=10.0) is not None
+        sim.send_signal(signal.SIGTERM)
+        said = sim.stdout.read().splitlines()
+    assert [line.partition(" s: ")[2] for line in said if " s: " in line] == [
+        "vehicle 1: mission, fence or rally points refused: NO_SPACE",
+        "vehicle 1: IGN MISSION_ITEM: Invalid item",
+    ]
+    for client in clients:
+        client.close()
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [

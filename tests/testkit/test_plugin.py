@@ -18,6 +18,7 @@ from flightstack.api import read_log
 from flightstack.errors import InputError
 from flightstack.testkit import Px4Sim, Rates, Vehicle
 from flightstack.testkit.fleet import Fleet
+from flightstack.testkit.px4_sim import Px4Options
 from flightstack_sim.plant import NativePlant
 from tests.simulator import ENVIRONMENT
 
@@ -124,6 +125,49 @@ def test_a_fleet_moves_together_and_each_vehicle_has_its_own_client(px4_fleet: C
     for number, client in enumerate(clients, 1):
         known = [message for message in drain(client) if message.get_type() == "HEARTBEAT"]
         assert {message.get_srcSystem() for message in known} == {number}
+
+
+def test_a_fleet_of_nobody_and_a_speed_that_is_none_are_refused(px4_fleet: Callable[[int], Fleet]) -> None:
+    for n in (0, -1):
+        with pytest.raises(ValueError, match="one vehicle or more"):
+            px4_fleet(n)
+    for speed in (-1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="speed"):
+            Px4Sim(Px4Options(speed=speed))
+
+
+def test_a_first_start_says_in_pytests_terminal_that_it_compiles(tmp_path: Path) -> None:
+    """It took a quarter of a minute without a word: what the kit logs is shown for failed tests only."""
+    (tmp_path / "conftest.py").write_text(
+        "from flightstack.testkit import px4_sim\n\n\n"
+        "def compiling(say, *parts):\n"
+        "    say('compiling (once on a new machine)')\n"
+        "    raise px4_sim.InputError('that is all')  # a vehicle is not needed\n\n\n"
+        "px4_sim.ensure_compiled = compiling\n"
+    )
+    (tmp_path / "test_it.py").write_text("def test_it(px4_sim): ...\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)],
+        cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "px4_sim: compiling (once on a new machine)" in done.stdout
+
+
+def test_a_socket_that_nobody_reads_holds_five_seconds_of_each_vehicle_of_a_fleet(
+    px4_fleet: Callable[[int], Fleet],
+) -> None:
+    """Sent anew every 4 ms, one second of small datagrams filled it: a test that stepped 2 s found no heartbeat."""
+    fleet = px4_fleet(2)
+    clients = [mavutil.mavlink_connection(vehicle.address) for vehicle in fleet]
+    fleet.step(0.5)
+    for client in clients:
+        while client.recv_match(blocking=False) is not None:
+            pass
+    fleet.step(5.0)
+    for client in clients:
+        kinds = [message.get_type() for message in iter(lambda one=client: one.recv_match(blocking=False), None)]
+        assert kinds.count("HEARTBEAT") == 5
+        client.close()
 
 
 FAILS = """

@@ -50,7 +50,7 @@ def narrower(before: dict[str, Any], data: dict[str, Any]) -> bool:
     ranges += list(zip(old["speeds_mps"], new["speeds_mps"], strict=True))
     inside = all(a[0] - 1e-8 <= b[0] <= b[1] <= a[1] + 1e-8 for a, b in ranges)
     single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "age_s", "command_interval_s"))
-    down = all(new["estimate"][key][2] == old["estimate"][key][2] for key in Accuracy._fields)  # alone is certified
+    down = all(new["estimate"][key][2] == old["estimate"][key][2] for key in Accuracy._fields[:3])  # alone is certified
     return inside and single and down and new["thrust_gain"] == old["thrust_gain"]
 
 
@@ -231,7 +231,7 @@ def supported(data: dict[str, Any]) -> bool:
     doubts = known["doubts"]
     _, margins = ledger(
         2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
-        accuracy=Accuracy(*(data["premises"]["estimate"][key][2] for key in Accuracy._fields)),
+        accuracy=Accuracy(*(data["premises"]["estimate"][key][2] for key in Accuracy._fields[:3])),
         doubts=Doubts(*(doubts[key] for key in Doubts._fields)), gain_part_mps2=axis.margins[1].mps2,
         torque_part_mps2=axis.margins[-1].mps2,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from fake_px4 import HOLD, LAND, OFFBOARD, POSITION, RTL, FakePx4, exchange
 from mavlink_bridge import messages as m
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
+from mavlink_bridge.signing import SecretKey, Signer
 
 
 def test_a_good_flight_arms_flies_lands_and_leaves_hold_selected() -> None:
@@ -73,6 +74,15 @@ def test_silence_is_told_from_a_vehicle() -> None:
     exchange(companion, FakePx4(heartbeats=False), 20.0)
     assert companion.state is State.REFUSED
     assert "no heartbeat" in companion.reason
+
+
+def test_a_vehicle_without_our_key_is_told_from_silence() -> None:
+    """A real PX4 that does not sign streamed all the while, and "no heartbeat" was all that was said."""
+    companion, _ = build(signing=Signer(SecretKey(bytes(range(32))), lambda: 1))
+    exchange(companion, FakePx4(), 20.0)
+    assert companion.state is State.REFUSED
+    assert "no heartbeat" in companion.reason
+    assert "frames without the key's signature" in companion.reason
 
 
 def test_a_refused_arming_says_why_in_the_vehicles_words() -> None:

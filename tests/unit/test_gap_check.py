@@ -429,3 +429,43 @@ def test_noise_that_agrees_a_little_better_with_other_noise_is_no_other_conventi
 ) -> None:
     """2.45 and 2.58 of 3: an iris that spins over its place (its file's frames; read as FLU, ENU and km/h before)."""
     assert _is_better(new, kept, 3.0) is better
+
+
+@pytest.mark.parametrize("offset_m", [-1.5, 30.0])
+def test_an_autopilots_heights_count_from_where_it_stood(offset_m: float) -> None:
+    """Its frame begins anywhere: at the barometer's first word, or where GPS first said so."""
+    log = replace(_stood_before(flight(), 10.0), kind="ulog")
+    place = log.signals["pos_ned_m"]
+    moved = replace(place, value=place.value + np.array([0.0, 0.0, offset_m]))
+    samples = usable(check(replace(log, signals={**log.signals, "pos_ned_m": moved}), vehicle()))
+    plain = usable(check(log, vehicle()))
+    np.testing.assert_allclose(samples.height_m, plain.height_m, atol=0.05)
+    assert samples.valid.sum() == pytest.approx(plain.valid.sum(), rel=0.02)
+
+
+def test_a_height_below_the_ground_for_most_of_a_flight_is_not_believed() -> None:
+    """A barometer that drifts by metres: the vehicle's own detector says that it flies."""
+    log = replace(_stood_before(flight(), 10.0), kind="dataflash")
+    place = log.signals["pos_ned_m"]
+    sunk = place.value + np.where(place.t_s > 10.0, 20.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    checked = check(replace(log, signals={**log.signals, "pos_ned_m": replace(place, value=sunk)}), vehicle())
+    samples = usable(checked)
+    assert "at or below the ground in 100 % of its flight" in texts(checked, "warning")
+    assert np.isnan(samples.height_m).all()
+    assert samples.valid.sum() * samples.dt_s > 25.0
+
+
+def _stood_before(log: Flight, seconds: float) -> Flight:
+    """The flight, for so long before it on the ground with motors at rest, and its own word of both."""
+    signals = {}
+    for name, each in log.signals.items():
+        before = np.arange(0.0, seconds, 0.01)
+        first = {"q_ned_frd": np.array([1.0, 0.0, 0.0, 0.0])}.get(name)
+        stood = np.zeros_like(each.value[:1].repeat(len(before), axis=0)) + (0.0 if first is None else first)
+        if name == "accel_frd_mps2":
+            stood[:, 2] = -9.80665
+        if name == "battery_v":
+            stood += 16.6
+        signals[name] = Signal(np.concatenate([before, each.t_s + seconds]), np.concatenate([stood, each.value]), name)
+    signals["landed"] = Signal(np.array([0.0, seconds]), np.array([1.0, 0.0]), "landed")
+    return replace(log, signals=signals)

@@ -51,6 +51,17 @@ def test_sensor_noise_is_what_monte_carlo_says(exact: Samples) -> None:
     assert np.sqrt(np.nanmean(seen[..., :6] ** 2, axis=(0, 1))) == pytest.approx(said[:6], rel=0.1)
 
 
+def test_vibration_that_folds_to_the_top_of_a_slow_logs_band_is_no_noise_below_it(exact: Samples) -> None:
+    """A tone near half of the rate of the samples: differences between them take it for white noise."""
+    flight, clean = noisy(exact, 2), residual(quad(), exact).y
+    turning = np.cos(2.0 * np.pi * 0.46 * np.arange(len(exact.t_s)))[:, None] * np.array([0.5, 0.9, 0.5])
+    shaken = replace(flight, accel_frd_mps2=flight.accel_frd_mps2 + turning)
+    mask = track(exact).usable
+    left = np.sqrt(np.nanmean((residual(quad(), shaken).y - clean)[mask, :3] ** 2, axis=0))
+    assert sensor_noise(shaken)[0] > 2.0 * left[0]
+    assert expected_noise(quad(), shaken, mask)[:3] == pytest.approx(left, rel=0.3)
+
+
 def test_noise_is_found_without_being_told_even_behind_the_autopilot_s_filter(exact: Samples) -> None:
     flight = noisy(exact, 1)
     mask = track(exact).usable

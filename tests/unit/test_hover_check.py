@@ -10,8 +10,8 @@ from shipped import load_scenario, load_vehicle
 
 from flightstack.mission import plan
 from flightstack.model import Model
-from flightstack.types import Command
-from mavlink_bridge.hover_check import HoverCheck
+from flightstack.types import F64, Command
+from mavlink_bridge.hover_check import HoverCheck, RiseCheck
 from mavlink_bridge.vehicle_view import VehicleView
 
 MISSION = plan(load_scenario("hover"), np.zeros(3))
@@ -70,3 +70,31 @@ def test_thrust_that_is_no_number_decides_nothing() -> None:
     for tick in range(round((MISSION.takeoff_end_s + 3.0) / STEP_S)):
         check.step(MISSION, tick * STEP_S, _Record(Command(0, 1.0, float("nan"), np.zeros(3))))  # type: ignore[arg-type]
     assert not stops
+
+
+class _Measured(NamedTuple):
+    pos_ned_m: F64
+
+
+class _Seen(NamedTuple):
+    measurement: _Measured
+
+
+@pytest.mark.parametrize(
+    ("share", "why"),
+    [
+        (0.0, "never flew: it rose 0.00 m of the 1.50 m of its first climb (at least half counts)"),
+        (0.4, "never flew: it rose 0.60 m of the 1.50 m of its first climb (at least half counts)"),
+        (0.6, ""),
+    ],
+)
+def test_a_vehicle_that_does_not_rise_is_stopped_after_the_first_climb(share: float, why: str) -> None:
+    """A real PX4 with too little thrust: the motors ran for the whole scenario, leaning to follow it on the ground."""
+    stops: list[tuple[float, str]] = []
+    check = RiseCheck(lambda reason: stops.append((t_s, reason)))
+    for tick in range(round((MISSION.takeoff_end_s + 5.0) / STEP_S)):
+        t_s = tick * STEP_S
+        seen = _Seen(_Measured(share * MISSION.reference(t_s).pos_ned_m))
+        assert check.step(MISSION, t_s, seen) is MISSION  # type: ignore[arg-type]
+    assert [reason for _, reason in stops] == ([why] if why else [])
+    assert all(at_s == pytest.approx(MISSION.takeoff_end_s + 1.4, abs=2 * STEP_S) for at_s, _ in stops)

@@ -8,18 +8,24 @@ import operator
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
+import flightstack_sim
 from flightstack import quick_compiling
 from flightstack.cli import compiled
-from flightstack.jit import njit
+from flightstack.jit import machine_key, njit
 from flightstack.quick_compiling import typed_once
 
+SIMULATOR_FILES = [
+    *Path(flightstack_sim.__file__).parent.rglob("*.py"), *Path(quick_compiling.__file__).parent.glob("effects/*.py")
+]  # fmt: skip
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
 from flightstack import quick_compiling
@@ -118,6 +124,65 @@ def test_a_function_compiled_with_remembered_operations_computes_the_same() -> N
         np.testing.assert_array_equal(a, b)
 
 
+@njit
+def _checked_root(x: float) -> float:
+    if x < 0.0:
+        raise ValueError("no root")
+    return math.sqrt(x)
+
+
+@njit
+def _sum_of_roots(v: Any) -> float:
+    total = 0.0
+    for i in range(v.shape[0]):
+        total += _checked_root(v[i]) / 3.0
+    return total
+
+
+def test_what_is_only_linked_computes_the_same_and_has_no_machine_code_of_its_own() -> None:
+    """A third of the simulator's compiling went into machine code that nobody runs."""
+    values = np.array([0.1, 0.7, 2.0, 5.3])
+    made: list[str] = []
+    finish = quick_compiling.JITCPUCodegen._add_module
+    with quick_compiling.linked_only(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_sum_of_roots, "_cache", NullCache())
+        patch.setattr(
+            quick_compiling.JITCPUCodegen, "_add_module", lambda self, m: (made.append(m.name), finish(self, m))[1]
+        )
+        linked = _sum_of_roots(values)
+        with pytest.raises(ValueError, match="no root"):
+            _sum_of_roots(-values)
+    assert [name for name in made if "_root" in name] == ["_sum_of_roots"]
+    expected = 0.0
+    for value in values:
+        expected += math.sqrt(value) / 3.0
+    assert linked == expected
+    assert _checked_root(4.0) == 2.0  # for Python it is compiled with its wrapper, as ever
+
+
+def test_only_a_part_that_takes_every_sum_in_its_order_is_compiled_by_linking(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def compiling(strict: bool = False) -> Any:
+        asked.append(strict)
+        return nullcontext()
+
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(quick_compiling, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compiled, "quick_compiling", compiling)
+    monkeypatch.setattr(compiled, "compile_part", lambda part: None)
+    monkeypatch.setattr(compiled, "stand_back", lambda: None)
+    monkeypatch.setattr(compiled, "_tell_progress", lambda: None)
+    for parts in (["simulator"], ["jsbsim"], ["flight"], ["jsbsim", "flight"]):
+        compiled.main(parts)
+        for marker in tmp_path.glob("*-is-compiled-*"):
+            marker.unlink()
+    assert asked == [True, True, False, False, False]
+    assert not any("njit_vector" in path.read_text() for path in SIMULATOR_FILES)
+
+
 def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +199,21 @@ def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
     for parts in ((), ("simulator",), ("jsbsim", "flight"), ("jsbsim",)):
         compiled.ensure_compiled(lambda text: None, *parts)
     assert asked == [("flight",), ("jsbsim",)]
+
+
+def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container's cache came with the mark and numba would load none of its code: all was compiled at the start."""
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
+    compiled._marker("simulator").touch()
+    assert compiled.compiled("simulator")
+    monkeypatch.setattr(numba.core.config, "CPU_NAME", "x86-64-v2")
+    machine_key.cache_clear()
+    try:
+        assert not compiled.compiled("simulator")
+    finally:
+        machine_key.cache_clear()
 
 
 def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> None:

@@ -161,11 +161,23 @@ def test_a_full_queue_drops_and_counts_and_the_log_says_how_many(tmp_path: Path)
     assert "150 lines are missing" in found.tables["/events"]["text"][0]
 
 
+def test_datagrams_that_the_log_does_not_keep_take_no_room_in_the_queue(tmp_path: Path) -> None:
+    kept = FlightLog.open(tmp_path / "a.mcap", metadata={}, wire=False)
+    log = ThreadedLog(kept, capacity=10, start=False)
+    for k in range(250):
+        log.mavlink("rx", k, bytes(10))
+    log.event(250, "phase", "done")
+    assert log.dropped == 0
+    log.close()
+    assert read(tmp_path / "a.mcap").tables["/events"]["text"] == ["done"]
+
+
 class _HangingLog:
     """Stands in for a log whose disk hangs until it is let go."""
 
     path = Path("hanging.mcap")
     failed = None
+    keeps_wire = True
 
     def __init__(self) -> None:
         self.entered = threading.Event()

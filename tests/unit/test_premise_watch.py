@@ -15,7 +15,16 @@ import pytest
 from measured import measured as measured_at
 
 from flightstack.barrier.estimate_bounds import BENCH, does_not_fit, estimate_bounds
-from flightstack.barrier.premise_watch import NAMES, Seen, WatchState, is_inside, watch, watched
+from flightstack.barrier.premise_watch import (
+    NAMES,
+    RATE_GAINS,
+    Seen,
+    WatchState,
+    ended_by,
+    is_inside,
+    watch,
+    watched,
+)
 from flightstack.barrier.premises import Premises
 from flightstack.cli.sensors import error_statistics
 from flightstack.frames import quat_from_euler, quat_to_matrix
@@ -258,3 +267,19 @@ def test_what_the_learner_cannot_say_leaves_the_slope_to_be_compared() -> None:
     lost = seen(thrust_gain=0.55)
     assert ended(lost) == "thrust gain"
     assert not ended(seen())
+
+
+def test_other_rate_gains_end_a_certificate_at_once_and_for_good() -> None:
+    """PX4 tells of them; no tick shows them."""
+    still = seen()
+    before = run(5, watched(3, PREMISES), measured(), still)
+    moving = measured(vel_ned_mps=np.array([0.4, 0.0, -0.2]), q_ned_frd=quat_from_euler(0.0, 0.0, 0.7))
+    after = ended_by(before, moving, RATE_GAINS)
+    assert NAMES[after.ended] == "rate gains"
+    assert after.rest is not None
+    np.testing.assert_allclose(after.rest.row[:3], [0.1 + 0.3 * 0.4, 0.2, -1.0 - 0.3 * 0.2])
+    assert after.rest.yaw_rad == pytest.approx(0.7)
+    later = run(100, after, measured(), still)
+    assert (later.ended, later.rest) == (RATE_GAINS, after.rest)
+    assert ended_by(later, moving, RATE_GAINS) is later
+    assert ended_by(WatchState(), moving, RATE_GAINS).ended == 0, "nothing is in force"

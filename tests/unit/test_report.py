@@ -417,3 +417,21 @@ def test_real_time_shows_lateness_and_lockstep_says_that_there_is_none() -> None
     assert "4.50 ms" in text
     assert "120 µs" in text
     assert "Lockstep" in Page(render_report(FlightReport(Outcome(lockstep=True)))).text
+
+
+def test_a_log_of_others_shows_what_it_holds_and_says_once_what_it_does_not(tmp_path: Path) -> None:
+    """The circle of the DataFlash log is known in closed form: 1 m, one turn in 2 pi s."""
+    from flightstack_logs.readers.dataflash import read_dataflash
+    from flightstack_logs.report import from_log, render_report
+    from flightstack_logs.standard import with_vehicle_topics
+    from tests.unit.test_log_formats import circle, dataflash
+
+    log = with_vehicle_topics(read_dataflash(tmp_path / "<i>flown.BIN", dataflash()))
+    page = render_report(from_log(log))
+    speed = np.linalg.norm(circle(0.0)[1])
+    assert f"<dt>Fastest</dt><dd>{speed:.1f} m/s</dd>" in page
+    assert page.count("not recorded") == 0
+    assert page.count("not in this log: tracking error, 3-D distance; ") == 1
+    assert "&lt;i&gt;flown.BIN recorded." in page
+    assert 'id="velocity"' in page
+    assert 'id="timing"' not in page

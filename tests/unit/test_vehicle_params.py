@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,13 @@ import numpy as np
 import pytest
 from companions import MODEL, Notes, build, flying
 from fake_px4 import PARAMS, FakePx4, exchange
+from shipped import load_vehicle
 from tlog import recording
 
+from flightstack.barrier.estimate_bounds import BENCH
+from flightstack.barrier.premise_watch import watched
+from flightstack.barrier.premises import Premises
+from flightstack.cli.vehicle_gains import counted_on
 from flightstack.types import Command
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
@@ -217,3 +223,23 @@ def test_where_px4_is_to_notice_a_lost_ground_station_it_does_not_pose_as_one(ac
     for data in link.datagrams_to_send():
         ear.receive_datagram(data, 0)
     assert {received.message.type for received in ear.take_events() if type(received.message) is m.Heartbeat} == kinds
+
+
+@pytest.mark.parametrize(("told", "ends"), [(0.1, True), (0.15, False)], ids=["another", "the same"])
+def test_a_rate_gain_that_is_changed_in_flight_ends_the_certificate(told: float, ends: bool) -> None:
+    companion, notes, vehicle, now = flying()
+    counted = counted_on(load_vehicle("quad-x"))
+    companion._now.config = replace(companion._now.config, counted=counted)
+    assert companion._stack_state is not None
+    in_force = watched(1, Premises(
+        "mocap", "", BENCH, ((-9.0, 9.0),) * 3, 0.9, (0.0, 99.0), (0.1, 9.0), (0.1, 9.0), (0.0, 1.0), 1.0, 1.0, 1.0,
+        (0.0, 99.0),
+    ))  # fmt: skip
+    companion._stack_state = companion._stack_state._replace(watch=in_force)
+    _tell(vehicle, "MC_ROLLRATE_P", told)
+    exchange(companion, vehicle, 3.0, start_us=now)
+    told_so = [text for text in notes.texts("parameters") if "MC_ROLLRATE_P" in text]
+    assert told_so == (["MC_ROLLRATE_P is 0.1 now, certificates count on 0.15: none holds any more"] if ends else [])
+    assert notes.texts("filter") == (["filter: premise broken: rate gains: braking, to rest"] if ends else [])
+    assert (companion.state is State.OFFBOARD) != ends
+    assert companion.reason == ("premise of the certificate broken: rate gains; braked, then landed" if ends else "")

@@ -80,6 +80,7 @@ ALTERATIONS: dict[str, Alter] = {
     "position-against-velocity": _moved(lambda t: 4.0 * (t + STEP_S), lambda t: 0.0),
     "attitude-against-gyro": _tilted(math.radians(30.0)),
     "jump": _moved(lambda t: 3.0, lambda t: 0.0),
+    "reset-far": _moved(lambda t: 12.0, lambda t: 0.0),
     "reboot": _restamped(-60_000_000),
     "clock": _restamped(2_000_000),
 }
@@ -171,6 +172,27 @@ def test_a_counted_reset_is_not_chased() -> None:
     said = [text for text in notes.texts("fault") if text.startswith("reset: ")]
     assert len(said) == 1
     assert "(3.00, 0.00, 1.00) m" in said[0]
+
+
+@pytest.mark.parametrize(("step_m", "ends"), [(9.0, False), (12.0, True), (111_000.0, True)])
+def test_a_counted_reset_farther_than_the_vehicle_can_have_gone_unnoticed_hands_back(step_m: float, ends: bool) -> None:
+    """2 m/s, beyond which velocity contradicts the IMU, for the 5 s after which PX4 calls an unaided position bad.
+
+    A real PX4 whose GPS jumped by 111 km counted a reset and was flown on for 1.6 s.
+    """
+    flight = flying()
+    companion, notes, vehicle, start = flight
+    before = notes.ticks[-1].measurement.pos_ned_m.copy()
+    alter = _moved(lambda t: step_m, lambda t: 0.0)
+    vehicle.alter = lambda message: alter(message, 0.0)
+    vehicle.resets, count = 1, len(notes.ticks)
+    end = exchange(companion, vehicle, 1.0, start_us=start, until=lambda: companion.state is not State.OFFBOARD)
+    assert (companion.state is State.LANDING) is ends
+    for record in notes.ticks[count:]:  # nothing is chased meanwhile
+        assert record.measurement.pos_ned_m == pytest.approx(before, abs=1e-3)
+    if ends:
+        assert (end - start) * 1e-6 <= 3 * STEP_S
+        _assert_handed_back(flight, "reset-far", end)
 
 
 def test_a_third_reset_within_ten_seconds_hands_back() -> None:
@@ -313,6 +335,28 @@ def test_an_imu_that_comes_now_and_then_ends_the_flight(missing_s: float, ends: 
     if ends:
         assert 0.6 < (end - start) * 1e-6 < 0.8
         _assert_handed_back(flight, "stale-imu", end)
+
+
+def test_a_guard_that_acts_now_and_then_is_told_when_it_begins_and_with_the_count_when_it_ends() -> None:
+    """The IMU misses 60 ms of every 0.2 s, for 2 s: ten times, in two lines; a log of a real PX4 had 1,727 pairs."""
+    companion, notes, vehicle, start = flying()
+
+    def alter(message: Any) -> Any:
+        t_s = (message[0] - start) * 1e-6
+        return None if isinstance(message, IMU) and t_s < 2.0 and STEP_S / 2 < t_s % 0.2 < 0.058 else message
+
+    vehicle.alter = alter
+    now = exchange(companion, vehicle, 2.5, start_us=start)
+    assert notes.texts("guard") == ["guard: level: position lost"]
+    now = exchange(companion, vehicle, 1.0, start_us=now)
+    said = notes.texts("guard")[1:]
+    assert len(said) == 1
+    assert said[0].startswith("guard: lets go: acted 10 times within 1.8 s (level: position lost)")
+    vehicle.alter = lambda message: None if isinstance(message, IMU) else message
+    exchange(companion, vehicle, 1.0, start_us=now, until=lambda: companion.state is not State.OFFBOARD)
+    assert companion.state is State.LANDING
+    said = notes.texts("guard")[2:]
+    assert [text.partition(":")[2].split(":")[0] for text in said] == [" level", " acted until the flight ended"]
 
 
 def test_a_guard_that_does_not_let_go_ends_the_flight() -> None:

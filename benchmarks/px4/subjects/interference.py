@@ -46,7 +46,7 @@ def _failed(unit: float, kind: float, watched_s: float = 20.0) -> Callable[[Scen
     return commanded((_INJECT_FAILURE, unit, kind, 0.0), apart_s=watched_s)
 
 
-def _linked(first: Manner, *then: tuple[Manner, float]) -> Callable[[Scene], None]:
+def linked(first: Manner, *then: tuple[Manner, float]) -> Callable[[Scene], None]:
     """By a relay; in flight its manner changes, each for a while."""
 
     def deed(scene: Scene) -> None:
@@ -78,7 +78,7 @@ def _at_arming(*commands: tuple[float, ...], number: int = 0) -> Callable[[Scene
     return deed
 
 
-def _shell(*words: str, watched_s: float = 10.0) -> Callable[[Scene], None]:
+def shell(*words: str, watched_s: float = 10.0) -> Callable[[Scene], None]:
     """A command of PX4's own shell; `PX4_SHELL` names the folder of its programs."""
 
     def deed(scene: Scene) -> None:
@@ -255,27 +255,27 @@ ATTACKS: dict[str, Attack] = {
     "started while it lands, --arm": Attack(already_flying(LAND, arm=True)),
     "started while it orbits, --arm": Attack(already_flying((3.0, 1.0), arm=True)),
     "started while PX4 takes off, without --arm": Attack(already_flying(TAKEOFF, arm=False), codes=(130,)),
-    "PX4's mavlink stopped": Attack(_shell("mavlink", "stop", "-u", "{port}"), codes=(1,)),
-    "HIGHRES_IMU at 5 Hz": Attack(_shell("mavlink", "stream", "-u", "{port}", "-s", "HIGHRES_IMU", "-r", "5")),
+    "PX4's mavlink stopped": Attack(shell("mavlink", "stop", "-u", "{port}"), codes=(1,)),
+    "HIGHRES_IMU at 5 Hz": Attack(shell("mavlink", "stream", "-u", "{port}", "-s", "HIGHRES_IMU", "-r", "5")),
     "ESTIMATOR_STATUS off": Attack(
-        _shell("mavlink", "stream", "-u", "{port}", "-s", "ESTIMATOR_STATUS", "-r", "0", watched_s=60.0), codes=(0, 1)
+        shell("mavlink", "stream", "-u", "{port}", "-s", "ESTIMATOR_STATUS", "-r", "0", watched_s=60.0), codes=(0, 1)
     ),
-    "the estimator stopped": Attack(_shell("ekf2", "stop"), codes=(1,), soft=False),
+    "the estimator stopped": Attack(shell("ekf2", "stop"), codes=(1,), soft=False),
     "a full disk": Attack(_full_disk, codes=(0, 1)),
     "COM_OBL_RC_ACT 7 (disarm) set, then killed": Attack(_killed_with("COM_OBL_RC_ACT", 7.0), codes=(-9,)),
     "COM_OF_LOSS_T 0.1 set, then killed": Attack(_killed_with("COM_OF_LOSS_T", 0.1), codes=(-9,)),
     "SIGINT at the tick of arming": Attack(_at_arming(number=signal.SIGINT), codes=(130,)),
-    "5 % lost": Attack(_linked(Manner(lost=0.05)), codes=(0, 1)),
-    "a tenth doubled": Attack(_linked(Manner(doubled=0.1)), codes=(0,)),
-    "shuffled over 8 ms": Attack(_linked(Manner(jitter_s=0.008)), codes=(0, 1)),
-    "60 ms there and back": Attack(_linked(Manner(up_s=0.03, down_s=0.03)), codes=(1,)),
+    "5 % lost": Attack(linked(Manner(lost=0.05)), codes=(0, 1)),
+    "a tenth doubled": Attack(linked(Manner(doubled=0.1)), codes=(0,)),
+    "shuffled over 8 ms": Attack(linked(Manner(jitter_s=0.008)), codes=(0, 1)),
+    "60 ms there and back": Attack(linked(Manner(up_s=0.03, down_s=0.03)), codes=(1,)),
     "60 ms more from the middle of the flight on": Attack(
-        _linked(_UNTOUCHED, (Manner(up_s=0.03, down_s=0.03), LIMIT_S)), codes=(0, 1)
+        linked(_UNTOUCHED, (Manner(up_s=0.03, down_s=0.03), LIMIT_S)), codes=(0, 1)
     ),
     "PX4 not heard for 0.3 s, three times": Attack(
-        _linked(_UNTOUCHED, *((Manner(down_cut=cut), 0.3) for cut in (True, False) * 3)), codes=(0, 1)
+        linked(_UNTOUCHED, *((Manner(down_cut=cut), 0.3) for cut in (True, False) * 3)), codes=(0, 1)
     ),
     "not heard by PX4 for 2 s": Attack(
-        _linked(_UNTOUCHED, (Manner(up_cut=True), 2.0), (_UNTOUCHED, 1.0)), codes=(0, 1)
+        linked(_UNTOUCHED, (Manner(up_cut=True), 2.0), (_UNTOUCHED, 1.0)), codes=(0, 1)
     ),
 }  # fmt: skip

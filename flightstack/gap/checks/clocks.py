@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.checks.say import refused, warning
+from flightstack.gap.checks.say import how_to_record, refused, warning
 from flightstack.gap.records import Finding, Signal
 from flightstack.types import F64
 
@@ -17,7 +17,6 @@ LEAST_S = 5.0
 SHORT_S = 15.0
 LEAST_HZ = 5.0
 GOOD_HZ = 75.0
-_PX4 = "for PX4 record with SDLOG_PROFILE 25 (default, system identification, high rate)"
 _HELD = 0.02
 _TIME_UNITS = {"ms": (0.9, 90.0, 1e-3), "us": (400.0, 90e3, 1e-6), "ns": (4e5, 90e6, 1e-9)}
 """Unit -> period that it would show as seconds, from, to; its size."""
@@ -84,23 +83,24 @@ def _mixed(signals: Mapping[str, Signal], findings: list[Finding]) -> None:
                                     "clocks. Stamp all topics by one clock"))  # fmt: skip
 
 
-def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> list[Finding]:
+def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float], kind: str) -> list[Finding]:
     """Whether topics are fast and whole enough."""
     findings: list[Finding] = []
+    better = how_to_record(kind)
     for name in ("motor", "rate_frd_radps", "q_ned_frd", "accel_frd_mps2", "vel_ned_mps"):
         if name not in signals or len(signals[name].t_s) < 4:
             continue
         rate = 1.0 / period_s(signals[name])
         if rate * SLOWEST_MOTOR_S < 1.0 and name == "motor":
             text = f"""motor: {rate:.3g} Hz shows their mean only: vertical force and torques are not compared (mass, \
-thrust, inertia, lag and centre of mass can't be told), the side force is. For the rest: {_PX4}"""
+thrust, inertia, lag and centre of mass can't be told), the side force is. For the rest: {better}"""
             findings.append(warning("rate", text))
         elif rate < LEAST_HZ:
             findings.append(refused("rate", f"{name}: {rate:.3g} Hz is too slow; it takes at least {LEAST_HZ:.0f}, "
-                                    f"better 100 to 250 Hz: {_PX4}"))  # fmt: skip
+                                    f"better 100 to 250 Hz: {better}"))  # fmt: skip
         elif rate < GOOD_HZ and name in ("motor", "rate_frd_radps", "accel_frd_mps2"):
             what = "the samples may be aliased" if name != "motor" else "lag and delay can hardly be told"
-            findings.append(warning("rate", f"{name}: {rate:.3g} Hz; {what}. At 100 to 250 Hz they aren't: {_PX4}"))
+            findings.append(warning("rate", f"{name}: {rate:.3g} Hz; {what}. At 100 to 250 Hz they aren't: {better}"))
         _gaps(name, signals[name], span_s, findings)
     return findings
 

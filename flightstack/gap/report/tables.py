@@ -34,7 +34,8 @@ def effects(report: GapReport) -> str:
         parts.append(f'<p class="note">The companion takes {escape(", ".join(report.takes))} into its model.</p>')
     if report.learner:
         names = ", ".join(words.effect(name) for name in report.learner)
-        parts.append(f'<p class="note">It can\'t express {escape(names)}: its learner takes that.</p>')
+        no_term = f"The companion's model has no term for {escape(names)}"
+        parts.append(f'<p class="note">{no_term}: in flight its learner takes that.</p>')
     return "".join(parts)
 
 

@@ -126,8 +126,8 @@ def _doubt(found: tuple[Found, ...]) -> list[str]:
 
 
 def percent(share: float) -> str:
-    """A share in per cent; never 100 where something is left."""
-    value = 100.0 * share
+    """A share in per cent; never 100 where something is left, never more: less than the noise is no better than it."""
+    value = 100.0 * min(share, 1.0)
     if value < 99.5 or share >= 1.0:
         return f"{value:.0f} %".replace("-", "−")
     return f"{min(value, 99.9):.1f} %"

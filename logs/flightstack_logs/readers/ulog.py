@@ -64,7 +64,8 @@ def _notes(log: Any) -> list[str]:
         notes.append("damaged: some messages could not be read")
     lost_ms = [dropout.duration for dropout in log.dropouts]
     if lost_ms:
-        notes.append(f"PX4 lost data {len(lost_ms)} times while logging, {sum(lost_ms)} ms in all")
+        times = "once" if len(lost_ms) == 1 else f"{len(lost_ms)} times"
+        notes.append(f"PX4 lost data {times} while logging, {sum(lost_ms)} ms in all")
     return notes
 
 

@@ -202,6 +202,19 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What the page of somebody else's log shows besides."""
+
+    span_s: float
+    vel_ned_mps: ReportSamples | None = None
+    """(n, 3)."""
+    accel_frd_mps2: ReportSamples | None = None
+    """(n, 3) specific force."""
+    battery_v: ReportSamples | None = None
+    """(n, 1)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FlightReport:
     """Everything the page shows.  Shapes (n, k) are those of `Samples.values`."""
 
@@ -242,6 +255,8 @@ class FlightReport:
     learning: Learning | None = None
     barrier: Barrier | None = None
     timing: Timing | None = None
+    recorded: Recorded | None = None
+    """Of a log that this project did not write."""
     settings: tuple[tuple[str, str], ...] = ()
     """Name and value: vehicle, scenario, seed, versions, git commit."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,11 +21,10 @@ from flightstack.model import Model
 from flightstack.scenario import Scenario, parse_scenario
 from flightstack.types import F64, InputError
 from flightstack.vehicle import parse_vehicle
-from flightstack_logs.reader import Log, Table
+from flightstack_logs.reader import Log
 from flightstack_logs.report import signals
 from flightstack_logs.report.flight import (
     Barrier,
-    FlightEvent,
     FlightReport,
     Learning,
     Outcome,
@@ -35,15 +34,14 @@ from flightstack_logs.report.flight import (
     Timing,
     samples,
 )
+from flightstack_logs.report.log_source import LogSource, events_of, recorded_of
 from flightstack_logs.report.result import kept_result, outcome_from_result, timing_from_result
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, SITE_OUTLINES
 
 _PHASE_OF = {"land": "landing", "done": "landing"}
 _NOT_FLOWN = {"connect", "landed"}
-_SEVERITY_OF = {"warning": "warning", "error": "error", "fatal": "error"}
 _PWM_LOW_US, _PWM_SPAN_US = 1000.0, 1000.0
 _ROTORS = 4
-_SAME_TEXT_S = 1.0
 
 
 def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightReport:
@@ -52,13 +50,13 @@ def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightRepo
     Without either the figures are computed.
     """
     result = kept_result(log) if result is None else result
-    source = _Source(log, _zero_us(log))
+    source = LogSource(log, _zero_us(log))
     phases = _phases(source)
     timing = _timing(source, result)
     report = FlightReport(
         outcome=_outcome(log, result, timing),
         phases=phases,
-        events=_events(source),
+        events=events_of(source),
         thrust_command_n=source.signal("/command", "thrust_n"),
         thrust_feedforward_n=source.signal("/control", "thrust_ff_n"),
         thrust_truth_n=_total(source.signal("/truth", "rotor_thrust_n")),
@@ -71,44 +69,12 @@ def from_log(log: Log, result: Mapping[str, object] | None = None) -> FlightRepo
         motors=_motors(source),
         timing=timing,
         settings=_settings(log),
+        recorded=recorded_of(source) if result is None else None,
     )
     model = _model(log)
     report = replace(report, learning=_learning(source, model))
     report = _with_limits(_with_positions(report, source), log, model)
     return replace(report, barrier=_barrier(source))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Source:
-    """A log with the zero of the report's time axis."""
-
-    log: Log
-    zero_us: int
-
-    def table(self, topic: str) -> Table | None:
-        """The topic's table, None where it has no rows."""
-        table = self.log.tables.get(topic)
-        return table if table is not None and len(table) else None
-
-    def seconds(self, t_us: np.ndarray) -> F64:
-        """Log times on the report's axis."""
-        return np.asarray((np.asarray(t_us, dtype=np.int64) - self.zero_us) * 1e-6, dtype=np.float64)
-
-    def signal(self, topic: str, column: str) -> ReportSamples | None:
-        """A column over its own sample time where the topic carries one, else over log time."""
-        table = self.table(topic)
-        if table is None or column not in table.columns:
-            return None
-        sampled = table.columns.get("t_boot_us", table.columns.get("t_us", table.t_us))
-        values = table.columns[column]
-        if values.dtype.kind not in "fiub":
-            return None
-        return samples(self.seconds(sampled), values.astype(np.float64))
-
-    def first(self, *places: tuple[str, str]) -> ReportSamples | None:
-        """The first of several places that holds the signal."""
-        found = (self.signal(topic, column) for topic, column in places)
-        return next((signal for signal in found if signal is not None), None)
 
 
 def _zero_us(log: Log) -> int:
@@ -122,7 +88,7 @@ def _zero_us(log: Log) -> int:
     return int(command.t_us[0]) if command is not None and len(command) else log.span_us[0]
 
 
-def _phases(source: _Source) -> tuple[Phase, ...]:
+def _phases(source: LogSource) -> tuple[Phase, ...]:
     table = source.table("/events")
     if table is None or not {"name", "text"} <= table.columns.keys():
         return ()
@@ -141,48 +107,11 @@ def _phases(source: _Source) -> tuple[Phase, ...]:
     return tuple(phases)
 
 
-def _events(source: _Source) -> tuple[FlightEvent, ...]:
-    said = _lines(source, "/vehicle/statustext", "vehicle says")
-    own = [
-        event
-        for event in _lines(source, "/events", "")
-        if event.kind != "phase"
-        and not any(event.text == other.text and abs(event.t_s - other.t_s) < _SAME_TEXT_S for other in said)
-    ]
-    return tuple(sorted([*own, *said, *_arming(source)], key=lambda event: event.t_s))
-
-
-def _lines(source: _Source, topic: str, kind: str) -> list[FlightEvent]:
-    table = source.table(topic)
-    if table is None or not {"level", "name", "text"} <= table.columns.keys():
-        return []
-    return [
-        FlightEvent(
-            float(source.seconds(t_us)), kind or str(name), str(text).strip(), _SEVERITY_OF.get(str(level), "info")
-        )
-        for t_us, level, name, text in zip(table.t_us, table["level"], table["name"], table["text"], strict=True)
-    ]
-
-
-def _arming(source: _Source) -> list[FlightEvent]:
-    table = source.table("/vehicle/status")
-    if table is None or "armed" not in table.columns:
-        return []
-    armed = np.asarray(table["armed"], dtype=bool)
-    changes = np.flatnonzero(armed != np.concatenate([[False], armed[:-1]]))
-    return [
-        FlightEvent(
-            float(source.seconds(table.t_us[i])), "arming", "reported armed" if armed[i] else "reported disarmed"
-        )
-        for i in changes
-    ]
-
-
 def _total(signal: ReportSamples | None) -> ReportSamples | None:
     return None if signal is None else ReportSamples(signal.t_s, signal.values.sum(axis=1, keepdims=True))
 
 
-def _motors(source: _Source) -> ReportSamples | None:
+def _motors(source: LogSource) -> ReportSamples | None:
     """Normalised commands: as the stack knew them, else out of the pulse widths, else the true rotors' state."""
     known = source.signal("/tick", "motor_command")
     pulses = source.signal("/vehicle/motors", "pwm_us")
@@ -192,7 +121,7 @@ def _motors(source: _Source) -> ReportSamples | None:
     return pulses or known or source.signal("/truth", "motor_u")
 
 
-def _with_positions(report: FlightReport, source: _Source) -> FlightReport:
+def _with_positions(report: FlightReport, source: LogSource) -> FlightReport:
     """The report with its positions, relative to the start; the reference only while it is to be followed."""
     reference = source.signal("/setpoint", "pos_ned_m")
     estimate = source.first(("/vehicle/local_position", "pos_ned_m"), ("/tick", "pos_ned_m"))
@@ -250,7 +179,7 @@ def _model(log: Log) -> Model | None:
         return None
 
 
-def _learning(source: _Source, model: Model | None) -> Learning | None:
+def _learning(source: LogSource, model: Model | None) -> Learning | None:
     """What the learner said, and by the truth and the model what it should have said."""
     names = ("residual_frd_mps2", "sigma_frd_mps2", "stage")
     residual, sigma, stage = (source.signal("/learner", name) for name in names)
@@ -268,7 +197,7 @@ def _learning(source: _Source, model: Model | None) -> Learning | None:
     )
 
 
-def _true_residual(source: _Source, model: Model | None) -> ReportSamples | None:
+def _true_residual(source: LogSource, model: Model | None) -> ReportSamples | None:
     table = source.table("/truth")
     parts = ("specific_force_frd_mps2", "motor_u", "vel_ned_mps", "q_ned_frd")
     if model is None or table is None or not {*parts, "on_ground"} <= table.columns.keys():
@@ -278,7 +207,7 @@ def _true_residual(source: _Source, model: Model | None) -> ReportSamples | None
     return samples(source.seconds(table.t_us), residual)
 
 
-def _barrier(source: _Source) -> Barrier | None:
+def _barrier(source: LogSource) -> Barrier | None:
     """What the filter said, and the state that it kept inside the regions."""
     h, status, changed = (source.signal("/filter", name) for name in ("h", "status", "intervened"))
     if status is None or changed is None:
@@ -304,7 +233,7 @@ def _barrier(source: _Source) -> Barrier | None:
     )
 
 
-def _state(source: _Source) -> ReportSamples | None:
+def _state(source: LogSource) -> ReportSamples | None:
     """(n, 6) position relative to the start and velocity: the true ones, or else the estimated ones."""
     for topic in ("/truth", "/tick"):
         position, velocity = source.signal(topic, "pos_ned_m"), source.signal(topic, "vel_ned_mps")
@@ -356,7 +285,7 @@ def _with_limits(report: FlightReport, log: Log, model: Model | None) -> FlightR
     return replace(report, region=region, thrust_limits_n=thrust, rate_limit_frd_radps=scenario.limits.rate_max_radps)
 
 
-def _timing(source: _Source, result: Mapping[str, object] | None) -> Timing | None:
+def _timing(source: LogSource, result: Mapping[str, object] | None) -> Timing | None:
     stated = timing_from_result(result)
     lateness = source.signal("/timing", "lateness_us")
     if lateness is None:
@@ -374,6 +303,7 @@ def _outcome(log: Log, result: Mapping[str, object] | None, timing: Timing | Non
     """What the result says; where it is silent, the log's settings."""
     outcome = outcome_from_result(result)
     settings = log.metadata.get("settings", {})
+    name = log.path.name if log.kind != "mcap" else "flight"
     pace = settings.get("pace")
     seed = settings.get("seed", "")
     lockstep = outcome.lockstep
@@ -383,7 +313,7 @@ def _outcome(log: Log, result: Mapping[str, object] | None, timing: Timing | Non
         lockstep = pace == "lockstep"
     return replace(
         outcome,
-        scenario=outcome.scenario if outcome.scenario != "flight" else settings.get("scenario", "flight"),
+        scenario=outcome.scenario if outcome.scenario != "flight" else settings.get("scenario", name),
         seed=outcome.seed if outcome.seed is not None else int(seed) if seed.isdecimal() else None,
         plant=outcome.plant or settings.get("plant"),
         controller=outcome.controller or settings.get("controller"),

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html import escape
 from importlib import resources
 from pathlib import Path
 
-from flightstack_logs.report import barrier, learning, words
+from flightstack_logs.report import barrier, learning, recorded, words
 from flightstack_logs.report.charts import PATH_POINTS, panels, path_payload
 from flightstack_logs.report.flight import FlightReport
 from flightstack_logs.report.histogram import lateness_svg
@@ -16,7 +17,7 @@ from flightstack_logs.report.panel import POINTS, Panel
 
 EVENTS_SHOWN = 500
 EVENTS_OPEN = 40
-"""Rows of the table of events before the rest is folded away."""
+"""Rows of the tables of events and settings before the rest is folded away."""
 _MISSING = '<p class="missing">not recorded</p>'
 _ROLE_WORDS = {"command": "reference", "measured": "estimate", "truth": "truth"}
 
@@ -32,7 +33,13 @@ def render_report(flight: FlightReport) -> str:
     """The whole page: headline, key figures, path in space, signals over time, events, timing, settings."""
     flight = learning.with_measured_honesty(words.with_measured_figures(flight))
     drawn = panels(flight)
-    learned = learning.panels(flight, drawn[0])
+    error = drawn[0]
+    figures, lacking = words.figures(flight), ""
+    if flight.recorded is not None:
+        drawn = (*drawn, *recorded.panels(flight.recorded))
+        figures, lacking = recorded.figures(flight, flight.recorded), recorded.missing(drawn)
+        drawn = tuple(replace(panel, third=panel.third or panel.key == "motors") for panel in drawn if panel.curves)
+    learned = learning.panels(flight, error)
     filtered = barrier.panels(flight)
     path = path_payload(flight)
     state, verdict = words.verdict(flight)
@@ -50,19 +57,20 @@ def render_report(flight: FlightReport) -> str:
             "state": state,
             "verdict": verdict,
             "headline": escape(words.headline(flight)),
-            "subtitle": _subtitle(flight),
-            "figures": figures_html(words.figures(flight)),
+            "subtitle": _subtitle(flight, lacking),
+            "figures": figures_html(figures),
             "checks": _checks(flight),
             "contents": _contents(bool(learned), bool(filtered)),
             "path": _path(flight, path),
             "phases": _phases(flight),
-            "tracking": "".join(panel_html(panel) for panel in drawn if panel.key.startswith("error-")),
+            "tracking": "".join(panel_html(panel) for panel in drawn if _is_beside(panel)),
             "learning": _learning(flight, learned),
             "barrier": _barrier(flight, filtered),
-            "panels": "".join(panel_html(panel) for panel in drawn if not panel.key.startswith("error-")),
+            "panels": "".join(panel_html(panel) for panel in drawn if not _is_beside(panel)),
             "events": _events(flight),
             "timing": _timing(flight),
             "settings": _settings(flight),
+            "zero": "log" if flight.recorded is not None else "take-off",
             "display": _display(drawn),
             "data": safe_json(data),
             "library": asset("vendor/uPlot.iife.min.js"),
@@ -88,7 +96,12 @@ def fill(template: str, parts: dict[str, str]) -> str:
     return re.sub(r"<!--\s*put (\w+)\s*-->|/\* put (\w+) \*/", lambda m: parts[m.group(1) or m.group(2)], template)
 
 
-def _subtitle(flight: FlightReport) -> str:
+def _is_beside(panel: Panel) -> bool:
+    """Whether it stands beside the path."""
+    return panel.key.startswith("error-") or panel.key in recorded.BESIDE
+
+
+def _subtitle(flight: FlightReport, lacking: str) -> str:
     outcome = flight.outcome
     parts = [
         f"{name} {value}"
@@ -97,6 +110,8 @@ def _subtitle(flight: FlightReport) -> str:
     ]
     if outcome.lockstep is not None:
         parts.append("lockstep" if outcome.lockstep else "real time")
+    if lacking:
+        parts.append(lacking)
     return escape(" · ".join(parts))
 
 
@@ -169,7 +184,11 @@ def _path(flight: FlightReport, path: dict[str, object] | None) -> str:
         f'<button type="button" data-view="{view}">{label}</button>'
         for view, label in (("default", "Reset"), ("top", "Top"), ("south", "From south"), ("west", "From west"))
     )
-    missing = "" if flight.truth_ned_m is not None else '<p class="note">truth: not recorded</p>'
+    missing = (
+        ""
+        if flight.truth_ned_m is not None or flight.recorded is not None
+        else '<p class="note">truth: not recorded</p>'
+    )
     return (
         f'<div class="keys">{keys}<span class="buttons">{buttons}</span></div>{missing}'
         '<div class="view"><canvas id="path3d" tabindex="0" role="img" '
@@ -179,6 +198,8 @@ def _path(flight: FlightReport, path: dict[str, object] | None) -> str:
 
 
 def _phases(flight: FlightReport) -> str:
+    if not flight.phases and flight.recorded is not None:
+        return ""
     if not flight.phases:
         return '<span class="note">phases: not recorded</span>'
     return "".join(
@@ -211,6 +232,13 @@ def _events(flight: FlightReport) -> str:
 
 
 def _timing(flight: FlightReport) -> str:
+    if flight.recorded is not None and flight.timing is None:
+        return ""
+    body = _timing_facts(flight)
+    return f'<section class="panel" id="timing"><h2>Timing of the control loop</h2>{body}</section>'
+
+
+def _timing_facts(flight: FlightReport) -> str:
     timing = flight.timing
     if timing is None:
         if flight.outcome.lockstep:
@@ -232,8 +260,12 @@ def _timing(flight: FlightReport) -> str:
 def _settings(flight: FlightReport) -> str:
     if not flight.settings:
         return _MISSING
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in flight.settings)
-    return f'<table class="facts">{rows}</table>'
+    rows = [f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in flight.settings]
+    table = f'<table class="facts">{"".join(rows[:EVENTS_OPEN])}</table>'
+    if len(rows) <= EVENTS_OPEN:
+        return table
+    more = f'<table class="facts">{"".join(rows[EVENTS_OPEN:])}</table>'
+    return f"{table}<details><summary>{len(rows) - EVENTS_OPEN} more</summary>{more}</details>"
 
 
 def _display(drawn: tuple[Panel, ...]) -> str:

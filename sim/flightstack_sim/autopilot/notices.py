@@ -26,6 +26,8 @@ class Notice(NamedTuple):
     """MAV_SEVERITY of the text."""
     text: str
     """Empty: no STATUSTEXT."""
+    console: str = ""
+    """What the console says where nothing is said on the wire."""
 
 
 def event_id(name: str, component: int = 1) -> int:
@@ -225,3 +227,8 @@ def check_failed(name: str, levels: int, modes: int, component: int, more: bytes
 def health_summary(errors: int, warnings: int) -> Notice:
     """Last of the burst."""
     return _event("commander_health_summary", 0x88, struct.pack("<BIII", 0, _HEALTH_PRESENT, errors, warnings))
+
+
+def plan_refused(result: str) -> Notice:
+    """Where PX4 answers on the wire only."""
+    return Notice(0, 0, b"", CRITICAL, "", f"mission, fence or rally points refused: {result}")
