@@ -45,6 +45,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 NOMINAL, THROUGH, PUSH, DITHER, RANDOM = "nominal", "through", "push", "dither", "random"
 _REST_TICKS = 250
 _UNSLID_S = 0.05
+_TURNED_S = 1.5
 
 
 @dataclass(slots=True)
@@ -58,6 +59,9 @@ class Attack:
     """The force turns every second or two, at its full size."""
     pumps: bool = False
     """Instead it is along the velocity at every moment: it drives the loop where that answers most."""
+    turns: bool = False
+    """Instead it is against the velocity until a way out is followed, and along it from then on: what the observer has
+    seen is wrong by twice the force, just where braking leaves least to catch up with."""
     errs: bool = False
     """The estimate errs by all that is declared of it, so that the nearest edge seems further away than it is."""
     reference: Any = None
@@ -280,12 +284,21 @@ class FenceFlight:
         if self.attack.pumps:
             vel = self.vehicle.plant.vel_ned_mps.copy()
             way, self._wind_until_s = vel / max(float(np.linalg.norm(vel)), 1e-6), time_s + 0.02
+        elif self.attack.turns:
+            way = self._turned_way(time_s)
         else:
             way = self._drawn_way(time_s)
         size = float(np.linalg.norm(self.world.wind_g))
         force = size * self._weight_n * way / max(float(np.linalg.norm(way)), 1e-6)
         values = {"north_n": float(force[0]), "east_n": float(force[1]), "down_n": float(force[2])}
         self.vehicle.plant.set_effect("constant_force", values)
+
+    def _turned_way(self, time_s: float) -> F64:
+        """Against the velocity; once a way is followed along what it was then, for a second and a half."""
+        vel: F64 = self.vehicle.plant.vel_ned_mps * np.array([1.0, 1.0, 0.0])
+        followed = bool(self.timed.numbers[KEPT] > 0.0)
+        self._wind_until_s = time_s + (_TURNED_S if followed else 0.02)
+        return vel if followed else -vel
 
     def _drawn_way(self, time_s: float) -> F64:
         """Another direction, for a while."""

@@ -279,7 +279,7 @@ class ShieldFlight:
             return
         if -place[2] < 0.1:
             self.touched_mps = max(self.touched_mps, float(self.vehicle.plant.vel_ned_mps[2]))
-        certain = record.filtered.status >= PASSED
+        certain = self.router.flies and record.filtered.status >= PASSED
         self._is_other &= not (certain and clearance >= 0.0)
         self.ticks += 1
         self.offboard += certain

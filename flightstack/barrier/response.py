@@ -80,7 +80,7 @@ def remember(memory: F64, t_us: float, norm: float, rate: F64) -> None:
 
 
 @njit
-def _acting(memory: F64, t_us: float) -> int:
+def acting(memory: F64, t_us: float) -> int:
     """Index of the latest command sent until t_us; the oldest one there is where all are later."""
     i = RING
     while i > 1 and memory[i, 0] > t_us and memory[i - 1, 0] > -np.inf:
@@ -106,7 +106,7 @@ def follow_rotors(memory: F64, chain: F64, now_us: float) -> None:
     delay = chain[C_THRUST_DELAY]
     while -np.inf < memory[0, M_ROTORS_US] < now_us:
         t = memory[0, M_ROTORS_US]
-        at = _acting(memory, t - delay)
+        at = acting(memory, t - delay)
         until = max(_next(memory, at, delay, now_us), t)
         left = _left((until - t) * 1e-6, chain[C_ROTOR_LAG])
         memory[0, M_ROTORS] = memory[at, 1] + left * (memory[0, M_ROTORS] - memory[at, 1])
@@ -127,6 +127,18 @@ def lead_thrust(chain: F64, w: float) -> float:
 
 
 @njit
+def held_until(memory: F64, chain: F64, t_us: float, to_us: float) -> tuple[int, int, float]:
+    """Which commands of thrust and of rates act at a time, and until when both do, at most a step and to_us."""
+    thrust_at = acting(memory, t_us - chain[C_THRUST_DELAY])
+    rate_at = acting(memory, t_us - chain[C_RATE_DELAY])
+    until = _next(memory, thrust_at, chain[C_THRUST_DELAY], min(t_us + _STEP_US, to_us))
+    until = _next(memory, rate_at, chain[C_RATE_DELAY], until)
+    if until <= t_us:  # a command of the past that the ring no longer tells from the next
+        until = min(t_us + _STEP_US, to_us)
+    return thrust_at, rate_at, until
+
+
+@njit
 def ahead(
     memory: F64, chain: F64, measured: F64, from_us: float, to_us: float, offset: F64, gain: float, state: F64
 ) -> None:
@@ -140,18 +152,13 @@ def ahead(
     state[S_ROTORS] = memory[0, M_ROTORS]
     t = from_us
     while t < to_us:
-        thrust_at = _acting(memory, t - chain[C_THRUST_DELAY])
-        rate_at = _acting(memory, t - chain[C_RATE_DELAY])
-        until = _next(memory, thrust_at, chain[C_THRUST_DELAY], min(t + _STEP_US, to_us))
-        until = _next(memory, rate_at, chain[C_RATE_DELAY], until)
-        if until <= t:  # a command of the past that the ring no longer tells from the next
-            until = min(t + _STEP_US, to_us)
-        _advance(state, chain, memory[thrust_at, 1], memory[rate_at], (until - t) * 1e-6, offset, gain)
+        thrust_at, rate_at, until = held_until(memory, chain, t, to_us)
+        advance(state, chain, memory[thrust_at, 1], memory[rate_at], (until - t) * 1e-6, offset, gain)
         t = until
 
 
 @njit
-def _advance(state: F64, chain: F64, norm: float, command: F64, span: float, offset: F64, gain: float) -> None:
+def advance(state: F64, chain: F64, norm: float, command: F64, span: float, offset: F64, gain: float) -> None:
     """One step of the chain with held commands; Simpson's rule for the motion."""
     w, half = state[S_ROTORS], 0.5 * span
     rotor, rate = _left(half, chain[C_ROTOR_LAG]), _left(half, chain[C_RATE_LAG])

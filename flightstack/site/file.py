@@ -29,7 +29,7 @@ def parse_site(text: str, source: str) -> Site:
     """The site of a file's text; `source` is its path, whose ending says what it is.  InputError, one line."""
     if len(text) > MOST_BYTES:
         raise InputError(f"{source}: {len(text)} bytes hold more than {MOST_EDGES} edges, the most that are taken")
-    ending = source.lower().rpartition(".")[2]
+    ending, text = source.lower().rpartition(".")[2], text.removeprefix("\ufeff")
     try:
         if ending in ("plan", "geojson", "json"):
             return checked(_from_json(text, source))
@@ -91,7 +91,15 @@ def _keep_out(value: object, name: str, source: str) -> KeepOut:
 
 
 def _height(table: Mapping[str, object], key: str, missing: float, where: str) -> float:
-    return number(table[key], f"{where}: {key}", -_HEIGHT_M, _HEIGHT_M) if key in table else missing
+    given = table.get(key)
+    return missing if given is None else number(given, f"{where}: {key}", -_HEIGHT_M, _HEIGHT_M)
+
+
+def _switch(table: Mapping[str, object], key: str, missing: bool, where: str) -> bool:
+    given = table.get(key, missing)
+    if not isinstance(given, bool):
+        raise InputError(f"{where}: {key} = {given!r} must be true or false")
+    return given
 
 
 def _corners(value: object, where: str) -> F64:
@@ -131,7 +139,7 @@ def _from_plan(data: Mapping[str, Any], source: str) -> Site:
     out: list[KeepOut] = []
     for i, each in enumerate(_listed(fence, "polygons", source)):
         polygon = _corners(each.get("polygon"), f"{source}: fence polygon {i}")
-        if each.get("inclusion", True):
+        if _switch(each, "inclusion", True, f"{source}: fence polygon {i}"):
             inside.append(polygon)
         else:
             out.append(KeepOut(f"fence polygon {i}", polygon))
@@ -141,7 +149,7 @@ def _from_plan(data: Mapping[str, Any], source: str) -> Site:
             raise InputError(f"{where} has no circle")
         centre = _corners([circle.get("center")], f"{where}: center")[0].tolist()
         radius = number(circle.get("radius"), f"{where}: radius", 1e-3, FAR_M)
-        if each.get("inclusion", True):
+        if _switch(each, "inclusion", True, where):
             inside.append(_round(centre, radius))
         else:
             out.append(KeepOut(f"fence circle {i}", None, (centre[0], centre[1]), radius))
@@ -181,7 +189,7 @@ def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
             part = where if len(polygons) == 1 else f"{where}: polygon {k}"
             rings = _rings(polygon, part)
             name = part.removeprefix(f"{source}: ")
-            if said.get("keep_out"):
+            if _switch(said, "keep_out", False, where):
                 floor, ceiling = _height(said, "floor_m", -math.inf, where), _height(said, "ceiling_m", math.inf, where)
                 out.append(KeepOut(name, rings[0], floor_m=floor, ceiling_m=ceiling))
                 continue

@@ -17,6 +17,7 @@ from flightstack.geodesy import LocalFrame
 from flightstack.types import F64, InputError
 
 MOST_EDGES = 1000
+_NO_AREA_M2 = 1e-9
 FAR_M = 10_000.0
 """A site farther from the vehicle than this is another site."""
 
@@ -87,8 +88,9 @@ def checked(site: Site) -> Site:
     """The site itself; InputError, one line, where it is none."""
     if not site.floor_m < site.ceiling_m:
         raise InputError(f"{site.source}: floor_m = {site.floor_m:g} must be below ceiling_m = {site.ceiling_m:g}")
-    if site.edges > MOST_EDGES:
-        raise InputError(f"{site.source}: {site.edges} edges in all, at most {MOST_EDGES} are taken: simplify it")
+    count = site.edges + sum(each.polygon is None for each in site.keep_outs)  # what is round takes as long as an edge
+    if count > MOST_EDGES:
+        raise InputError(f"{site.source}: {count} edges in all, at most {MOST_EDGES} are taken: simplify it")
     for name, polygon in _polygons(site):
         _check_polygon(f"{site.source}: {name}", polygon, site.is_global)
     for each in site.keep_outs:
@@ -126,6 +128,9 @@ def _check_polygon(where: str, corners: F64, is_global: bool) -> None:
     short = np.flatnonzero((corners == following).all(axis=1))
     if len(short):
         raise InputError(f"{where}: edge {int(short[0])} has no length: a corner is there twice")
+    away = corners - corners[0]
+    if float(np.abs(away[:, :1] * away[:, 1:].T - away[:, 1:] * away[:, :1].T).max()) <= _NO_AREA_M2:
+        raise InputError(f"{where} is empty: its corners lie on one line")
     crossing = _first_crossing(corners, following)
     if crossing is not None:
         raise InputError(f"{where} crosses itself: edges {crossing[0]} and {crossing[1]} (the first edge is 0)")

@@ -56,9 +56,10 @@ _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
-_SNAP_SHARE, _SLOW_SHARE, _SLOW = 0.85, 0.4, 1.13
-"""Of the fastest rates and of the snap that is sure, what the way out takes itself: less snap where a force at rest
-swings the vehicle further than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
+_SNAP_SHARE, _CALM_SHARE, _SLOW_SHARE, _SLOW = 0.6, 0.85, 0.4, 1.13
+"""Of the fastest rates and of the snap that is sure, what the way out takes itself: more where the force is known to be
+small (with 0.85 a force that turned when the way began left one), less where a force at rest swings the vehicle further
+than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
@@ -233,7 +234,8 @@ def stopping(
     held = Held(turn.sure_mps4, lean_most, turn.rate_radps * G, _stepped(ledger, told))
     tubes, linear = (across(lags_across, doubts[0], held), along(lag_along, doubts[1])), across(lags_across, doubts[0])
     is_slow = tubes[0].radius_m[-1] > _SLOW * linear.radius_m[-1]
-    turn = turn._replace(way_mps4=(_SLOW_SHARE if is_slow else _SNAP_SHARE) * turn.sure_mps4)
+    share = _CALM_SHARE if prior.force_g <= _CALM_G else _SNAP_SHARE
+    turn = turn._replace(way_mps4=(_SLOW_SHARE if is_slow else share) * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     rows, soft = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told)

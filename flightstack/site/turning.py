@@ -21,12 +21,11 @@ from flightstack.autopilot import autopilot_of, torque_per_slope
 from flightstack.barrier.response import (
     C_RATE_DELAY,
     C_RATE_LAG,
-    C_THRUST_DELAY,
     M_ROTORS,
     S_ROTORS,
-    _acting,
-    _advance,
-    _next,
+    acting,
+    advance,
+    held_until,
 )
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.jit import njit
@@ -39,7 +38,6 @@ from flightstack.vehicle import Vehicle
 
 _LEAST_S = 0.004
 """T is no less: the gyro's filters take more than that."""
-_STEP_US = 4000.0
 
 
 class Turning(NamedTuple):
@@ -87,13 +85,13 @@ def turn_on(
         after = aim + left * (spin[i] - aim)
         command[2 + i] = state[RATE_X + i] + 0.5 * (spin[i] + after) * span / follows
         spin[i] = after
-    _advance(state, chain, norm, command, span, offset, gain)
+    advance(state, chain, norm, command, span, offset, gain)
 
 
 @njit
 def seen(memory: F64, chain: F64, rotors_s: float, measured: F64, at_us: float, dt: float, spin: F64) -> None:
     """Carry `spin` (2,) on to a measurement."""
-    at, share = _acting(memory, at_us - chain[C_RATE_DELAY]), 1.0 - math.exp(-dt / rotors_s)
+    at, share = acting(memory, at_us - chain[C_RATE_DELAY]), 1.0 - math.exp(-dt / rotors_s)
     for i in range(2):
         spin[i] += share * ((memory[at, 2 + i] - measured[RATE_X + i]) / chain[C_RATE_LAG] - spin[i])
 
@@ -110,12 +108,7 @@ def ahead(
     state[S_ROTORS] = memory[0, M_ROTORS]
     t, to_us = times_us
     while t < to_us:
-        thrust_at = _acting(memory, t - chain[C_THRUST_DELAY])
-        rate_at = _acting(memory, t - chain[C_RATE_DELAY])
-        until = _next(memory, thrust_at, chain[C_THRUST_DELAY], min(t + _STEP_US, to_us))
-        until = _next(memory, rate_at, chain[C_RATE_DELAY], until)
-        if until <= t:  # a command of the past that the ring no longer tells from the next
-            until = min(t + _STEP_US, to_us)
+        thrust_at, rate_at, until = held_until(memory, chain, t, to_us)
         turn_on(
             state, spin, chain, rotors_s, memory[thrust_at, 1], memory[rate_at, 2:4], (until - t) * 1e-6, offset, gain
         )

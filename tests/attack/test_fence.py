@@ -15,6 +15,7 @@ from benchmarks.attack_worlds import World
 from benchmarks.fence_flight import DITHER, NOMINAL, PUSH, RANDOM, THROUGH, Attack, FenceFlight, Outcome
 from benchmarks.fence_vehicles import flight, planted
 from benchmarks.fence_worlds import HOVER
+from flightstack.site.stopping import Told
 from flightstack.trajectory import hover
 
 pytestmark = pytest.mark.attack
@@ -76,6 +77,30 @@ def test_half_of_the_true_force_is_found_out(site: Path) -> None:
     outcome = attacked(site, PUSH, 304, 1.4, (0.2, 0.2, 0.1))
     assert outcome.exits > 0
     assert outcome.broken > 0
+
+
+WALL = """schema = "flightstack.site/1"
+floor_m = 0.3
+ceiling_m = 8.0
+inside = [[-30.0, -30.0], [12.0, -30.0], [12.0, 30.0], [-30.0, 30.0]]
+"""
+
+
+@pytest.mark.parametrize(("told", "lean"), [(1.0, 0.35), (0.5, 0.35)])
+def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean: float) -> None:
+    """Leaning into a wall 12 m away, the way out alone; the force comes from ahead until that is followed, then from
+    behind, the estimate errs by all.  Told all of it, a way out that took 0.85 of the snap left the site (4 ticks)."""
+    (tmp_path / "wall.toml").write_text(WALL)
+    world = World(
+        seed=1, scenario="hover", mass_ratio=0.8, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2, down_ms=0.0
+    )
+    attack = Attack(PUSH, seed=1, turns=True, errs=True)
+    flown = FenceFlight(world, tmp_path / "wall.toml", attack, told=Told.all(told), unslid=True)
+    flown.adversary.until_s, flown.adversary.lean = math.inf, np.array([lean, 0.0])
+    outcome = flown.run(8.0)
+    assert outcome.kept > 100
+    assert (outcome.exits > 0) is (told < 1.0)
+    assert (outcome.broken > 0) is (told < 1.0)
 
 
 BOX = """schema = "flightstack.site/1"

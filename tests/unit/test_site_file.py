@@ -174,3 +174,40 @@ def test_a_site_elsewhere_and_swapped_coordinates() -> None:
     swapped = parse_site(_plan([{"inclusion": True, "polygon": [[b, a] for a, b in SQUARE]}]), "field.plan")
     with pytest.raises(InputError, match="swapped"):
         swapped.local(47.0, 8.0)
+
+
+def _feature(said: dict[str, object], size: float = 1e-3, kind: str = "Polygon") -> dict[str, object]:
+    ring = [[8.0, 47.0], [8.0 + size, 47.0], [8.0 + size, 47.0 + size], [8.0, 47.0 + size], [8.0, 47.0]]
+    return {"type": "Feature", "properties": said, "geometry": {"type": kind, "coordinates": [ring]}}
+
+
+def test_whether_to_stay_in_or_out_is_said_by_true_or_false_only() -> None:
+    """The text "false" was taken for a keep-out, and null in a plan for one as well."""
+    for said in ("false", 0, None):
+        collection = {"type": "FeatureCollection", "features": [_feature({}), _feature({"keep_out": said}, 1e-4)]}
+        with pytest.raises(InputError, match=r"^a\.geojson: feature 1: keep_out = .* must be true or false$"):
+            parse_site(json.dumps(collection), "a.geojson")
+        fence = {"polygons": [{"polygon": [[47.0, 8.0], [47.001, 8.0], [47.0, 8.001]], "inclusion": said}]}
+        with pytest.raises(InputError, match=r"^a\.plan: fence polygon 0: inclusion = .* must be true or false$"):
+            parse_site(json.dumps({"fileType": "Plan", "geoFence": fence}), "a.plan")
+
+
+def test_a_height_that_is_null_is_not_given() -> None:
+    site = parse_site(json.dumps(_feature({"floor_m": None, "ceiling_m": None})), "a.geojson")
+    assert (site.floor_m, site.ceiling_m) == (0.0, 120.0)
+
+
+def test_a_byte_order_mark_is_no_fault() -> None:
+    assert parse_site("\ufeff" + json.dumps(_feature({})), "a.geojson").edges == 4
+
+
+def test_a_polygon_without_area_is_empty() -> None:
+    with pytest.raises(InputError, match=r"^a\.toml: inside is empty: its corners lie on one line$"):
+        parse_site(f"{HEAD}inside = [[0.0, 0.0], [2.0, 2.0], [4.0, 4.0]]", "a.toml")
+
+
+def test_solids_count_as_edges() -> None:
+    """Each is looked at as an edge is, in every tick; 2,000 of them passed."""
+    solids = "[[keep_out]]\ncentre = [3.0, 3.0]\nradius_m = 0.5\n" * 1000
+    with pytest.raises(InputError, match=r"^a\.toml: 1004 edges in all, at most 1000 are taken"):
+        parse_site(f"{HEAD}inside = {BOX}\n{solids}", "a.toml")
