@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flightstack.gap.airspeed import moves
 from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.search import ALIKE, Fit, SelectionState, fit_subset, members
 from flightstack.gap.records import Found, Samples
@@ -106,6 +107,8 @@ def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Fo
     """
     if not has_gyro(flights):
         found = tuple(beside_a_poor_model(f) for f in found)
+    if not any(moves(s) for s in flights):  # drag at the hubs of a vehicle that only turns
+        found = tuple(together(f, ("rotor_drag",)) if f.name == "angular_damping" else f for f in found)
     if without_motors(flights):
         found = tuple(together(f, (*DRAGS, *_braked(f))) if f.name in DRAGS else f for f in found)
     return found

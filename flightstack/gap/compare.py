@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from flightstack.effects import accelerometer_bias, gyro_bias
 from flightstack.gap.checks.noise import white_noise
+from flightstack.gap.filters import spectrum
 from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
 from flightstack.gap.run import Run, params_row, true_attitude
@@ -97,7 +97,8 @@ def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
     per_segment = round(_SEGMENT_S / samples.dt_s)
     if len(y) < 2 * per_segment:
         return noise
-    hz, power = welch(np.nan_to_num(y), fs=1.0 / samples.dt_s, nperseg=per_segment, axis=0)
+    clean = np.nan_to_num(y)
+    hz, power = spectrum(clean, clean, samples.dt_s, per_segment)
     gain = 1.0 / (1.0 + (hz / flight.cutoff_hz) ** 4) ** 2
     band = (hz >= _NOISE_FROM * flight.cutoff_hz) & (hz <= flight.cutoff_hz)
     for column in range(6):

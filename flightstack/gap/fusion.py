@@ -13,9 +13,9 @@ the two does not, it is the velocity's, and the position is taken instead.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import csd, welch
 from scipy.special import chdtri
 
+from flightstack.gap.filters import spectrum
 from flightstack.types import F64
 
 _SEGMENT_S = 16.0
@@ -84,9 +84,9 @@ def _left(hz: F64, errors: F64, low_hz: float, high_hz: float) -> float:
 
 def _errors(by_position: F64, by_inertia: F64, dt_s: float) -> tuple[F64, F64]:
     """Frequencies (n,) and the error spectra (3, n) of velocity, position's derivative and integrated acceleration."""
-    settings = {"fs": 1.0 / dt_s, "nperseg": min(len(by_position), round(_SEGMENT_S / dt_s)), "detrend": "linear"}
-    hz, first = welch(by_position, **settings)
-    second = welch(by_inertia, **settings)[1]
-    shared = np.real(csd(by_position, by_inertia, **settings)[1])
+    each = min(len(by_position), round(_SEGMENT_S / dt_s))
+    hz, first = spectrum(by_position, by_position, dt_s, each, linear=True)
+    second = spectrum(by_inertia, by_inertia, dt_s, each, linear=True)[1]
+    shared = spectrum(by_position, by_inertia, dt_s, each, linear=True)[1]
     least = 1e-3 * np.minimum(first, second)
     return hz, np.maximum(np.stack([shared, first - shared, second - shared]), least)

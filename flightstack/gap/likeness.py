@@ -49,6 +49,8 @@ def same_flight(a: Samples, b: Samples) -> bool:
 
 def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found], *, unexplained: bool) -> str:
     """How the log's vehicle differs, in words, where it can't be the file's; else empty."""
+    if {"body.inertia_kgm2", "rotors.max_thrust_n"} <= set(believed.ranges):  # a file that says that it guesses
+        return ""
     names = {each.name for each in found}
     if "inertia" not in names or not names & {"payload", "thrust_scale"}:
         return ""

@@ -77,7 +77,7 @@ def noise_floor(vehicle: Vehicle, of: Split, after: Figures, gusts: tuple[float,
     return Figures(
         _with(sensors.one_step_mps2, force, after.one_step_mps2),
         _with(sensors.one_step_radps2, turning, after.one_step_radps2),
-        _with(sensors.rollout_1s_m, hidden.rollout_1s_m, after.rollout_1s_m),
+        _reached(_with(sensors.rollout_1s_m, hidden.rollout_1s_m, after.rollout_1s_m), after.rollout_1s_m),
     )
 
 
@@ -85,6 +85,11 @@ def _with(sensors: float | None, hidden: float | None, after: float | None) -> f
     if sensors is None or hidden is None or after is None:
         return sensors
     return min(math.hypot(sensors, hidden), max(sensors, after))
+
+
+def _reached(floor: float | None, after: float | None) -> float | None:
+    """A path's floor: what was reached is no less than it (a coarse log's IMU says more of the path than there is)."""
+    return floor if floor is None or after is None else min(floor, after)
 
 
 def _pooled(of: Split, figures_of: Callable[[Samples, Mask], Figures]) -> Figures:

@@ -27,15 +27,17 @@ from scipy.linalg import solve_triangular, toeplitz
 from scipy.special import stdtrit
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.airspeed import offset
 from flightstack.gap.compare import residual
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
 from flightstack.gap.rollouts import rollouts
+from flightstack.gap.sampled import open_gains
 from flightstack.gap.scales import natural_scale
-from flightstack.gap.simulate import unseen, value, with_value
+from flightstack.gap.simulate import predict, unseen, value, with_value
 from flightstack.gap.track import track
-from flightstack.gap.windows import WINDOW_S, gathered_by, windows_of
+from flightstack.gap.windows import WINDOW_S, Windows, gathered_by, windows_of
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 
@@ -55,6 +57,7 @@ _GAIN = 4e-3
 """How well an inertia's scale can be, for the same reason: a noisy faster loop's sampled commands make it 1 % large."""
 _SWING = 4e-3
 """And a load's length, as its swing at the start is not known; relative."""
+_WINDS = ("north_mps", "east_mps", "down_mps")
 _MEMORY_S = 5.0
 _STATES = 1.15
 """Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
@@ -197,6 +200,7 @@ class _Problem:
         self._start, self._prior_std, self._step = np.concatenate(means), np.concatenate(stds), np.concatenate(steps)
         self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
         self._high = np.concatenate([limits[:, 1], *reach])
+        self._offset = np.mean([offset(s, m) for s, m in zip(flights, masks, strict=True)], axis=0)
         self._sampling_s = max((s.dt_s for s in flights), default=0.0)
 
     def vehicle_at(self, theta: F64) -> Vehicle:
@@ -233,6 +237,8 @@ class _Problem:
                 covariance[k, k] += _GAIN**2
             elif effect == "slung_load" and parameter == "length_m":
                 covariance[k, k] += (_SWING * theta[k]) ** 2
+            elif effect == "steady_wind":
+                covariance[k, k] += self._offset[_WINDS.index(parameter)] ** 2
         return theta, covariance
 
     def _linear(self, theta: F64, f: int) -> tuple[F64, F64]:
@@ -279,10 +285,17 @@ class _Problem:
             white = _whitened(y, np.concatenate([x, gains], axis=-1))[1]
             own, other = white[..., : len(theta)], white[..., len(theta) :]
             information += np.einsum("srck,srcl->kl", own, own)
-            cross += np.einsum("srck,srcl->kl", own, other * (_GAIN_PER_S * windows.flight.samples.dt_s))
+            cross += np.einsum("srck,srcl->kl", own, other * self._gain_sizes(windows))
         out = np.zeros((len(theta), len(_GAINS)))
         out[:count] = (_inverse(information) @ cross)[:count]
         return out
+
+    def _gain_sizes(self, windows: Windows) -> F64:
+        """(4,) how far gains of thrust and torques may be off, one standard deviation."""
+        flight = windows.flight
+        base, calm = (flight.lowpass(predict(self._vehicle, s)) for s in (flight.samples, windows.smooth))
+        open_ = np.append(0.0, open_gains(base, calm - base, flight.usable))
+        return np.asarray(_GAIN_PER_S * flight.samples.dt_s + open_)
 
     def _gains(self, theta: F64, f: int) -> F64:
         """(S, n, 6, 4) derivatives by gains of thrust and torques of one flight."""

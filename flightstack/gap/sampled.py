@@ -44,6 +44,16 @@ def unknown_commands(samples: Samples) -> F64:
     return np.asarray(np.sqrt(np.maximum(command_noise(samples) ** 2, _JUMP * jumps**2)))
 
 
+def open_gains(shown: F64, change: F64, rows: NDArray[np.bool_]) -> F64:
+    """(3,) of each torque, how much more than half of its power (0 to 1) is commands that sampling folds in.
+
+    `shown` is the prediction (N, 12) through the low-pass, `change` what the commands without that noise make of it.
+    What a loop answers to its own noise is left even then, so that nobody knows how much of the commands acted.
+    """
+    power, calm = (np.mean(np.nan_to_num(x[rows, 3:6]) ** 2, axis=0) for x in (shown, shown + change))
+    return np.asarray(np.clip(1.0 - 2.0 * calm / np.maximum(power, 1e-300), 0.0, 1.0))
+
+
 def timing_s(period_s: float) -> float:
     """Standard deviation of when commands really acted, beside their stamps, in a log of this period."""
     return _TIMING_S + _TIMING_SAMPLES * period_s

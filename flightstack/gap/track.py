@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
+from flightstack.gap import filters
 from flightstack.gap.fusion import crossovers
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
@@ -267,16 +267,9 @@ def lowpass(columns: F64, cutoff_hz: float, dt_s: float) -> F64:
     return out.reshape(columns.shape)
 
 
-@lru_cache(maxsize=64)
-def _sections(cutoff_hz: float, dt_s: float) -> F64:
-    """Second-order Butterworth low-pass; a workflow asks for the same few hundreds of times."""
-    return np.asarray(butter(2, cutoff_hz, fs=1.0 / dt_s, output="sos"))
-
-
 def _both_ways(x: F64, cutoff_hz: float, dt_s: float) -> F64:
-    sections = _sections(cutoff_hz, dt_s)
     pad = min(len(x) - 1, int(3.0 / (cutoff_hz * dt_s)) + 3)
-    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
+    return filters.both_ways(filters.lowpass(cutoff_hz, dt_s), x, pad)
 
 
 def _filled(x: F64) -> F64:
@@ -348,8 +341,7 @@ def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
     at = np.linspace(-1.0, 1.0, len(x))[:, None]
     trend = x.mean(axis=0) + at * (np.sum(at * x, axis=0) / np.sum(at * at))
     pad = min(len(x) - 1, int(2.0 / (cutoff_hz * dt_s)) + 3)
-    sections = _sections(cutoff_hz, dt_s)
-    return np.asarray(trend + sosfiltfilt(sections, x - trend, axis=0, padtype="even", padlen=pad))
+    return np.asarray(trend + filters.both_ways(filters.lowpass(cutoff_hz, dt_s), x - trend, pad, even=True))
 
 
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:

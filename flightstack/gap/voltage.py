@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfiltfilt
 
 from flightstack.gap.checks.noise import white_noise
+from flightstack.gap.filters import both_ways, lowpass, through
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
@@ -18,6 +18,8 @@ _FROM, _TO = 5.0, 95.0
 _FEWEST = 10
 _SLOW_HZ = 0.5
 """Below, a battery's voltage goes its own way; above, it follows the power that the rotors draw."""
+_PAD = 9
+"""Rows by which the voltage is continued at both ends."""
 _LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08)
 """Of that power behind the commands: the rotors'."""
 _ALL_NOISE = 1.2
@@ -33,13 +35,13 @@ def quiet(battery_v: F64, motor: F64, dt_s: float) -> F64:
     noise = float(white_noise(battery_v[:, None])[0]) if len(battery_v) > _FEWEST else 0.0
     if not (noise > 0.0 and np.isfinite(battery_v).all() and np.isfinite(motor).all()):
         return battery_v
-    low = butter(2, _SLOW_HZ, fs=1.0 / dt_s, output="sos")
-    slow = sosfiltfilt(low, battery_v)
+    low = lowpass(_SLOW_HZ, dt_s)
+    slow = both_ways(low, battery_v, _PAD)
     power, best, least = np.mean(motor**3, axis=1), battery_v, _ALL_NOISE * noise
     for lag_s in _LAGS_S:
         keep = np.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
-        drawn = lfilter([1.0 - keep], [1.0, -keep], power, zi=[keep * power[0]])[0]
-        fast = drawn - sosfiltfilt(low, drawn)
+        drawn = through(np.array([1.0 - keep]), np.array([1.0, -keep]), power, float(power[0]))
+        fast = drawn - both_ways(low, drawn, _PAD)
         share = float(fast @ (battery_v - slow)) / max(float(fast @ fast), 1e-300)
         made = slow + share * fast
         off = float(np.std(battery_v - made))

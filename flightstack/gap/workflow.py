@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flightstack.effects import EFFECTS
-from flightstack.gap import gather, pooled
+from flightstack.gap import airspeed, gather, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
@@ -223,7 +223,8 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str]
         return naming, of
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
-    refined = refine(vehicle, naming.vehicle, flights, masks, names, _fixed(naming))
+    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, flights, masks, names)
+    refined = refine(vehicle, naming.vehicle, flights, masks, names, fixed)
     if refined is None:
         return naming, of
     told = refined.parameters
@@ -257,7 +258,7 @@ def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tupl
         return naming, of, gap
     naming = naming.as_wide_as_it_varies()
     while unsure := vanished(naming.found):
-        naming = naming.without(unsure, "is not sure to be there: it differs that much from stretch to stretch")
+        naming = naming.without(unsure[-1:], "is not sure to be there: it differs that much from stretch to stretch")
         forces = _to_refine(naming, gap)
         naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
         gap = _verdict(vehicle, naming, of)
@@ -274,7 +275,8 @@ def _alone(vehicle: Vehicle, naming: Naming, samples: Samples, effects: Sequence
     """What one flight says of these effects by output error."""
     if not effects:
         return {}
-    refined = refine(vehicle, naming.vehicle, [samples], [samples.valid], effects, _fixed(naming))
+    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, [samples], [samples.valid], effects)
+    refined = refine(vehicle, naming.vehicle, [samples], [samples.valid], effects, fixed)
     if refined is None:
         return {}
     return {(effect, p): e for effect, own in refined.parameters.items() for p, e in own.items()}
@@ -297,9 +299,8 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
         return named, moved, _verdict(vehicle, named, moved)
     naming, moved = _refined(vehicle, named, of)
     on_progress(0.75, "verifying")
-    gone = vanished(naming.found)
-    if gone:
-        left = named.without(gone, "nothing of it is left once all are refined")
+    while gone := vanished(naming.found):  # one by one: of two that are alike each is nothing beside the other
+        left = named.without(gone[-1:], "nothing of it is left once all are refined")
         named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
         naming, moved = _refined(vehicle, named, of)
     gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)

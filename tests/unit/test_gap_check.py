@@ -11,6 +11,7 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.gap.check import check
+from flightstack.gap.checks.conventions import _is_better
 from flightstack.gap.checks.offsets import find_offsets
 from flightstack.gap.records import Checked, Flight, Samples, Signal
 from flightstack.types import F64
@@ -420,6 +421,14 @@ def test_a_vehicle_that_stands_with_its_motors_running_does_not_fly_yet() -> Non
         signals[name] = Signal(np.concatenate([before, each.t_s + 10.0]), np.concatenate([stood, each.value]), name)
     samples = usable(check(replace(log, signals=signals), vehicle()))
     assert samples.t_s[0] == pytest.approx(10.5, abs=0.05)
+
+
+@pytest.mark.parametrize(("kept", "new", "better"), [(2.45, 2.58, False), (2.45, 2.9, True), (1.2, 2.3, True)])
+def test_noise_that_agrees_a_little_better_with_other_noise_is_no_other_convention(
+    kept: float, new: float, better: bool
+) -> None:
+    """2.45 and 2.58 of 3: an iris that spins over its place (its file's frames; read as FLU, ENU and km/h before)."""
+    assert _is_better(new, kept, 3.0) is better
 
 
 @pytest.mark.parametrize("offset_m", [-1.5, 30.0])

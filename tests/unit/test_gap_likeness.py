@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shipped import load_vehicle
@@ -80,3 +82,15 @@ def test_a_flight_recorded_twice_is_told_from_another_one_of_the_same_path() -> 
     assert same_flight(one, slower)
     assert same_flight(slower, one)
     assert not same_flight(one, again)
+
+
+def test_a_file_that_says_that_its_body_is_guessed_is_no_other_vehicles() -> None:
+    """Thrust 0.68, inertia 1.9 and lag 0.41 times the file's, all within its ranges, were refused."""
+    off = {
+        "thrust_scale": {"scale": 0.68},
+        "inertia": {"scale_x": 1.9, "scale_y": 0.97, "scale_z": 1.1},
+        "motor_lag": {"time_constant_s": 0.41 * quad().rotors.time_constant_s},
+    }
+    wide = {name: np.array([[0.0, 1e3]]) for name in ("body.mass_kg", "body.inertia_kgm2", "rotors.max_thrust_n")}
+    assert said(quad(), off)
+    assert said(replace(quad(), ranges=wide), off) == ""

@@ -28,6 +28,8 @@ _MARGIN = 0.12
 """By so much must the sum of correlations grow before a convention is changed."""
 _NEARLY, _SHARE = 0.03, 0.2
 """Or by so much, where less than this share is then left to perfect agreement."""
+_POOR, _MUCH = 0.25, 0.4
+"""Where more than the former is left to perfect agreement, it must grow by the latter: noise agrees with noise."""
 _CHANCE = 0.45
 """Greatest correlation, over shifts and conventions, that two noises of some seconds may have."""
 _GOOD = 0.15
@@ -144,7 +146,8 @@ def _limited(values: F64, dt_s: float) -> F64:
 def _is_better(new: float, kept: float, perfect: float = 1.0) -> bool:
     """Whether one sum of correlations is beyond doubt better than another."""
     gain = new - kept
-    return gain > _MARGIN or (gain > _NEARLY and perfect - new < _SHARE * (perfect - kept))
+    enough = _MARGIN if perfect - new < _POOR else _MUCH
+    return gain > enough or (gain > _NEARLY and perfect - new < _SHARE * (perfect - kept))
 
 
 def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from flightstack.gap.checks.grid import attitude_on_grid, on_grid, period_s
+from flightstack.gap.filters import bandpass, both_ways, lowpass
 from flightstack.gap.records import Signal
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import conjugate, multiply
@@ -68,11 +68,11 @@ def band(values: F64, dt_s: float, low_hz: float, high_hz: float) -> F64:
     nyquist = 0.5 / dt_s
     high_hz = min(high_hz, 0.9 * nyquist)
     if low_hz > 0.0:
-        sections = butter(2, [low_hz, high_hz], "bandpass", fs=1.0 / dt_s, output="sos")
+        sections = bandpass(low_hz, high_hz, dt_s)
     else:
-        sections = butter(2, high_hz, "lowpass", fs=1.0 / dt_s, output="sos")
+        sections = lowpass(high_hz, dt_s)
     pad = min(len(values) - 1, int(1.5 / max(low_hz, 0.3) / dt_s))
-    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=pad))
+    return both_ways(sections, values, pad)
 
 
 def integrated(values: F64, dt_s: float) -> F64:

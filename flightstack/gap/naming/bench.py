@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from flightstack.gap import voltage
+from flightstack.gap import airspeed, voltage
 from flightstack.gap.compare import residual
 from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
-from flightstack.gap.sampled import timing_s
+from flightstack.gap.sampled import open_gains, timing_s
 from flightstack.gap.simulate import Knob, disagreement, evaluated_every, predict, sensitivities, timing
 from flightstack.gap.track import track
 from flightstack.types import F64
@@ -26,12 +26,6 @@ _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 _ROWS_PER_CUTOFF = 2.5
 """Rows a second for each hertz that the common low-pass lets through: above twice, nothing is lost."""
 _MOST_KNOWN = 64
-_DRAGS = frozenset({"linear_drag", "rotor_drag", "parasitic_drag"})
-_MOVED = 3.0
-"""Times its own error (one standard deviation) that a level velocity must vary for a drag to be told.
-
-Least squares on a noisy velocity find a drag too small by the noise's share of its variance: here a tenth.
-"""
 _MOST_ROWS = 12_000
 """Of all flights together, four minutes at 50 a second: of longer logs fewer are taken.
 
@@ -89,7 +83,9 @@ class SimulatorBench:
 
         When the commands really acted; what they did between their stamps, as a curve and (a log in step with the
         loop sees each period at the same phase) as a gain of thrust and of each torque; and how much of their
-        unsteadiness is folded in by sampling, for the force and for each torque: the change if none were real.
+        unsteadiness is folded in by sampling, for the force and for each torque: the change if none were real; where
+        that is most of a torque, a loop's answers to its own noise are left, and the torque's gain is open.  And how
+        much of the level velocity is its error, and by what it is off in the mean.
         """
         columns = []
         for s, calm, k in zip(self.flights, self.calm, self.every, strict=True):
@@ -102,10 +98,17 @@ class SimulatorBench:
                 folded[:, channels, j] = change[:, channels]
             gains = np.nan_to_num(sensitivities(vehicle, s, _GAINS, k))
             gains[:, 3:, 0] = 0.0
-            columns.append(np.concatenate([late, bent, folded, gains], axis=2))
+            shown = track(s).lowpass(base)[::k]
+            gains[:, :, 1:] *= 1.0 + open_gains(shown, change, track(s).usable[::k]) / (_GAIN_PER_S[1:] * s.dt_s)
+            unsure = airspeed.doubt(vehicle, s)[::k]
+            off = airspeed.offset_columns(vehicle, s)[::k]
+            columns.append(np.concatenate([late, bent, folded, gains, unsure, off], axis=2))
         period = float(np.mean([s.dt_s for s in self.flights]))
-        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist()]
-        fitted = np.arange(len(sizes)) > 0  # when commands acted is the delay itself
+        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist(), 1.0, 1.0]
+        offsets = [airspeed.offset(s, s.valid) for s in self.flights]
+        sizes += np.maximum(np.mean(offsets, axis=0), 1e-6).tolist()  # 0: nothing says how far, and the columns are 0
+        at = np.arange(len(sizes))
+        fitted = (at > 0) & (at < len(sizes) - 3)  # when commands acted is the delay itself, and an offset a wind
         return columns, np.array(sizes), fitted
 
     def rate(self, flight: int) -> float:
@@ -121,7 +124,7 @@ def simulator_bench(
     off = [residual(vehicle, s).y[:, 2] for s in flights]
     lift = [float(np.sqrt(np.mean(y[np.isfinite(y)] ** 2))) if np.isfinite(y).any() else 0.0 for y in off]
     mute = set() if any(voltage.tells(s, rms) for s, rms in zip(flights, lift, strict=True)) else {"battery_sag"}
-    mute |= set() if any(_moves(s) for s in flights) else _DRAGS
+    mute |= set() if any(airspeed.moves(s) for s in flights) else airspeed.DRAGS
     return SimulatorBench(
         tuple(flights),
         tuple(with_smooth_commands(s, vehicle) for s in flights),
@@ -131,13 +134,6 @@ def simulator_bench(
         frozenset(mute),
         trifles,
     )
-
-
-def _moves(samples: Samples) -> bool:
-    """Whether the level velocity is motion rather than error: in a hover it may be an estimator's alone."""
-    flight = track(samples)
-    varies = np.nanvar(flight.vel_ned_mps[samples.valid, :2], axis=0)
-    return not float(varies.sum()) < _MOVED**2 * float(np.sum(flight.vel_std_mps[:2] ** 2))
 
 
 def _every(flights: Sequence[Samples]) -> tuple[int, ...]:

@@ -15,10 +15,10 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.filters import through
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.metric import bounded_step
@@ -239,7 +239,7 @@ def _coloured(layout: Layout, left: Layout, x: F64, chosen: Mask) -> F64:
                 continue
             series = np.zeros((len(layout.ok[f]), x.shape[1]))
             series[layout.at[chosen][mine]] = x[mine]
-            passed = lfilter(whitener.taps * (noise.sigma / whitener.sigma), noise.stable_taps, series[::-1], axis=0)
+            passed = through(whitener.taps * (noise.sigma / whitener.sigma), noise.stable_taps, series[::-1])
             total += passed.T @ passed
     return total
 

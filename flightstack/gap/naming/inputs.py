@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import welch
 
+from flightstack.gap.filters import spectrum as density
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
 from flightstack.types import F64
@@ -62,7 +62,7 @@ def _wiener(u: F64, chosen: Mask, dt_s: float) -> F64:
     """Expectation of a noisy input (N,): at each frequency the share of its power that stands above the floor."""
     segment = round(_SEGMENT_S / dt_s)
     within = np.where(chosen, u, u[chosen].mean() if chosen.any() else u.mean())
-    frequency, power = welch(within, fs=1.0 / dt_s, nperseg=min(segment, len(u)), detrend="linear")
+    frequency, power = density(within, within, dt_s, min(segment, len(u)), linear=True)
     floor = float(np.median(power[frequency >= _FLOOR_FROM * 0.5 / dt_s]))
     gain = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
     gain[:2] = 1.0

@@ -38,7 +38,7 @@ _NEIGHBOURS = 6
 _ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
 """To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
 _HUNG = (("payload", "mass_kg"), ("slung_load", "mass_kg"))
-"""Its weight is all that a line shows of a load on a rope: looked at closely, one is hung in a payload's place."""
+"""Its weight is all that a line shows of a load on a rope: one is hung in a payload's place."""
 _STUCK = 6.0
 _ROUNDS = 3
 _STEPS = 4
@@ -133,7 +133,7 @@ def search(
     _fit_all(state, _shortlist(scored))
     while _bar(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
-    swaps = (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE), *([_HUNG] if steady else []))
+    swaps = (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE), _HUNG)
     _swap(state, swaps)
     for _ in range(_ROUNDS):
         best = state.best

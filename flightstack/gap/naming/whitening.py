@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from flightstack.gap.filters import through
 from flightstack.types import F64
 
 Mask = NDArray[np.bool_]
@@ -85,7 +85,7 @@ def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
 def apply(whitener: Whitener, values: F64, ok: Mask) -> F64:
     """Filtered and scaled to unit noise: (N,) or (N, k); rows whose window is not whole are for the caller to leave."""
     clean = np.where(ok.reshape((-1,) + (1,) * (values.ndim - 1)), values, 0.0)
-    return np.asarray(lfilter(whitener.taps / whitener.sigma, 1.0, clean, axis=0))
+    return through(whitener.taps / whitener.sigma, np.ones(1), clean)
 
 
 def whole_windows(ok: Mask, order: int) -> Mask:

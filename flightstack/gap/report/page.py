@@ -86,8 +86,13 @@ def _figures(report: GapReport) -> tuple[KeyFigure, ...]:
         figure("Turning, one step", "one_step_radps2", "rad/s²"),
         figure("Path after 1 s alone", "rollout_1s_m", "m", words.ratio(gap.before, gap.after)),
         KeyFigure("Effects named", str(len(report.found)), "of 26 looked at"),
-        KeyFigure("Left over", words.percent(report.unexplained.fraction), _left(report)),
+        KeyFigure("Left over", _share_left(report), _left(report)),
     )
+
+
+def _share_left(report: GapReport) -> str:
+    rest = report.unexplained
+    return "something" if rest.significant and report.gap.closed is None else words.percent(rest.fraction)
 
 
 def _left(report: GapReport) -> str:

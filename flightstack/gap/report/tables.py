@@ -25,7 +25,7 @@ def effects(report: GapReport) -> str:
         depends = " and ".join(rest.depends_on) or "nothing that was looked at"
         parts.append(
             '<div class="effect"><h3>Something that no effect of the table explains</h3>'
-            f'<p class="twin"><b>{words.percent(rest.fraction)}</b> of the gap; it depends on {escape(depends)}. '
+            f'<p class="twin"><b>{words.left_over(rest, report.gap)}</b>; it depends on {escape(depends)}. '
             "Nothing was put into the model for it.</p></div>"
         )
     if not parts:

@@ -54,7 +54,7 @@ def _width(value: Estimate) -> float:
 def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False) -> str:
     """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more."""
     if found:
-        parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained), *_doubt(found)]
+        parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained, gap), *_doubt(found)]
     elif unexplained.significant:
         parts = ["Something is missing that no effect of the table explains", *_depends(unexplained)]
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
@@ -102,10 +102,15 @@ def _closed(gap: Gap, count: int) -> str:
     return f"with {'it' if count == 1 else 'them'} {percent(gap.closed)} of the gap on data not used before is closed"
 
 
-def _rest(unexplained: Unexplained) -> list[str]:
+def _rest(unexplained: Unexplained, gap: Gap) -> list[str]:
     if not unexplained.significant:
         return []
-    return [f"{percent(unexplained.fraction)} of the gap is left that no effect explains", *_depends(unexplained)]
+    return [f"{left_over(unexplained, gap)} is left that no effect explains", *_depends(unexplained)]
+
+
+def left_over(unexplained: Unexplained, gap: Gap) -> str:
+    """How much is left; of no gap there is no share."""
+    return "something" if gap.closed is None else f"{percent(unexplained.fraction)} of the gap"
 
 
 def _depends(unexplained: Unexplained) -> list[str]:
