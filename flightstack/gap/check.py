@@ -15,6 +15,7 @@ import numpy as np
 
 from flightstack.gap.checks import contact, conventions, quality, speeds, stopped
 from flightstack.gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
+from flightstack.gap.checks.flying import CLEAR_M
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
@@ -25,8 +26,8 @@ from flightstack.vehicle import Vehicle
 _GROUND_OFF_M = {"mcap": 0.05, "ulog": 0.05, "dataflash": 0.3, "tlog": 0.3}
 """Logs whose heights are an autopilot's own, and from which distance the ground is not at its frame's origin: in the
 last two heights and landing are told so rarely that 0.1 m may be a touch."""
-_STOOD_S, _LOW_M = 10.0, 0.1
-"""What is looked at before take-off; what is no height of a flight."""
+_STOOD_S = 10.0
+"""What is looked at before take-off."""
 _MISSED = {
     "q_ned_frd": "attitude: drag and wind can't be told",
     "rate_frd_radps": "body rates: they come from the attitude",
@@ -141,7 +142,7 @@ def _ground(kind: str, signals: Mapping[str, Signal], ground_d_m: float, finding
             text = f"the ground lies at {down:.2f} m down, where the vehicle stood before take-off"
             findings.append(ok("ground", text))
             ground_d_m = down
-    low = float(np.mean(ground_d_m - position.value[up, 2] < _LOW_M))
+    low = float(np.mean(ground_d_m - position.value[up, 2] < CLEAR_M))
     if low > 0.5:
         text = f"by its position the vehicle is at or below the ground in {100.0 * low:.0f} % of its flight: not used"
         findings.append(warning("height", text))

@@ -33,9 +33,14 @@ def parameters(tables: dict[str, Table]) -> dict[str, float]:
     """Parameters by name, the last value of each: PARM of a DataFlash log, PARAM_VALUE of a telemetry log."""
     for name, key, value in (("PARM", "Name", "Value"), ("PARAM_VALUE", "param_id", "param_value")):
         table = tables.get(name)
-        if table is not None and {key, value} <= table.columns.keys() and table[value].dtype.kind in "iuf":
+        if table is not None and {key, value} <= table.columns.keys() and _plain(table[value]) and table[key].ndim == 1:
             return {str(k): float(v) for k, v in zip(table[key], table[value], strict=True) if math.isfinite(v)}
     return {}
+
+
+def _plain(column: np.ndarray) -> bool:
+    """Whether it is a number a row: a log says itself what its columns are."""
+    return column.ndim == 1 and column.dtype.kind in "iuf"
 
 
 def board_to_frame(said: dict[str, float]) -> F64:
@@ -98,7 +103,7 @@ def motors_first(said: dict[str, float], pulses_us: NDArray[np.int64]) -> NDArra
 def states(tables: dict[str, Table]) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]] | None:
     """When arming or landing changed (us), and armed and on the ground from then on; None where no event says so."""
     events = tables.get("EV")
-    if events is None or "Id" not in events.columns:
+    if events is None or "Id" not in events.columns or not _plain(events["Id"]):
         return None
     known = np.isin(events["Id"], (_ARMED, _DISARMED, _LANDED, _FLYING))
     if not (events["Id"] == _FLYING).any():

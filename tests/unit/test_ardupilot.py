@@ -6,6 +6,7 @@ motors' places are those of AP_MotorsMatrix.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,15 +49,11 @@ def test_a_log_with_a_trim_has_its_imu_in_the_axes_of_its_attitude(tmp_path: Pat
     pitch = -np.radians(3.0)
     names = np.array(["AHRS_TRIM_X", "AHRS_TRIM_Y"])
     said = Table("PARM", np.zeros(2, np.int64), {"Name": names, "Value": np.array([0.0, pitch])}, {})
-    trimmed = with_vehicle_topics(replace_tables(log, said)).tables["/vehicle/imu"]["accel_frd_mps2"]
+    trimmed = with_vehicle_topics(replace(log, tables={**log.tables, "PARM": said})).tables["/vehicle/imu"][
+        "accel_frd_mps2"
+    ]
     c, s = np.cos(pitch), np.sin(pitch)
     np.testing.assert_allclose(trimmed, plain @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T, atol=1e-12)
-
-
-def replace_tables(log: object, said: Table) -> object:
-    from dataclasses import replace
-
-    return replace(log, tables={**log.tables, "PARM": said})  # type: ignore[attr-defined, type-var]
 
 
 def test_an_absurd_trim_is_no_trim() -> None:
@@ -97,6 +94,19 @@ def test_events_tell_when_it_was_armed_and_when_it_flew() -> None:
     assert landed.tolist() == [True, False, True, True]
     assert ardupilot.states(events((5, 10), (50, 11))) is None
     assert ardupilot.states({}) is None
+
+
+@pytest.mark.parametrize("name", ["PARM", "EV"])
+def test_a_log_that_says_rows_of_numbers_where_one_belongs_is_read_without_them(tmp_path: Path, name: str) -> None:
+    """The format letter `a` is 32 numbers: any log may say it of any column."""
+    log = read_dataflash(tmp_path / "a.BIN", dataflash())
+    wide = np.arange(64).reshape(2, 32)
+    columns = {"Name": np.array(["AHRS_TRIM_X", "b"]), "Value": wide} if name == "PARM" else {"Id": wide}
+    strange = replace(log, tables={**log.tables, name: Table(name, np.zeros(2, np.int64), columns, {})})
+    tables = with_vehicle_topics(strange).tables
+    assert "/vehicle/status" not in tables
+    plain = with_vehicle_topics(log).tables["/vehicle/imu"]["accel_frd_mps2"]
+    np.testing.assert_array_equal(tables["/vehicle/imu"]["accel_frd_mps2"], plain)
 
 
 def test_a_vehicle_file_begins_with_what_a_dataflash_log_says(tmp_path: Path) -> None:

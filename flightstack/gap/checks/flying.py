@@ -10,7 +10,8 @@ from flightstack.vehicle import Vehicle
 
 LEAST_THRUST = 0.25
 """Of the weight: with less than this commanded, and not falling, a vehicle stands."""
-_CLEAR_M = 0.1
+CLEAR_M = 0.1
+"""Below this no height is that of a flight."""
 _DIP_S = 1.0
 _STANDING_M, _STANDING_MPS = 0.06, 0.15
 """At the ground's height and not moving: on it, whatever the motors do."""
@@ -42,7 +43,7 @@ def flying(
     if landed is not None:
         up &= landed < 0.5
     if height_m is not None and landed is not None:
-        up &= ~(height_m < _CLEAR_M)
+        up &= ~(height_m < CLEAR_M)
     if height_m is not None and speed_mps is not None:
         up &= ~((np.abs(height_m) < _STANDING_M) & (speed_mps < _STANDING_MPS))
     return _trimmed(_bridged(up, round(_DIP_S / step_s)), round(_EDGE_S / step_s))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.types import InputError
+from flightstack_logs import ardupilot
 from flightstack_logs.tables import About, Log, Table
 
 MAGIC = b"\xa3\x95\x80\x80"
@@ -45,11 +46,9 @@ def read_dataflash(path: Path, data: bytes) -> Log:
     notes = [f"damaged or cut off: {lost} bytes are no whole message"] if lost else []
     first = min(int(table.t_us[0]) for table in tables.values() if len(table))
     metadata = {"boot": {"first_us": str(first)}}
-    parameters = tables["PARM"].columns if "PARM" in tables else {}
-    if {"Name", "Value"} <= parameters.keys() and parameters["Value"].dtype.kind in "iuf":
-        metadata["parameters"] = {
-            str(name): repr(float(value)) for name, value in zip(parameters["Name"], parameters["Value"], strict=True)
-        }
+    said = ardupilot.parameters(tables)
+    if said:
+        metadata["parameters"] = {name: repr(value) for name, value in said.items()}
     return Log(
         path=path,
         kind="dataflash",

@@ -42,7 +42,7 @@ def figures(flight: FlightReport, recorded: Recorded) -> tuple[KeyFigure, ...]:
         up = 1.0 - 2.0 * (attitude[:, 1] ** 2 + attitude[:, 2] ** 2)
         found.append(KeyFigure("Greatest tilt", f"{math.degrees(math.acos(np.clip(up.min(), -1.0, 1.0))):.0f}°"))
     if flight.motors is not None and (flight.motors.values > 0.0).any():
-        turning = flight.motors.values.max(axis=1) > 0.0
+        turning = (flight.motors.values > 0.0).any(axis=1)
         share = float(np.mean(motor_saturation(flight.motors).values[turning]))
         found.append(KeyFigure("A motor at its limit", percent(share), "of the time that motors turn"))
     volts = _known(recorded.battery_v)
