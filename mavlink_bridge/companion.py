@@ -285,7 +285,7 @@ class Companion:
         state, system = self._now.state, self._now.system
         if state in FINAL and self._now.entered_us != now_us:
             return
-        self._voice.keep_in_touch(now_us)
+        self._voice.keep_in_touch(now_us, self.view.heartbeat_at_us)
         if state is State.OFFBOARD:
             self._fly(now_us)
         elif state is State.RETAKING:
