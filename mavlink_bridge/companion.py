@@ -222,6 +222,7 @@ class Companion:
             self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.RETAKING:
             self._observer.on_event(t_us, "fault", f"stalled: {self._now.stalls.words}; taking back", "warning")
+            self._commands.forget(px4.Cmd.DO_SET_MODE)
         elif state is State.OFFBOARD and event is HandshakeEvent.RETAKEN:
             self._resume(t_us)
         elif state is State.OFFBOARD:
@@ -278,7 +279,6 @@ class Companion:
         self._watch.resume()
         self._notes.begin()
         self._now.trouble = ""  # judged before the flight went on
-        self._now.stalls.taken_back += 1
 
     def _act(self, now_us: int) -> None:
         """What happens in every period of a state."""

@@ -2,6 +2,7 @@
 
 Nobody has a priority of its own: PX4, companion, dead-man and this driver run without the permission for one.  The busy
 loops run in sessions of their own, as programs of other terminals do: Linux shares processors among sessions first.
+With `SOAK_PX4=real-time` PX4 keeps its priority, as on a board of its own: starved, it loses its simulated sensors.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ ASKED = (
 RUNS = 1
 SECONDS = float(os.environ.get("SOAK_S", "1800"))
 BUSY = int(os.environ.get("SOAK_BUSY", "2"))
+PX4_NORMAL = os.environ.get("SOAK_PX4", "normal") == "normal"
 FLIGHT_S = 300.0
 """Of a scenario; take-off and landing come to it."""
 _NORMAL = ("setpriv", "--inh-caps=-sys_nice", "--bounding-set=-sys_nice", "chrt", "-o", "0")
@@ -57,7 +59,7 @@ class Flight:
 def run(bench: Bench, runs: int) -> list[Row]:
     """Flights one after the other until they make up the time; each that is ended begins another."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # started in real time, its threads would be, too
-    normal = replace(bench, prefix=_NORMAL, px4_prefix=_NORMAL)
+    normal = replace(bench, prefix=_NORMAL, px4_prefix=_NORMAL if PX4_NORMAL else ("chrt", "-f", "10"))
     with _busy():
         return [_soak(normal) for _ in range(runs)]
 
@@ -122,4 +124,5 @@ def _row(flights: list[Flight]) -> Row:
         f"{max(each.load for each in flights):.1f}"
     )
     notes = [f"{flight.scenario}, {flight.flight_time_s:.0f} s: {flight.reason}" for flight in ended]
-    return Row(f"normal priority, {BUSY} busy loops", measured, not ended, 1, notes)
+    px4 = "" if PX4_NORMAL else ", PX4 in real time"
+    return Row(f"normal priority, {BUSY} busy loops{px4}", measured, not ended, 1, notes)
