@@ -285,7 +285,7 @@ class Companion:
         state, system = self._now.state, self._now.system
         if state in FINAL and self._now.entered_us != now_us:
             return
-        self._voice.keep_in_touch(now_us, self.view.heartbeat_at_us)
+        self._voice.keep_in_touch(now_us, heartbeat_missing=self.view.heartbeat_is_missing)
         if state is State.OFFBOARD:
             self._fly(now_us)
         elif state is State.RETAKING:
@@ -297,7 +297,7 @@ class Companion:
         elif state is State.STANDBY:
             self.view.params.ask(self.link, system, now_us)
         elif state is State.STREAMING and not (self._config.dry_run or self._watch.pace.has_slept(now_us)):
-            if not self.view.would_return:
+            if not self.view.may_return:
                 self._stream_idle()
             if self._config.arm:
                 self._ask_for_offboard_and_arm(now_us)

@@ -15,8 +15,6 @@ RATES = 128
 LEVEL = 7
 """Ignore the body rates, take attitude and thrust: PX4's own attitude loop levels the vehicle."""
 _HEARTBEAT_US = 1_000_000
-_HEARTBEAT_LATE_US = 2_500_000
-"""PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _TIMESYNC_US = 100_000
 _NO_TURN: Tuple4 = (1.0, 0.0, 0.0, 0.0)
 
@@ -43,7 +41,7 @@ class Voice:
         self.rate_max_radps = params.rate_max_radps
         self.is_ground_station = not params.values.get("NAV_DLL_ACT", 0.0)
 
-    def keep_in_touch(self, now_us: int, heartbeat_at_us: int) -> None:
+    def keep_in_touch(self, now_us: int, *, heartbeat_missing: bool) -> None:
         """Heartbeats as onboard controller and as a ground station (PX4 sends STATUSTEXT only to links that saw one);
         TIMESYNC questions; and, where the vehicle's own heartbeats stay away, the question for one: it alone tells
         whether the vehicle is armed."""
@@ -51,7 +49,7 @@ class Voice:
             return
         if now_us >= self._heartbeat_due_us:
             self._heartbeat_due_us = now_us + _HEARTBEAT_US
-            if now_us - heartbeat_at_us > _HEARTBEAT_LATE_US:
+            if heartbeat_missing:
                 asked = (float(m.id_of(m.Heartbeat)), *(math.nan,) * 6)
                 self._link.send(m.CommandLong(self.system, px4.COMPONENT_AUTOPILOT, px4.Cmd.REQUEST_MESSAGE, 0, asked))
             self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))

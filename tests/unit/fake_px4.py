@@ -42,6 +42,8 @@ class FakePx4:
     mode_result: int = 0
     texts: tuple[str, ...] = ()
     heartbeats: bool = True
+    answers_heartbeat: bool = True
+    """Whether it sends one on request."""
     streams: bool = True
     resets: int = 0
     """ODOMETRY's reset counter."""
@@ -129,8 +131,9 @@ class FakePx4:
             self.armed = command.params[0] == 1.0 and (self.armed or self.arm_result == 0)
         elif command.command == 512:
             if command.params[0] == m.id_of(m.Heartbeat):
-                answer(0)
-                self._send_heartbeat()
+                if self.answers_heartbeat:
+                    answer(0)
+                    self._send_heartbeat()
             elif self.answers_version:
                 answer(0)
                 self.link.send(m.AutopilotVersion(0xE8FF, 0x01120040))
