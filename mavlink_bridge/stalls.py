@@ -35,6 +35,8 @@ class Stalls:
         self._known_hold_ns = 0
         self._unsteered: deque[tuple[int, int]] = deque()
         """Since when and until when nobody steered, of late."""
+        self._late_until_us = 0
+        """A Hold that was taken for lost may be seen until then."""
         self._stall_us = self._held_us = 0
         """Of the last stall: its length, and after how long Hold was commanded."""
 
@@ -75,10 +77,15 @@ class Stalls:
             began_us, ended_us = self._unsteered.pop()
             self._unsteered.append((began_us, max(ended_us, now_us)))
 
-    def is_back(self, now_us: int) -> None:
-        """OFFBOARD was taken back."""
+    def is_back(self, now_us: int, *, hold_seen: bool = True) -> None:
+        """OFFBOARD was taken back; or the Hold was never seen, and nothing had to be."""
         self.nobody_steered_until(now_us)
         self.taken_back += 1
+        self._late_until_us = 0 if hold_seen else now_us + RETAKE_LIMIT_US
+
+    def is_late_hold(self, custom_mode: int, now_us: int) -> bool:
+        """Whether a mode that is seen now is the Hold that was taken for lost: a busy vehicle obeys late."""
+        return now_us < self._late_until_us and self.own_hold(custom_mode)
 
     def _unsteered_us(self, now_us: int) -> int:
         since_us = now_us - WITHIN_US

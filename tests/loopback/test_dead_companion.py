@@ -143,6 +143,36 @@ def test_stalls_one_after_the_other_are_taken_back_and_harm_nothing(flight: Guar
     assert flight.companion.completed, flight.companion.reason
 
 
+@pytest.mark.parametrize("steps", [1, 2, 3, 4])
+def test_a_stall_while_offboard_is_being_taken_back_begins_that_again(flight: GuardedFlight, steps: int) -> None:
+    """In Hold still, or just out of it: the second silence finds a Hold that is nobody else's."""
+    flight.stand_still(0.1)
+    for _ in range(steps):
+        flight.step()
+    assert flight.companion.state is State.RETAKING
+    flight.stand_still(0.12)
+    for _ in range(100):
+        flight.step()
+    assert flight.companion.state is State.OFFBOARD
+    assert not flight.dead_man.record.touched  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("mode", [(4.0, 5.0), (3.0, 0.0)])
+def test_a_pilot_who_takes_over_while_offboard_is_being_taken_back_keeps_the_vehicle(
+    flight: GuardedFlight, mode: tuple[float, float]
+) -> None:
+    flight.stand_still(0.1)
+    flight.step()
+    assert flight.companion.state is State.RETAKING
+    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, *mode)
+    flight.stand_still(0.12)
+    taken = flight.mode
+    for _ in range(250):
+        flight.step()
+    assert flight.companion.state is State.PILOT
+    assert flight.mode == taken != "Offboard"
+
+
 def test_where_nobody_steers_for_a_tenth_of_the_time_the_flight_ends_in_hold(flight: GuardedFlight) -> None:
     began_us = flight.flight.t_us
     for _ in range(4):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import NOBODY
 from mavlink_bridge.stalls import Stalls
 
@@ -52,3 +53,19 @@ def test_the_time_until_offboard_is_back_counts_as_not_steered() -> None:
     assert _stalled(stalls, 1, 5 * SECOND_US, 100_000) == ""
     stalls.nobody_steered_until(5 * SECOND_US + 950_000)
     assert "nobody steered for 1.1 s of the last 10 s" in _stalled(stalls, 2, 7 * SECOND_US, 110_000)
+
+
+@pytest.mark.parametrize(
+    ("hold_seen", "mode", "after_us", "late"),
+    [(False, px4.MODE_HOLD, 900_000, True), (False, px4.MODE_HOLD, 1_100_000, False), (True, px4.MODE_HOLD, 1, False),
+     (False, px4.MODE_LAND, 1, False)],
+)  # fmt: skip
+def test_a_hold_that_was_taken_for_lost_is_known_when_it_comes(
+    hold_seen: bool, mode: int, after_us: int, late: bool
+) -> None:
+    """A PX4 on a busy machine obeyed 0.24 s later; once Hold has been seen, the next one is a pilot's."""
+    stalls = Stalls()
+    assert _stalled(stalls, 1, 5 * SECOND_US, 100_000) == ""
+    back_us = 5 * SECOND_US + 230_000
+    stalls.is_back(back_us, hold_seen=hold_seen)
+    assert stalls.is_late_hold(mode, back_us + after_us) is late
