@@ -218,6 +218,8 @@ class ShieldRouter:
     def _take_back(self, now_us: int) -> None:
         """OFFBOARD again after a short stall whose Hold was the dead-man's alone, while the program speaks."""
         if self.stalls.is_held:
+            if self._retaking_us >= 0:
+                self.stalls.nobody_steered_until(self.stalls.report.silent_ns // 1000)
             self._retaking_us = -1 if self.stalls.judge(now_us) else now_us
         if self._retaking_us < 0:
             return
@@ -225,7 +227,7 @@ class ShieldRouter:
         over = now_us - self._retaking_us > RETAKE_LIMIT_US or now_us - self._wish_us > SILENT_US
         blind = self._is_blind(self.view.clock.vehicle_us(now_us))
         if self.view.in_offboard and (settled or self.stalls.hold_was_lost(self.view)):
-            self.stalls.taken_back += 1
+            self.stalls.is_back(now_us)
             self._retaking_us = -1
         elif over or (settled and not ours):
             self._retaking_us = -1
