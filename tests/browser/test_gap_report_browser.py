@@ -59,7 +59,8 @@ addEventListener("load", () => setTimeout(() => {
     && e.getBoundingClientRect().right > e.closest(".panel").getBoundingClientRect().right).map(told));
   // a word that stands in more than one line was broken
   const broken = [];
-  for (const cell of document.querySelectorAll("td:not(#checks td:nth-child(2)), th")) for (const node of cell.childNodes) {
+  const cells = [...document.querySelectorAll("td:not(#checks td:nth-child(2)), th")];
+  for (const node of cells.flatMap((cell) => [...cell.childNodes])) {
     if (node.nodeType !== 3) continue;
     for (const { index, 0: word } of node.data.matchAll(/[^\\s_\u2212-]+/g)) {
       const range = new Range();
