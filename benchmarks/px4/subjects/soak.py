@@ -1,7 +1,8 @@
 """figure8 and hover by turns for half an hour at normal priority beside two busy loops: is a flight ended by load?
 
-Nobody has a priority of its own: PX4, companion, dead-man and this driver run without the permission for one.  The busy
-loops run in sessions of their own, as programs of other terminals do: Linux shares processors among sessions first.
+Nobody has a priority of its own: PX4, companion, dead-man and this driver run without the permission for one.
+Companion, PX4 and each busy loop have a session of their own, as services have and what is started in other terminals:
+Linux shares processors among sessions first.
 With `SOAK_PX4=real-time` PX4 keeps its priority, as on a board of its own: starved, it loses its simulated sensors.
 """
 
@@ -30,7 +31,7 @@ BUSY = int(os.environ.get("SOAK_BUSY", "2"))
 PX4_NORMAL = os.environ.get("SOAK_PX4", "normal") == "normal"
 FLIGHT_S = 300.0
 """Of a scenario; take-off and landing come to it."""
-_NORMAL = ("setpriv", "--inh-caps=-sys_nice", "--bounding-set=-sys_nice", "chrt", "-o", "0")
+_NORMAL = ("setsid", "setpriv", "--inh-caps=-sys_nice", "--bounding-set=-sys_nice", "chrt", "-o", "0")
 _SPINS = "while True: pass"
 _BESIDE_S = 120.0
 """Start, take-off, landing."""
@@ -59,7 +60,7 @@ class Flight:
 def run(bench: Bench, runs: int) -> list[Row]:
     """Flights one after the other until they make up the time; each that is ended begins another."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # started in real time, its threads would be, too
-    normal = replace(bench, prefix=_NORMAL, px4_prefix=_NORMAL if PX4_NORMAL else ("chrt", "-f", "10"))
+    normal = replace(bench, prefix=_NORMAL, px4_prefix=_NORMAL if PX4_NORMAL else ("setsid", "chrt", "-f", "10"))
     with _busy():
         return [_soak(normal) for _ in range(runs)]
 
@@ -67,7 +68,7 @@ def run(bench: Bench, runs: int) -> list[Row]:
 @contextmanager
 def _busy() -> Iterator[None]:
     command = [*_NORMAL, sys.executable, "-c", _SPINS]
-    loops = [subprocess.Popen(command, start_new_session=True) for _ in range(BUSY)]
+    loops = [subprocess.Popen(command) for _ in range(BUSY)]
     try:
         yield
     finally:
