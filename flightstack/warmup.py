@@ -98,4 +98,4 @@ def _certificate(centre_ned_m: F64) -> Certificate:
         for i, authority in enumerate((lateral, lateral, down))
     )
     north, east, down = centre_ned_m.tolist()
-    return Certificate("sound", (north, east, down), axes, Budget(2.0, 6.0, 15.0, 17.0, 0.5), 1.0, 0.0)
+    return Certificate("sound", (north, east, down), axes, Budget.square(6.0, 15.0, 17.0, 0.5), 1.0, 0.0)
