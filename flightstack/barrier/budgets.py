@@ -1,9 +1,9 @@
 """The thrust budget that balances what is known and leaves what is asked for.
 
 A lean to each axis of its own: about the one that balances the steady force along it, as the learner has it, to either
-side as far as what is asked for takes, and by what the filter keeps from the ends (`records.Budget.lean_spare`).  A wind
-along one axis leaves the other's range as it is, and what a lean takes from thrust along down is that of the corner that
-leans furthest.
+side as far as what is asked for takes, and by what the filter keeps from the ends (`records.Budget.lean_spare`).  A
+wind along one axis leaves the other's range as it is, and what a lean takes from thrust along down is that of the
+corner that leans furthest.
 """
 
 from __future__ import annotations

@@ -41,6 +41,7 @@ from flightstack.barrier.records import Authority, AxisCertificate, Budget, Cert
 from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, largest_steps
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import within
+from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -174,7 +175,7 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and self._pays(ready, area, state):
+        elif holds and _leans_within(ready, measurement) and self._pays(ready, area, state):
             issued = ready
         else:
             return None
@@ -365,6 +366,13 @@ def compile_all() -> None:
     for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
         pass
     prepare()
+
+
+def _leans_within(certificate: Certificate, measurement: Measurement) -> bool:
+    """Whether the vehicle leans as the certificate lets it: taken in the midst of a wider lean, it ends at once."""
+    assert certificate.premises is not None
+    axis = quat_to_matrix(measurement.q_ned_frd)[:2, 2]
+    return all(least <= lean <= most for lean, (least, most) in zip(axis, certificate.premises.leans, strict=True))
 
 
 def _lateness(certificate: Certificate) -> float:

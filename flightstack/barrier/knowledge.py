@@ -17,10 +17,10 @@ f = b F / b_d:
     east     b = (B_n(s1), m_e or l_e),   v = (V_n(s3), node, V_d(s4))         F = high where s2 = 1, else low
 
 B_j(s) the least or greatest lean along axis j.  To these comes first the *centre* query with the signs' b and speeds 0
-(or the range's nearest), F of a lateral one the thrust of hover.  On the `slice` there is only this.  near is that of the greatest height in all: what the ground does
-below is not extrapolated from the data but bounded, as it only ever adds thrust, by at most g = 2 near(least height) F
-(twice Cheeseman and Bennett's): lo - g along down, lo - g max(m, 0) and hi + g max(-l, 0) across.  Corners are
-representative: between them the processes are taken to be no further off than there.
+(or the range's nearest), F of a lateral one the thrust of hover.  On the `slice` there is only this.  near is that of
+the greatest height in all: what the ground does below is not extrapolated from the data but bounded, as it only ever
+adds thrust, by at most g = 2 near(least height) F (twice Cheeseman and Bennett's): lo - g along down, lo - g max(m, 0)
+and hi + g max(-l, 0) across.  Corners are representative: between them nothing is taken to be further off.
 
 A `last` certificate asks along down at the least height as well, where its prior lets the ground do half of Cheeseman
 and Bennett's or more: lo is mean - k sigma there, less what is not linear in near, g near / (1 - near).  What is
@@ -82,8 +82,10 @@ from flightstack.barrier.posterior import Accelerations, proximity
 from flightstack.barrier.queries import (
     Envelope,
     Steering,
+    furthest,
     ground_mps2,
     ground_rest_mps2,
+    lifted,
     queries,
     statements,
 )  # fmt: skip
@@ -237,7 +239,7 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
         yield None
     ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust)
     explained = asked.explained_mps2.reshape(-1)
-    against, along = _lifted(request.box, axis)
+    against, along = lifted(request.box, axis)
     sides = Sides(
         *_learned_and_sure(request, axis, (speed, thrust), learned),
         explained - ground * against,
@@ -304,7 +306,8 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
     authorities = {axis: _authority(request, axis, hull, torque[axis]) for axis, hull in hulls.items()}
     doubt, hover = _gain_doubt(request), _steering(hulls[DOWN], request.box).hover_mps2
     parts = {
-        axis: doubt * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * _furthest(request.box, axis))
+        axis: doubt
+        * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * furthest(request.box, axis))
         for axis in hulls
     }
     parts = {
@@ -316,20 +319,6 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
         authorities, parts, torque, request.box, request.delta, request.k, (north, east, down), request.version, hover,
         request,
     )  # fmt: skip
-
-
-def _lifted(box: Budget, axis: int) -> tuple[float, float]:
-    """How much of what is added to thrust acts against an axis and along it."""
-    if axis == DOWN:
-        return 1.0, 0.0
-    least, most = box.leans[axis]
-    return max(most, 0.0), max(-least, 0.0)
-
-
-def _furthest(box: Budget, axis: int) -> float:
-    """Greatest lean along a lateral axis."""
-    least, most = box.leans[axis]
-    return max(-least, most)
 
 
 def _torque(request: Request, down: _Hull) -> dict[int, float]:

@@ -32,8 +32,8 @@ P_SIZES = P_TURNING + 2
 P_HEAD = P_SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
 response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, leans to north and to east, greatest
-roll and pitch rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and
-tables (`table_of`)."""
+roll and pitch rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room
+for; pieces and tables (`table_of`)."""
 
 
 def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
@@ -99,7 +99,7 @@ def _leans(certificate: Certificate | None, tilt_rad: float) -> Leans:
         most = math.sin(tilt_rad) * math.sqrt(0.5)
         return (-most, most), (-most, most)
     if certificate.premises is None:
-        return certificate.budget.leans
+        return certificate.budget.kept
     return spared(certificate.premises.leans, certificate.budget.lean_spare)
 
 

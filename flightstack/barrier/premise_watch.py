@@ -114,8 +114,8 @@ def watched(
     """
     low, high = zip(*premises.speeds_mps, strict=True)
     numbers = [
-        *low, *high, *premises.leans[0], *premises.leans[1], *premises.thrust_mps2, *premises.applied_share, *premises.thrust_gain,
-        *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
+        *low, *high, *premises.leans[0], *premises.leans[1], *premises.thrust_mps2, *premises.applied_share,
+        *premises.thrust_gain, *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
         *drag_per_s, premises.age_s,
     ]  # fmt: skip
     return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), down)

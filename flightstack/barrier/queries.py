@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.posterior import proximity
 from flightstack.barrier.records import Budget
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64
 
 _SIGNS = np.array([[a, b, c, d] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1) for d in (-1, 1)], np.float64)
 
@@ -49,6 +48,20 @@ def ground_rest_mps2(envelope: Envelope, rotor_radius_m: float, thrust_mps2: F64
     near = proximity(rotor_radius_m, envelope.heights_m[0])
     rest: F64 = ground_mps2(envelope, rotor_radius_m, thrust_mps2) * near / (1.0 - near)
     return rest
+
+
+def lifted(box: Budget, axis: int) -> tuple[float, float]:
+    """How much of what is added to thrust acts against an axis and along it."""
+    if axis == DOWN:
+        return 1.0, 0.0
+    least, most = box.leans[axis]
+    return max(most, 0.0), max(-least, 0.0)
+
+
+def furthest(box: Budget, axis: int) -> float:
+    """Greatest lean along a lateral axis."""
+    least, most = box.leans[axis]
+    return max(-least, most)
 
 
 class Steering(NamedTuple):

@@ -25,6 +25,7 @@ import numpy as np
 
 from . import floors, knowledge
 from .autopilot import check_gyro
+from .box import Box
 from .cells import check_cells
 from .condition import Condition, Piece
 from .confidence import check_confidence
@@ -142,17 +143,19 @@ def _check(text: str, lines: list[str], log: BinaryIO | FlightRecording | None, 
         lines += check_flight(data, known, log, vehicle, seal_of(text))
 
 
-def _budget(value: Any, lines: list[str]) -> knowledge.Box:
+def _budget(value: Any, lines: list[str]) -> Box:
     """The tilt cone holds the furthest of the leans, and full thrust reaches `high` wherever it leans."""
     *ends, low, high, most, tilt, spare = numbers(value, _BUDGET, "budget")
     leans = np.array(ends).reshape(2, 2)
     if not (np.all(leans[:, 0] <= leans[:, 1]) and 0.0 <= low < high and 0.0 <= tilt < 0.5 * math.pi and spare >= 0.0):
-        raise Refused("budget: leans must be ranges in order, low and spare at least 0, high above low, tilt in 0 to pi / 2")
+        raise Refused(
+            "budget: leans must be ranges in order, low and spare at least 0, high above low, tilt in 0 to pi / 2"
+        )
     if not abs(high - most * math.cos(tilt)) <= knowledge.NEAR:
         raise Refused(
             f"budget: high_mps2 = {high:.9g} is not thrust_max_mps2 at full tilt, {most * math.cos(tilt):.9g}"
         )
-    box = knowledge.Box(leans, spare, low, high)
+    box = Box(leans, spare, low, high)
     if not abs(box.corner - math.sin(tilt)) <= _CORNER:
         raise Refused(f"budget: tilt_max_rad = {tilt:.9g} is not that of the furthest lean, {box.corner:.9g}")
     lines.append(f"budget: thrust up to {most:.4g} m/s^2, leaning up to {tilt:.4g} rad")

@@ -1,7 +1,8 @@
 """What each axis can count on, worked out anew from the points, kernels and limits that the certificate carries.
 
-Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with b_n and b_e each in a
-range of its own and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of down onto b, is
+Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with b_n and b_e each in
+a range of its own and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of
+down onto b, is
 
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (R(b)' v, b_n, b_e, |f| / g, near |f| / g)
 
@@ -14,8 +15,8 @@ a = g e_d - (f + drag v) / r + w.
 At each node of speed and at both ends of the command the intervals (mean -+ k_a
 sigma, k_a the axis' `k_queries`, cut with what mass and force allow; their hull where they are apart) of 17 queries are
 joined: the other speeds and thrust at the corners of their ranges, and one in the middle, all at the greatest height.
-What the ground adds below it lies between nothing and g = 2 near(least height) |f| along b, whatever b is in its range.  In the last certificate of
-a flight, if the prior knows the ground, it is no more along down than what was learned says at the least height: mean -
+What the ground adds below it lies between nothing and g = 2 near(least height) |f| along any b.  In the last
+certificate of a flight, if the prior knows the ground, it is no more along down than what was learned says at the least height: mean -
 k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a + gain f, over both
 ends.
 The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
@@ -35,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import floors
+from .box import Box
 from .gaussian import factor, kernel, posterior, wandering
 from .intervals import F64
 from .reading import Refused, number, numbers, rows, stamps, table_of
@@ -57,33 +59,6 @@ _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
 _THRUST, _GROUND = 5, 6
 """Of an input of a store, after velocity and axis."""
-
-
-@dataclass
-class Box:
-    """The thrust that may be asked for: b's parts along north and east, down part (low, high), m/s^2."""
-
-    leans: F64
-    """(2, 2) least and greatest, north and east."""
-    spare: float
-    """What the filter keeps from either end of them."""
-    low: float
-    high: float
-
-    @property
-    def corner(self) -> float:
-        """Sine of the greatest tilt."""
-        return math.hypot(*(float(np.abs(ends).max()) for ends in self.leans))
-
-    @property
-    def greatest(self) -> float:
-        """Thrust whose down part is `high` at the greatest tilt."""
-        return self.high / math.sqrt(1.0 - self.corner**2)
-
-    def kept(self, axis: int) -> tuple[float, float]:
-        """Least and greatest lean that is steered to."""
-        least, most = (float(end) for end in self.leans[axis])
-        return min(least + self.spare, 0.5 * (least + most)), max(most - self.spare, 0.5 * (least + most))
 
 
 @dataclass

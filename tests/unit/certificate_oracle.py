@@ -19,7 +19,7 @@ from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.gp.kernels import kernel_from_dict
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 CHANGES = {
     "+1 %": lambda x: 1.01 * x,
@@ -179,6 +179,9 @@ def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool
         return True
     if path[0] == "premises":  # they are made as wide as they may be
         return path[1] in ONLY_MEASURED or path[2:] == ("k_sigma",) or narrower(before, data)
+    if path[0] == "budget":  # what the tilt may be off by is kept from leans that no certified axis needs
+        acc = max(before["premises"]["estimate"]["acc_mps2"][:2])
+        return path[1] == "lean_spare" and data["budget"][path[1]] >= acc / STANDARD_GRAVITY_MPS2 - 1e-8
     if path[0] == "governor":
         return bounded(before, data, path)
     if path[0] == "knowledge":

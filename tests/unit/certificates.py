@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
+from flightstack.barrier.budgets import budget
 from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.estimate_bounds import EstimateBounds
-from flightstack.barrier.budgets import budget
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process

@@ -1,4 +1,4 @@
-"""How far a certificate's thrust may lean: to each axis what balances its own force and turns as much to either side."""
+"""How far a certificate's thrust may lean: to each axis what balances its force, and as much to either side."""
 
 from __future__ import annotations
 
@@ -50,9 +50,7 @@ def test_every_lean_is_within_the_cone_and_full_thrust_reaches_high_at_the_furth
 )  # fmt: skip
 def test_what_a_tumbling_vehicle_teaches_of_its_hover_raises_nothing(wind, asked, low, high, hover) -> None:
     sideways = (wind - asked, wind + asked), (-asked, asked)
-    box = budget(
-        MODEL, LIMITS, sideways_mps2=sideways, low_mps2=low, high_mps2=high, hover_mps2=hover, tilt_off=0.01
-    )
+    box = budget(MODEL, LIMITS, sideways_mps2=sideways, low_mps2=low, high_mps2=high, hover_mps2=hover, tilt_off=0.01)
     assert 0.0 <= box.tilt_max_rad <= LIMITS.tilt_max_rad + 1e-9
     assert 0.0 < box.low_mps2 <= box.high_mps2 < math.inf
     for (least, most), (first, last) in zip(box.leans, box.kept, strict=True):
@@ -61,7 +59,9 @@ def test_what_a_tumbling_vehicle_teaches_of_its_hover_raises_nothing(wind, asked
 
 def test_bounds_are_asked_for_at_the_ends_of_each_axis_own_leans() -> None:
     """The corners of the box written out, at both ends of the command."""
-    box = budget(MODEL, LIMITS, sideways_mps2=((-0.8, 2.2), (-1.5, 1.3)), low_mps2=11.6, hover_mps2=HOVER, tilt_off=0.01)
+    box = budget(
+        MODEL, LIMITS, sideways_mps2=((-0.8, 2.2), (-1.5, 1.3)), low_mps2=11.6, hover_mps2=HOVER, tilt_off=0.01
+    )
     envelope = Envelope(((-1.0, 1.0),) * 3, (0.5, 2.5), nodes=2)
     corners = set(itertools.product(*box.leans))
     steering = Steering(np.array([-1.0, 1.0]), np.array([0.7, 0.75]), HOVER)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import json
-import math
 import os
 from collections.abc import Iterator
 from fractions import Fraction

@@ -11,8 +11,8 @@ import pytest
 from certificates import ESTIMATE, MODEL, known_vehicle
 from scipy.stats import binom, multivariate_normal, norm, wishart
 
-from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.budgets import budget
+from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.posterior import Posterior, inputs, turns
 from flightstack.barrier.queries import queries
@@ -63,7 +63,10 @@ def test_single_bounds_keep_the_unions_deviations_and_what_is_sure_does_not_fail
 
 
 def three_axes() -> Knowledge:
-    envelope, box = Envelope(AXES, (0.5, 2.5), nodes=6), budget(MODEL, Limits(), sideways_mps2=((-1.0, 2.0), (-1.5, 1.5)), low_mps2=4.0)
+    envelope, box = (
+        Envelope(AXES, (0.5, 2.5), nodes=6),
+        budget(MODEL, Limits(), sideways_mps2=((-1.0, 2.0), (-1.5, 1.5)), low_mps2=4.0),
+    )
     return Knowledge.of(
         Request(known_vehicle(80), MODEL, envelope, box, InitialKnowledge(), attitude_mps2=np.array(ESTIMATE.acc_mps2))
     )

@@ -192,14 +192,16 @@ def test_leaning_outwards_under_a_steady_push_within_the_bound_ends_inside(error
 
 @pytest.mark.parametrize("yaw_rate", [-2.0, 0.0, 1.0, 2.0])
 def test_tilt_stays_within_the_budget_whatever_is_asked(yaw_rate):
-    """But for what a rate that is held for a tick adds: 0.03 degrees."""
-    tilts = []
+    """But for what a rate that is held for a tick adds: 0.03 degrees.  Without a governor a lean runs over by up to
+    0.014: so much is to spare."""
+    tilts, cert = [], certified(4000, (2,))
+    cert = dataclasses.replace(cert, budget=dataclasses.replace(cert.budget, lean_spare=0.015))
 
     def tumbling(plant: Plant, t: float) -> tuple[float, F64]:
         tilts.append(math.acos(quat_to_matrix(plant.q)[2, 2]))
         return HOVER_N, np.array([6.0 * math.sin(t), 6.0 * math.cos(0.7 * t), yaw_rate])
 
-    rows, _ = closed_loop(tumbling, 4000, axes=(2,), seconds=4.0)
+    rows, _ = closed_loop(tumbling, 4000, axes=(2,), seconds=4.0, cert=cert)
     assert set(rows[rows[:, 2] > WAITING, 2]) <= {PASSED, CHANGED}
     assert 0.5 * TILT < max(tilts) < TILT + math.radians(0.03)
 
