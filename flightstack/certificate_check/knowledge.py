@@ -16,9 +16,9 @@ At each node of speed and at both ends of the command the intervals (mean -+ k_a
 sigma, k_a the axis' `k_queries`, cut with what mass and force allow; their hull where they are apart) of 17 queries are
 joined: the other speeds and thrust at the corners of their ranges, and one in the middle, all at the greatest height.
 What the ground adds below it lies between nothing and g = 2 near(least height) |f| along any b.  In the last
-certificate of a flight, if the prior knows the ground, it is no more along down than what was learned says at the least height: mean -
-k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a + gain f, over both
-ends.
+certificate of a flight, if the prior knows the ground, it is no more along down than what was learned says at the least
+height: mean - k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a +
+gain f, over both ends.
 The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
 neighbours' intervals too, and is made larger by k times the prior's deviation half-way between two nodes, and by what
 falsified bounds have added.
