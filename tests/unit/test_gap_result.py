@@ -14,6 +14,8 @@ from flightstack.cli.main import main
 from flightstack.gap.pooled import GUARD_S, split
 from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
 from flightstack.gap.report import words
+from flightstack.gap.report.page import panels
+from flightstack.gap.report.record import Trace
 from flightstack.gap.verdict import closed
 
 QUAD = load_vehicle("quad-x")
@@ -52,7 +54,9 @@ GAP = Gap(figures(1.0, None), figures(0.1, None), figures(0.09, None), 0.98)
 def test_held_out_data_that_hardly_hold_an_effect_are_said_to_say_nothing() -> None:
     mute = dataclasses.replace(found("ground_effect"), holdout_gain=float("nan"))
     assert words.held_out(mute).endswith("say nothing for or against")
-    assert words.held_out(found("payload")) == "explains 90 % of the held-out gap that can be explained"
+    assert words.held_out(found("payload")) == (
+        "without it 90 % of what can be explained of held-out data (noise-weighted) is lost"
+    )
 
 
 def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:
@@ -172,3 +176,15 @@ def test_an_earlier_result_is_gone_when_a_run_fails(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
     assert not (out / "gap.json").exists()
+
+
+def test_what_was_simulated_before_is_within_its_chart_however_far_off() -> None:
+    t = np.linspace(0.0, 10.0, 2001)
+    measured = np.zeros((len(t), 6))
+    before, after = measured.copy(), measured.copy()
+    before[:, 0], before[:, 2], before[:, 3] = 0.98, -4.0, np.nan
+    drawn = {each.key: each for each in panels((Trace("a.csv", t, measured, before, after, np.ones(6), ()),))}
+    for key, value in (("specific-force-x", 0.98), ("specific-force-z", -4.0), ("angular-acceleration-x", 0.0)):
+        cut = drawn[f"trace-{key}"].cut
+        assert cut is not None
+        assert cut[0] < value < cut[1]

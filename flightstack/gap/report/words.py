@@ -137,7 +137,9 @@ def held_out(found: Found) -> str:
     """What data not used before say of an effect."""
     if math.isnan(found.holdout_gain):
         return "held-out data hardly hold it and say nothing for or against"
-    return f"explains {percent(found.holdout_gain)} of the held-out gap that can be explained"
+    return (
+        f"without it {percent(found.holdout_gain)} of what can be explained of held-out data (noise-weighted) is lost"
+    )
 
 
 def verdict(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
