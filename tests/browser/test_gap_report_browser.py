@@ -59,8 +59,8 @@ addEventListener("load", () => setTimeout(() => {
     && e.getBoundingClientRect().right > e.closest(".panel").getBoundingClientRect().right).map(told));
   // a word that stands in more than one line was broken
   const broken = [];
-  for (const cell of document.querySelectorAll("td:not(#checks td:nth-child(2)), th")) for (const node of cell.childNodes) {
-    if (node.nodeType !== 3) continue;
+  const words = [...document.querySelectorAll("td:not(#checks td:nth-child(2)), th")].flatMap((e) => [...e.childNodes]);
+  for (const node of words.filter((each) => each.nodeType === 3)) {
     for (const { index, 0: word } of node.data.matchAll(/[^\\s_\u2212-]+/g)) {
       const range = new Range();
       range.setStart(node, index); range.setEnd(node, index + word.length);

@@ -15,7 +15,7 @@ from flightstack.gap.pooled import GUARD_S, split
 from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.report.page import panels
-from flightstack.gap.report.record import Trace
+from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.verdict import closed
 
 QUAD = load_vehicle("quad-x")
@@ -57,6 +57,21 @@ def test_held_out_data_that_hardly_hold_an_effect_are_said_to_say_nothing() -> N
     assert words.held_out(found("payload")) == (
         "without it 90 % of what can be explained of held-out data (noise-weighted) is lost"
     )
+
+
+@pytest.mark.parametrize("side_only", [False, True])
+def test_the_headline_has_names_and_what_was_closed_but_no_numbers_of_an_effect(side_only: bool) -> None:
+    four = (
+        found("payload", mass_kg=(0.21, 0.2, 0.22)), found("constant_force", north_n=(1.649, 1.6, 1.7)),
+        found("rotor_drag", ("linear_drag",), k_d_kg_per_rad=(1e-4, 9e-5, 2e-4)), found("motor_lag"),
+    )  # fmt: skip
+    left = Unexplained(True, ("height",), 0.06)
+    sentence = words.sentence(four, GAP, left, side_only=side_only)
+    told = words.headline(GapReport(sentence, "quad-x", GAP, four, (), left, ()))
+    lag = " and another motor lag; with them 98 % of the gap on data not used before is closed; 6 % of the gap is left"
+    assert told.startswith(f"The model lacks a payload, a constant force, rotor drag or linear drag{lag}")
+    assert ("too slowly" in told) is side_only
+    assert words.headline(GapReport("Nothing.", "quad-x", GAP, (), (), left, ())) == "Nothing."
 
 
 def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:

@@ -219,7 +219,7 @@ def test_where_px4_is_to_notice_a_lost_ground_station_it_does_not_pose_as_one(ac
     voice.system = 1
     params.take(m.ParamValue("NAV_DLL_ACT", m.param_bits(action, m.PARAM_REAL32), m.PARAM_REAL32, 875, 1))
     voice.heed(params)
-    voice.keep_in_touch(0)
+    voice.keep_in_touch(0, heartbeat_missing=False)
     for data in link.datagrams_to_send():
         ear.receive_datagram(data, 0)
     assert {received.message.type for received in ear.take_events() if type(received.message) is m.Heartbeat} == kinds
@@ -232,8 +232,8 @@ def test_a_rate_gain_that_is_changed_in_flight_ends_the_certificate(told: float,
     companion._now.config = replace(companion._now.config, counted=counted)
     assert companion._stack_state is not None
     in_force = watched(1, Premises(
-        "mocap", "", BENCH, ((-9.0, 9.0),) * 3, ((-0.9, 0.9),) * 2, (0.0, 99.0), (0.1, 9.0), (0.1, 9.0), (0.0, 1.0), 1.0,
-        1.0, 1.0, (0.0, 99.0),
+        "mocap", "", BENCH, ((-9.0, 9.0),) * 3, ((-0.9, 0.9),) * 2, (0.0, 99.0), (0.1, 9.0), (0.1, 9.0), (0.0, 1.0),
+        1.0, 1.0, 1.0, (0.0, 99.0),
     ))  # fmt: skip
     companion._stack_state = companion._stack_state._replace(watch=in_force)
     _tell(vehicle, "MC_ROLLRATE_P", told)

@@ -48,7 +48,7 @@ def render_report(report: GapReport) -> str:
             "style": style,
             "state": state,
             "verdict": verdict,
-            "headline": escape(report.sentence),
+            "headline": escape(words.headline(report)),
             "subtitle": escape(f"{report.vehicle} · {', '.join(log.name for log in report.logs)}"),
             "figures": figures_html(_figures(report)),
             "effects": tables.effects(report),
