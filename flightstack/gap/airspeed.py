@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.compare import rollout_starts
+from flightstack.gap.decisions import MOVED, SLOW_ERROR_S
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import rollout
 from flightstack.gap.run import Run, params_row
@@ -26,14 +27,7 @@ from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate, rotate_inverse
 
 DRAGS = frozenset({"linear_drag", "rotor_drag", "parasitic_drag"})
-MOVED = 3.0
-"""Times its own error (one standard deviation) that a level velocity must vary for a drag to be told.
-
-Least squares on a noisy velocity find a drag too small by the noise's share of its variance: here a tenth.
-"""
 _BY_AIR = DRAGS | {"induced_inflow"}
-_ALIKE_S = 12.0
-"""For so long an estimator's slow error stays much the same."""
 _STILL_MPS = 0.01
 """A mean error that intervals need not hold."""
 _NONE = 0.01
@@ -73,7 +67,7 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
 def offset(samples: Samples, mask: NDArray[np.bool_]) -> F64:
     """(3,) NED standard deviation of the velocity's mean error over these samples; 0 where nothing says."""
     length_s = max(float(mask.sum()) * samples.dt_s, 1e-9)
-    return np.asarray(track(samples).vel_std_mps * min(1.0, (_ALIKE_S / length_s) ** 0.5))
+    return np.asarray(track(samples).vel_std_mps * min(1.0, (SLOW_ERROR_S / length_s) ** 0.5))
 
 
 def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:

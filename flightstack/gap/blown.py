@@ -17,6 +17,7 @@ from scipy.special import chdtrc
 from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.classes import splitting_manoeuvre, together
+from flightstack.gap.decisions import CHANCE_P, MOSTLY, NOT_WORSE, RARE_P
 from flightstack.gap.gusts import Gusts, as_found, gusts
 from flightstack.gap.held import far_from_noise, upright
 from flightstack.gap.name import Naming
@@ -27,20 +28,12 @@ from flightstack.gap.simulate import Knob, knobs, value, with_value
 from flightstack.gap.verdict import ONE_STEP, gap_of, is_open
 from flightstack.vehicle import Vehicle
 
-_LEAST_P = 1e-3
-"""Of there being no such effect, gusts being what they are: an effect that the search found, so no further chances."""
-_MAY_BE_P = 0.05
-"""Below this a wind that is not named is what the gusts' mean can't be told from."""
-_NO_GUSTS = 0.9
-"""Share of what is left of the turning that is not noise, from which no gusts are looked for."""
 _MEANS = ("constant_force",)
 """What the mean of gusts may be taken for; a wind is looked for in its place."""
 _WIND = "steady_wind"
 _LOAD = "payload"
 """What a wind that blows up or down may be, and its twins."""
 _LOADS = ("thrust_scale", "constant_force")
-_WORSE = 1.05
-"""Times what the names leave of a figure without gusts: beyond, the names fitted beside gusts are others."""
 
 
 def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
@@ -48,7 +41,7 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
         return naming, gap
     if far_from_noise(
-        gap, ONE_STEP[1:], _NO_GUSTS
+        gap, ONE_STEP[1:], MOSTLY
     ):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
@@ -99,9 +92,9 @@ def _beside(
             return None
         chance = {f.name: _chance(vehicle, named.vehicle, f, turned, blown) for f in found if f.name in tested}
         worst = max(chance, key=lambda name: chance[name], default="")
-        if not worst or chance[worst] <= _LEAST_P:
+        if not worst or chance[worst] <= RARE_P:
             break
-        if worst == _WIND and chance[worst] < _MAY_BE_P:
+        if worst == _WIND and chance[worst] < CHANCE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
     slow = [f for f in named.found if f.name in (_WIND, *_MEANS) or f.name in tested & {_LOAD}]
@@ -152,7 +145,7 @@ def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[K
 
 
 def _is_worse(now: float | None, was: float | None) -> bool:
-    return now is not None and was is not None and now > _WORSE * was
+    return now is not None and was is not None and now > NOT_WORSE * was
 
 
 def _proposed(vehicle: Vehicle, naming: Naming, effect: str) -> Found:

@@ -12,17 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.airspeed import moves
+from flightstack.gap.decisions import ALIKE_EVIDENCE, ALIKE_SHARE, HALF
 from flightstack.gap.naming.evidence import fit_subsets, score
-from flightstack.gap.naming.search import ALIKE, Fit, SelectionState, fit_subset, members
+from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, members
 from flightstack.gap.records import Found, Samples
 from flightstack.gap.track import track
 from flightstack.types import STANDARD_GRAVITY_MPS2
 
-_ALIKE_SHARE = 0.002
-"""Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
-_HELD_UP = 0.5
-"""Share of what a named payload weighs, or a thrust scale takes, from which a force against it is no force."""
 
 
 def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ...]:
@@ -35,7 +32,7 @@ def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ..
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
     explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
-    bearable = ALIKE + _ALIKE_SHARE * explained
+    bearable = ALIKE_EVIDENCE + ALIKE_SHARE * explained
     count = len(point.candidates)
     scored = sorted(
         (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)
@@ -145,7 +142,7 @@ def doubled(found: Sequence[Found], mass_kg: float) -> tuple[str, ...]:
         lost = 1.0 - of["thrust_scale"]["scale"].estimate if "thrust_scale" in of else 0.0
         weight_n = STANDARD_GRAVITY_MPS2 * (carried_kg + lost * mass_kg)
         down_n = of["constant_force"]["down_n"].estimate
-        gone += ["constant_force"] if -down_n * np.sign(weight_n) > _HELD_UP * abs(weight_n) else []
+        gone += ["constant_force"] if -down_n * np.sign(weight_n) > HALF * abs(weight_n) else []
     return tuple(dict.fromkeys(gone))
 
 

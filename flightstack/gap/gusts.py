@@ -26,6 +26,7 @@ from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.records import Estimate, Found, Samples
 from flightstack.gap.simulate import Knob, sensitivities
@@ -38,19 +39,10 @@ _MOST_BLOCKS = 180
 _FEWEST_BLOCKS = 60
 _LENGTHS_M = np.geomspace(2.0, 400.0, 15)
 _RATIOS = np.geomspace(1e-4, 1e8, 97)
-_EVIDENCE = 20.0
-"""Natural logarithm of the likelihood ratio against noise from which gusts are named."""
-_BETTER = 20.0
-"""And against the best other law."""
-_LEAST_SIGMA_MPS = 0.2
-_USUAL_LENGTH_M, _LENGTH_SPREAD = 25.0, 1.0
-"""Gusts near the ground: median and spread of the length's logarithm, 5 to 70 m; a minute tells little of it."""
-_LEAST_AIRSPEED_MPS = 1.0
 _SPAN = (0.5, 1.5)
 _PERIODS_S = np.geomspace(0.8, 12.0, 9)
-_SPREAD_OUT = 2.0
-"""By which log likelihood ratios at the truth are too large: on 24 flights of 24 s with lengths of 5 to 100 m the mean
-of twice the length's is 1.8, where 1 is due.  Intervals are as wide as that asks for."""
+_USUAL_LENGTH_M, _LENGTH_SPREAD = 25.0, 1.0
+"""Gusts near the ground: median and spread of the length's logarithm, 5 to 70 m; a minute tells little of it."""
 _PARTS = 4
 """Into which a block is cut for the mean of a correlation."""
 _QUANTILES = (0.025, 0.5, 0.975)
@@ -80,10 +72,10 @@ class Gusts:
     def named(self) -> bool:
         """Whether the rest is turbulence rather than noise or another law."""
         return (
-            self.evidence > _EVIDENCE
-            and self.evidence > self.other + _BETTER
+            self.evidence > CLEAR_EVIDENCE
+            and self.evidence > self.other + CLEAR_EVIDENCE
             and self.sigma_mps.low > 0.0
-            and self.sigma_mps.estimate >= _LEAST_SIGMA_MPS
+            and self.sigma_mps.estimate >= LEAST_SIGMA_MPS
         )
 
 
@@ -127,7 +119,7 @@ def gusts(
     fits = [_profile(_dryden(blocks, float(length)), blocks) for length in _LENGTHS_M]
     logs, noise = np.stack([fit.logs for fit in fits]), np.stack([fit.noise for fit in fits])
     usual = -0.5 * (np.log(_LENGTHS_M / _USUAL_LENGTH_M) / _LENGTH_SPREAD) ** 2
-    weight = logs / _SPREAD_OUT + usual[:, None]
+    weight = logs / GUST_SPREAD_OUT + usual[:, None]
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     sigma = np.sqrt(_RATIOS[None, :]) * noise
@@ -183,7 +175,7 @@ def _blocks(
         wind = vehicle.effects.get("steady_wind", {})
         blown = np.array([wind.get(knob.parameter, 0.0) for knob in _WIND])
         drag = drag @ _turned(blown)
-        speed = np.maximum(np.linalg.norm(np.nan_to_num(flight.vel_ned_mps) - blown, axis=1), _LEAST_AIRSPEED_MPS)
+        speed = np.maximum(np.linalg.norm(np.nan_to_num(flight.vel_ned_mps) - blown, axis=1), LEAST_AIRSPEED_MPS)
         size = max(1, round(_BLOCK_S / s.dt_s))
         good = mask & s.valid & np.isfinite(y).all(axis=1)
         count = len(good) // size

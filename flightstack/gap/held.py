@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import CLEAR_SHARE, FICKLE_P, HALF, SURE_ERRORS
 from flightstack.gap.naming.candidates import at_end
-from flightstack.gap.naming.estimate import FICKLE_P
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Found, Gap
 from flightstack.gap.simulate import with_value
@@ -29,14 +29,6 @@ from flightstack.vehicle import Vehicle
 
 _BLOCK_S = 1.0
 _FEWEST_BLOCKS = 4
-_SURE = 2.0
-"""Standard errors by which a slope must miss what is allowed."""
-_LEAST = 0.5
-"""Slope below which less than nothing of the effect's own share is closed."""
-NOT_NOISE = 0.5
-"""Share of what a model leaves, in mean square, that is not the noise floor's: from there it lacks something."""
-_LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
-"""What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +40,8 @@ class Slope:
 
     def holds(self, *, beside: bool) -> bool:
         """Whether the effects do what they did; `beside`: something that nothing explains is there as well."""
-        low, high = (_LEAST_BESIDE, _MOST_BESIDE) if beside else (_LEAST, np.inf)
-        return self.value + _SURE * self.error >= low and self.value - _SURE * self.error <= high
+        low, high = (CLEAR_SHARE, 1.0 / CLEAR_SHARE) if beside else (HALF, np.inf)
+        return self.value + SURE_ERRORS * self.error >= low and self.value - SURE_ERRORS * self.error <= high
 
 
 def slope(without: Vehicle, corrected: Vehicle, of: Split) -> Slope:
@@ -104,11 +96,11 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP, share: float = NOT_NOISE) -> bool:
+def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP, share: float | None = None) -> bool:
     """Whether of what the model leaves of force or torque (or of one of them) this share is not the sensors' noise."""
     pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in figures]
     known = [(now, least) for now, least in pairs if now is not None and least is not None]
-    return any(least**2 < (1.0 - share) * now**2 for now, least in known)
+    return any(least**2 < (1.0 - (HALF if share is None else share)) * now**2 for now, least in known)
 
 
 def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:

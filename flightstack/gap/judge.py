@@ -10,18 +10,14 @@ from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
+from flightstack.gap.decisions import LEAST_SIZES, NAME_EVIDENCE, NAME_P
 from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import gain
-from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, judged_fit, members, move_to
+from flightstack.gap.naming.search import Fit, SelectionState, judged_fit, members, move_to
 from flightstack.gap.records import Estimate, Found
 from flightstack.gap.simulate import value
-
-_LEAST_P = 1e-4
-"""After Holm's correction for all candidates."""
-_LEAST_SIZES = 3.0
-"""Smallest effect that is named, in negligible sizes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,11 +52,11 @@ def pruned(state: SelectionState) -> Fit:
         weakest, drop = "", np.inf
         for effect in best.effects:
             fall = evidence(state, best, effect)
-            if _size(state, best, effect) < _LEAST_SIZES:
+            if _size(state, best, effect) < LEAST_SIZES:
                 fall = min(fall, 0.0)
             if fall < drop:
                 weakest, drop = effect, fall
-        if drop >= LEAST_EVIDENCE:
+        if drop >= NAME_EVIDENCE:
             return best
         rest_of = frozenset(best.effects) - {weakest}
         same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
@@ -106,7 +102,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
         p_value = _p_value(state, best, effect)
         others = alternatives(state, best, effect)
         held = gain(state, made, effect)
-        if p_value * count > _LEAST_P or held <= 0.0:
+        if p_value * count > NAME_P or held <= 0.0:
             continue
         found.append(
             (

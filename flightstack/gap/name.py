@@ -24,6 +24,7 @@ from flightstack.gap.classes import (
     together,
 )
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import FICKLE_P, GAP_FROM, LEAST_GAIN, NAME_EVIDENCE, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
 from flightstack.gap.judge import Judged, evidence, judge, parameters_of, pruned
@@ -31,31 +32,22 @@ from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.naming.drift import drifts_better
-from flightstack.gap.naming.estimate import CI, FICKLE_P, Estimates, estimate
+from flightstack.gap.naming.estimate import CI, Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.held_rows import moved
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.ranged import carried, is_touched
-from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, members, search
+from flightstack.gap.naming.search import Fit, SelectionState, members, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Across, Found, Rejected, Samples, Unexplained, Where
 from flightstack.gap.remainder import Rest
 from flightstack.gap.rest import beside_names, every_rest, loud, telling, unexplained
 from flightstack.gap.simulate import unseen, untold
-from flightstack.gap.verdict import GAP_FROM
 from flightstack.vehicle import Vehicle
 
-_ABSTAIN_SHARE = 0.1
-"""Of what can be explained, the part that depends on something else than the named effects."""
 EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
-_LEAST_GAIN = 0.005
-"""Of the held-out gap, what a force that joins a poor model must explain: below, the page says 0 %."""
-_CLOSELY = 0.1
-"""Share of the negligible sizes that a closer look takes for trifles."""
-_ACTS_SHARE = 0.1
-"""Of what can be explained in a group, the part from which an effect is taken to act there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +209,7 @@ class Naming:
 
 def _is_mute(found: Found) -> bool:
     """Whether it is a force of which held-out data hold next to nothing."""
-    return EFFECTS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
+    return EFFECTS[found.name].kind == "force" and found.holdout_gain < LEAST_GAIN
 
 
 def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], float]) -> Found:
@@ -258,7 +250,7 @@ def name(
         flights,
         [m & v for m, v in zip(fit, valid, strict=True)],
         [m & v for m, v in zip(holdout, valid, strict=True)],
-        trifles=_CLOSELY if closely else 1.0,
+        trifles=TENTH if closely else 1.0,
     )
     residuals = [residual(vehicle, s) for s in flights]
     where = locate(residuals, flights)
@@ -303,8 +295,8 @@ def _touched(state: SelectionState, judged: Judged, rests: Mapping[str, Rest], g
         fickle = judged.constant.get(effect, 1.0) < FICKLE_P
         elsewhere = effect in EVERYWHERE and "position" in r.drivers
         most = max(each.get(effect, 0.0) for each in power.values())
-        acts = mine > _ACTS_SHARE * explained and (fickle or mine >= most)
-        if acts and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
+        acts = mine > TENTH * explained and (fickle or mine >= most)
+        if acts and (fickle or elsewhere or r.share > TENTH):
             out.add(effect)
     return out
 
@@ -332,7 +324,7 @@ def _rejected(
             continue
         if effect in best.effects:
             fall = evidence(state, best, effect)
-            reason = "too thin" if fall < LEAST_EVIDENCE else "no better on data not used before"
+            reason = "too thin" if fall < NAME_EVIDENCE else "no better on data not used before"
             if effect in doubtful:
                 reason = "what it explains depends on something else as well"
             out.append(Rejected(effect, -fall, reason))

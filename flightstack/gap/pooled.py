@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap import compare
+from flightstack.gap.decisions import GUARD_S, HELD_SHARE
 from flightstack.gap.records import Figures, Samples
 from flightstack.gap.sampled import sampling_floor
 from flightstack.vehicle import Vehicle
@@ -26,10 +27,6 @@ class Split:
     """(N,) by flight."""
     holdout: tuple[Mask, ...]
     """(N,) by flight, at least 2 s away from `fit`."""
-
-
-GUARD_S = 2.0
-_HELD_SHARE = 1.0 / 3.0
 
 
 def split(flights: Sequence[Samples], kept: Sequence[Samples], *, first: bool = False) -> Split:
@@ -50,11 +47,11 @@ def _third(samples: Samples, *, first: bool) -> tuple[Mask, Mask]:
         return nothing, nothing
     begin, end = float(samples.t_s[rows[0]]), float(samples.t_s[rows[-1]])
     if first:
-        kept = samples.t_s < begin + _HELD_SHARE * (end - begin)
-        learned = samples.t_s >= begin + _HELD_SHARE * (end - begin) + GUARD_S
+        kept = samples.t_s < begin + HELD_SHARE * (end - begin)
+        learned = samples.t_s >= begin + HELD_SHARE * (end - begin) + GUARD_S
     else:
-        kept = samples.t_s >= end - _HELD_SHARE * (end - begin)
-        learned = samples.t_s < end - _HELD_SHARE * (end - begin) - GUARD_S
+        kept = samples.t_s >= end - HELD_SHARE * (end - begin)
+        learned = samples.t_s < end - HELD_SHARE * (end - begin) - GUARD_S
     return samples.valid & learned, samples.valid & kept
 
 

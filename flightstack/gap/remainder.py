@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.gap.decisions import CLEAR_SHARE, REST_EVIDENCE
 from flightstack.gap.naming.drivers import Blocks
 from flightstack.types import F64
 
@@ -27,10 +28,6 @@ _REMEMBERED = ("acceleration", "rate")
 """Drivers whose past is looked at as well."""
 GROUPS = {"side force": (0, 1), "lift": (2,), "torque": (3, 4, 5)}
 """Channels that belong together."""
-_EVIDENCE = 12.0
-"""Natural logarithm of the likelihood ratio from which a driver counts."""
-_ALSO = 0.7
-"""Share of the best driver's evidence from which another is told too: the flight can't tell them apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +111,11 @@ def _rest(
             fits[name] = late
     best = max(fits, key=lambda name: fits[name].evidence)
     evidence = fits[best].evidence
-    driven = fits[best].driven(blocks.fold[::thin]) if evidence >= _EVIDENCE else 0.0
+    driven = fits[best].driven(blocks.fold[::thin]) if evidence >= REST_EVIDENCE else 0.0
     names: tuple[str, ...] = ()
     if driven > 0.0:
         names = tuple(
-            sorted((n for n in fits if fits[n].evidence >= _ALSO * evidence), key=lambda n: -fits[n].evidence)
+            sorted((n for n in fits if fits[n].evidence >= CLEAR_SHARE * evidence), key=lambda n: -fits[n].evidence)
         )
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))

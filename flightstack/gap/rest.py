@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.compare import residual, velocity_noise
+from flightstack.gap.decisions import HALF, MATTERS_MPS2, SMALL_SHARE
 from flightstack.gap.naming.bench import SimulatorBench
 from flightstack.gap.naming.drivers import block_means
 from flightstack.gap.naming.estimate import Estimates
@@ -18,13 +19,6 @@ from flightstack.gap.simulate import Knob, sensitivities
 from flightstack.gap.track import track
 from flightstack.vehicle import Vehicle
 
-_TOLD_SHARE = 0.05
-_MATTERS_MPS2 = 0.05
-_MATTERS_SHARE = 0.03
-"""What is left matters from this specific force on, or this share of the angular acceleration flown."""
-_LOUD_SHARE = 0.5
-"""Of one step's noise in the group, what a remainder must reach to be told: an estimator errs slowly, too."""
-
 
 def telling(bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, Rest]) -> dict[str, Rest]:
     """Groups of channels whose rest depends on something, strongly enough to matter."""
@@ -32,14 +26,14 @@ def telling(bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, Rest]
     return {
         group: r
         for group, r in rests_of.items()
-        if r.drivers and r.share > _TOLD_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
+        if r.drivers and r.share > SMALL_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
     }
 
 
 def loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> dict[str, Rest]:
     """Of these, what stands out of one step's noise."""
     noise = np.nan_to_num(np.array([residual(start, s).noise for s in bench.flights])).max(axis=0)
-    return {g: r for g, r in told.items() if r.driven_rms > _LOUD_SHARE * np.linalg.norm(noise[list(GROUPS[g])])}
+    return {g: r for g, r in told.items() if r.driven_rms > HALF * np.linalg.norm(noise[list(GROUPS[g])])}
 
 
 def beside_names(bench: SimulatorBench, start: Vehicle, made: Estimates) -> Unexplained:
@@ -78,9 +72,9 @@ def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
 def _matters(bench: SimulatorBench, group: str) -> float:
     """What a remainder of this group must reach to be told, root mean square."""
     if group != "torque":
-        return _MATTERS_MPS2
+        return MATTERS_MPS2
     flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
-    return _MATTERS_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
+    return SMALL_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
 
 
 def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:

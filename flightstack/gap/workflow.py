@@ -16,6 +16,7 @@ from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
+from flightstack.gap.decisions import ALL_OF_ONE, HALF, MOSTLY, TENTH
 from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
 from flightstack.gap.likeness import other_vehicle, same_flight
 from flightstack.gap.name import EVERYWHERE, Naming, name
@@ -26,17 +27,11 @@ from flightstack.gap.records import Checked, Found, Gap, Samples
 from flightstack.gap.refine import refine
 from flightstack.gap.report.words import sentence
 from flightstack.gap.result import GapResult
-from flightstack.gap.verdict import MOSTLY_CLOSED, closed_power, gap_of, unexplained
+from flightstack.gap.verdict import closed_power, gap_of, unexplained
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
 OnProgress = Callable[[float, str], None]
-_WORSE = 1.1
-"""Times the held-out figure before, from which a correction is taken back."""
-_ALL_OF_ONE = 1.0 - (1.0 - MOSTLY_CLOSED) ** 2
-"""The same share in power as mostly closed is in rms."""
-_LEAST_CLOSED = 0.5
-"""Share of the held-out gap's power below which nothing is named beside something that nothing explains."""
 
 
 def _silent(share: float, phase: str) -> None:
@@ -95,7 +90,7 @@ def _concluded(
     naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
-    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < HALF)):
         gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
         naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
         gap = _verdict(vehicle, naming, of)
@@ -109,7 +104,7 @@ def _concluded(
             f"log {of.flights[0].name}: this log does not look like {called}: {unlike}; name the file of the vehicle "
             "that flew"
         )
-    if naming.found and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
+    if naming.found and gap.closed is not None and gap.closed < MOSTLY:
         if not naming.unexplained.significant:
             naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
         here = naming.unexplained.depends_on[:1] == ("position",)
@@ -137,8 +132,8 @@ def _looked_closely(vehicle: Vehicle, said: tuple[Naming, Split, Gap], called: s
         return said
     if not naming.found or gap.closed is None:
         return said
-    whole = gap.closed >= MOSTLY_CLOSED and not naming.unexplained.significant
-    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= _ALL_OF_ONE) else said
+    whole = gap.closed >= MOSTLY and not naming.unexplained.significant
+    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= ALL_OF_ONE) else said
 
 
 def _turned_round(
@@ -157,7 +152,7 @@ def _turned_round(
     if not naming.found or naming.unexplained.significant:
         return said
     closed = _verdict(vehicle, naming, replace(said[1], flights=of.flights)).closed
-    return said if closed is None or closed < MOSTLY_CLOSED else (naming, of, gap)
+    return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
 
 def usable_flights(
@@ -345,7 +340,7 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
     return named
 
 
-def _is_worse(gap: Gap, times: float = _WORSE) -> bool:
+def _is_worse(gap: Gap, times: float = (1.0 + TENTH)) -> bool:
     """Whether the corrected model predicts data not used before worse than the model as it was."""
     pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
     return any(was is not None and now is not None and now > times * was for was, now in pairs)

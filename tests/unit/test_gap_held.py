@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
 from flightstack.gap.classes import confused_with, doubled, poorly_told
+from flightstack.gap.decisions import CLEARLY
 from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
 from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.candidates import plausible
@@ -21,7 +22,7 @@ from flightstack.gap.naming.held_rows import gain
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.search import SelectionState
-from flightstack.gap.naming.trifles import CLEARLY, trifles, worth_of
+from flightstack.gap.naming.trifles import trifles, worth_of
 from flightstack.gap.pooled import Split
 from flightstack.gap.records import Estimate, Figures, Found, Gap
 from flightstack.gap.simulate import disagreement

@@ -9,6 +9,7 @@ import pytest
 
 from flightstack.gap import voltage
 from flightstack.gap.checks import contact, stopped
+from flightstack.gap.decisions import AROUND_S
 from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
 from flightstack.gap.naming.search import Fit, pressed_beyond, strained
@@ -93,8 +94,8 @@ def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) ->
     assert contact.leave_out(level, quad()) == (level, [])
     kept, findings = contact.leave_out(level, quad(), STANDS_M)
     gone = t_s[flown.valid & ~kept.valid]
-    assert gone.min() == pytest.approx(12.0 - 0.02 - contact.AROUND_S, abs=2.0 * flown.dt_s)
-    assert gone.max() == pytest.approx(12.0 + 0.02 + contact.AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.min() == pytest.approx(12.0 - 0.02 - AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.max() == pytest.approx(12.0 + 0.02 + AROUND_S, abs=2.0 * flown.dt_s)
     assert [finding.name for finding in findings] == ["ground"]
 
 

@@ -11,7 +11,8 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.cli.main import main
-from flightstack.gap.pooled import GUARD_S, split
+from flightstack.gap.decisions import GUARD_S
+from flightstack.gap.pooled import split
 from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.verdict import closed

@@ -11,15 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.gap.checks.flying import LEAST_THRUST, rotor_thrust
+from flightstack.gap.checks.flying import rotor_thrust
+from flightstack.gap.decisions import AROUND_S, LEAST_THRUST, TOUCHING_M
 from flightstack.gap.records import Finding, Samples, Signal
 from flightstack.vehicle import Vehicle
 
-CLEAR_M = 0.03
-"""Least distance of the lowest rotor from the ground."""
-AROUND_S = 0.25
-"""What is left out before and after a contact: the low-pass carries it there."""
-_FEWEST_S = 0.1
 _STANDING_S = 0.5
 
 
@@ -53,13 +49,11 @@ def leave_out(samples: Samples, vehicle: Vehicle, stands_m: float = 0.0) -> tupl
     w, i, j, k = samples.q_ned_frd.T
     down_x, down_y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
     lowest = samples.height_m - np.max(np.outer(down_x, x) + np.outer(down_y, y), axis=1)
-    touching = samples.valid & (lowest < stands_m + CLEAR_M)
+    touching = samples.valid & (lowest < stands_m + TOUCHING_M)
     if not touching.any():
         return samples, []
     reach = max(1, round(AROUND_S / samples.dt_s))
     near = np.convolve(touching, np.ones(2 * reach + 1), mode="same") > 0.5
     seconds = float(np.sum(samples.valid & near)) * samples.dt_s
     kept = replace(samples, valid=samples.valid & ~near)
-    if seconds < _FEWEST_S:
-        return kept, []
     return kept, [Finding("ground", "ok", f"{seconds:.1f} s at the ground were left out")]

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flightstack.effects import EFFECTS, ParamSpec
+from flightstack.gap.decisions import NEGLIGIBLE, NEGLIGIBLE_OF_REQUIRED
 from flightstack.gap.scales import natural_scale
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
@@ -22,12 +23,8 @@ STOCHASTIC = ("turbulence",)
 """Effects without a column: they show in the remainder's spectrum only."""
 SLUNG_LENGTHS_M = (0.3, 0.6, 1.0, 1.7, 3.0)
 """Rope lengths to start from."""
-_REQUIRED_SHARE = 0.01
-"""Negligible share of a parameter that has no null value."""
 
 
-_SHARE = 0.05
-"""Negligible share of a change that matters (`gap.scales.natural_scale`): some tenths of a percent of the motion."""
 _SHARES = {
     "motor_lag": 0.2,  # a millisecond: stamps are no better
     "transport_delay": 0.2,
@@ -40,7 +37,7 @@ _SHARES = {
 
 def negligible(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """How large this parameter's change is allowed to be without a name, in its unit."""
-    return _SHARES.get(effect, _SHARE) * natural_scale(vehicle, effect, parameter)
+    return _SHARES.get(effect, NEGLIGIBLE) * natural_scale(vehicle, effect, parameter)
 
 
 def trifle(effect: str, share: float) -> float:
@@ -167,7 +164,8 @@ def fitted(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Candid
     """The candidate once it acts: all its parameters have columns but the whole numbers, which are held."""
     free = tuple(p for p in EFFECTS[effect].params if not p.integer)
     sizes = tuple(
-        _REQUIRED_SHARE * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name) for p in free
+        NEGLIGIBLE_OF_REQUIRED * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name)
+        for p in free
     )
     held = {p.name: float(values[p.name]) for p in EFFECTS[effect].params if p.integer}
     ranges = {p.name: plausible(vehicle, effect, p.name) for p in free}

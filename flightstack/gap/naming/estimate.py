@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import STEADY_MPS2, TENTH
 from flightstack.gap.filters import through
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
@@ -32,14 +32,8 @@ _STEPS = 4
 _STILL = 0.05
 """Standard deviations that another step would move."""
 _SEGMENTS = 6
-_ALLOWED_SPREAD = 0.1
-"""Share by which a coefficient of a good model may differ from segment to segment."""
 CI = 1.959964
 """Standard deviations of a 95 % interval."""
-FICKLE_P = 1e-4 / len(EFFECTS)
-"""Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
-_STEADY_MPS2 = 0.005
-"""One standard deviation of a slow error of accelerometer or attitude: 3 to 8 mm/s^2 with the simulator's sensors."""
 _BAND_S = 0.5
 """Correlation that whitening may have left."""
 
@@ -174,7 +168,7 @@ def covariance_of(
     told = state.point.nuisance_fitted
     steady = _steady(state.point.layout)
     other = np.hstack([state.point.nuisance[:, ~told], steady])
-    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], _STEADY_MPS2)])
+    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], STEADY_MPS2)])
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
     shift = (inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)
@@ -286,7 +280,7 @@ def variation(start: Vehicle, vehicle: Vehicle, slots: Sequence[tuple[str, str]]
     """(n,) variance of each parameter that a good model of a good vehicle may show from place to place."""
     origin = np.array([_origin(start, e, p, v) for (e, p), v in zip(slots, values, strict=True)])
     slack = np.array([negligible(vehicle, e, p) for e, p in slots])
-    return np.asarray((_ALLOWED_SPREAD * (values - origin)) ** 2 + slack**2)
+    return np.asarray((TENTH * (values - origin)) ** 2 + slack**2)
 
 
 def same(theta: F64, variance: F64, allowed: F64) -> tuple[F64, F64]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from flightstack.gap.decisions import CLEAR_EVIDENCE
 from flightstack.gap.naming.estimate import Estimates
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.simulate import value
 from flightstack.types import F64
-
-_SHOWN = 20.0
-"""Chi-square that an effect must make of held-out rows for them to judge it: a noise's own scatter is a few."""
 
 
 def moved(state: SelectionState, made: Estimates) -> F64:
@@ -28,7 +26,7 @@ def gain(state: SelectionState, made: Estimates, effect: str) -> float:
     held = layout.keep & layout.held
     mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
     own = made.x[held][:, mine] @ moved(state, made)[mine]
-    if float(own @ own) < _SHOWN:
+    if float(own @ own) < CLEAR_EVIDENCE:
         return float("nan")
     before, after = layout.stack(state.bench.residual(state.start))[held], made.rows[held]
     whole = float(before @ before) - float(after @ after)

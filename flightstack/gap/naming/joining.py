@@ -12,16 +12,14 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from flightstack.gap.decisions import CLEARLY, LINE_ERROR
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, judged_fit, members, strained
-from flightstack.gap.naming.trifles import CLEARLY, worth_of
+from flightstack.gap.naming.trifles import worth_of
 from flightstack.vehicle import Vehicle
-
-_NEAR = 12.0
-"""By which straight lines may well err."""
 
 
 def joined(
@@ -39,7 +37,7 @@ def joined(
     promised = [gram.c + float(score(s.gain, s.used, len(s.members), gram.rows, count)) for s in found]
     best: tuple[float, Fit] | None = None
     for i in np.argsort(promised):
-        if promised[i] > now.score + _NEAR:
+        if promised[i] > now.score + LINE_ERROR:
             break
         fit = fit_subset(fresh, found[i])
         (new,) = set(fit.effects) - set(effects)

@@ -18,6 +18,7 @@ import numpy as np
 
 from flightstack.effects import EFFECTS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
+from flightstack.gap.decisions import ALIKE_COSINE
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.estimate import CI, covariance_of, inverse, without_nuisance
@@ -39,7 +40,6 @@ _SCALED = ("payload", "thrust_scale", "inertia")
 _USUAL = {"body.mass_kg": 0.3, "rotors.max_thrust_n": 0.5, "body.inertia_kgm2": 0.7}
 """Relative half width within which a plain number of these is taken to lie once an effect contradicts it."""
 _STEP = 1e-3
-_ALIKE = 0.95
 WEIGH = "weigh the vehicle: no acceleration shows the common scale of mass, thrust, inertia and drag"
 
 
@@ -109,7 +109,7 @@ def _told(
 ) -> tuple[tuple[Found, ...], Vehicle]:
     """The names at these values, intervals as wide as before or as this covariance; classes of what goes together."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    alike = np.abs(covariance) > _ALIKE * np.maximum(np.outer(sigma, sigma), 1e-300)
+    alike = np.abs(covariance) > ALIKE_COSINE * np.maximum(np.outer(sigma, sigma), 1e-300)
     place = {slot: k for k, slot in enumerate(slots)}
     out, changed = [], vehicle
     for each in found:

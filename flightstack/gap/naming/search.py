@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import ALIKE_EVIDENCE, LINE_ERROR, LINE_ERROR_SHARE, NAME_EVIDENCE
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
@@ -25,15 +26,7 @@ from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
 MOST = 3
-LEAST_EVIDENCE = 15.0
-"""Fall of the score from which an effect is named."""
-ALIKE = 10.0
-"""Difference of scores below which one of two explanations is not preferred."""
 _SHORTLIST = {1: 4, 2: 4, 3: 3}
-_MARGIN = 12.0
-"""Difference of scores that a straight line's error may make."""
-_NEAR = 0.3
-"""And its share of the whole gain, far from where the columns were taken."""
 _NEIGHBOURS = 6
 _ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
 """To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
@@ -98,7 +91,7 @@ class SelectionState:
             if not self.barred & set(fit.effects) and not strained(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
-        as_good = [k for k in fair if fair[k] < fair[best] + (LEAST_EVIDENCE if k <= best else ALIKE)]
+        as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
         fewest = min(len(key) for key in as_good)
         as_good = [key for key in as_good if key <= best or len(key) == fewest]
         return min(as_good, key=lambda key: (len(key), fair[key]))
@@ -165,7 +158,7 @@ def move_to(state: SelectionState, vehicle: Vehicle) -> None:
 def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
     """The best of each size, and of those only what comes near the best of all: columns taken elsewhere err."""
     best, floor = scored[0]
-    margin = _MARGIN + _NEAR * floor.gain
+    margin = LINE_ERROR + LINE_ERROR_SHARE * floor.gain
     return [
         s
         for size, count in _SHORTLIST.items()
@@ -204,7 +197,7 @@ def _neighbours(state: SelectionState) -> list[Subset]:
     found = []
     for value_, s in scored:
         # more on top of the best is told well by these columns, something else in its place is not
-        near = best - 0.5 * LEAST_EVIDENCE if set(inside) <= set(s.members) else best + _MARGIN
+        near = best - 0.5 * NAME_EVIDENCE if set(inside) <= set(s.members) else best + LINE_ERROR
         if value_ < min(near, _beaten(state, s)):
             found.append(s)
     return found[:_NEIGHBOURS]
@@ -314,7 +307,7 @@ def pressed_beyond(k: F64, b: F64, sides: NDArray[np.int64]) -> list[int]:
     for i in np.flatnonzero(sides):
         pull = float(b[i] - k[i, free] @ inverse @ b[free])
         stiffness = float(k[i, i] - k[i, free] @ inverse @ k[free, i])
-        if pull * sides[i] > 0.0 and pull**2 > LEAST_EVIDENCE * stiffness:
+        if pull * sides[i] > 0.0 and pull**2 > NAME_EVIDENCE * stiffness:
             found.append(int(i))
     return found
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.estimate import Estimates
 from flightstack.gap.naming.search import SelectionState
@@ -22,12 +23,6 @@ from flightstack.gap.remainder import GROUPS
 from flightstack.gap.simulate import Knob, value
 from flightstack.types import F64
 
-CLEARLY = 1.1**2 - 1.0
-"""Share by which a group's mean square must rise without an effect: a tenth of the rms."""
-_HARM = 0.75
-"""Share by which a group's mean square must fall without an effect that does harm: half of the rms."""
-_SURE = 2.0
-"""Standard errors, over blocks of a second, by which it must rise."""
 _FEWEST_BLOCKS = 4
 
 
@@ -80,10 +75,10 @@ class _View:
             risen = float(blocks.sum())
             if len(blocks) < _FEWEST_BLOCKS:
                 continue
-            if abs(risen) > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
+            if abs(risen) > SURE_ERRORS * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
                 share = risen / max(float(np.sum(base[mine] ** 2)), 1e-300)
                 best, worst = max(best, share), min(worst, share)
-        return worst if worst <= -_HARM else best
+        return worst if worst <= -CLEAR_SHARE else best
 
     def _seconds(self, mine: Mask, change: F64) -> F64:
         """Sums of these rows' changes over each second of each flight."""
