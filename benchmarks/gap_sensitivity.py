@@ -32,6 +32,8 @@ from flightstack.gap import decisions
 
 TABLE = Path(decisions.__file__)
 FACTORS = (0.5, 1.5)
+ALWAYS = ("turbulence", "ground effect")
+"""Cases on which each decision is tried anyway: a number that goes into an array is not watched any longer."""
 FOLDER = Path(__file__).resolve().parents[1] / "runs" / "gap-sensitivity"
 MOST_CASES = 4
 """A decision is changed on at most so many of the cases where it could matter, until two said something else."""
@@ -123,6 +125,9 @@ def _operator(name: str) -> Callable[..., Any]:
         if others and isinstance(others[0], np.ndarray):
             return NotImplemented
         given = [float(x) if isinstance(x, np.generic | int) else x for x in others]
+        if any(isinstance(x, Watched) for x in given):  # of two decisions each may matter
+            self.noted.update(("low", "high"))
+            given[0].noted.update(("low", "high"))
         parts = [own(_at(self, w), *(_at(x, w) for x in given)) for w in ("", "low", "high")]
         return self._told(parts)
 
@@ -165,6 +170,7 @@ def run(minutes: float) -> None:
         for name, value in rows().items():
             for factor, which in zip(FACTORS, ("low", "high"), strict=True):
                 could = [row for row in traces if which in row["noted"].get(name, ())]
+                could += [row for row in traces if row["case"] in ALWAYS[len(could) :] and row not in could]
                 changed = sum(done.get((name, factor, row["case"]), {}).get("other", False) for row in could[:tried])
                 if tried >= len(could) or changed >= 2 or (name, factor, could[tried]["case"]) in done:
                     continue

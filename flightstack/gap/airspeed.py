@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from flightstack.gap.compare import rollout_starts
 from flightstack.gap.decisions import MOVED, SLOW_ERROR_S
 from flightstack.gap.records import Samples
-from flightstack.gap.rollouts import rollout
+from flightstack.gap.rollouts import WINDOW_S, rollout
 from flightstack.gap.run import Run, params_row
 from flightstack.gap.track import COLUMNS, track
-from flightstack.gap.windows import WINDOW_S
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate, rotate_inverse

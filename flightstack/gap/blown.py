@@ -28,9 +28,9 @@ from flightstack.gap.simulate import Knob, knobs, value, with_value
 from flightstack.gap.verdict import ONE_STEP, gap_of, is_open
 from flightstack.vehicle import Vehicle
 
-_MEANS = ("constant_force",)
-"""What the mean of gusts may be taken for; a wind is looked for in its place."""
 _WIND = "steady_wind"
+_FORCE = "constant_force"
+"""Through a drag that is the same on every axis a wind is one: where the gusts leave both open, they are twins."""
 _LOAD = "payload"
 """What a wind that blows up or down may be, and its twins."""
 _LOADS = ("thrust_scale", "constant_force")
@@ -45,10 +45,10 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
     ):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
-    back = [f for f in naming.proposed if f.name not in {*held, *_MEANS, _WIND} and _is_force(f)]
+    back = [f for f in naming.proposed if f.name not in {*held, _WIND} and _is_force(f)]
     kept = [f for f in naming.found if f.name != _WIND]
-    wind = [] if held & set(_MEANS) else [_proposed(vehicle, naming, _WIND)]
-    told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)})
+    wind = [_proposed(vehicle, naming, _WIND)]
+    told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)} | ({_FORCE} & held))
     if told is None and back:  # what was taken back may stand for gusts itself
         told = _beside(vehicle, naming, of, [*kept, *wind], {f.name for f in wind})
     if told is not None and any(upright(f) for f in told[0].found) and not held & {_LOAD, *_LOADS}:
@@ -84,6 +84,7 @@ def _beside(
     """
     masks = [s.valid for s in of.flights]
     unsure: Gusts | None = None
+    alike: dict[str, str] = {}
     while True:
         named = naming.with_only(found)
         turned = [knob for f in found for knob in knobs(f.name, _whole(f))]
@@ -94,12 +95,17 @@ def _beside(
         worst = max(chance, key=lambda name: chance[name], default="")
         if not worst or chance[worst] <= RARE_P:
             break
+        if {_WIND, _FORCE} <= {name for name, p in chance.items() if p > RARE_P}:
+            alike = {_WIND: _FORCE, _FORCE: _WIND}
         if worst == _WIND and chance[worst] < CHANCE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
-    slow = [f for f in named.found if f.name in (_WIND, *_MEANS) or f.name in tested & {_LOAD}]
+    slow = [f for f in named.found if f.name in (_WIND, _FORCE) or f.name in tested & {_LOAD}]
     for f in slow:
         named = _by_gusts(vehicle, named, f, turned, blown)
+    if len(both := {f.name for f in slow} & alike.keys()) == 1:
+        (one,) = both
+        named = named.with_twins(one, (alike[one],))
     if unsure is not None:
         return named, replace(blown, sigma_mps=unsure.sigma_mps, length_m=unsure.length_m), (_WIND,)
     return named, blown, ()

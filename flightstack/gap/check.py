@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.gap.checks import contact, conventions, quality, speeds, stopped
+from flightstack.gap.checks import conventions, quality, speeds
 from flightstack.gap.checks.clocks import judge_rates, settle_clocks
+from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
-from flightstack.gap.checks.say import how_to_record, ok, refused, warning
 from flightstack.gap.decisions import CLEAR_M, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
-from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal
+from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal, how_to_record, ok, refused, warning
 from flightstack.vehicle import Vehicle
 
 _GROUND_OFF_M = {"mcap": 0.05, "ulog": 0.05, "dataflash": 0.3, "tlog": 0.3}
@@ -67,9 +67,9 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     if samples is None:
         findings.append(_not_flying(flight.kind))
         return Checked(read, None, tuple(findings), offsets)
-    samples, more = contact.leave_out(samples, vehicle, contact.standing_m(signals, vehicle, span, ground_d_m))
+    samples, more = exclude_ground_contact(samples, vehicle, standing_m(signals, vehicle, span, ground_d_m))
     findings += more
-    samples, more = stopped.leave_out(samples, vehicle)
+    samples, more = exclude_stopped_rotors(samples, vehicle)
     findings += more
     if not samples.valid.any():
         findings.append(_not_flying(flight.kind))

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.effects import accelerometer_bias, gyro_bias
-from flightstack.gap.checks.noise import white_noise
-from flightstack.gap.filters import spectrum
+from flightstack.gap.filters import spectrum, white_noise
 from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
 from flightstack.gap.run import Run, params_row, true_attitude

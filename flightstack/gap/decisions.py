@@ -13,11 +13,8 @@ from flightstack.effects import EFFECTS
 Changes = tuple[int, int, int, int]
 
 
-def decide(value: float, unit: str, why: str, changes: Changes | None = None) -> float:
+def decide(value: float, unit: str, why: str, changes: Changes = (0, 0, 0, 0)) -> float:
     """The value of a row."""
-    assert unit
-    assert why
-    assert changes is None or (changes[0] <= changes[1] and changes[2] <= changes[3])
     return value
 
 

@@ -24,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.records import Estimate, Found, Samples
-from flightstack.gap.simulate import Knob, sensitivities
+from flightstack.gap.simulate import Knob, sensitivities, spec_of
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -294,7 +293,7 @@ def _profile(kernel: F64, blocks: _Blocks) -> _Profile:
 
 def _estimate(values: F64, weight: F64, parameter: str) -> Estimate:
     """Median and 95 % interval of a parameter by its posterior on the grid."""
-    spec = next(p for p in EFFECTS["turbulence"].params if p.name == parameter)
+    spec = spec_of("turbulence", parameter)
     order = np.argsort(values)
     share, ordered = np.cumsum(weight[order]), values[order]
     low, middle, high = (float(ordered[min(int(np.searchsorted(share, q)), len(order) - 1)]) for q in _QUANTILES)

@@ -14,7 +14,7 @@ import numpy as np
 from flightstack.effects import EFFECTS
 from flightstack.gap.decisions import ALIKE_COSINE, DETECTABLE
 from flightstack.gap.naming.design import Linearised
-from flightstack.gap.scales import natural_scale
+from flightstack.gap.simulate import natural_scale
 
 
 @dataclass(frozen=True, slots=True)

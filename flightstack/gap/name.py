@@ -27,22 +27,19 @@ from flightstack.gap.compare import residual
 from flightstack.gap.decisions import FICKLE_P, GAP_FROM, LEAST_GAIN, NAME_EVIDENCE, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
-from flightstack.gap.judge import Judged, evidence, judge, parameters_of, pruned
+from flightstack.gap.judge import Judged, evidence, judge, parameters_of, prefers_time_trend, pruned
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import plausible
-from flightstack.gap.naming.drift import drifts_better
-from flightstack.gap.naming.estimate import CI, Estimates, estimate
+from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
-from flightstack.gap.naming.held_rows import moved
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.ranged import carried, is_touched
 from flightstack.gap.naming.search import Fit, SelectionState, members, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Across, Found, Rejected, Samples, Unexplained, Where
-from flightstack.gap.remainder import Rest
-from flightstack.gap.rest import beside_names, every_rest, loud, telling, unexplained
+from flightstack.gap.remainder import Rest, beside_names, every_rest, loud, telling, unexplained
 from flightstack.gap.simulate import unseen, untold
 from flightstack.vehicle import Vehicle
 
@@ -269,7 +266,7 @@ def name(
     doubtful = {e for group in told for e in _touched(state, judged, rests, group)}
     left = unexplained(loud(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and drifts_better(state, judged.estimates, moved(state, judged.estimates)):
+    if sagging and prefers_time_trend(state, judged.estimates):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         left = Unexplained(True, ("time", "battery"), 1.0)
@@ -305,7 +302,7 @@ def _power(state: SelectionState, made: Estimates, r: Rest) -> dict[str, float]:
     """What each effect brings to a group, mean square in units of the noise."""
     out: dict[str, float] = {}
     if r.by_column:
-        for (effect, _), size, shift in zip(made.slots, r.by_column, moved(state, made), strict=True):
+        for (effect, _), size, shift in zip(made.slots, r.by_column, parameter_change(state, made), strict=True):
             out[effect] = out.get(effect, 0.0) + size * shift**2
     return out
 

@@ -33,12 +33,10 @@ from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, S
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
-from flightstack.gap.rollouts import rollouts
+from flightstack.gap.rollouts import WINDOW_S, Windows, gathered_by, rollouts, windows_of
 from flightstack.gap.sampled import open_gains
-from flightstack.gap.scales import natural_scale
-from flightstack.gap.simulate import predict, unseen, value, with_value
+from flightstack.gap.simulate import natural_scale, predict, spec_of, unseen, value, with_value
 from flightstack.gap.track import track
-from flightstack.gap.windows import WINDOW_S, Windows, gathered_by, windows_of
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 
@@ -135,7 +133,7 @@ def bounded(believed: Vehicle, effect: str, parameter: str, estimate: float, rea
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:
-    spec = next(p for p in EFFECTS[effect].params if p.name == parameter)
+    spec = spec_of(effect, parameter)
     return spec.minimum, spec.maximum
 
 

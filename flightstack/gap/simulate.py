@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flightstack.effects import EFFECTS, ParamSpec
+from flightstack.effects.record import Size
 from flightstack.effects.row import PLACES
 from flightstack.gap.records import Samples
 from flightstack.gap.run import SENSORS, Run, Turned, kinematic_rest, later, params_row
-from flightstack.gap.scales import natural_scale
 from flightstack.gap.track import COLUMNS, thinned, track
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from flightstack_sim.parameters import derive
 
@@ -143,7 +143,7 @@ def timing(vehicle: Vehicle, samples: Samples) -> F64:
 
 def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """A parameter as the vehicle has it: the effect's, else its null value, else the vehicle's own; NaN where none."""
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     given = vehicle.effects.get(effect, {}).get(parameter, spec.null)
     if given is not None:
         return float(given)
@@ -157,7 +157,7 @@ def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Ve
     Values are brought into the range that a vehicle file allows, and what flies keeps some mass: an estimate beyond a
     range must never be refused by the file that is made of it.
     """
-    within = {p: float(np.clip(x, _spec(effect, p).minimum, _spec(effect, p).maximum)) for p, x in values.items()}
+    within = {p: float(np.clip(x, spec_of(effect, p).minimum, spec_of(effect, p).maximum)) for p, x in values.items()}
     changed = {**vehicle.effects.get(effect, {}), **within}
     if effect == "payload":
         changed["mass_kg"] = _carried(vehicle, changed["mass_kg"])
@@ -169,14 +169,15 @@ def _carried(vehicle: Vehicle, mass_kg: float) -> float:
     return max(mass_kg, (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
 
 
-def _spec(effect: str, parameter: str) -> ParamSpec:
+def spec_of(effect: str, parameter: str) -> ParamSpec:
+    """The table's row of one parameter."""
     return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
 def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
     """`row`: the vehicle's own."""
     now = knob.at.get(knob.parameter, value(vehicle, knob.effect, knob.parameter))
-    spec = _spec(knob.effect, knob.parameter)
+    spec = spec_of(knob.effect, knob.parameter)
     step = _STEP_SHARE * natural_scale(vehicle, knob.effect, knob.parameter)
     high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
     centre, up, down = row.copy(), row.copy(), row.copy()
@@ -202,3 +203,17 @@ def _difference(base: Run, turned: Turned, knob: Knob) -> F64:
         return (base.shown(up, same) - base.shown(down, same)) / turned.width
     moved = [Run(p, base.track).moved(p) for p in (up, down)]
     return base.felt(turned.centre, (moved[0] - moved[1]) / turned.width)
+
+
+def natural_scale(vehicle: Vehicle, effect: str, parameter: str) -> float:
+    """A change of this parameter that moves the motion by some percent; positive, in the parameter's unit."""
+    hover = min(1.0, (vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / vehicle.max_total_thrust_n) ** 0.5)
+    size = Size(
+        mass_kg=vehicle.total_mass_kg,
+        weight_n=vehicle.weight_n,
+        inertia_kgm2=float(vehicle.inertia_kgm2.mean()),
+        arm_m=float((vehicle.rotors.position_m[:, :2] ** 2).sum(axis=1).mean()) ** 0.5,
+        turning_radps=4.0 * hover * vehicle.rotors.max_speed_radps,
+    )
+    scale = EFFECTS[effect].scale(size)
+    return float(scale if isinstance(scale, float) else scale[parameter])

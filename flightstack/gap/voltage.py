@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from flightstack.gap.checks.noise import white_noise
 from flightstack.gap.decisions import GAP_FROM, SMALL_SHARE
-from flightstack.gap.filters import both_ways, lowpass, through
+from flightstack.gap.filters import both_ways, lowpass, through, white_noise
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 

@@ -66,6 +66,7 @@ BESIDE = {
     "a wind": {"steady_wind": WIND, "turbulence": GUSTS},
     "a mass": {"payload": {"mass_kg": 0.2}, "turbulence": GUSTS},
     "nothing": {"turbulence": {"sigma_mps": 1.0, "length_m": 60.0}},
+    "a force": {"constant_force": {"north_n": 1.5, "east_n": -1.0, "down_n": 0.0}, "turbulence": GUSTS},
 }
 
 
@@ -77,7 +78,7 @@ def beside() -> dict[str, tuple[Naming, Gap]]:
 
 @pytest.mark.parametrize("kind", list(BESIDE))
 def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Naming, Gap]], kind: str) -> None:
-    """A mean that gusts have of themselves is no wind; a wind or a mass beside them is, and holds the truth."""
+    """A mean that gusts have of themselves is no wind; a wind, force or mass beside them is, and holds the truth."""
     naming, gap = beside[kind]
     assert {f.name for f in naming.found} == set(BESIDE[kind])
     for found in naming.found:

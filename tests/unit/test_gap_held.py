@@ -14,11 +14,11 @@ from flightstack.gap import pooled
 from flightstack.gap.classes import confused_with, doubled, poorly_told
 from flightstack.gap.decisions import CLEARLY
 from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
+from flightstack.gap.judge import gain
 from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
-from flightstack.gap.naming.held_rows import gain
 from flightstack.gap.naming.joining import joined
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.search import SelectionState

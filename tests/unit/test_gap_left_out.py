@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flightstack.gap import voltage
-from flightstack.gap.checks import contact, stopped
+from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
 from flightstack.gap.decisions import AROUND_S
 from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
@@ -38,7 +38,7 @@ def cut(samples: Samples, begin_s: float) -> Samples:
 
 def test_a_stopped_rotor_is_left_out_until_five_time_constants_after(flown: Samples) -> None:
     vehicle = replace(quad(), rotors=replace(quad().rotors, time_constant_s=0.1))
-    kept, findings = stopped.leave_out(cut(flown, 10.0), vehicle)
+    kept, findings = exclude_stopped_rotors(cut(flown, 10.0), vehicle)
     t_s = kept.t_s - kept.t_s[0]
     gone = t_s[flown.valid & ~kept.valid]
     assert gone.min() == pytest.approx(10.0, abs=2.0 * kept.dt_s)
@@ -47,13 +47,13 @@ def test_a_stopped_rotor_is_left_out_until_five_time_constants_after(flown: Samp
 
 
 def test_a_flight_whose_rotors_never_stop_is_as_it_was(flown: Samples) -> None:
-    assert stopped.leave_out(flown, quad()) == (flown, [])
+    assert exclude_stopped_rotors(flown, quad()) == (flown, [])
 
 
 def test_a_vehicle_that_stops_its_rotors_all_the_time_is_taken_as_it_is(flown: Samples) -> None:
     motor = flown.motor.copy()
     motor[::50] = 0.0
-    kept, findings = stopped.leave_out(replace(flown, motor=motor), quad())
+    kept, findings = exclude_stopped_rotors(replace(flown, motor=motor), quad())
     assert np.array_equal(kept.valid, flown.valid)
     assert findings[0].level == "warning"
 
@@ -82,8 +82,8 @@ def test_the_log_shows_how_high_the_body_s_origin_stands(before_m: float, after_
     flying = np.arange(3000) // 1000 == 1
     height = np.where(flying, 1.5, np.where(np.arange(3000) < 1000, before_m, after_m))
     log = log_of(height, np.where(flying, 0.5, 0.0))
-    assert contact.standing_m(log, quad(), (10.0, 20.0), 0.0) == pytest.approx(stands_m)
-    assert contact.standing_m({"motor": log["motor"]}, quad(), (10.0, 20.0), 0.0) == 0.0
+    assert standing_m(log, quad(), (10.0, 20.0), 0.0) == pytest.approx(stands_m)
+    assert standing_m({"motor": log["motor"]}, quad(), (10.0, 20.0), 0.0) == 0.0
 
 
 def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) -> None:
@@ -91,8 +91,8 @@ def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) ->
     t_s = flown.t_s - flown.t_s[0]
     height = np.where(np.abs(t_s - 12.0) < 0.02, STANDS_M, 2.0)
     level = replace(flown, height_m=height, q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)))
-    assert contact.leave_out(level, quad()) == (level, [])
-    kept, findings = contact.leave_out(level, quad(), STANDS_M)
+    assert exclude_ground_contact(level, quad()) == (level, [])
+    kept, findings = exclude_ground_contact(level, quad(), STANDS_M)
     gone = t_s[flown.valid & ~kept.valid]
     assert gone.min() == pytest.approx(12.0 - 0.02 - AROUND_S, abs=2.0 * flown.dt_s)
     assert gone.max() == pytest.approx(12.0 + 0.02 + AROUND_S, abs=2.0 * flown.dt_s)

@@ -12,10 +12,10 @@ from flightstack.effects import EFFECTS
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.gap.records import Samples
 from flightstack.gap.run import Run, params_row
-from flightstack.gap.scales import natural_scale
 from flightstack.gap.simulate import (
     Knob,
     knobs,
+    natural_scale,
     predict,
     sensitivities,
     timing,

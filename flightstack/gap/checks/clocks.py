@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.checks.say import how_to_record, refused, warning
 from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ
-from flightstack.gap.records import Finding, Signal
+from flightstack.gap.records import Finding, Signal, how_to_record, refused, warning
 from flightstack.types import F64
 
 SLOW = ("battery_v", "landed", "height_m")

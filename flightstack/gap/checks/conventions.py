@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
-from flightstack.gap.checks.say import warning
 from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, CONVENTION_NEARLY, CONVENTION_POOR
-from flightstack.gap.records import Finding, Signal
+from flightstack.gap.records import Finding, Signal, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import body_to_frd, multiply, rotate, world_to_ned
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.checks.motion import band
-from flightstack.gap.checks.say import ok, refused, warning
 from flightstack.gap.decisions import CLEAR_SHARE, HALF, ORDER_MARGIN, THRUST_OFF
-from flightstack.gap.records import Finding, Samples
+from flightstack.gap.records import Finding, Samples, ok, refused, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 

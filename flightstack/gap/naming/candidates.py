@@ -15,8 +15,7 @@ import numpy as np
 
 from flightstack.effects import EFFECTS, ParamSpec
 from flightstack.gap.decisions import NEGLIGIBLE, NEGLIGIBLE_OF_REQUIRED
-from flightstack.gap.scales import natural_scale
-from flightstack.gap.simulate import value
+from flightstack.gap.simulate import natural_scale, spec_of, value
 from flightstack.vehicle import Vehicle
 
 STOCHASTIC = ("turbulence",)
@@ -55,7 +54,7 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     A mass less than half of the file's, an inertia that no shape of that size has or a centre of mass beyond the
     rotors stand for something else: torques that do not come, mostly.
     """
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     arm = float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)))
     own = {
         "inertia": _INERTIA,
@@ -90,7 +89,7 @@ def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bo
 
     A centre of mass is not judged by its height, which hardly any flight shows.
     """
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
         return False
     low, high = plausible(vehicle, effect, parameter)
@@ -119,17 +118,13 @@ class Candidate:
 
     def spec(self, parameter: str) -> ParamSpec:
         """The table's row of one parameter, in its plausible range."""
-        spec = _spec(self.effect, parameter)
+        spec = spec_of(self.effect, parameter)
         low, high = self.ranges.get(parameter, (spec.minimum, spec.maximum))
         return replace(spec, minimum=low, maximum=high)
 
     def values(self, vehicle: Vehicle) -> dict[str, float]:
         """The effect's parameters as this candidate starts from: the vehicle's where it has them, else null."""
         return {p: value(vehicle, self.effect, p) for p in self.parameters} | dict(self.variant)
-
-
-def _spec(effect: str, parameter: str) -> ParamSpec:
-    return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
 def has(vehicle: Vehicle, effect: str) -> bool:

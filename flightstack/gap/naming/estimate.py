@@ -305,3 +305,9 @@ def _heterogeneity(theta: F64, variance: F64) -> tuple[F64, F64]:
 def _origin(start: Vehicle, effect: str, parameter: str, now: float) -> float:
     origin = value(start, effect, parameter)
     return origin if np.isfinite(origin) else now
+
+
+def parameter_change(state: SelectionState, made: Estimates) -> F64:
+    """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)

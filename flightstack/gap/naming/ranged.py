@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.effects import EFFECTS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
 from flightstack.gap.decisions import ALIKE_COSINE
 from flightstack.gap.naming.candidates import fitted
@@ -24,7 +23,7 @@ from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.estimate import CI, covariance_of, inverse, without_nuisance
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.records import Estimate, Found
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import Knob, spec_of, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -119,7 +118,7 @@ def _told(
             k = place.get((each.name, name))
             if k is None:
                 continue
-            spec = next(p for p in EFFECTS[each.name].params if p.name == name)
+            spec = spec_of(each.name, name)
             now = float(np.clip(values[k], spec.minimum, spec.maximum))
             half = max(0.5 * (e.high - e.low), CI * float(sigma[k]))
             parameters[name] = Estimate(e.before, now, max(now - half, spec.minimum), min(now + half, spec.maximum))

@@ -16,11 +16,11 @@ import numpy as np
 
 from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS
 from flightstack.gap.naming.design import Layout, layout_of
-from flightstack.gap.naming.estimate import Estimates
+from flightstack.gap.naming.estimate import Estimates, parameter_change
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.remainder import GROUPS
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.simulate import Knob
 from flightstack.types import F64
 
 _FEWEST_BLOCKS = 4
@@ -130,8 +130,7 @@ def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
 
 
 def _views(state: SelectionState, made: Estimates) -> tuple[_View, _View]:
-    origin = np.array([value(state.start, *slot) for slot in made.slots])
-    moved = np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
+    changed = parameter_change(state, made)
     bench, coloured = state.bench, state.point.layout
     rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
     rows = bench.residual(made.vehicle)
@@ -139,6 +138,6 @@ def _views(state: SelectionState, made: Estimates) -> tuple[_View, _View]:
     plain = layout_of(bench, rows, coloured=False)
     x = plain.stack(raw)
     return (
-        _View(coloured, made.x, made.rows + made.x @ moved, rate),
-        _View(plain, x, plain.stack(rows) + x @ moved, rate),
+        _View(coloured, made.x, made.rows + made.x @ changed, rate),
+        _View(plain, x, plain.stack(rows) + x @ changed, rate),
     )
