@@ -19,7 +19,7 @@ from flightstack.gap.compare import rollout_starts
 from flightstack.gap.decisions import MOVED, SLOW_ERROR_S
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import WINDOW_S, rollout
-from flightstack.gap.run import Run, params_row
+from flightstack.gap.run import ModelEvaluation, params_row
 from flightstack.gap.track import COLUMNS, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -51,7 +51,7 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
     if not error > 0.0:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = Run(p, flight).shown(p)
+    base = ModelEvaluation(p, flight).shown(p)
     for axis, of in enumerate(power.tolist()):
         share = min(error / max(of, 1e-12), 1.0)
         if share < _NONE:
@@ -59,7 +59,7 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
         less = np.zeros_like(body)
         less[:, axis] = share * body[:, axis]
         expected = replace(flight, vel_ned_mps=flight.vel_ned_mps - rotate(flight.q_ned_frd, less))
-        out[:, :, axis] = flight.lowpass(Run(p, expected).shown(p) - base)
+        out[:, :, axis] = flight.lowpass(ModelEvaluation(p, expected).shown(p) - base)
     return out
 
 
@@ -76,10 +76,10 @@ def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
     if not vehicle.effects.keys() & _BY_AIR or np.max(offset(samples, samples.valid)) < _STILL_MPS:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = Run(p, flight).shown(p)
+    base = ModelEvaluation(p, flight).shown(p)
     for axis in range(3):
         moved = replace(flight, vel_ned_mps=flight.vel_ned_mps + np.eye(3)[axis])
-        out[:, :, axis] = flight.lowpass(Run(p, moved).shown(p) - base)
+        out[:, :, axis] = flight.lowpass(ModelEvaluation(p, moved).shown(p) - base)
     return out
 
 

@@ -20,11 +20,11 @@ from flightstack.gap.classes import splitting_manoeuvre, together
 from flightstack.gap.decisions import CHANCE_P, MOSTLY, NOT_WORSE, RARE_P
 from flightstack.gap.gusts import Gusts, as_found, gusts
 from flightstack.gap.held import far_from_noise, upright
-from flightstack.gap.name import Naming
+from flightstack.gap.name import Selection
 from flightstack.gap.naming.estimate import CI
-from flightstack.gap.pooled import Split
-from flightstack.gap.records import Estimate, Found, Gap, Unexplained
-from flightstack.gap.simulate import Knob, knobs, value, with_value
+from flightstack.gap.pooled import FitHoldoutSplit
+from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Unexplained
+from flightstack.gap.simulate import FreeParameter, free_parameters, value, with_value
 from flightstack.gap.verdict import ONE_STEP, gap_of, is_open
 from flightstack.vehicle import Vehicle
 
@@ -36,7 +36,7 @@ _LOAD = "payload"
 _LOADS = ("thrust_scale", "constant_force")
 
 
-def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
+def with_turbulence(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap) -> tuple[Selection, Gap]:
     """Turbulence where it explains what is left of the force, and the names that hold beside it."""
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
         return naming, gap
@@ -76,8 +76,8 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
 
 
 def _beside(
-    vehicle: Vehicle, naming: Naming, of: Split, found: list[Found], tested: set[str]
-) -> tuple[Naming, Gusts, tuple[str, ...]] | None:
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, found: list[IdentifiedEffect], tested: set[str]
+) -> tuple[Selection, Gusts, tuple[str, ...]] | None:
     """The names that hold beside gusts, the gusts, and what their mean can't be told from; None if there are none.
 
     Of the `tested` the least certain goes first, and the others are fitted again without it.
@@ -87,7 +87,7 @@ def _beside(
     alike: dict[str, str] = {}
     while True:
         named = naming.with_only(found)
-        turned = [knob for f in found for knob in knobs(f.name, _whole(f))]
+        turned = [knob for f in found for knob in free_parameters(f.name, _whole(f))]
         blown = gusts(named.vehicle, of.flights, masks, turned)
         if blown is None or not blown.named:
             return None
@@ -111,7 +111,9 @@ def _beside(
     return named, blown, ()
 
 
-def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> float:
+def _chance(
+    vehicle: Vehicle, at: Vehicle, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> float:
     """Probability of the flights if this effect were as the file has it, gusts being what they are (Wald's test)."""
     count, statistic = _wald(vehicle, at, found, turned, blown)
     if not count:
@@ -119,7 +121,9 @@ def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob],
     return float(chdtrc(count, statistic))
 
 
-def _wald(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> tuple[int, float]:
+def _wald(
+    vehicle: Vehicle, at: Vehicle, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> tuple[int, float]:
     """How many parameters of the effect the force shows, and their squared distance from the file's in errors."""
     mine = [k for k, knob in enumerate(turned) if knob.effect == found.name and blown.covariance[k, k] > 0.0]
     if not mine:
@@ -132,7 +136,9 @@ def _wald(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], b
     return len(mine), float((off / size) @ scaled @ (off / size))
 
 
-def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[Knob], blown: Gusts) -> Naming:
+def _by_gusts(
+    vehicle: Vehicle, naming: Selection, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> Selection:
     """The verdict with this effect's parameters as they are beside gusts."""
     parameters: dict[str, Estimate] = {}
     for k, knob in enumerate(turned):
@@ -154,19 +160,19 @@ def _is_worse(now: float | None, was: float | None) -> bool:
     return now is not None and was is not None and now > NOT_WORSE * was
 
 
-def _proposed(vehicle: Vehicle, naming: Naming, effect: str) -> Found:
+def _proposed(vehicle: Vehicle, naming: Selection, effect: str) -> IdentifiedEffect:
     """The effect as it was found, or as the file has it; a load is nothing that a thrust or a force is not."""
     for f in (*naming.found, *naming.proposed):
         if f.name == effect:
             return f
-    own = {knob.parameter: value(vehicle, effect, knob.parameter) for knob in knobs(effect)}
-    made = Found(effect, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
+    own = {knob.parameter: value(vehicle, effect, knob.parameter) for knob in free_parameters(effect)}
+    made = IdentifiedEffect(effect, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
     return together(made, _LOADS) if effect == _LOAD else made
 
 
-def _whole(found: Found) -> dict[str, float]:
+def _whole(found: IdentifiedEffect) -> dict[str, float]:
     return {p.name: found.parameters[p.name].estimate for p in EFFECTS[found.name].params if p.integer}
 
 
-def _is_force(found: Found) -> bool:
+def _is_force(found: IdentifiedEffect) -> bool:
     return EFFECTS[found.name].kind == "force"

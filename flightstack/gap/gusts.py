@@ -27,8 +27,8 @@ from scipy.special import chdtrc
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
 from flightstack.gap.naming.drivers import quantities
-from flightstack.gap.records import Estimate, Found, Samples
-from flightstack.gap.simulate import Knob, sensitivities, spec_of
+from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
+from flightstack.gap.simulate import FreeParameter, sensitivities, spec_of
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -45,7 +45,7 @@ _USUAL_LENGTH_M, _LENGTH_SPREAD = 25.0, 1.0
 _PARTS = 4
 """Into which a block is cut for the mean of a correlation."""
 _QUANTILES = (0.025, 0.5, 0.975)
-_WIND = tuple(Knob("steady_wind", f"{axis}_mps") for axis in ("north", "east", "down"))
+_WIND = tuple(FreeParameter("steady_wind", f"{axis}_mps") for axis in ("north", "east", "down"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,10 @@ class _Blocks:
 
 
 def gusts(
-    vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]], beside: Sequence[Knob] = ()
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    masks: Sequence[NDArray[np.bool_]],
+    beside: Sequence[FreeParameter] = (),
 ) -> Gusts | None:
     """Turbulence in what `vehicle` leaves of these samples; None where no drag or too little shows it.
 
@@ -159,7 +162,7 @@ def _blocks(
     vehicle: Vehicle,
     flights: Sequence[Samples],
     masks: Sequence[NDArray[np.bool_]],
-    beside: Sequence[Knob],
+    beside: Sequence[FreeParameter],
 ) -> _Blocks | None:
     parts = []
     units = [np.nan_to_num(residual(vehicle, s).noise[:3]) for s in flights]
@@ -241,10 +244,10 @@ def _kernel(loads: F64, correlations: Sequence[F64]) -> F64:
     return total
 
 
-def as_found(blown: Gusts, gap_power: float) -> Found:
+def as_found(blown: Gusts, gap_power: float) -> IdentifiedEffect:
     """Turbulence among the names; `gap_power`: what is left of the force beyond the floor, mean square."""
     share = 1.0 if gap_power <= 0.0 else min(1.0, blown.force_rms_mps2**2 / gap_power)
-    return Found(
+    return IdentifiedEffect(
         "turbulence",
         {"sigma_mps": blown.sigma_mps, "length_m": blown.length_m},
         -2.0 * blown.evidence,

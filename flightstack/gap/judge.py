@@ -18,8 +18,8 @@ from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.search import Fit, SelectionState, judged_fit, members, move_to
-from flightstack.gap.records import Estimate, Found
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.records import Estimate, IdentifiedEffect
+from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
 
 
@@ -27,12 +27,12 @@ from flightstack.types import F64
 class Judged:
     """The names of a fit, strongest first, and how constant each effect is (p-value)."""
 
-    found: tuple[Found, ...]
+    found: tuple[IdentifiedEffect, ...]
     estimates: Estimates
     constant: Mapping[str, float]
 
 
-def _fall(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+def _chi2_decrease(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
     """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
     whole = members(point.candidates, effects)
@@ -71,7 +71,7 @@ def evidence(state: SelectionState, best: Fit, effect: str) -> float:
     """By how much the score would rise without the effect."""
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
-    return _fall(state, best.effects, effect) - float(price)
+    return _chi2_decrease(state, best.effects, effect) - float(price)
 
 
 def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
@@ -110,7 +110,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
         found.append(
             (
                 fall,
-                Found(
+                IdentifiedEffect(
                     effect,
                     parameters_of(state, made, effect),
                     -fall,
@@ -133,7 +133,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
 
 def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
-    fall = _fall(state, best.effects, effect)
+    fall = _chi2_decrease(state, best.effects, effect)
     return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
@@ -178,7 +178,7 @@ def gain(state: SelectionState, made: Estimates, effect: str) -> float:
 def prefers_time_trend(state: SelectionState, made: Estimates) -> bool:
     """Whether a thrust that only drifts with time explains the flights better than the battery's voltage does."""
     layout = state.point.layout
-    thrust = state.bench.columns(made.vehicle, [Knob("thrust_scale", "scale")])
+    thrust = state.bench.columns(made.vehicle, [FreeParameter("thrust_scale", "scale")])
     drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
     sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
     others = [i for i in range(len(made.slots)) if i not in sag]

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flightstack.gap.decisions import LEAST_FLIGHT_S, MOSTLY, OTHER_EACH, OTHER_LARGER, OTHER_TOGETHER
-from flightstack.gap.records import Found, Samples
+from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
 
@@ -37,7 +37,9 @@ def same_flight(a: Samples, b: Samples) -> bool:
     return bool(x @ y > MOSTLY * np.sqrt((x @ x) * (y @ y)))  # nothing known: 0 is not above 0
 
 
-def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found], *, unexplained: bool) -> str:
+def vehicle_mismatch(
+    believed: Vehicle, corrected: Vehicle, found: Sequence[IdentifiedEffect], *, unexplained: bool
+) -> str:
     """How the log's vehicle differs, in words, where it can't be the file's; else empty."""
     if {"body.inertia_kgm2", "rotors.max_thrust_n"} <= set(believed.ranges):  # a file that says that it guesses
         return ""

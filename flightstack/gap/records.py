@@ -190,7 +190,7 @@ class Across:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class IdentifiedEffect:
     """One named effect."""
 
     name: str
@@ -223,7 +223,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class ChannelResidual:
     """One channel's disagreement before anything is named."""
 
     signal: str

@@ -35,7 +35,7 @@ from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
 from flightstack.gap.rollouts import WINDOW_S, Windows, gathered_by, rollouts, windows_of
 from flightstack.gap.sampled import open_gains
-from flightstack.gap.simulate import natural_scale, predict, spec_of, unseen, value, with_value
+from flightstack.gap.simulate import missing_signals, natural_scale, predict, spec_of, value, with_value
 from flightstack.gap.track import track
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
@@ -166,7 +166,8 @@ class _Problem:
         self._vehicle, self._unknowns = vehicle, unknowns
         most = max(1, _MOST_WINDOWS // max(len(flights), 1))
         usable = [
-            "motor" not in track(s).missing and not any(unseen(s, effect) for effect, _ in unknowns) for s in flights
+            "motor" not in track(s).missing and not any(missing_signals(s, effect) for effect, _ in unknowns)
+            for s in flights
         ]
         self.windows = [
             windows_of(vehicle, s, m if ok else m & False, most)

@@ -20,7 +20,7 @@ from flightstack.gap.naming.drivers import Blocks, block_means
 from flightstack.gap.naming.estimate import Estimates
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples, Unexplained
-from flightstack.gap.simulate import Knob, sensitivities
+from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -40,7 +40,7 @@ GROUPS = {"side force": (0, 1), "lift": (2,), "torque": (3, 4, 5)}
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class ResidualTest:
     """The rest of one group of channels."""
 
     before: float
@@ -89,10 +89,10 @@ class _Fitted:
         return _predicted(self.kernel.matrix, self.y, fold, self.ratios)
 
 
-def rests(before: F64, blocks: Blocks) -> dict[str, Rest]:
+def tested_residuals(before: F64, blocks: Blocks) -> dict[str, ResidualTest]:
     """The rest of every group; `before` (B, 6) block means of the residual when nothing was named."""
     if len(blocks.y) < 40:
-        return {group: Rest(0.0, 0.0, 0.0, ()) for group in GROUPS}
+        return {group: ResidualTest(0.0, 0.0, 0.0, ()) for group in GROUPS}
     thin = max(1, int(np.ceil(len(blocks.y) / _MOST_BLOCKS)))
     kernels = {name: _kernels(name, x[::thin]) for name, x in blocks.drivers.items()}
     past = {name: _past_kernels(blocks.past[name][::thin]) for name in _REMEMBERED if name in blocks.past}
@@ -106,10 +106,10 @@ def _rest(
     thin: int,
     kernels: dict[str, list[_Kernel]],
     past: dict[str, list[_Kernel]],
-) -> Rest:
+) -> ResidualTest:
     channels = [c for c in GROUPS[group] if np.any(blocks.y[:, c]) and np.std(blocks.y[:, c]) > 0.0]
     if not channels:
-        return Rest(0.0, 0.0, 0.0, ())
+        return ResidualTest(0.0, 0.0, 0.0, ())
     noise = np.array([_noise(blocks.y[:, c]) for c in channels])
     bare = _without(blocks, channels, blocks.y[:, channels] / noise, noise)
     world = bare if group == "torque" else _world_rest(blocks, channels, noise)
@@ -130,7 +130,7 @@ def _rest(
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     unit = float(np.sqrt(np.mean(noise**2)))
     shape = np.mean(np.sum((blocks.columns[:, channels, :] / noise[:, None]) ** 2, axis=1), axis=0)
-    return Rest(power_before, power_after, driven, names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
+    return ResidualTest(power_before, power_after, driven, names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
 
 
 def _noise(y: F64) -> float:
@@ -222,7 +222,9 @@ def _predicted(kernel: F64, y: F64, fold: NDArray[np.int64], ratios: F64) -> flo
     return gained
 
 
-def telling(bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, Rest]) -> dict[str, Rest]:
+def structured_residuals(
+    bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, ResidualTest]
+) -> dict[str, ResidualTest]:
     """Groups of channels whose rest depends on something, strongly enough to matter."""
     slow = _slow_noise(bench, made.vehicle)
     return {
@@ -232,19 +234,19 @@ def telling(bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, Rest]
     }
 
 
-def loud(bench: SimulatorBench, start: Vehicle, told: Mapping[str, Rest]) -> dict[str, Rest]:
+def above_noise(bench: SimulatorBench, start: Vehicle, told: Mapping[str, ResidualTest]) -> dict[str, ResidualTest]:
     """Of these, what stands out of one step's noise."""
     noise = np.nan_to_num(np.array([residual(start, s).noise for s in bench.flights])).max(axis=0)
     return {g: r for g, r in told.items() if r.driven_rms > HALF * np.linalg.norm(noise[list(GROUPS[g])])}
 
 
-def beside_names(bench: SimulatorBench, start: Vehicle, made: Estimates) -> Unexplained:
+def unexplained_given(bench: SimulatorBench, start: Vehicle, made: Estimates) -> Unexplained:
     """The rest beside a poor model's names: on what it depends; that there is one is known."""
-    told = telling(bench, made, every_rest(bench, start, made))
-    return replace(unexplained(loud(bench, start, told)), significant=True)
+    told = structured_residuals(bench, made, residual_tests(bench, start, made))
+    return replace(unexplained(above_noise(bench, start, told)), significant=True)
 
 
-def unexplained(told: Mapping[str, Rest]) -> Unexplained:
+def unexplained(told: Mapping[str, ResidualTest]) -> Unexplained:
     """These rests in one, the strongest driver first."""
     drivers: list[str] = []
     for r in sorted(told.values(), key=lambda r: -r.driven):
@@ -252,17 +254,17 @@ def unexplained(told: Mapping[str, Rest]) -> Unexplained:
     return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
 
 
-def every_rest(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, Rest]:
+def residual_tests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, ResidualTest]:
     """What is left of each group of channels, told or not."""
     masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
     after = [residual(made.vehicle, s).y for s in bench.flights]
     before = [residual(start, s).y for s in bench.flights]
     none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
-    knobs = [Knob(e, p) for e, p in made.slots]
+    knobs = [FreeParameter(e, p) for e, p in made.slots]
     columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
     blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
     first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
-    return rests(first.y, blocks)
+    return tested_residuals(first.y, blocks)
 
 
 def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:

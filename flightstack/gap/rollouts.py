@@ -27,8 +27,8 @@ from flightstack.effects.row import (
 from flightstack.gap.evaluated import run_windows
 from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.records import Samples
-from flightstack.gap.run import Run, first_command, later, params_row, true_attitude
-from flightstack.gap.track import Track, track
+from flightstack.gap.run import ModelEvaluation, first_command, params_row, true_attitude, with_added_delay
+from flightstack.gap.track import ProcessedFlight, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import multiply, rotate_inverse
@@ -96,7 +96,9 @@ class _Batch:
 
     __slots__ = ("_at", "_commands", "_driven", "_every", "_voltage", "params", "state")
 
-    def __init__(self, variants: Sequence[tuple[Vehicle, float]], flight: Track, at: NDArray[np.int64]) -> None:
+    def __init__(
+        self, variants: Sequence[tuple[Vehicle, float]], flight: ProcessedFlight, at: NDArray[np.int64]
+    ) -> None:
         self._at, self._every = at, flight.every
         rows = [params_row(vehicle, flight.step_s) for vehicle, _ in variants]
         entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
@@ -111,10 +113,10 @@ class _Batch:
         self._commands: list[F64] = []
         for i, ((_, late_s), p) in enumerate(zip(variants, rows, strict=True)):
             if late_s not in shifted:
-                shifted[late_s] = later(flight, late_s)
+                shifted[late_s] = with_added_delay(flight, late_s)
             moved = shifted[late_s]
             own = self.state[i * len(at) : (i + 1) * len(at)]
-            run = Run(p, moved, runs)
+            run = ModelEvaluation(p, moved, runs)
             own[:, :S_RING] = run.states(at)
             own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
             own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
@@ -139,7 +141,7 @@ class _Batch:
         return shown, force
 
 
-def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:
+def _ring(flight: ProcessedFlight, at: NDArray[np.int64], entries: int) -> F64:
     """(S, 4 * entries) the commands before each start, the newest last."""
     before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
     commands = flight.commands[np.maximum(before, 0)]
@@ -155,7 +157,7 @@ PIECE_S = 0.05
 class Windows:
     """One flight's windows and what its sensors gathered in their pieces."""
 
-    flight: Track
+    flight: ProcessedFlight
     starts: NDArray[np.int64]
     edges: NDArray[np.int64]
     """(n + 1,) samples after a start, where pieces begin and end."""

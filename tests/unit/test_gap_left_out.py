@@ -12,9 +12,9 @@ from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_st
 from flightstack.gap.decisions import AROUND_S
 from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
-from flightstack.gap.naming.search import Fit, pressed_beyond, strained
+from flightstack.gap.naming.search import Fit, effects_at_bound, pressed_beyond
 from flightstack.gap.records import Samples, Signal
-from flightstack.gap.simulate import untold, with_value
+from flightstack.gap.simulate import confounded_with_attitude, with_value
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, vehicle_to_toml
 from tests import gap_batch as batch
@@ -103,10 +103,10 @@ def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flow
     """It is the one at which there is no side force: linear drag F = -d v would be its own null."""
     made = replace(flown, derived=("q_ned_frd",))
     for effect in ("linear_drag", "steady_wind", "blade_flapping", "angular_damping", "motor_lag"):
-        assert untold(made, effect)
-        assert not untold(flown, effect)
+        assert confounded_with_attitude(made, effect)
+        assert not confounded_with_attitude(flown, effect)
     for effect in ("rotor_fault", "com_offset", "thrust_scale", "payload"):
-        assert not untold(made, effect)
+        assert not confounded_with_attitude(made, effect)
 
 
 def with_voltage(samples: Samples, volts: np.ndarray) -> Samples:
@@ -146,9 +146,9 @@ def test_no_effect_is_no_end_of_a_range() -> None:
 def test_where_the_true_value_may_lie_at_the_end_it_is_no_stand_in(factor: float) -> None:
     """It is one only where the flights want to go beyond: a fit to a real Crazyflie stood at 0 for a shifted mass."""
     effects = {"thrust_curve": {"thrust_model_factor": factor}}
-    assert strained(quad(), Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0)) == set()
+    assert effects_at_bound(quad(), Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0)) == set()
     pressed = Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0, frozenset({"thrust_curve"}))
-    assert strained(quad(), pressed) == {"thrust_curve"}
+    assert effects_at_bound(quad(), pressed) == {"thrust_curve"}
 
 
 def test_a_thrust_that_is_the_command_s_square_is_found_from_a_file_that_says_half() -> None:

@@ -22,7 +22,7 @@ from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robu
 from flightstack.gap.naming.metric import bounded_step
 from flightstack.gap.naming.search import members, search
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle
 
@@ -173,8 +173,8 @@ class MadeUp:
                 y = y + self._column(c.effect, p, dict(c.variant)) * (self.truth.get((c.effect, p), 0.0) - moved)
         return [y]
 
-    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
-        def one(knob: Knob) -> F64:
+    def columns(self, vehicle: Vehicle, knobs: Sequence[FreeParameter]) -> list[F64]:
+        def one(knob: FreeParameter) -> F64:
             if knob.effect == "slung_load":
                 return np.zeros((self.rows, 2))
             held = {**vehicle.effects.get(knob.effect, {}), **knob.at}

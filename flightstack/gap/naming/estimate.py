@@ -24,7 +24,7 @@ from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.metric import bounded_step
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -74,7 +74,7 @@ def estimate(
     rows = layout.stack(state.bench.residual(vehicle))
     x = np.zeros((len(rows), 0))
     for _ in range(_STEPS if slots else 0):
-        raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
+        raw = state.bench.columns(vehicle, [FreeParameter(e, p) for e, p in slots])
         x = layout.stack([np.nan_to_num(values) for values in raw])
         step = _step(state, vehicle, slots, x, rows, chosen)
         moved = vehicle

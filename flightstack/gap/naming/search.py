@@ -21,7 +21,7 @@ from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -70,7 +70,7 @@ class SelectionState:
     metric: Metric
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     """By candidate keys."""
-    barred: set[str] = field(default_factory=set)
+    excluded: set[str] = field(default_factory=set)
     """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
     apart: Sequence[tuple[str, str]] = ()
     """Pairs of effects that these flights can't tell apart: never named together."""
@@ -88,7 +88,7 @@ class SelectionState:
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.barred & set(fit.effects) and not strained(self.start, fit)
+            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
         as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
@@ -97,17 +97,17 @@ class SelectionState:
         return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
-def strained(start: Vehicle, fit: Fit) -> set[str]:
+def effects_at_bound(start: Vehicle, fit: Fit) -> set[str]:
     """Its effects that stand at an end of what is plausible, and not merely where the true value may lie."""
     ends = {e: [(p, x) for p, x in values.items() if at_end(start, e, p, x)] for e, values in fit.effects.items()}
     return {e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)}
 
 
-def _bar(state: SelectionState) -> bool:
+def _exclude_at_bound(state: SelectionState) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
-    fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
-    at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
-    state.barred |= at_ends
+    fair = [fit for fit in state.fits.values() if not state.excluded & set(fit.effects)]
+    at_ends = effects_at_bound(state.start, min(fair, key=lambda fit: fit.score))
+    state.excluded |= at_ends
     return bool(at_ends)
 
 
@@ -124,7 +124,7 @@ def search(
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, [s for s in subsets if _allowed(state, s)])
     _fit_all(state, _shortlist(scored))
-    while _bar(state):
+    while _exclude_at_bound(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
     swaps = (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE), _HUNG)
     _swap(state, swaps)
@@ -134,7 +134,7 @@ def search(
             break
         move_to(state, best.vehicle)
         _fit_all(state, _neighbours(state))
-        while _bar(state):
+        while _exclude_at_bound(state):
             _fit_all(state, _neighbours(state))
         _swap(state, swaps)
     return state
@@ -142,7 +142,7 @@ def search(
 
 def _allowed(state: SelectionState, members: Sequence[int]) -> bool:
     effects = {state.point.candidates[m].effect for m in members}
-    return not state.barred & effects and not any(effects.issuperset(pair) for pair in state.apart)
+    return not state.excluded & effects and not any(effects.issuperset(pair) for pair in state.apart)
 
 
 def move_to(state: SelectionState, vehicle: Vehicle) -> None:
@@ -207,7 +207,7 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
     """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
     effects, start = state.best.effects, state.start
     for (old, was), (new, now) in swaps:
-        if old not in effects or new in effects or new in state.barred:
+        if old not in effects or new in effects or new in state.excluded:
             continue
         size = effects[old][was] - value(start, old, was) + value(start, new, now)
         if size <= value(start, new, now):  # sooner than the file says: no delay is negative
@@ -218,7 +218,9 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
         for effect, values in swapped.items():
             vehicle = with_value(vehicle, effect, values)
         group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
-        _keep(state, group, _fit_from(state, group, _swung(state, vehicle) if new == "slung_load" else vehicle))
+        _keep(
+            state, group, _fit_from(state, group, _fit_cable_length(state, vehicle) if new == "slung_load" else vehicle)
+        )
 
 
 def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
@@ -264,7 +266,7 @@ def fit_subset(state: SelectionState, subset: Subset) -> Fit:
     group = [state.point.candidates[m] for m in subset.members]
     vehicle = _stepped(state, subset)
     if any(c.effect == "slung_load" for c in group):
-        vehicle = _swung(state, vehicle)
+        vehicle = _fit_cable_length(state, vehicle)
     return _fit_from(state, group, vehicle)
 
 
@@ -276,7 +278,7 @@ def _fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicl
     pressed: frozenset[str] = frozenset()
     for _ in range(_STEPS if group else 0):
         slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
-        raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
+        raw = state.bench.columns(vehicle, [FreeParameter(c.effect, p) for c, p in slots])
         x = metric.columns(layout.stack([np.nan_to_num(values) for values in raw]))
         before = chi2
         for _ in range(_CHORDS):
@@ -312,7 +314,7 @@ def pressed_beyond(k: F64, b: F64, sides: NDArray[np.int64]) -> list[int]:
     return found
 
 
-def _swung(state: SelectionState, vehicle: Vehicle) -> Vehicle:
+def _fit_cable_length(state: SelectionState, vehicle: Vehicle) -> Vehicle:
     """The vehicle with the rope on which the load swings best: too long or too short by a quarter it swings otherwise.
 
     Which rope that is hardly depends on what else is missing, so all are tried once for each set of columns.

@@ -20,7 +20,7 @@ from flightstack.gap.naming.estimate import Estimates, parameter_change
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.remainder import GROUPS
-from flightstack.gap.simulate import Knob
+from flightstack.gap.simulate import FreeParameter
 from flightstack.types import F64
 
 _FEWEST_BLOCKS = 4
@@ -104,7 +104,7 @@ def trifles(state: SelectionState, made: Estimates, effects: Sequence[str]) -> t
     return tuple(gone)
 
 
-def worth_of(state: SelectionState, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
+def mse_increase(state: SelectionState, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
     """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
     views = _views(state, made)
     base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
@@ -134,7 +134,7 @@ def _views(state: SelectionState, made: Estimates) -> tuple[_View, _View]:
     bench, coloured = state.bench, state.point.layout
     rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
     rows = bench.residual(made.vehicle)
-    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [Knob(e, p) for e, p in made.slots])]
+    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [FreeParameter(e, p) for e, p in made.slots])]
     plain = layout_of(bench, rows, coloured=False)
     x = plain.stack(raw)
     return (
