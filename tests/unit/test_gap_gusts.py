@@ -88,6 +88,16 @@ def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Selec
     assert not unexplained(naming.unexplained, gap, named=True).significant
 
 
+def test_what_only_the_signals_themselves_show_is_no_trifle_beside_gusts() -> None:
+    """No physics changes what gyro, attitude and velocity say of one another; 0.05 rad was taken back for the gusts."""
+    hidden = {each: HIDDEN[each] for each in ("payload", "attitude_misalignment")}
+    (flight,) = batch.fly(believed(), [hidden | {"turbulence": GUSTS}], seed=43_000)
+    of = pooled.split([flight], [])
+    said = name(believed(), of.flights, of.fit, of.holdout)
+    assert set(hidden) <= {f.name for f in said.found}
+    assert not set(said.trifles()) & set(hidden)
+
+
 def test_beside_gusts_no_steady_wind_goes_through_the_ground(
     flights: dict[str, Samples], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,8 @@ Far from the noise everything that bends a curve helps a little.  An effect of t
 held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
 may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
 torques) counts little, or in the rows as they are, where fast disagreement counts little.  What doubles any group's
-remainder there goes, whatever else it helps.
+remainder there goes, whatever else it helps.  What a sensor errs by shows in what the log's signals say of one another,
+too: there gusts are nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.effects import EFFECTS
 from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.estimate import Estimates, parameter_change
@@ -24,6 +26,8 @@ from flightstack.gap.simulate import FreeParameter
 from flightstack.types import F64
 
 _FEWEST_BLOCKS = 4
+_KINEMATIC = ((6, 7, 8), (9, 10, 11))
+"""Channels in which no physics acts: the gyro against the attitude, the accelerometer against the velocity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +68,10 @@ class _View:
             out[own] = self.left(mine, self.learned & ~own)[own]
         return out
 
-    def worth(self, base: F64, without: F64, judged: Mask) -> float:
+    def worth(self, base: F64, without: F64, judged: Mask, effect: str) -> float:
         """Greatest sure rise of a group's mean square over these rows, relative; a fall where it is large."""
         best = worst = 0.0
-        for channels in GROUPS.values():
+        for channels in (*GROUPS.values(), *(_KINEMATIC if EFFECTS[effect].kind == "sensor" else ())):
             mine = judged & np.isin(self.layout.channel, channels)
             if not mine.any():
                 continue
@@ -108,7 +112,7 @@ def mse_increase(state: SelectionState, made: Estimates, effects: Sequence[str],
     """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
     views = _views(state, made)
     base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
-    across = (view.worth(view.left_across(base), view.left_across(less), view.learned) for view in views)
+    across = (view.worth(view.left_across(base), view.left_across(less), view.learned, effect) for view in views)
     return _of_all(across), _of_all(_worth(view, made, effects, effect) for view in views)
 
 
@@ -122,7 +126,7 @@ def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> f
     base, less = (
         view.left(_columns(made, kept), view.learned) for kept in (effects, [e for e in effects if e != gone])
     )
-    return view.worth(base, less, view.judged)
+    return view.worth(base, less, view.judged, gone)
 
 
 def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
