@@ -32,7 +32,7 @@ from flightstack.gap import decisions
 
 TABLE = Path(decisions.__file__)
 FACTORS = (0.5, 1.5)
-ALWAYS = ("turbulence", "ground effect")
+ALWAYS = ("turbulence", "three")
 """Cases on which each decision is tried anyway: a number that goes into an array is not watched any longer."""
 FOLDER = Path(__file__).resolve().parents[1] / "runs" / "gap-sensitivity"
 MOST_CASES = 4
