@@ -309,5 +309,5 @@ class TickRecord(NamedTuple):
         """CRC-32 over every bit of reference, proposal, what was learned and what was filtered."""
         found = 0
         for part in (self.reference, self.proposal, self.learned, self.filtered):
-            found = crc32(np.ascontiguousarray(part.row).data, found)
+            found = crc32(part.row.tobytes(), found)
         return found

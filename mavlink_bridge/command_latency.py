@@ -17,7 +17,9 @@ import numpy as np
 from flightstack.types import F64, Tuple4
 
 GRID_S: F64 = np.arange(0.0, 0.0601, 0.001)
-_RING = 64
+_GRID_US = GRID_S * 1e6
+_RING, _ROOM = 64, 1024
+"""Commands that are looked at, and that there is room for before they are moved to the front."""
 _WINDOW = 50
 """Reports: half a second of them."""
 _LEAST_WINDOWS = 5
@@ -35,16 +37,21 @@ class CommandLatency:
     """Fed with what is sent and what is reported; `latency_s` is the answer."""
 
     def __init__(self) -> None:
-        self._t_us = np.full(_RING, -(2**62), dtype=np.int64)
-        self._thrust = np.full(_RING, math.nan)
+        self._t_us = np.full(_ROOM, -math.inf)
+        self._thrust = np.full(_ROOM, math.nan)
+        self._end = _RING
         self._square = np.zeros(len(GRID_S))
         self._reports = 0
         self._found_s: list[float] = []
 
     def sent(self, t_us: int, thrust_norm: float) -> None:
         """Normalised thrust sent at a vehicle time."""
-        self._t_us[:-1], self._thrust[:-1] = self._t_us[1:], self._thrust[1:]
-        self._t_us[-1], self._thrust[-1] = t_us, thrust_norm
+        end = self._end
+        if end == _ROOM:
+            self._t_us[:_RING], self._thrust[:_RING] = self._t_us[-_RING:], self._thrust[-_RING:]
+            end = _RING
+        self._t_us[end], self._thrust[end] = t_us, thrust_norm
+        self._end = end + 1
 
     def reported(self, t_us: int, motors: Tuple4) -> None:
         """Normalised motor commands at a vehicle time; those that say nothing are left out."""
@@ -52,13 +59,15 @@ class CommandLatency:
             return
         a, b, c, d = motors
         thrust = 0.25 * (a + b + c + d)
-        places = np.searchsorted(self._t_us, t_us - GRID_S * 1e6, side="right") - 1
-        if places[-1] < 0:
+        kept = slice(self._end - _RING, self._end)
+        places = self._t_us[kept].searchsorted(t_us - _GRID_US, side="right") - 1
+        if places.item(-1) < 0:
             return
-        error = self._thrust[places] - thrust
-        if not np.isfinite(error).all():
+        error = self._thrust[kept].take(places) - thrust
+        error *= error
+        if not math.isfinite(error.sum()):  # nothing was sent yet so long ago
             return
-        self._square += error * error
+        self._square += error
         self._reports += 1
         if self._reports == _WINDOW:
             self._close_window()

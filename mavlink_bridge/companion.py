@@ -222,6 +222,7 @@ class Companion:
             self._observer.on_event(t_us, "parameters", remarks(params.values, self._stack.model), "info")
         elif state is State.RETAKING:
             self._observer.on_event(t_us, "fault", f"stalled: {self._now.stalls.words}; taking back", "warning")
+            self._commands.forget(px4.Cmd.DO_SET_MODE)
         elif state is State.OFFBOARD and event is HandshakeEvent.RETAKEN:
             self._resume(t_us)
         elif state is State.OFFBOARD:
@@ -278,14 +279,13 @@ class Companion:
         self._watch.resume()
         self._notes.begin()
         self._now.trouble = ""  # judged before the flight went on
-        self._now.stalls.taken_back += 1
 
     def _act(self, now_us: int) -> None:
         """What happens in every period of a state."""
         state, system = self._now.state, self._now.system
         if state in FINAL and self._now.entered_us != now_us:
             return
-        self._voice.keep_in_touch(now_us)
+        self._voice.keep_in_touch(now_us, heartbeat_missing=self.view.heartbeat_is_missing)
         if state is State.OFFBOARD:
             self._fly(now_us)
         elif state is State.RETAKING:
@@ -297,7 +297,7 @@ class Companion:
         elif state is State.STANDBY:
             self.view.params.ask(self.link, system, now_us)
         elif state is State.STREAMING and not (self._config.dry_run or self._watch.pace.has_slept(now_us)):
-            if not self.view.would_return:
+            if not self.view.may_return:
                 self._stream_idle()
             if self._config.arm:
                 self._ask_for_offboard_and_arm(now_us)

@@ -124,9 +124,16 @@ class DeadMan:
             self._asked_ns = self._rates_ns = self._hold_ns = 0
             self._reader = Reader(self._keyed, stream=self._stream)
             self.record = self.record._replace(
-                acts=self.record.acts + 1, silent_ns=companion.sent_ns, began_ns=now_ns, hold_ns=0, held_ns=0,
-                touched=0, sequence=companion.sequence,
+                acts=self.record.acts + 1, silent_ns=companion.sent_ns, began_ns=now_ns,
+                hold_ns=self._standing_hold_ns(now_ns, companion), held_ns=0, touched=0, sequence=companion.sequence,
             )  # fmt: skip
+
+    def _standing_hold_ns(self, now_ns: int, companion: CompanionRecord) -> int:
+        """When the Hold was commanded out of which the companion was taking back; 0: there is none, for it saw OFFBOARD
+        or somebody else touched it."""
+        record = self.record
+        stands = not record.touched and not companion.flags & IN_OFFBOARD and now_ns - record.hold_ns < GIVE_UP_NS
+        return record.hold_ns if stands else 0
 
     def _hear(self, data: bytes, companion: CompanionRecord, now_ns: int) -> None:
         for number, fields in self._reader.read(data, companion):
@@ -151,7 +158,7 @@ class DeadMan:
                 self._fall_silent()
             return []
         if not in_offboard or not self._armed:
-            if self._mode == _HOLD_MODE and self._hold_ns and self._armed:
+            if self._mode == _HOLD_MODE and self.record.hold_ns and self._armed:
                 self._phase = _HELD
                 self.record = self.record._replace(held_ns=now_ns)
             else:
@@ -180,9 +187,9 @@ class DeadMan:
             self._asked_ns = now_ns
             out.append(self._command(_REQUEST_MESSAGE, (float(CURRENT_MODE),), companion))
         if holds:
-            self._hold_ns = now_ns
-            if not self.record.hold_ns:
+            if not self._hold_ns:
                 self.record = self.record._replace(hold_ns=now_ns)
+            self._hold_ns = now_ns
             out.append(self._command(_DO_SET_MODE, _HOLD, companion))
         return out
 

@@ -276,6 +276,8 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
     if now.stalls.is_held:
         return _held(now, now_us)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
+        if now.stalls.is_late_hold(view.custom_mode, now_us):
+            return Decision(HandshakeEvent.STALLED)
         reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
         return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
     if now.ending:
@@ -303,6 +305,7 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
     if view.heartbeat_at_us > now.entered_us and not view.armed:
         return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
     if stalls.is_held:
+        stalls.nobody_steered_until(stalls.report.silent_ns // 1000)
         return _held(now, now_us)
     asked_us = now.commands.status(px4.Cmd.DO_SET_MODE).sent_us
     seen = view.mode_at_us > now.entered_us
@@ -310,6 +313,7 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
         reason = f"after a stall the vehicle is in {view.mode_name}, not by this companion: hands off"
         return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
     if seen and view.in_offboard and (now.entered_us <= asked_us < view.mode_at_us or stalls.hold_was_lost(view)):
+        stalls.is_back(now_us, hold_seen=asked_us >= now.entered_us)
         return Decision(HandshakeEvent.RETAKEN)
     if now_us - now.entered_us > RETAKE_LIMIT_US:
         now.trouble = "stalled-long"

@@ -120,6 +120,7 @@ TRANSITIONS: Mapping[State, Mapping[HandshakeEvent, State]] = MappingProxyType(
         },
         _S.RETAKING: {
             _E.RETAKEN: _S.OFFBOARD,
+            _E.STALLED: _S.RETAKING,
             _E.STOP: _S.LANDING,
             _E.FAULT_HOLD: _S.HOLDING,
             _E.TOOK_OVER: _S.PILOT,

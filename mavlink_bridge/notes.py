@@ -62,8 +62,8 @@ class Swinging:
 
     def take(self, record: TickRecord) -> str:
         """A tick; why the flight ends now, empty: it goes on."""
-        error = record.proposal.attitude_error_rad
-        square = float(error @ error)
+        x, y, z = record.proposal.attitude_error_rad.tolist()
+        square = x * x + y * y + z * z
         share = min(record.t_us - self._t_us, _SWING_GAP_US) / _SWING_US
         self._t_us = record.t_us
         if square >= 0.0:  # no number where there was nothing to control by

@@ -97,6 +97,10 @@ class CommandQueue:
             return True
         return False
 
+    def forget(self, command: int) -> None:
+        """What was sent is of before: the next `ensure` of this kind goes at once."""
+        self._status.pop(command, None)
+
     def insist(self, request: Request) -> None:
         """Send a command at once, whatever is queued, and wait for nothing."""
         self._transmit(request)

@@ -15,6 +15,9 @@ from mavlink_bridge.vehicle_clock import VehicleClock
 from mavlink_bridge.vehicle_params import ParamReader
 
 _TEXT_MEMORY = 50
+_HEARTBEAT_LATE_US = 2_500_000
+"""PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
+_MODE_AND_INTENTION_US = 1_000_000
 _ROUND_TRIPS = 6_000
 """Ten minutes of them."""
 
@@ -69,6 +72,17 @@ class VehicleView:
     def would_return(self) -> bool:
         """Another mode flies, as in a failsafe, and setpoints would bring OFFBOARD back: by one report of both."""
         return self.intends_offboard and not self.in_offboard and self.intended_at_us >= self.mode_at_us
+
+    @property
+    def may_return(self) -> bool:
+        """As `would_return`, where a HEARTBEAT has told the mode since: CURRENT_MODE, which tells both, comes soon."""
+        together = self.mode_at_us - self.intended_at_us < _MODE_AND_INTENTION_US
+        return self.intends_offboard and not self.in_offboard and together
+
+    @property
+    def heartbeat_is_missing(self) -> bool:
+        """It speaks, but its last heartbeat is old."""
+        return self.heard_at_us - self.heartbeat_at_us > _HEARTBEAT_LATE_US
 
     @property
     def on_ground(self) -> bool:

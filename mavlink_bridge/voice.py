@@ -41,13 +41,17 @@ class Voice:
         self.rate_max_radps = params.rate_max_radps
         self.is_ground_station = not params.values.get("NAV_DLL_ACT", 0.0)
 
-    def keep_in_touch(self, now_us: int) -> None:
+    def keep_in_touch(self, now_us: int, *, heartbeat_missing: bool) -> None:
         """Heartbeats as onboard controller and as a ground station (PX4 sends STATUSTEXT only to links that saw one);
-        TIMESYNC questions."""
+        TIMESYNC questions; and, where the vehicle's own heartbeats stay away, the question for one: it alone tells
+        whether the vehicle is armed."""
         if not self.system:
             return
         if now_us >= self._heartbeat_due_us:
             self._heartbeat_due_us = now_us + _HEARTBEAT_US
+            if heartbeat_missing:
+                asked = (float(m.id_of(m.Heartbeat)), *(math.nan,) * 6)
+                self._link.send(m.CommandLong(self.system, px4.COMPONENT_AUTOPILOT, px4.Cmd.REQUEST_MESSAGE, 0, asked))
             self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
             if self.is_ground_station:
                 self._link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)

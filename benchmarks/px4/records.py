@@ -18,6 +18,8 @@ class Bench:
     """Of the first PX4; ports follow from it."""
     prefix: tuple[str, ...] = ()
     """Words before every command of the companion, such as a scheduling policy."""
+    px4_prefix: tuple[str, ...] = ()
+    """And before PX4's."""
 
 
 @dataclass(frozen=True, slots=True)

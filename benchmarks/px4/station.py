@@ -96,7 +96,7 @@ class Px4:
         return self
 
     def _started(self) -> subprocess.Popen[bytes]:
-        command = [str(self.bench.home / "run.sh"), str(self.instance), self.kind]
+        command = [*self.bench.px4_prefix, str(self.bench.home / "run.sh"), str(self.instance), self.kind]
         return subprocess.Popen(
             command, env={**os.environ, "FRESH": "1"}, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL
         )

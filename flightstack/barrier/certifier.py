@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,12 +32,12 @@ from flightstack.barrier.falsify import doubt, marked, prepare
 from flightstack.barrier.flown import least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge, Request
-from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, ledger, slopes
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
 from flightstack.barrier.queries import Envelope, budget, lean
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response, area_of
-from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, largest_steps
+from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, ellipse, largest_steps
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import within
 from flightstack.learning.learner import LearnerState, Learnt
@@ -361,6 +361,7 @@ class OnlineCertifier:
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
 
+        @cache  # a search asks for the same barrier again and again
         def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
             return ledger(
                 axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
@@ -382,6 +383,7 @@ def compile_all() -> None:
     setting = Setting(0.5, 0.01, 0.0, 0.004, 0.003, 0.01, 20.0, 0.02)
     for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
         pass
+    slopes(ellipse(axis, Ratios(0.3, 1.0)), -1.0, 1.0, 0.1, 0.004)
     prepare()
 
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit
-from flightstack.types import F64, Measurement
+from flightstack.types import F64, Measurement, Tuple3
 
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""
@@ -48,7 +48,7 @@ class Lateness:
             self._longest_s = max(self._longest_s, 1e-6 * (measurement.t_us - self._seen_us))
         self._seen_us = measurement.t_us
         ages_s = ages_of(measurement)
-        newest_s = float(ages_s.min())
+        newest_s = min(ages_s)
         self._quickest_s = min(self._quickest_s, newest_s)
         late_s = lateness_s(ages_s) - always_s(self._quickest_s)
         for ticks, of_s in ((self._late, late_s), (self._ages, newest_s)):
@@ -75,9 +75,9 @@ def _mostly_s(ticks: F64) -> float:
     return _STEP_S * int(np.searchsorted(np.cumsum(ticks), (1.0 - _RARELY) * count)) if count >= _LEAST_TICKS else 0.0
 
 
-def ages_of(measurement: Measurement) -> F64:
-    """(3,) ages of position, attitude and IMU, s."""
-    return np.array([measurement.position_age_us, measurement.attitude_age_us, measurement.imu_age_us]) * 1e-6
+def ages_of(measurement: Measurement) -> Tuple3:
+    """Ages of position, attitude and IMU, s."""
+    return measurement.position_age_us * 1e-6, measurement.attitude_age_us * 1e-6, measurement.imu_age_us * 1e-6
 
 
 @njit
@@ -87,8 +87,8 @@ def always_s(quickest_s: float) -> float:
 
 
 @njit
-def lateness_s(ages_s: F64) -> float:
-    """By how much the stream that is latest is older than one and a half of its periods; ages (3,) as `ages_of`."""
+def lateness_s(ages_s: Tuple3) -> float:
+    """By how much the stream that is latest is older than one and a half of its periods; ages as `ages_of`."""
     most = -np.inf
     for i in range(3):
         most = max(most, ages_s[i] - _LATE * _PERIODS_S[i])

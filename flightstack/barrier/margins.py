@@ -44,6 +44,7 @@ Between z and (p, v).  p + c1 v is z_e and v + c1 v' is z_v + w: (p, v) follows 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.records import MARGINS, Authority, Certificate, Margin, Response
 from flightstack.barrier.shapes import BRAKE, K_EE, K_EV, K_VV, REACTION, SCALE, SIGN, Barrier, Quadratic
+from flightstack.jit import njit
 from flightstack.types import F64
 
 
@@ -132,22 +134,38 @@ def slopes(
 
 
 def _slopes(rows: F64, edges: list[_Edge], ends: tuple[float, float], error: float, dt: float) -> Slopes:
-    pieces = [_piece_slopes(row, edge, ends, error, dt) for row, edge in zip(rows, edges, strict=True)]
+    pieces = [_piece_slopes(row.tolist(), edge, ends, error, dt) for row, edge in zip(rows, edges, strict=True)]
     return Slopes(*(max(values) for values in zip(*pieces, strict=True)))
 
 
-def _piece_slopes(row: F64, edge: _Edge, ends: tuple[float, float], error: float, dt: float) -> Slopes:
+def _piece_slopes(row: list[float], edge: _Edge, ends: tuple[float, float], error: float, dt: float) -> Slopes:
     kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
     command = max(abs(end) for end in ends)
-    v, h_e, h_v = edge
-    speed = float(np.abs(v).max())
-    flow_h = max(np.abs(h_e * v + h_v * a).max() for a in ends)
+    speed, steep_e, steep_v, flow_h, _ = _greatest(*edge, ends, (0.0, 0.0, 0.0))
     kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
     kappa += half * (kvv + kev * dt + kee * half * half) * error
-    steep_e, steep_v = np.abs(h_e).max(), np.abs(h_v).max()
     hold = steep_e * half * command + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
     hold += half * (kvv + kev * dt + kee * half * half) * command**2 + (steep_e * half + kappa) * error
-    return Slopes(float(steep_e), float(steep_v), speed, float(hold), float(flow_h))
+    return Slopes(steep_e, steep_v, speed, hold, flow_h)
+
+
+@njit
+def _greatest(
+    v: F64, h_e: F64, h_v: F64, ends: tuple[float, float], off: tuple[float, float, float]
+) -> tuple[float, float, float, float, float]:
+    """Of points with speeds v and slopes, (n,), what is greatest: |v|, |dh/de|, |dh/dv|, the flow of h for
+    accelerations at both ends, and what h loses by offsets `off` (of e, of v, along the motion); NaN where one is."""
+    speed = steep_e = steep_v = flow = lost = -np.inf
+    for i in range(len(v)):
+        e, s = abs(h_e[i]), abs(h_v[i])
+        along = h_e[i] * v[i]
+        here = max(abs(along + h_v[i] * ends[0]), abs(along + h_v[i] * ends[1]))
+        less = e * off[0] + s * off[1] + off[2] * here
+        if math.isnan(less):
+            return np.nan, np.nan, np.nan, np.nan, np.nan
+        speed, steep_e, steep_v = max(speed, abs(v[i])), max(steep_e, e), max(steep_v, s)
+        flow, lost = max(flow, here), max(lost, less)
+    return speed, steep_e, steep_v, flow, lost
 
 
 def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, float, float]:
@@ -176,12 +194,8 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
 
 def _eta_together(edges: list[_Edge], ends: tuple[float, float], sources: tuple[_Source, ...]) -> float:
     """By how much h may be less at the true state, for all sources at once: where their sum is greatest."""
-    eps_e, eps_v, late = (sum(getattr(source, part) for source in sources) for part in ("eps_e", "eps_v", "late_s"))
-    worst = 0.0
-    for v, h_e, h_v in edges:
-        flow = np.max([np.abs(h_e * v + h_v * a) for a in ends], axis=0)
-        worst = max(worst, float(np.max(np.abs(h_e) * eps_e + np.abs(h_v) * eps_v + late * flow)))
-    return worst
+    off = sum(each.eps_e for each in sources), sum(each.eps_v for each in sources), sum(each.late_s for each in sources)
+    return max(0.0, *(_greatest(*edge, ends, off)[-1] for edge in edges))
 
 
 def _edges(barrier: Barrier, eta: float) -> list[_Edge]:
@@ -206,10 +220,15 @@ def _steepest(barrier: Barrier, row: F64, eta: float) -> _Edge:
 
 def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
     """Points on the edge of {h >= -eta}, an ellipse grown by 1e-4 for what lies between them."""
-    p = np.array([[barrier.p11, barrier.p12], [barrier.p12, barrier.p22]])
     circle = _CIRCLE * math.sqrt(1.0 + eta) * (1.0 + 1e-4)
-    e, v = np.linalg.solve(np.linalg.cholesky(p).T, circle)
+    e, v = np.linalg.solve(_root(barrier.p11, barrier.p12, barrier.p22), circle)
     return e + barrier.centre_m, v + barrier.centre_mps
+
+
+@lru_cache(maxsize=16)
+def _root(p11: float, p12: float, p22: float) -> F64:
+    """(2, 2) R with R^T R = P."""
+    return np.linalg.cholesky(np.array([[p11, p12], [p12, p22]])).T
 
 
 _ANGLE = np.linspace(0.0, 2.0 * math.pi, 361)

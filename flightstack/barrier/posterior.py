@@ -119,6 +119,11 @@ class Process:
         }  # fmt: skip
 
     @property
+    def correlations(self) -> F64:
+        """(N, N) the drift's, of a variance of one."""
+        return np.asfortranarray(self.drift._replace(variance=1.0).between(self.spans_us[:, 1], self.spans_us[:, 1]))
+
+    @property
     def bytes(self) -> bytes:
         """x, then y: little-endian doubles, row by row."""
         return np.ascontiguousarray(self.x, "<f8").tobytes() + np.ascontiguousarray(self.y, "<f8").tobytes()
@@ -129,17 +134,20 @@ class Posterior:
 
     __slots__ = ("_factor", "_weights", "process")
 
-    def __init__(self, process: Process, gram: F64 | None = None) -> None:
-        """`gram` (N, N): the kernel of the points where it is known already."""
+    def __init__(self, process: Process, gram: F64 | None = None, together: F64 | None = None) -> None:
+        """`gram` (N, N): the kernel of the points, `together` (N, N): the drift's correlations, where known already."""
         self.process = process
-        gram = (process.kernel.matrix(process.x) if gram is None else gram).copy()
-        gram[np.diag_indices_from(gram)] += process.noise_var
+        gram = np.asfortranarray(process.kernel.matrix(process.x) if gram is None else gram)  # as LAPACK takes it
+        noisy = gram.copy(order="K")
         if process.drift.variance > 0.0:
-            gram += process.drift.between(process.spans_us[:, 1], process.spans_us[:, 1])
-        self._factor, failed = lapack.dpotrf(gram, lower=1)
+            noisy = np.multiply(process.correlations if together is None else together, process.drift.variance, noisy)
+            noisy += gram
+        diagonal = noisy.ravel(order="K")[:: len(noisy) + 1]
+        diagonal[:] = np.diagonal(gram) + process.noise_var + process.drift.variance
+        self._factor, failed = lapack.dpotrf(noisy, lower=1)
         if failed:  # points that coincide to the last digit: a little more noise
-            gram[np.diag_indices_from(gram)] += 1e-9 * float(np.trace(gram))
-            self._factor, _ = lapack.dpotrf(gram, lower=1)
+            diagonal += 1e-9 * float(np.trace(noisy))
+            self._factor, _ = lapack.dpotrf(noisy, lower=1)
         self._weights = lapack.dpotrs(self._factor, process.y, lower=1)[0]
 
     @property
@@ -220,25 +228,27 @@ def sized_steps(process: Process) -> Iterator[Posterior]:
 
     Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; see `knowledge`.
     """
-    whole = process.kernel.matrix(process.x)
+    whole = np.asfortranarray(process.kernel.matrix(process.x))
     smooth = whole - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
     noises = _NOISES if len(process.spans_us) else _NOISES[:1]
+    together = process.correlations if len(process.spans_us) else None
     likeliest: list[tuple[float, Process, F64]] = []
     for i in range(_SIZES):
         share = 4.0**-i
         kernel = _scaled(process.kernel, share) if i else process.kernel
-        gram, tried = whole - (1.0 - share) * smooth, []
+        gram, tried = smooth * (share - 1.0), []
+        gram += whole
         for white, drift in noises:
             noise_var = white * process.noise_var
             one = replace(process, kernel=kernel, noise_var=noise_var, drift=Drift(drift * noise_var))
-            found = Posterior(one, gram)
+            found = Posterior(one, gram, together)
             tried.append((found.log_likelihood, one, gram))
             yield found
         likeliest.append(max(tried, key=lambda each: each[0]))
     best = max(each[0] for each in likeliest)
     _, sized, gram = next(each for each in likeliest if each[0] >= best - _LIKELY)
     beyond = INFLATION**2 * sized.drift.variance
-    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)), gram)
+    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)), gram, together)
 
 
 def _scaled(kernel: Kernel, by: float) -> Kernel:

@@ -204,7 +204,7 @@ def _gain_at_ends(p: F64, down: F64, row: F64, learned: F64, applied_mps2: float
 
 @njit
 def _broken(
-    p: F64, row: F64, ages_s: F64, ranged: tuple[float, float, float, float], interval_s: float, battery_v: float
+    p: F64, row: F64, ages_s: Tuple3, ranged: tuple[float, float, float, float], interval_s: float, battery_v: float
 ) -> int:
     """Number of the first premise that does not hold; what is not known (NaN) breaks none.
 
@@ -221,7 +221,7 @@ def _broken(
         if value < p[_THRUST + 2 * i] - 1e-9 or value > p[_THRUST + 1 + 2 * i] + 1e-9:
             return 6 + i
     always = always_s(p[_AGE] - p[_JITTER])
-    if ages_s.min() > p[_AGE] + ROUNDED_S or lateness_s(ages_s) - always > p[_JITTER] + 1e-9:
+    if min(ages_s) > p[_AGE] + ROUNDED_S or lateness_s(ages_s) - always > p[_JITTER] + 1e-9:
         return _LATE_LINK
     if interval_s > p[_INTERVAL] + ROUNDED_S:
         return _LATE_COMMAND

@@ -25,6 +25,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
+from flightstack.cli.site_change import SiteChanges
 from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
 from flightstack.cli.vehicle_site import ask_vehicle
 from flightstack.governor import Governor
@@ -121,7 +122,8 @@ def shield(
         dead_man = DeadManWatch(opened.enter_context(DeadManProcess(vehicle.fileno())), router, vehicle)
         on_progress(0.0, "routing")
         opened.enter_context(last_words(router, vehicle))
-        latencies = _route(router, (vehicle, program), dead_man, _until(options.duration_s, stop_requested))
+        changes = opened.enter_context(closing(SiteChanges(options.site, place)))
+        latencies = _route(router, (vehicle, program), dead_man, changes, _until(options.duration_s, stop_requested))
         summary = dead_man.summary()
     return result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us)) | {"dead_man": summary}
 
@@ -133,7 +135,11 @@ def _until(duration_s: float | None, stop_requested: Callable[[], str]) -> Calla
 
 
 def _route(
-    router: ShieldRouter, links: tuple[Transport, UdpSocket], dead_man: DeadManWatch, is_to_end: Callable[[], bool]
+    router: ShieldRouter,
+    links: tuple[Transport, UdpSocket],
+    dead_man: DeadManWatch,
+    changes: SiteChanges,
+    is_to_end: Callable[[], bool],
 ) -> list[float]:
     """Until it is to end and the vehicle is out of the router's hands; what passing a batch took, microseconds."""
     vehicle, program = links
@@ -160,6 +166,9 @@ def _route(
             ends_us = ends_us or now_us + _HAND_OVER_US
             if router.hand_over(now_us) or now_us > ends_us:
                 return latencies
+        if (change := changes.take()) is not None:
+            refused = change if isinstance(change, str) else router.replace_site(change)
+            say(f"the site is not replaced: {refused}" if refused else "the site is replaced")
         dead_man.hear()
         if dead_man.ended and not told:
             told = True
@@ -185,5 +194,6 @@ def result_of(router: ShieldRouter, options: ShieldOptions, latencies: list[floa
         "governor_share": score.governed * share,
         "stopped_ticks": score.stopped,
         "handed_over": score.handed_over,
+        "sites_replaced": score.sites_replaced,
         "added_latency_us": percentiles(latencies),
     }

@@ -21,10 +21,12 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict, sampled
 from flightstack.site.decide import PASSED
-from flightstack.site.filter import gain_of
+from flightstack.site.filter import SiteState, gain_of
+from flightstack.site.shape import Site
 from flightstack.stack import Stack, StackState
 from flightstack.state_observer import StateObserver
 from flightstack.types import F64, Measurement, TickRecord
@@ -65,6 +67,7 @@ class ShieldScore:
     stopped: int = 0
     """In which nobody asked for anything any more, or no way out was clear."""
     handed_over: bool = False
+    sites_replaced: int = 0
 
 
 class ShieldRouter:
@@ -101,6 +104,16 @@ class ShieldRouter:
         """Since when OFFBOARD is being taken back; -1: it is not."""
         self._flies = self._is_certain = self._is_laid = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
+
+    def replace_site(self, site: Site) -> str:
+        """Keep to another site, in metres from where the vehicle was armed first; one line where that is not taken."""
+        measurement, kept = self._measurement, self._stack.filter
+        if measurement is None or self.origin_ned_m is None or not isinstance(kept, TimedSiteFilter):
+            return f"{site.source}: where the vehicle is is not known yet"
+        state = kept.init(self.origin_ned_m) if self._state is None else self._state.filter
+        refused = kept.replace(state, site, measurement) if isinstance(state, SiteState) else "no site is kept"
+        self.score.sites_replaced += not refused
+        return refused
 
     # ---------------------------------------------------------------- pass
 
@@ -205,6 +218,8 @@ class ShieldRouter:
     def _take_back(self, now_us: int) -> None:
         """OFFBOARD again after a short stall whose Hold was the dead-man's alone, while the program speaks."""
         if self.stalls.is_held:
+            if self._retaking_us >= 0:
+                self.stalls.nobody_steered_until(self.stalls.report.silent_ns // 1000)
             self._retaking_us = -1 if self.stalls.judge(now_us) else now_us
         if self._retaking_us < 0:
             return
@@ -212,7 +227,7 @@ class ShieldRouter:
         over = now_us - self._retaking_us > RETAKE_LIMIT_US or now_us - self._wish_us > SILENT_US
         blind = self._is_blind(self.view.clock.vehicle_us(now_us))
         if self.view.in_offboard and (settled or self.stalls.hold_was_lost(self.view)):
-            self.stalls.taken_back += 1
+            self.stalls.is_back(now_us)
             self._retaking_us = -1
         elif over or (settled and not ours):
             self._retaking_us = -1

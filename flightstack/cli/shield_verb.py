@@ -17,7 +17,10 @@ def shield(
     serve: Annotated[
         str, typer.Option(help="For the program: udpout:HOST:PORT speaks first, from PORT + 40; or udpin:HOST:PORT.")
     ],
-    site: Annotated[Path, typer.Option(help="Keep the vehicle in this site (.toml, .plan, .geojson).")],
+    site: Annotated[
+        Path,
+        typer.Option(help="Keep the vehicle in this site (.toml, .plan, .geojson); SIGUSR1: read it anew."),
+    ],
     vehicle: VehicleOption = None,
     certificate: CertificateOption = None,
     sensors: SensorsOption = None,

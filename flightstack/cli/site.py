@@ -43,6 +43,7 @@ class TimedSiteFilter(TimedFilter):
 
     def __init__(self, site_filter: SiteFilter) -> None:
         super().__init__(site_filter)
+        self._of_site = site_filter
         self.numbers: F64 = np.zeros(decide.MEMORY)
         self.bent: F64 = np.zeros(bending.SIZE)
         self.force_most_mps2 = 0.0
@@ -67,6 +68,10 @@ class TimedSiteFilter(TimedFilter):
             shown = self.numbers[decide.FORCE : decide.FORCE + 3]
             self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
+
+    def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
+        """The filter's own."""
+        return self._of_site.replace(state, site, measurement)
 
     def way_ned_m(self) -> F64:
         """(n, 3) the way to a stop that the filter has committed itself to; none before the first."""

@@ -24,8 +24,8 @@ from flightstack.rows import ATTITUDE, F_H, F_INTERVENED, F_STATUS, F_THRUST, F_
 from flightstack.site import bend as bending
 from flightstack.site import decide as d
 from flightstack.site import slide
-from flightstack.site.backup import ROW, STEPS
-from flightstack.site.clearance import CHUTE, OPEN, packed
+from flightstack.site.backup import LATE_S, ROW, STEPS
+from flightstack.site.clearance import CHUTE, GROUND, OPEN, clear_of, edge_name, packed
 from flightstack.site.shape import Site
 from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
@@ -89,7 +89,7 @@ class SiteFilter:
         what is kept to once the certificate was falsified."""
         self.model, self.limits, self.certificate, self.site = model, limits, certificate, site
         self._limiter = Limiter(model, limits)
-        self._site = packed(site, chutes, chute_m)
+        self._site, self._chutes = packed(site, chutes, chute_m), chutes
         self._known = [_Known.of(made, model, limits) for made in (certificate, prior or certificate)]
         assert len(certificate.chain) == CHAIN
         self._scratch, self._way = np.zeros((STEPS, ROW)), np.zeros((STEPS, 5))
@@ -140,6 +140,42 @@ class SiteFilter:
             return setpoint
         out[:3] += state.origin_ned_m
         return FlatOutput(out)
+
+    def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
+        """Keep to another site, in the same local metres, from the next tick on; else one line that says why not.
+
+        It is taken where all that is committed (the way out and its tube; where nobody flies by one, the place at
+        rest) is clear of it: what holds for the old site then holds for the new one.
+        """
+        chute_m = float(self._site[OPEN]) if site.chute_m is None else site.chute_m
+        kept, half = self.certificate.kept_m, self.certificate.half_m
+        if chute_m < kept or not site.ceiling_m - site.floor_m > 2.0 * half:
+            return (
+                f"{site.source}: no room for the {kept:.2f} m across and {half:.2f} m up and down of a vehicle at rest"
+            )
+        new = packed(site, self._chutes, chute_m)
+        new[CHUTE], new[GROUND] = -1.0 if state.numbers[d.LEFT] > 0.0 else chute_m, 0.0
+        discs = self._all_committed(state, measurement, (kept, half))
+        clearance, edge = clear_of(new, discs, len(discs), 1.0)
+        if clearance < 0.0:
+            return f"{site.source}: the vehicle does not stand clear of its {edge_name(site, edge)}"
+        self.site, self._site = site, new
+        return ""
+
+    def _all_committed(self, state: SiteState, measurement: Measurement, at_rest: tuple[float, float]) -> F64:
+        """Discs (n, 5) that hold the committed way's tube, by the widest of the certificates."""
+        numbers, way = state.numbers, state.committed[: int(state.numbers[d.COMMITTED])]
+        if not len(way) or measurement.t_us - numbers[d.LAST_US] > _PAUSE_US:
+            at = measurement.pos_ned_m - state.origin_ned_m
+            return np.array([[at[0], at[1], -at[2], *at_rest]])
+        tube = np.max([known.known[3].max(axis=0) for known in self._known], axis=0)[: len(way)].copy()
+        tube[-1] = np.max([known.known[3].max(axis=0)[-1] for known in self._known], axis=0)
+        late_s = max(float(known.known[1][:, LATE_S].max()) for known in self._known)
+        steps = np.vstack([np.diff(way[:, :3], axis=0), np.zeros(3)])
+        grown = late_s * float(np.linalg.norm(way[0, 3:6])) + tube
+        grown += 0.5 * np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)
+        middle = way[:, :3] + 0.5 * steps
+        return np.ascontiguousarray(np.column_stack([middle[:, :2], -middle[:, 2], grown]))
 
     def _begin(self, state: SiteState, measurement: Measurement, sent: Command) -> None:
         """At first, or after somebody else flew: nothing is committed, rotors turn as the accelerometer says; what was

@@ -24,6 +24,10 @@ CAPACITY = 20_000
 """About six seconds of a flight."""
 
 
+def _nothing(*_: object) -> None:
+    """A datagram that is not kept."""
+
+
 class ThreadedLog:
     """A `FlightLog` behind a queue; it may only be used through this object until `close` has returned."""
 
@@ -34,6 +38,8 @@ class ThreadedLog:
         self._queue: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
         self._capacity, self._poll_s = capacity, poll_s
         self._last_t_us = 0
+        if not log.keeps_wire:  # most calls of a tick are for datagrams, and most logs don't keep them
+            self.mavlink = _nothing  # type: ignore[method-assign, assignment]
         self._stop = threading.Event()
         self._late = False
         self._closed = False
@@ -61,12 +67,15 @@ class ThreadedLog:
 
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message of a topic of the table."""
-        self._put(t_us, self.log.write, topic, t_us, record)
+        if len(self._queue) < self._capacity and not self._closed:  # as `_put`, for the call that comes most
+            self._last_t_us = t_us
+            self._queue.append((self.log.write, (topic, t_us, record)))
+        else:
+            self._put(t_us, self.log.write, topic, t_us, record)
 
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
-        if self.log.keeps_wire:  # most calls of a tick are for datagrams, and most logs don't keep them
-            self._put(t_us, self.log.mavlink, direction, t_us, data)
+        self._put(t_us, self.log.mavlink, direction, t_us, data)
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""

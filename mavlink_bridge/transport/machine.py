@@ -18,7 +18,7 @@ _TURN_NS = 100_000
 
 
 def raise_priority() -> None:
-    """Ahead of everything else where that is permitted: it runs a few hundred microseconds a second."""
+    """Ahead of everything else where that is permitted, else short turns: it needs the processor for moments."""
     with contextlib.suppress(AttributeError, OSError):
         inherited = os.sched_getparam(0).sched_priority  # 0 where it is an ordinary process
         priority = min(os.sched_get_priority_max(os.SCHED_FIFO), max(_FIFO_PRIORITY, inherited + 1))
@@ -26,6 +26,8 @@ def raise_priority() -> None:
         return
     with contextlib.suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+        return
+    take_short_turns()
 
 
 def stand_back(niceness: int = 0) -> None:

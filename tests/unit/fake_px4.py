@@ -42,6 +42,8 @@ class FakePx4:
     mode_result: int = 0
     texts: tuple[str, ...] = ()
     heartbeats: bool = True
+    answers_heartbeat: bool = True
+    """Whether it sends one on request."""
     streams: bool = True
     resets: int = 0
     """ODOMETRY's reset counter."""
@@ -67,7 +69,7 @@ class FakePx4:
         while (received := self.link.next_event()) is not None:
             self._take(received.message, received.system, received.component)
         if self.heartbeats and self._ticks % 250 == 0:
-            self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
+            self._send_heartbeat()
         if self._ticks % 25 == 0:
             self.link.send(m.ExtendedSysState(0, self.landed))
             if self.tells_mode:
@@ -78,6 +80,9 @@ class FakePx4:
         if self.streams:
             self._send_state(now_us)
         self._ticks += 1
+
+    def _send_heartbeat(self) -> None:
+        self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
 
     def _send_state(self, now_us: int) -> None:
         """Level where `motion` says, with the least noise that a float can show: an estimate never repeats itself."""
@@ -125,7 +130,11 @@ class FakePx4:
                 self.link.send(m.Statustext(2, text))
             self.armed = command.params[0] == 1.0 and (self.armed or self.arm_result == 0)
         elif command.command == 512:
-            if self.answers_version:
+            if command.params[0] == m.id_of(m.Heartbeat):
+                if self.answers_heartbeat:
+                    answer(0)
+                    self._send_heartbeat()
+            elif self.answers_version:
                 answer(0)
                 self.link.send(m.AutopilotVersion(0xE8FF, 0x01120040))
         else:

@@ -42,7 +42,9 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     stalls = changes.pop("stalls", {})
     held = SimpleNamespace(
         is_held=False, words="no setpoint for 600 ms", own_hold=lambda mode: mode == px4.MODE_HOLD,
-        hold_was_lost=lambda view: False, report=SimpleNamespace(touched=False), judge=lambda now_us: "too long",
+        hold_was_lost=lambda view: False, report=SimpleNamespace(touched=False, silent_ns=0),
+        judge=lambda now_us: "too long", nobody_steered_until=lambda now_us: None,
+        is_back=lambda now_us, hold_seen: None, is_late_hold=lambda mode, now_us: False,
     )  # fmt: skip
     vars(held).update(stalls)
     now = Situation(CONFIG, seen, commands, state, ENTERED, system=1, fresh=True)  # type: ignore[arg-type]

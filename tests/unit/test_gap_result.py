@@ -15,6 +15,8 @@ from flightstack.gap.decisions import GUARD_S
 from flightstack.gap.pooled import split
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report import words
+from flightstack.gap.report.page import panels
+from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.verdict import closed
 
 QUAD = load_vehicle("quad-x")
@@ -53,7 +55,24 @@ GAP = Gap(figures(1.0, None), figures(0.1, None), figures(0.09, None), 0.98)
 def test_held_out_data_that_hardly_hold_an_effect_are_said_to_say_nothing() -> None:
     mute = dataclasses.replace(found("ground_effect"), holdout_gain=float("nan"))
     assert words.held_out(mute).endswith("say nothing for or against")
-    assert words.held_out(found("payload")) == "explains 90 % of the held-out gap that can be explained"
+    assert words.held_out(found("payload")) == (
+        "without it 90 % of what can be explained of held-out data (noise-weighted) is lost"
+    )
+
+
+@pytest.mark.parametrize("side_only", [False, True])
+def test_the_headline_has_names_and_what_was_closed_but_no_numbers_of_an_effect(side_only: bool) -> None:
+    four = (
+        found("payload", mass_kg=(0.21, 0.2, 0.22)), found("constant_force", north_n=(1.649, 1.6, 1.7)),
+        found("rotor_drag", ("linear_drag",), k_d_kg_per_rad=(1e-4, 9e-5, 2e-4)), found("motor_lag"),
+    )  # fmt: skip
+    left = Unexplained(True, ("height",), 0.06)
+    sentence = words.sentence(four, GAP, left, side_only=side_only)
+    told = words.headline(GapReport(sentence, "quad-x", GAP, four, (), left, ()))
+    lag = " and another motor lag; with them 98 % of the gap on data not used before is closed; 6 % of the gap is left"
+    assert told.startswith(f"The model lacks a payload, a constant force, rotor drag or linear drag{lag}")
+    assert ("too slowly" in told) is side_only
+    assert words.headline(GapReport("Nothing.", "quad-x", GAP, (), (), left, ())) == "Nothing."
 
 
 def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:
@@ -173,3 +192,15 @@ def test_an_earlier_result_is_gone_when_a_run_fails(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         main(["gap", str(log), "--vehicle", "quad-x", "--out", str(out)])
     assert not (out / "gap.json").exists()
+
+
+def test_what_was_simulated_before_is_within_its_chart_however_far_off() -> None:
+    t = np.linspace(0.0, 10.0, 2001)
+    measured = np.zeros((len(t), 6))
+    before, after = measured.copy(), measured.copy()
+    before[:, 0], before[:, 2], before[:, 3] = 0.98, -4.0, np.nan
+    drawn = {each.key: each for each in panels((Trace("a.csv", t, measured, before, after, np.ones(6), ()),))}
+    for key, value in (("specific-force-x", 0.98), ("specific-force-z", -4.0), ("angular-acceleration-x", 0.0)):
+        cut = drawn[f"trace-{key}"].cut
+        assert cut is not None
+        assert cut[0] < value < cut[1]

@@ -29,3 +29,33 @@ def test_a_landing_that_never_ends_is_left_to_px4(landed: int, where: str) -> No
     assert where in companion.reason
     assert not companion.completed
     assert vehicle.commands[said:] == []
+
+
+def test_a_vehicle_whose_heartbeats_have_stopped_is_asked_whether_it_has_disarmed() -> None:
+    """A real PX4 whose HEARTBEAT is off answers REQUEST_MESSAGE 0 with one within 8 ms (v1.18.0alpha, 2026-11-24)."""
+    companion, _, vehicle, start = flying()
+    vehicle.heartbeats = False
+    companion.stop("enough")
+    begun = exchange(companion, vehicle, 5.0, start_us=start)
+    assert companion.state is State.LANDING
+    vehicle.landed, vehicle.armed = 1, False
+    end = exchange(companion, vehicle, 100.0, start_us=begun, until=lambda: companion.state is not State.LANDING)
+    assert companion.state is State.LANDED
+    assert (end - begun) * 1e-6 < 3.6
+
+
+def test_a_vehicle_that_somebody_disarms_is_noticed_without_its_heartbeats() -> None:
+    companion, _, vehicle, start = flying()
+    vehicle.heartbeats = False
+    later = exchange(companion, vehicle, 4.0, start_us=start)
+    assert companion.state is State.OFFBOARD
+    vehicle.armed = False
+    exchange(companion, vehicle, 3.6, start_us=later)
+    assert companion.state is State.PILOT
+    assert companion.reason == "the vehicle was disarmed by someone else"
+
+
+def test_a_vehicle_that_sends_its_heartbeats_is_not_asked_for_them() -> None:
+    companion, _, vehicle, start = flying()
+    exchange(companion, vehicle, 5.0, start_us=start)
+    assert not [given for given in vehicle.set_modes(512) if given.params[0] == 0.0]

@@ -73,4 +73,4 @@ def test_a_link_that_is_always_late_makes_samples_old_but_not_jittery() -> None:
 
 def test_the_latest_of_the_three_streams_counts_by_its_own_period() -> None:
     for ages_s, late_s in (((0.015, 0.0, 0.0), 0.003), ((0.0, 0.0095, 0.001), 0.002), ((0.012, 0.0075, 0.0), 0.0)):
-        assert lateness_s(np.array(ages_s)) == pytest.approx(late_s, abs=1e-12)
+        assert lateness_s(ages_s) == pytest.approx(late_s, abs=1e-12)

@@ -48,6 +48,19 @@ def test_where_it_is_not_permitted_nothing_is_changed_but_the_length_of_turns(mo
     assert asked == [True]
 
 
+@linux
+def test_a_process_that_may_not_go_ahead_of_others_asks_for_short_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError
+
+    asked: list[bool] = []
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    monkeypatch.setattr(os, "setpriority", refused)
+    monkeypatch.setattr(machine, "take_short_turns", lambda: asked.append(True))
+    machine.raise_priority()
+    assert asked == [True]
+
+
 def test_a_system_without_any_of_it_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getscheduler", raising=False)
     monkeypatch.delattr(os, "uname", raising=False)

@@ -140,7 +140,11 @@ def test_the_section_has_its_charts_planes_ledger_and_histogram(tmp_path: Path) 
         "histogram": {"edges_us": [1.0, 10.0, 100.0, 1000.0], "counts": [0, 995, 5]},
     }  # fmt: skip
     kept = {"enabled": True, "min_h_truth": 0.61, "min_h_estimate": 0.6, "violations": 0, "interventions": 110}
-    flight = from_log(write_circle(tmp_path / "f.mcap", *items), {"barrier": kept, "qp": qp, "completed": True})
+    kept |= {"protected": [{"from_s": 4.0, "to_s": 8.0}, {"from_s": 8.1, "to_s": 10.0}], "engaged_share": 0.59}
+    region = {"engaged_s": 2.4}  # when h was first large: nobody kept to it then
+    flight = from_log(
+        write_circle(tmp_path / "f.mcap", *items), {"barrier": kept, "region": region, "qp": qp, "completed": True}
+    )
     page = render_report(flight)
     drawn = {panel.key: panel for panel in barrier.panels(flight)}
     h = drawn["barrier-h"]
@@ -160,6 +164,7 @@ def test_the_section_has_its_charts_planes_ledger_and_histogram(tmp_path: Path) 
     figures = {figure.label: (figure.value, figure.state) for figure in barrier.figures(flight)}
     assert figures["Least h, truth"] == ("0.610", "good")
     assert figures["Infeasible"] == ("10", "bad")
+    assert figures["Engaged"] == ("4.0 s", "plain")  # where the strip of the chart turns as well
     assert figures["One step"] == ("35 µs", "plain")
     assert figures["Certified area"][0] == "version 4"
 

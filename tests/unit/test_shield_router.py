@@ -13,6 +13,8 @@ from flightstack.cli import files
 from flightstack.cli.shield import ShieldOptions, shield_stack
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.geodesy import PX4_SIH
+from flightstack.site.file import parse_site
+from flightstack.site.shape import Site
 from flightstack_sim.grade import load_grade
 from flightstack_sim.server import Server
 from flightstack_sim.simulated_vehicle import simulated_vehicle
@@ -345,3 +347,46 @@ def test_without_its_dead_man_the_router_hands_over(rig: Rig) -> None:
     rig.run(0.3)
     assert rig.router.view.custom_mode == px4.MODE_HOLD
     assert rig.router.score.handed_over
+
+
+def _room(north_m: float) -> Site:
+    return parse_site(SITE.replace("[5.0,", f"[{north_m:.3f},"), "other.toml")
+
+
+def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(rig: Rig) -> None:
+    """A wall is put at random before a vehicle that goes on towards it: taken, it is never passed; refused, the old one
+    holds."""
+    rig.take_off()
+    rng, taken, refused = np.random.default_rng(1), [], 0
+    for _ in range(14):
+        rig.say = lambda: velocity(-3.0, 0.0, 0.0)
+        rig.run(1.5)
+        rig.say = lambda: velocity(3.0, 0.0, 0.0)
+        rig.run(float(rng.uniform(0.4, 1.5)))
+        began, wall = len(rig.places), rig.places[-1][0] + float(rng.uniform(0.1, 3.0))
+        said = rig.router.replace_site(_room(wall))
+        rig.run(1.5)
+        most = max(place[0] for place in rig.places[began:])
+        if said:
+            assert "clear of its edge" in said
+            refused += 1
+            assert most < 5.0
+        else:
+            taken.append(wall - most)
+            assert most < wall
+        assert rig.router.replace_site(_room(5.0)) == ""
+    assert len(taken) >= 3
+    assert refused >= 3
+    assert min(taken) < 1.0  # it went on to the wall
+    assert rig.router.score.sites_replaced == 14 + len(taken)
+
+
+def test_a_site_without_room_is_not_taken_and_none_before_the_vehicle_is_known(router: ShieldRouter, rig: Rig) -> None:
+    assert router.replace_site(_room(5.0)).endswith("not known yet")
+    rig.take_off()
+    flat = parse_site(SITE.replace("ceiling_m = 5.0", "ceiling_m = 0.35"), "flat.toml")
+    assert rig.router.replace_site(flat).startswith("flat.toml: no room for the 0.6")
+    beside = parse_site(SITE.replace("[5.0,", "[-3.0,"), "beside.toml")
+    assert "clear of its edge" in rig.router.replace_site(beside)
+    rig.run(1.0)
+    assert rig.router.score.sites_replaced == 0

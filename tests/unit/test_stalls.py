@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
+from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import NOBODY
 from mavlink_bridge.stalls import Stalls
 
 MS = 1_000_000
+SECOND_US = 1_000_000
 
 
 def test_the_words_are_of_the_stall_that_was_judged_whatever_is_reported_since() -> None:
@@ -17,3 +21,51 @@ def test_the_words_are_of_the_stall_that_was_judged_whatever_is_reported_since()
     stalls.hear(NOBODY._replace(acts=2, silent_ns=7_698_678 * MS, hold_ns=0))
     assert stalls.words == "no setpoint for 130 ms, the dead-man commanded Hold after 62 ms"
     assert not stalls.is_held
+
+
+def _stalled(stalls: Stalls, acts: int, began_us: int, stall_us: int) -> str:
+    """The verdict on a stall."""
+    ended_us = began_us + stall_us
+    hold_ns = (began_us + 60_000) * 1000
+    stalls.hear(NOBODY._replace(acts=acts, silent_ns=began_us * 1000, hold_ns=hold_ns, alive_ns=ended_us * 1000))
+    assert stalls.is_held
+    return stalls.judge(ended_us)
+
+
+@pytest.mark.parametrize(
+    ("stall_us", "every_us", "taken_back"),
+    [(60_000, SECOND_US, 100), (90_000, SECOND_US, 100), (110_000, SECOND_US, 9), (400_000, 3 * SECOND_US, 2),
+     (400_000, 6 * SECOND_US, 100)],
+)  # fmt: skip
+def test_stalls_are_taken_back_while_nobody_steered_for_a_tenth_of_ten_seconds_at_most(
+    stall_us: int, every_us: int, taken_back: int
+) -> None:
+    """Ten of 0.11 s are 1.1 s, three of 0.4 s within ten seconds 1.2 s."""
+    stalls = Stalls()
+    verdicts = [_stalled(stalls, k + 1, 5 * SECOND_US + k * every_us, stall_us) for k in range(100)]
+    assert verdicts[:taken_back] == [""] * taken_back
+    if taken_back < 100:
+        assert "nobody steered for 1." in verdicts[taken_back]
+
+
+def test_the_time_until_offboard_is_back_counts_as_not_steered() -> None:
+    stalls = Stalls()
+    assert _stalled(stalls, 1, 5 * SECOND_US, 100_000) == ""
+    stalls.nobody_steered_until(5 * SECOND_US + 950_000)
+    assert "nobody steered for 1.1 s of the last 10 s" in _stalled(stalls, 2, 7 * SECOND_US, 110_000)
+
+
+@pytest.mark.parametrize(
+    ("hold_seen", "mode", "after_us", "late"),
+    [(False, px4.MODE_HOLD, 900_000, True), (False, px4.MODE_HOLD, 1_100_000, False), (True, px4.MODE_HOLD, 1, False),
+     (False, px4.MODE_LAND, 1, False)],
+)  # fmt: skip
+def test_a_hold_that_was_taken_for_lost_is_known_when_it_comes(
+    hold_seen: bool, mode: int, after_us: int, late: bool
+) -> None:
+    """A PX4 on a busy machine obeyed 0.24 s later; once Hold has been seen, the next one is a pilot's."""
+    stalls = Stalls()
+    assert _stalled(stalls, 1, 5 * SECOND_US, 100_000) == ""
+    back_us = 5 * SECOND_US + 230_000
+    stalls.is_back(back_us, hold_seen=hold_seen)
+    assert stalls.is_late_hold(mode, back_us + after_us) is late

@@ -177,6 +177,14 @@ def test_an_unknown_id_and_the_heartbeat_cannot_be_set(number: float) -> None:
     assert len(station.all(m.Heartbeat)) == 3
 
 
+def test_a_heartbeat_is_sent_on_request() -> None:
+    """As a real PX4 does, also where its stream is off (v1.18.0alpha, 2026-11-24)."""
+    station = Station()
+    station.clear()
+    assert station.command(512, 0.0) == [0]
+    assert station.last(m.Heartbeat).autopilot == 12
+
+
 def test_the_interval_of_an_unknown_id_reads_minus_1() -> None:
     station = Station()
     assert station.command(510, 12345.0) == [0]

@@ -219,7 +219,7 @@ def test_where_px4_is_to_notice_a_lost_ground_station_it_does_not_pose_as_one(ac
     voice.system = 1
     params.take(m.ParamValue("NAV_DLL_ACT", m.param_bits(action, m.PARAM_REAL32), m.PARAM_REAL32, 875, 1))
     voice.heed(params)
-    voice.keep_in_touch(0)
+    voice.keep_in_touch(0, heartbeat_missing=False)
     for data in link.datagrams_to_send():
         ear.receive_datagram(data, 0)
     assert {received.message.type for received in ear.take_events() if type(received.message) is m.Heartbeat} == kinds

@@ -138,7 +138,7 @@ def test_a_companion_that_slept_through_the_take_off_does_not_call_the_vehicle_b
     companion, _ = build(arm=False)
     vehicle = FakePx4(mode=POSITION)
     now = exchange(companion, vehicle, 10.0, until=lambda: len(vehicle.setpoints) > 10)
-    vehicle.heartbeats = tells_armed
+    vehicle.heartbeats = vehicle.answers_heartbeat = tells_armed
     said = []
     for mode in [POSITION] * 250 + [OFFBOARD] * 250 + [RTL] * 250:
         now += STEP_US
@@ -159,6 +159,20 @@ def test_a_companion_that_slept_through_the_take_off_does_not_call_the_vehicle_b
     assert not vehicle.set_modes(176)
     assert (companion.state is State.PILOT) is tells_armed
     assert ("would bring it back" in companion.reason) is tells_armed
+
+
+def test_a_heartbeat_between_two_reports_of_the_intention_does_not_bring_a_vehicle_back_either() -> None:
+    """Heartbeats are off, so one is asked for; it tells the mode alone, and the intention comes with CURRENT_MODE."""
+    companion, _ = build(arm=False)
+    vehicle = FakePx4(mode=POSITION)
+    now = exchange(companion, vehicle, 10.0, until=lambda: len(vehicle.setpoints) > 10)
+    vehicle.heartbeats = False
+    vehicle.mode, vehicle.intended, vehicle.landed, vehicle.armed = RTL, OFFBOARD, 2, True
+    now = exchange(companion, vehicle, 0.2, start_us=now)
+    sent = len(vehicle.setpoints)
+    exchange(companion, vehicle, 5.0, start_us=now)
+    assert len(vehicle.setpoints) == sent
+    assert companion.state is State.PILOT
 
 
 def test_a_restarted_companion_on_a_landed_vehicle_waits_for_the_pilot() -> None:

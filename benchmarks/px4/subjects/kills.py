@@ -10,6 +10,7 @@ import random
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,15 @@ from benchmarks.px4.station import Px4, Truth, log_folder
 ASKED = (
     "figure8 at default parameters (COM_OF_LOSS_T 1 s), the companion killed (SIGKILL) or stopped for 0.1 to 3 s "
     "(SIGSTOP) at a random moment: no ground contact, tilt at most 35 degrees, height lost in the first second 0.5 m "
-    "in the median, 0.8 m at worst."
+    "in the median, 0.8 m at worst.  The same of seven stalls of 0.1 s, one after the other."
 )
 RUNS = 50
 TILT_MAX_DEG, LOST_MEDIAN_M, LOST_MAX_M = 35.0, 0.5, 0.8
 SHORT_S = 0.5
 """Stalls below are taken back."""
+BURST, BURST_STALL_S = 7, 0.1
+BURST_SHARE = 5
+"""One of so many runs."""
 _LAP_S = 8.0
 _WATCH_S = 4.0
 _CONTACT_M = 0.15
@@ -45,7 +49,7 @@ class Seen(NamedTuple):
     """Infinite: killed."""
     tilt_before_deg: float
     tilt_deg: float
-    """Greatest of the first `_WATCH_S` seconds."""
+    """Greatest of the first `_WATCH_S` seconds, and of a burst."""
     lost_m: float
     """Height lost in the first second."""
     touched_mps: float
@@ -54,11 +58,14 @@ class Seen(NamedTuple):
     gap_s: float
     """Longest time without ground truth about the moment: 0.1 s and more, and PX4 itself stood still."""
     said: str
+    times: int = 1
+    """Stalls, one after the other."""
 
 
 def run(bench: Bench, runs: int) -> list[Row]:
-    """`runs` kills and `runs` stalls, by turns on one PX4; those that a folder holds already are not flown again."""
-    kills, stalls = _kept(bench)
+    """`runs` kills and `runs` stalls, by turns on one PX4, and bursts of stalls; those that a folder holds already are
+    not flown again."""
+    kills, stalls, bursts = _kept(bench)
     draw = random.Random(len(kills) + len(stalls))
     with Px4(bench) as px4:
         while min(len(kills), len(stalls)) < runs:
@@ -66,19 +73,26 @@ def run(bench: Bench, runs: int) -> list[Row]:
                 kills.append(_trial(bench, px4, draw, math.inf))
             else:
                 stalls.append(_trial(bench, px4, draw, draw.uniform(0.1, 3.0)))
+        while len(bursts) < math.ceil(runs / BURST_SHARE):
+            bursts.append(_trial(bench, px4, draw, BURST_STALL_S, BURST))
     short = [seen for seen in stalls if seen.stall_s < SHORT_S - 0.05]
     back = Row(
         f"stalls below {SHORT_S:g} s taken back", f"{sum(seen.taken_back for seen in short)} of {len(short)}",
         all(seen.taken_back for seen in short), len(short),
         [f"{seen.stall_s:.2f} s: {seen.said}" for seen in short if not seen.taken_back],
     )  # fmt: skip
-    return [_row("killed (SIGKILL)", kills), _row("stopped for 0.1 to 3 s (SIGSTOP)", stalls), back]
+    burst = _row(f"stopped {BURST} times for {BURST_STALL_S:g} s within 8 s", bursts)
+    flown_on = f"{burst.measured}; in OFFBOARD 4 s after the last: {sum(seen.taken_back for seen in bursts)}"
+    burst = replace(burst, measured=flown_on)
+    return [_row("killed (SIGKILL)", kills), _row("stopped for 0.1 to 3 s (SIGSTOP)", stalls), back, burst]
 
 
-def _kept(bench: Bench) -> tuple[list[Seen], list[Seen]]:
-    """Kills and stalls that were flown before."""
+def _kept(bench: Bench) -> tuple[list[Seen], list[Seen], list[Seen]]:
+    """Kills, stalls and bursts that were flown before."""
     seen = [Seen(**json.loads(file.read_text())) for file in sorted(bench.out.glob(f"kills-*/{_RESULT}"))]
-    return [each for each in seen if math.isinf(each.stall_s)], [each for each in seen if math.isfinite(each.stall_s)]
+    once = [each for each in seen if each.times == 1]
+    kills, stalls = [e for e in once if math.isinf(e.stall_s)], [e for e in once if math.isfinite(e.stall_s)]
+    return kills, stalls, [each for each in seen if each.times > 1]
 
 
 def _row(what: str, trials: list[Seen]) -> Row:
@@ -99,14 +113,14 @@ def _row(what: str, trials: list[Seen]) -> Row:
     return Row(what, measured, bool(good), len(trials), notes)
 
 
-def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> Seen:
+def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int = 1) -> Seen:
     for _ in range(_ATTEMPTS):
-        if (seen := _attempt(bench, px4, draw, stall_s)) is not None:
+        if (seen := _attempt(bench, px4, draw, stall_s, times)) is not None:
             return seen
     raise RuntimeError(f"{_ATTEMPTS} flights in a row ended before their moment: see {bench.out}")
 
 
-def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> Seen | None:
+def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int) -> Seen | None:
     folder = log_folder(bench, "kills")
     process = start(px4, folder, "figure8")
     try:
@@ -122,13 +136,19 @@ def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float) -> See
         if not math.isinf(stall_s):
             time.sleep(stall_s)
             os.kill(process.pid, signal.SIGCONT)
-        time.sleep(max(0.0, began_s + _WATCH_S - time.monotonic()))
+        for _ in range(times - 1):
+            time.sleep(draw.choice((0.02, 0.1, 1.2, 2.0)))
+            os.kill(process.pid, signal.SIGSTOP)
+            time.sleep(stall_s)
+            os.kill(process.pid, signal.SIGCONT)
+        watched_s = time.monotonic() - began_s + _WATCH_S if times > 1 else _WATCH_S
+        time.sleep(max(0.0, began_s + watched_s - time.monotonic()))
         taken_back = not math.isinf(stall_s) and px4.mode >> 16 & 0xFF == _OFFBOARD_MAIN
-        seen = _judge(list(px4.truth), began_s, stall_s, taken_back)
+        seen = _judge(list(px4.truth), (began_s, watched_s), stall_s, taken_back)
     finally:
         _bring_down(px4, process)
     said = " ".join((folder / "companion.txt").read_text().split())[-160:]
-    seen = seen._replace(said=said)
+    seen = seen._replace(said=said, times=times)
     (folder / _RESULT).write_text(json.dumps(seen._asdict()))
     print(seen, flush=True)
     return seen
@@ -140,10 +160,11 @@ def _on_track(px4: Px4) -> bool:
     return px4.armed and last.up_m > 1.0 and math.hypot(last.vel_n_mps, last.vel_e_mps) > 2.0
 
 
-def _judge(truth: list[Truth], began_s: float, stall_s: float, taken_back: bool) -> Seen:
+def _judge(truth: list[Truth], watched: tuple[float, float], stall_s: float, taken_back: bool) -> Seen:
+    began_s, watched_s = watched
     before = [sample for sample in truth if began_s - 0.1 <= sample.at_s <= began_s]
-    times = [sample.at_s for sample in truth if began_s - 1.0 <= sample.at_s <= began_s + _WATCH_S]
-    after = [sample for sample in truth if began_s < sample.at_s <= began_s + _WATCH_S]
+    times = [sample.at_s for sample in truth if began_s - 1.0 <= sample.at_s <= began_s + watched_s]
+    after = [sample for sample in truth if began_s < sample.at_s <= began_s + watched_s]
     first = [sample.up_m for sample in after if sample.at_s <= began_s + 1.0]
     low = [sample for sample in after if sample.up_m < _CONTACT_M]
     fastest = max((sample.vel_d_mps for sample in after if sample.up_m < 2.0 * _CONTACT_M), default=0.0)

@@ -48,7 +48,7 @@ def render_report(report: GapReport) -> str:
             "style": style,
             "state": state,
             "verdict": verdict,
-            "headline": escape(report.sentence),
+            "headline": escape(words.headline(report)),
             "subtitle": escape(f"{report.vehicle} · {', '.join(log.name for log in report.logs)}"),
             "figures": figures_html(_figures(report)),
             "effects": tables.effects(report),
@@ -140,8 +140,9 @@ def _panel(trace: Trace, column: int, signal: str) -> Panel:
     unit = _UNITS[column]
     quantity, _, axis = signal.rpartition("_")
     spans = [Span(start, end, "held out", "stage-used") for start, end in trace.held_out_s]
-    kept = trace.measured[np.isfinite(trace.measured[:, column]), column]
-    low, high = (float(np.percentile(kept, q)) for q in (0.05, 99.95))
+    finite = [x[np.isfinite(x[:, column]), column] for x in (trace.measured, trace.before, trace.after)]
+    reached = [np.percentile(x, (0.05, 99.95)) for x in finite if len(x)]  # each for itself: all are to be seen
+    low, high = float(np.min(reached)), float(np.max(reached))
     room = 0.15 * (high - low) or 1.0
     return Panel(
         f"trace-{signal.replace('_', '-')}",

@@ -148,8 +148,8 @@ def shown(report: GapReport) -> str:
         f"<td>{escape(row.manoeuvre)}</td></tr>"
         for row in report.shown
     )
-    head = "<tr><th>effect</th><th></th><th>these logs</th><th>to see it, fly</th></tr>"
-    return f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    head = "<tr><th>effect</th><th></th><th>in these logs</th><th>to see it, fly</th></tr>"
+    return f'<table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table>'
 
 
 def rejected(report: GapReport) -> str:
@@ -161,7 +161,7 @@ def rejected(report: GapReport) -> str:
         for row in report.rejected
     ).replace("-", "−")
     head = "<tr><th>effect</th><th>ΔBIC</th><th>why not</th></tr>"
-    return f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return f'<table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table>'
 
 
 def checks(report: GapReport) -> str:
@@ -182,7 +182,7 @@ def _across(report: GapReport) -> str:
         for log, e in row.flights
     )
     head = "<tr><th>effect</th><th>log</th><th>alone</th><th></th></tr>"
-    table = f'<div class="scroll"><table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    table = f'<table class="plain"><thead>{head}</thead><tbody>{rows}</tbody></table>'
     return f"<h3>The same in each flight?</h3>{table}" if rows else ""
 
 

@@ -8,7 +8,7 @@ from html import escape
 from flightstack.gap.report import words
 from flightstack.gap.report.record import Step
 
-_WIDTH, _LABEL, _VALUE, _ROW, _BAR = 640.0, 200.0, 96.0, 26.0, 15.0
+_WIDTH, _LABEL, _VALUE, _ROW, _BAR = 640.0, 200.0, 124.0, 26.0, 15.0
 
 
 def waterfall_svg(steps: tuple[Step, ...], floor: float | None, quantity: str, unit: str, title: str) -> str:
@@ -42,7 +42,9 @@ def waterfall_svg(steps: tuple[Step, ...], floor: float | None, quantity: str, u
     if floor is not None and math.isfinite(floor):
         x = _x(floor, top)
         rows.append(f'<line class="floor" x1="{x:.1f}" x2="{x:.1f}" y1="22" y2="{height - 16:.0f}"/>')
-        rows.append(f'<text class="muted" x="{x:.1f}" y="{height - 4:.0f}">noise {floor:.2g} {escape(unit)}</text>')
+        told = f"noise {floor:.2g} {escape(unit)}"
+        end = ' text-anchor="end"' if x > 0.7 * _WIDTH else ""  # else it would leave the picture
+        rows.append(f'<text class="muted" x="{x:.1f}" y="{height - 4:.0f}"{end}>{told}</text>')
     head = f'<text x="0" y="14" font-weight="650">{escape(title)}</text>'
     return (
         f'<svg class="waterfall" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'

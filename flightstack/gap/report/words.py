@@ -6,6 +6,7 @@ import math
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
+from flightstack.gap.report.record import GapReport
 
 _IN_FULL = 2
 """Effects that the sentence gives with intervals and classes."""
@@ -51,6 +52,9 @@ def _width(value: Estimate) -> float:
     return value.high - value.low
 
 
+_SIDE_ONLY = "vertical force and torques were not looked at, as motors were logged too slowly"
+
+
 def sentence(
     found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False
 ) -> str:
@@ -64,7 +68,19 @@ def sentence(
     else:
         parts = ["Model and measurement agree within the noise: nothing to name"]
     if side_only:
-        parts.append("vertical force and torques were not looked at, as motors were logged too slowly")
+        parts.append(_SIDE_ONLY)
+    return "; ".join(part for part in parts if part) + "."
+
+
+def headline(report: GapReport) -> str:
+    """The sentence by names alone, where something is named: the page has the numbers in a table below it."""
+    if not report.found:
+        return report.sentence
+    named = [" or ".join(effect(name) for name in (f.name, *f.indistinguishable_from)) for f in report.found]
+    text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+    parts = [f"The model lacks {text}", _closed(report.gap, len(named)), *_rest(report.unexplained, report.gap)]
+    if report.sentence.endswith(f"{_SIDE_ONLY}."):
+        parts.append(_SIDE_ONLY)
     return "; ".join(part for part in parts if part) + "."
 
 
@@ -139,7 +155,9 @@ def held_out(found: IdentifiedEffect) -> str:
     """What data not used before say of an effect."""
     if math.isnan(found.holdout_gain):
         return "held-out data hardly hold it and say nothing for or against"
-    return f"explains {percent(found.holdout_gain)} of the held-out gap that can be explained"
+    return (
+        f"without it {percent(found.holdout_gain)} of what can be explained of held-out data (noise-weighted) is lost"
+    )
 
 
 def verdict(found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:

@@ -10,11 +10,11 @@ import numpy as np
 from flightstack.barrier.records import AXES, MARGINS, AxisCertificate, Certificate
 from flightstack.types import F64
 from flightstack_logs.report import signals
-from flightstack_logs.report.flight import Barrier, FlightReport, Outcome, ReportSamples
+from flightstack_logs.report.flight import Barrier, FilterOutcome, FlightReport, Outcome, ReportSamples
 from flightstack_logs.report.histogram import histogram_svg
 from flightstack_logs.report.panel import Curve, Mark, Panel, PanelLine, Span, known
 from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg
-from flightstack_logs.report.words import KeyFigure, count, judged_span, microseconds
+from flightstack_logs.report.words import KeyFigure, count, judged_span, microseconds, percent
 from flightstack_logs.topics import FILTER_STATUS
 
 POINTS = 2000
@@ -223,9 +223,7 @@ def figures(flight: FlightReport) -> tuple[KeyFigure, ...]:
     stated = [
         KeyFigure("Least h, truth", _h_words(filtered.min_h_truth), _outside(violations), _kept(outcome)),
         KeyFigure("Least h, estimate", _h_words(filtered.min_h_estimate)),
-        KeyFigure(
-            "Engaged", "–" if filtered.engaged_s is None else f"{filtered.engaged_s:.1f} s", "after take-off began"
-        ),
+        _engaged(filtered),
         KeyFigure("Interventions", count(outcome.barrier_interventions), "ticks with a changed command"),
         KeyFigure("Infeasible", count(filtered.infeasible), "ticks without a solution", _state(filtered.infeasible)),
         KeyFigure("One step", microseconds(filtered.solve_p50_us), f"p99 {microseconds(filtered.solve_p99_us)}"),
@@ -236,6 +234,14 @@ def figures(flight: FlightReport) -> tuple[KeyFigure, ...]:
         sets = " · ".join(f"{AXES[axis.axis]} {axis.barrier.area_m2ps:.2f}" for axis in last.axes)
         stated.append(KeyFigure("Certified area", f"version {last.version}", f"{sets} m²/s"))
     return tuple(figure for figure in stated if figure.value != "–")
+
+
+def _engaged(filtered: FilterOutcome) -> KeyFigure:
+    if filtered.protected_from_s is None:
+        return KeyFigure("Engaged", "–")
+    share = filtered.engaged_share
+    after = "" if share is None else f"; {percent(share)} of the ticks after the climb"
+    return KeyFigure("Engaged", f"{filtered.protected_from_s:.1f} s", f"after take-off began{after}")
 
 
 def _h_words(value: float | None) -> str:

@@ -138,7 +138,10 @@ class FilterOutcome:
 
     min_h_truth: float | None = None
     min_h_estimate: float | None = None
-    engaged_s: float | None = None
+    protected_from_s: float | None = None
+    """After take-off began, the filter kept to a certificate for the first time."""
+    engaged_share: float | None = None
+    """Of the ticks after the climb, those in which it did."""
     infeasible: int | None = None
     solve_p50_us: float | None = None
     solve_p99_us: float | None = None

@@ -85,7 +85,9 @@ def _learner(gp: Mapping[str, object]) -> LearnerOutcome | None:
 
 
 def _filter(result: Mapping[str, object]) -> FilterOutcome:
-    barrier, qp, region = (_part(result, name) for name in ("barrier", "qp", "region"))
+    barrier, qp = (_part(result, name) for name in ("barrier", "qp"))
+    spans = barrier.get("protected")
+    first = spans[0] if isinstance(spans, list) and spans and isinstance(spans[0], Mapping) else {}
     solve, histogram = _part(qp, "solve_us"), _part(qp, "histogram")
     edges, counts = (_numbers(histogram.get(key)) for key in ("edges_us", "counts"))
     if len(edges) != len(counts) + 1 or not any(counts) or min(counts) < 0.0 or edges[-1] < 10.0:
@@ -93,7 +95,8 @@ def _filter(result: Mapping[str, object]) -> FilterOutcome:
     return FilterOutcome(
         min_h_truth=_number(barrier.get("min_h_truth")),
         min_h_estimate=_number(barrier.get("min_h_estimate")),
-        engaged_s=_number(region.get("engaged_s")),
+        protected_from_s=_number(first.get("from_s")),
+        engaged_share=_number(barrier.get("engaged_share")),
         infeasible=_whole(qp.get("infeasible")),
         solve_p50_us=_number(solve.get("p50")),
         solve_p99_us=_number(solve.get("p99")),
