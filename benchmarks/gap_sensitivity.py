@@ -14,7 +14,6 @@ from __future__ import annotations
 import ast
 import json
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -194,22 +193,23 @@ def _changed(name: str, value: float, case: str, base: Verdict) -> dict[str, Any
 
 
 def keep() -> None:
-    """Writes the counts of verdicts that changed into the table's rows."""
+    """Writes the counts of verdicts that changed into the table's rows (format it afterwards)."""
     text, runs, traces = TABLE.read_text(encoding="utf-8"), _kept("run"), _kept("trace")
-    for name in rows():
-        counts = []
-        for factor in FACTORS:
-            mine = [row for row in runs if row["decision"] == name and row["factor"] == factor]
-            counts += [sum(row["other"] for row in mine), len(mine)]
-        could = sum(name in row["noted"] for row in traces)
-        moved = sum(row["moved"] for row in runs if row["decision"] == name)
-        print(f"{name:24} could matter in {could:2} of {len(traces)}, figures moved {moved:2}, verdicts {counts}")
-        row = re.search(rf"^{name} = decide\(.*?^?\)$", text, re.MULTILINE | re.DOTALL)
-        assert row is not None
-        body = re.sub(r",?\s*\((\d+, ){3}\d+\),?\s*\)$", ")", row.group(0))
-        body = re.sub(r",?\s*\)$", f", ({', '.join(map(str, counts))}))", body)
-        text = text.replace(row.group(0), body)
-    TABLE.write_text(text, encoding="utf-8")
+    lines = text.splitlines()
+    for node in reversed(ast.parse(text).body):
+        if not (isinstance(node, ast.Assign) and isinstance(node.value, ast.Call)):
+            continue
+        name = ast.unparse(node.targets[0])
+        mine = [[row for row in runs if (row["decision"], row["factor"]) == (name, factor)] for factor in FACTORS]
+        counts = [count for some in mine for count in (sum(row["other"] for row in some), len(some))]
+        counts.insert(0, sum(name in row["noted"] for row in traces))
+        moved = sum(row["moved"] for some in mine for row in some)
+        print(
+            f"{name:24} could matter in {counts[0]:2} of {len(traces)}, figures moved {moved:2}, verdicts {counts[1:]}"
+        )
+        row = ", ".join(ast.unparse(argument) for argument in node.value.args[:3])
+        lines[node.lineno - 1 : node.end_lineno] = [f"{name} = decide({row}, ({', '.join(map(str, counts))}))"]
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _kept(what: str) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.gap_frozen import FROZEN, different, verdict
+from benchmarks.gap_frozen import CASES, FROZEN, different, verdict
 from benchmarks.gap_sensitivity import Watched, holding, rows
 from flightstack.gap import decisions, workflow
 from flightstack.gap import verdict as verdict_module
@@ -30,7 +30,8 @@ def test_every_decision_stands_in_the_table_with_unit_reason_and_what_it_changes
     for name, (unit, why, *counts) in calls().items():
         assert unit, name
         assert why, name
-        ((less, of_less, more, of_more),) = counts
+        ((could, less, of_less, more, of_more),) = counts
+        assert 0 <= could <= len(CASES), name
         assert 0 <= less <= of_less, name
         assert 0 <= more <= of_more, name
 
