@@ -24,6 +24,7 @@ same.  A filter engages half a second after its certificate came at the earliest
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,12 @@ class GovernorLimits(NamedTuple):
     def command_range(self, undone: float) -> tuple[float, float]:
         """Least and greatest collective command; `undone`: THR_MDL_FAC, whose curve PX4 undoes after mixing."""
         return thrust_to_norm(self.margin, 1.0, undone), thrust_to_norm(1.0 - self.margin, 1.0, undone)
+
+
+@lru_cache(maxsize=4)
+def _command_range(limits: GovernorLimits, undone: float) -> tuple[float, float]:
+    """`GovernorLimits.command_range`, which each tick asks for."""
+    return limits.command_range(undone)
 
 
 _NORM = 3
@@ -153,7 +160,7 @@ class Governor:
         t_us = command.t_us if state.t_us == _NEVER or not 0 <= behind < STEP_US else command.t_us - behind
         most = (math.inf, math.inf, 0.0, 1.0)
         if limits is not None:
-            most = (limits.roll_pitch_max, limits.yaw_max, *limits.command_range(self._undone))
+            most = (limits.roll_pitch_max, limits.yaw_max, *_command_range(limits, self._undone))
         ahead = (math.sin(heading_rad), math.cos(heading_rad)) if math.isfinite(heading_rad) else (0.0, 1.0)
         norm, changed = govern(state.memory, *self._loop, *self._buffers, rate, norm, int(steps), most, ahead)
         return GovernorState(state.memory, t_us), norm, self._buffers.out.copy() if changed else None

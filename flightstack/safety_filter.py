@@ -13,6 +13,7 @@ The filter engages once h, of the predicted and of the measured state, has been 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -184,7 +185,7 @@ class BarrierFilter:
             (work, self._rows, self._low, self._high), row,
         )  # fmt: skip
         row[F_STATUS], row[F_ITERATIONS], row[F_VERSION] = status, 0.0, certificate.version
-        if status == WAITING or not np.isfinite(row[F_WANTED]):  # what is not a number is for the guard to judge
+        if status == WAITING or not math.isfinite(row[F_WANTED]):  # what is not a number is for the guard to judge
             return state, command, Filtered(row)
         u, rate = np.empty(3), command.rate_frd_radps.copy()
         rate[2] = _gently(float(rate[2]), float(measurement.row[_YAW_RATE]), self.limits.rate_max_radps[2])

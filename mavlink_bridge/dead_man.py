@@ -129,11 +129,11 @@ class DeadMan:
             )  # fmt: skip
 
     def _standing_hold_ns(self, now_ns: int, companion: CompanionRecord) -> int:
-        """When the Hold was commanded out of which the companion was taking back; 0: there is none, for it saw OFFBOARD
-        or somebody else touched it."""
+        """When the Hold was commanded that still stands; 0: there is none, for somebody touched it or the companion has
+        spoken since to a vehicle in OFFBOARD.  A word that was stopped on its way tells of before the Hold."""
         record = self.record
-        stands = not record.touched and not companion.flags & IN_OFFBOARD and now_ns - record.hold_ns < GIVE_UP_NS
-        return record.hold_ns if stands else 0
+        old = not companion.flags & IN_OFFBOARD or companion.sent_ns < record.hold_ns
+        return record.hold_ns if old and not record.touched and now_ns - record.hold_ns < GIVE_UP_NS else 0
 
     def _hear(self, data: bytes, companion: CompanionRecord, now_ns: int) -> None:
         for number, fields in self._reader.read(data, companion):

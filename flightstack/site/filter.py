@@ -163,14 +163,15 @@ class SiteFilter:
         return ""
 
     def _all_committed(self, state: SiteState, measurement: Measurement, at_rest: tuple[float, float]) -> F64:
-        """Discs (n, 5) that hold the committed way's tube, by the widest of the certificates."""
+        """Discs (n, 5) that hold the committed way and its tube, as `backup.roll` lays them."""
         numbers, way = state.numbers, state.committed[: int(state.numbers[d.COMMITTED])]
         if not len(way) or measurement.t_us - numbers[d.LAST_US] > _PAUSE_US:
             at = measurement.pos_ned_m - state.origin_ned_m
             return np.array([[at[0], at[1], -at[2], *at_rest]])
-        tube = np.max([known.known[3].max(axis=0) for known in self._known], axis=0)[: len(way)].copy()
-        tube[-1] = np.max([known.known[3].max(axis=0)[-1] for known in self._known], axis=0)
-        late_s = max(float(known.known[1][:, LATE_S].max()) for known in self._known)
+        _, rows, _, tubes = self._in_force(numbers).known
+        tube = tubes[1 if d.is_read(numbers) else 0]
+        tube = np.vstack([tube[: len(way) - 1], tube[-1:]])
+        late_s = float(rows[:, LATE_S].max())
         steps = np.vstack([np.diff(way[:, :3], axis=0), np.zeros(3)])
         grown = late_s * float(np.linalg.norm(way[0, 3:6])) + tube
         grown += 0.5 * np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)

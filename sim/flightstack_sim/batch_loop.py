@@ -13,9 +13,9 @@ from flightstack.effects.row import INTEGRATED, S_COMMAND, S_POS, S_RATE
 from flightstack.jit import njit, njit_called, njit_free
 from flightstack.model import limit_command
 from flightstack.types import F64
-from flightstack_sim.autopilot.rate_control import ROW, aim, motors_of, rate_step
+from flightstack_sim.autopilot.rate_control import ROW, STATE_SIZE, aim, has_lost, kind_of, motors_of, rate_step
 from flightstack_sim.batch_step import ROW_AT, load, scratch_block, step_block, store
-from flightstack_sim.lanes import LANES, across_lanes, lane
+from flightstack_sim.lanes import LANES, across_lanes, lane, vectorised
 
 TICK_S = 0.004
 STEPS = 4
@@ -31,15 +31,49 @@ def _loops(block: F64) -> None:
         rate_step(lane(block, _GYRO + i), lane(block, i))
 
 
+@vectorised
+def _mixed(mix: F64, roll: float, pitch: float, yaw: float, thrust: float, motors: F64, lost: F64) -> None:
+    """`allocate` where all that is asked for can be given; where it can't, `lost` says so."""
+    given = (thrust >= 0.0) & (thrust <= 1.0)
+    for i in range(4):
+        level = mix[4 * i] * roll + mix[4 * i + 1] * pitch + mix[4 * i + 3] * thrust
+        motor = level + mix[4 * i + 2] * yaw
+        motors[i] = motor
+        given &= (level >= 0.0) & (level <= 1.0) & (motor >= 0.0) & (motor <= 1.0)
+    lost[0] = 0.0 if given else 1.0
+    lost[1] = lost[2] = 0.0
+
+
 _across = across_lanes(_loops, {})
+_across_usual = across_lanes(
+    _loops,
+    {"rate_control": {"kind_of": vectorised(lambda row: (False, True, False))}, "allocation": {"allocate": _mixed}},
+)
 
 
 @njit_called
-def _rates(block: F64, scratch: F64) -> None:
-    """A block's rate loops, from the states' rates to the states' commands."""
+def _rates(block: F64, before: F64, scratch: F64) -> None:
+    """A block's rate loops, from the states' rates to the states' commands; `before` has room for their states.
+
+    All at once and without branches as long as each is armed, under way and gets the torque that it asks for.
+    """
     for j in range(3 * LANES):
         block[_GYRO + j] = scratch[ROW_AT + S_RATE * LANES + j]
-    _across(block)
+    usual = True
+    for i in range(LANES):
+        first, armed, curved = kind_of(lane(block, i))
+        usual = usual and armed and not (first or curved)
+    if usual:
+        for j in range(len(before)):
+            before[j] = block[j]
+        _across_usual(block)
+        for i in range(LANES):
+            usual = usual and not has_lost(lane(block, i))
+        if not usual:
+            for j in range(len(before)):
+                block[j] = before[j]
+    if not usual:
+        _across(block)
     for i in range(LANES):
         motors = motors_of(lane(block, i))
         for j in range(4):
@@ -78,7 +112,7 @@ def fly_blocks(
     """
     params, state, normals, loops, corrections = fleet
     scratch, work = scratch_block(state.shape[0]), np.zeros(2 * PROPOSAL + 3)
-    last = distances.shape[0] - 1
+    before, last = np.empty(STATE_SIZE * LANES), distances.shape[0] - 1
     for at in range(vehicles[0], vehicles[1], LANES):
         load(params, state, at, scratch)
         block = loops[at // LANES]
@@ -92,6 +126,6 @@ def fly_blocks(
                 if at + i <= last:
                     distances[which, k] = off
             for step in range(STEPS):
-                _rates(block, scratch)
+                _rates(block, before, scratch)
                 step_block(steps, at, normals, STEPS * (k - ticks[0]) + step, scratch)
         store(state, at, scratch)

@@ -26,8 +26,15 @@ class Program:
 
     def __init__(self, address: str) -> None:
         self.link: Any = mavutil.mavlink_connection(address, source_system=245, source_component=190)
-        self.vehicle = self.link.wait_heartbeat(timeout=60).get_srcSystem()
+        self.vehicle = self._autopilot()
         self.mode, self.armed, self.north_m, self.height_m, self.speed_mps = 0, False, 0.0, 0.0, 0.0
+
+    def _autopilot(self) -> int:
+        """The first system that is one: a PX4 passes a ground station's heartbeats on."""
+        while (heard := self.link.wait_heartbeat(timeout=60)) is not None:
+            if heard.autopilot != MAV.MAV_AUTOPILOT_INVALID:
+                return int(heard.get_srcSystem())
+        raise TimeoutError("no autopilot heard")
 
     def ask(self, mask: int, north: float, down: float) -> None:
         """Send a setpoint, then listen for 20 ms."""

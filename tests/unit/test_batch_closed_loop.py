@@ -12,7 +12,7 @@ from flightstack.control.feedback import FlatnessController
 from flightstack.errors import InputError
 from flightstack.model import Limiter, Limits, Model
 from flightstack.trajectory import sinusoid
-from flightstack.types import F64, Command, FlatOutput, Learned
+from flightstack.types import F64, Command, FlatOutput, Learned, Tuple3
 from flightstack.vehicle import Vehicle, parse_vehicle, scaled, with_effects
 from flightstack_sim.autopilot.flight_control import airframe_params
 from flightstack_sim.autopilot.rate_control import RateControl
@@ -43,12 +43,12 @@ def _reference(ticks: int = TICKS) -> F64:
     return np.array([path.at(TICK_S * k).row for k in range(ticks)])
 
 
-def _alone(truth: Vehicle, seed: int, reference: F64) -> NativePlant:
-    """The same through the single classes, a call each."""
+def _alone(truth: Vehicle, seed: int, reference: F64, begins: Tuple3 = (0.0, 0.0, 0.0)) -> tuple[NativePlant, int]:
+    """The same through the single classes, a call each, from these rates; and how many commands met their limit."""
     believed, limits = _quad(), Limits()
     model = Model.from_vehicle(believed)
     plant = NativePlant(truth, seed=seed, ground=False)
-    plant.motor_u[:] = model.hover_norm
+    plant.motor_u[:], plant.rate_frd_radps[:], limited = model.hover_norm, begins, 0
     controller, limiter = FlatnessController(model, limits=limits), Limiter(model, limits)
     rates, state = RateControl(believed, airframe_params(believed)), controller.init(0)
     sent, nothing = Command(0, 0.0, 0.0, np.zeros(3)), Learned.nothing()
@@ -64,7 +64,8 @@ def _alone(truth: Vehicle, seed: int, reference: F64) -> NativePlant:
         for _ in range(4):
             rates.step(plant.rate_frd_radps)
             plant.step(rates.motor_command)
-    return plant
+            limited += int(np.sum((rates.motor_command <= 0.0) | (rates.motor_command >= 1.0)))
+    return plant, limited
 
 
 @pytest.fixture(scope="module")
@@ -76,12 +77,26 @@ def flown() -> BatchClosedLoop:
 
 @pytest.mark.parametrize("which", range(4))
 def test_each_vehicle_flies_as_alone(flown: BatchClosedLoop, which: int) -> None:
-    alone = _alone(_truths()[which], 7 + which, _reference())
+    alone, _ = _alone(_truths()[which], 7 + which, _reference())
     for ours, single in (
         (flown.pos_ned_m, alone.pos_ned_m), (flown.vel_ned_mps, alone.vel_ned_mps), (flown.q_ned_frd, alone.q_ned_frd),
         (flown.rate_frd_radps, alone.rate_frd_radps),
     ):  # fmt: skip
         np.testing.assert_allclose(ours[which], single, rtol=0.0, atol=1e-9)
+
+
+def test_what_motors_cannot_give_is_shared_out_as_alone() -> None:
+    """Two vehicles of a block begin tumbling: all of it flies as each would alone."""
+    begins = np.zeros((20, 3))
+    begins[3], begins[17] = (9.0, -6.0, 2.0), (-3.0, 12.0, -4.0)
+    batch, reference = BatchClosedLoop(_quad(), [_quad()] * 20), _reference(60)
+    batch.rate_frd_radps[:] = begins
+    batch.fly(reference)
+    for which in (2, 3, 17, 19):
+        alone, limited = _alone(_quad(), which, reference, tuple(begins[which].tolist()))
+        assert limited > 0
+        np.testing.assert_allclose(batch.rate_frd_radps[which], alone.rate_frd_radps, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(batch.pos_ned_m[which], alone.pos_ned_m, rtol=0.0, atol=1e-9)
 
 
 def test_threads_and_interruptions_do_not_matter(flown: BatchClosedLoop) -> None:

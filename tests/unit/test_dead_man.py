@@ -262,6 +262,30 @@ def test_a_companion_that_is_back_is_left_alone_and_answered_again_later() -> No
     assert dead_man.record.acts == 2
 
 
+@pytest.mark.parametrize(
+    ("sent_ms", "flags", "stands"),
+    [(0, frames.ACTIVE | frames.IN_OFFBOARD, True), (100, frames.ACTIVE | frames.IN_OFFBOARD, False),
+     (100, frames.ACTIVE, True)],
+    ids=["stopped on its way", "in OFFBOARD since", "taking back"],
+)  # fmt: skip
+def test_a_second_silence_in_its_own_hold_finds_it_untouched(sent_ms: int, flags: int, stands: bool) -> None:
+    """Stopped between the stamp of its word and the word itself (one of 70 stalls on a real PX4), or in a take-back."""
+    dead_man = DeadMan()
+    _run(dead_man, WORD, NOW_NS + 80 * MS, {NOW_NS + 54 * MS: _vehicle(m.CurrentMode(0, OFFBOARD, OFFBOARD))})
+    hold_ns = dead_man.record.hold_ns
+    assert hold_ns
+    back = WORD._replace(serial=8, sent_ns=NOW_NS + sent_ms * MS, flags=flags)
+    now_ns = NOW_NS + 101 * MS
+    dead_man.step(now_ns, back, [])
+    while dead_man.record.acts < 2:
+        now_ns = dead_man.wake_ns
+        dead_man.step(now_ns, back, [])
+    assert (dead_man.record.hold_ns == hold_ns) is stands
+    dead_man.step(now_ns + MS, back, _vehicle(m.CurrentMode(0, HOLD, HOLD)))
+    assert (dead_man.record.held_ns > 0) is stands
+    assert bool(dead_man.record.touched) is not stands
+
+
 def test_sequence_numbers_go_on_from_the_companions() -> None:
     dead_man = DeadMan()
     dead_man.step(NOW_NS + SILENCE_NS, WORD, [])

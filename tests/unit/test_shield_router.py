@@ -358,12 +358,12 @@ def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(rig: 
     holds."""
     rig.take_off()
     rng, taken, refused = np.random.default_rng(1), [], 0
-    for _ in range(14):
+    for _ in range(8):
         rig.say = lambda: velocity(-3.0, 0.0, 0.0)
         rig.run(1.5)
         rig.say = lambda: velocity(3.0, 0.0, 0.0)
         rig.run(float(rng.uniform(0.4, 1.5)))
-        began, wall = len(rig.places), rig.places[-1][0] + float(rng.uniform(0.1, 3.0))
+        began, wall = len(rig.places), min(5.0, rig.places[-1][0] + float(rng.uniform(0.1, 3.0)))
         said = rig.router.replace_site(_room(wall))
         rig.run(1.5)
         most = max(place[0] for place in rig.places[began:])
@@ -375,10 +375,10 @@ def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(rig: 
             taken.append(wall - most)
             assert most < wall
         assert rig.router.replace_site(_room(5.0)) == ""
-    assert len(taken) >= 3
-    assert refused >= 3
+    assert len(taken) >= 2
+    assert refused >= 2
     assert min(taken) < 1.0  # it went on to the wall
-    assert rig.router.score.sites_replaced == 14 + len(taken)
+    assert rig.router.score.sites_replaced == 8 + len(taken)
 
 
 def test_a_site_without_room_is_not_taken_and_none_before_the_vehicle_is_known(router: ShieldRouter, rig: Rig) -> None:

@@ -34,7 +34,8 @@ _INTEGRATOR_FADE_RADPS = math.radians(400.0)
 _RATE_SP, _THRUST_SP, _ARMED, _HOLD_I = 0, 3, 4, 5
 _TARGET = Struct("6d")  # these six in one go, which is several times as fast as one by one
 _FILTER, _RATE, _ACC, _INTEGRAL, _TORQUE, _LOST, _STARTED = 6, 12, 15, 18, 21, 24, 27
-_STATE_SIZE = 28
+STATE_SIZE = 28
+"""What a sample changes, but for the motor commands."""
 # places in its configuration
 _P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE, _STOPPED = (
     0,
@@ -53,7 +54,7 @@ _P, _I, _D, _FF, _LIMIT, _B, _A1, _A2, _ALPHA_D, _ALPHA_YAW, _DT, _CURVE, _STOPP
 )
 _CONFIG_SIZE = 28
 # and of all in the loop's one row: state, configuration, motor commands, then the mixer's rows
-_CONFIG = _STATE_SIZE
+_CONFIG = STATE_SIZE
 _MOTORS = _CONFIG + _CONFIG_SIZE
 _ROTORS = 4
 _MIX = _MOTORS + _ROTORS
@@ -148,12 +149,23 @@ def motors_of(row: F64) -> F64:
 
 
 @njit
+def has_lost(row: F64) -> bool:
+    """Whether torque about the body's x axis was asked for that could not be given."""
+    return bool(row[_LOST] != 0.0)
+
+
+@njit
+def kind_of(row: F64) -> tuple[bool, bool, bool]:
+    """Whether a loop has its first sample, is armed, and undoes a thrust curve."""
+    return row[_STARTED] == 0.0, row[_ARMED] != 0.0, row[_CONFIG + _CURVE] > 1e-6
+
+
+@njit
 def rate_step(gyro: F64, row: F64) -> None:
     """Filter, PID and allocation of one sample (3,), in place in a loop's row."""
-    s, c, motors, mix = row[:_STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:]
-    first = s[_STARTED] == 0.0
+    s, c, motors, mix = row[:STATE_SIZE], row[_CONFIG:_MOTORS], motors_of(row), row[_MIX:]
+    first, armed, curved = kind_of(row)
     s[_STARTED] = 1.0
-    armed = s[_ARMED] != 0.0
     for axis in range(3):
         z1, z2 = _FILTER + axis, _FILTER + 3 + axis
         x = gyro[axis]
@@ -187,16 +199,15 @@ def rate_step(gyro: F64, row: F64) -> None:
             torque = s[_TORQUE + 2] + c[_ALPHA_YAW] * (torque - s[_TORQUE + 2])
         s[_TORQUE + axis] = torque
         lost = s[_LOST + axis]
-        if s[_HOLD_I] == 0.0 and not (lost > 1e-9 and error > 0.0) and not (lost < -1e-9 and error < 0.0):
-            fade = error / _INTEGRATOR_FADE_RADPS
-            integral += c[_I + axis] * error * max(0.0, 1.0 - fade * fade) * c[_DT]
-            s[_INTEGRAL + axis] = min(max(integral, -c[_LIMIT + axis]), c[_LIMIT + axis])
+        runs = s[_HOLD_I] == 0.0 and not (lost > 1e-9 and error > 0.0) and not (lost < -1e-9 and error < 0.0)
+        fade = error / _INTEGRATOR_FADE_RADPS
+        grown = integral + c[_I + axis] * error * max(0.0, 1.0 - fade * fade) * c[_DT]
+        s[_INTEGRAL + axis] = min(max(grown, -c[_LIMIT + axis]), c[_LIMIT + axis]) if runs else integral
     allocate(mix, s[_TORQUE], s[_TORQUE + 1], s[_TORQUE + 2], s[_THRUST_SP], motors, s[_LOST : _LOST + 3])
     curve = c[_CURVE]
-    if curve > 1e-6:  # the command u whose curve f u^2 + (1 - f) u is the thrust wanted
+    if curved:  # the command u whose curve f u^2 + (1 - f) u is the thrust wanted
         for i in range(motors.shape[0]):
             linear = 1.0 - curve
             motors[i] = (math.sqrt(linear * linear + 4.0 * curve * motors[i]) - linear) / (2.0 * curve)
     for i in range(_ROTORS):  # the loop does not know, as PX4's doesn't (CA_FAILURE_MODE 0)
-        if c[_STOPPED + i] != 0.0:
-            motors[i] = 0.0
+        motors[i] = 0.0 if c[_STOPPED + i] != 0.0 else motors[i]
