@@ -74,8 +74,6 @@ class SelectionState:
     """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
     apart: Sequence[tuple[str, str]] = ()
     """Pairs of effects that these flights can't tell apart: never named together."""
-    lenient: bool = False
-    """Whether an effect may stand where its true value may lie though the flights would have it go beyond."""
     rope_m: float = 0.0
     """Length of the rope that was best with the present columns, 0 before any was looked for."""
 
@@ -90,17 +88,13 @@ class SelectionState:
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.excluded & set(fit.effects) and not self.at_bound(fit)
+            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
         as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
         fewest = min(len(key) for key in as_good)
         as_good = [key for key in as_good if key <= best or len(key) == fewest]
         return min(as_good, key=lambda key: (len(key), fair[key]))
-
-    def at_bound(self, fit: Fit) -> set[str]:
-        """Effects of a fit that stand for something else."""
-        return effects_at_bound(self.start, replace(fit, pressed=frozenset()) if self.lenient else fit)
 
 
 def effects_at_bound(start: Vehicle, fit: Fit) -> set[str]:
@@ -112,27 +106,20 @@ def effects_at_bound(start: Vehicle, fit: Fit) -> set[str]:
 def _exclude_at_bound(state: SelectionState) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
     fair = [fit for fit in state.fits.values() if not state.excluded & set(fit.effects)]
-    at_ends = state.at_bound(min(fair, key=lambda fit: fit.score))
+    at_ends = effects_at_bound(state.start, min(fair, key=lambda fit: fit.score))
     state.excluded |= at_ends
     return bool(at_ends)
 
 
 def search(
-    bench: Bench,
-    start: Vehicle,
-    apart: Sequence[tuple[str, str]] = (),
-    *,
-    steady: bool = False,
-    lenient: bool = True,
+    bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False
 ) -> SelectionState:
     """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together.
 
     `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
-    `lenient`: beside a file that is wrong in several numbers a straight curve seems more than straight at first, so
-    what stands at such an end is given up only if the flights would have it go beyond beside all else that was found.
     """
     point = linearise(bench, replace(start) if steady else start, start)  # only `start` itself is linearised as such
-    state = SelectionState(bench, start, point, metric_of(point), apart=apart, lenient=lenient)
+    state = SelectionState(bench, start, point, metric_of(point), apart=apart)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, [s for s in subsets if _allowed(state, s)])
@@ -150,8 +137,6 @@ def search(
         while _exclude_at_bound(state):
             _fit_all(state, _neighbours(state))
         _swap(state, swaps)
-    if lenient and effects_at_bound(start, state.best):
-        return search(bench, start, apart, steady=steady, lenient=False)
     return state
 
 
