@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.attack_flight import HARMLESS, Wire, _idle
 from benchmarks.attack_worlds import TICK_MS, World
 from benchmarks.fence_estimate import ErringEstimate, Truth
+from benchmarks.fence_worst import WorstForce
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, prepare
@@ -62,6 +63,9 @@ class Attack:
     turns: bool = False
     """Instead it is against the velocity until a way out is followed, and along it from then on: what the observer has
     seen is wrong by twice the force, just where braking leaves least to catch up with."""
+    knows: bool = False
+    """Instead as `turns`, but while a way out is followed it takes the course that a search of the model finds to drive
+    the loop furthest from that way, searched anew from the true state every 0.2 s."""
     errs: bool = False
     """The estimate errs by all that is declared of it, so that the nearest edge seems further away than it is."""
     reference: Any = None
@@ -211,6 +215,7 @@ class FenceFlight:
         self._down, self._up = (Wire(ms, world.jitter_ms, rng) for ms in (world.down_ms, world.up_ms))
         self._wind = np.random.default_rng([19, attack.seed])
         self._wind_until_s = 0.0
+        self._worst = WorstForce()
         self._begin()
 
     def _begin(self) -> None:
@@ -286,6 +291,8 @@ class FenceFlight:
             way, self._wind_until_s = vel / max(float(np.linalg.norm(vel)), 1e-6), time_s + 0.02
         elif self.attack.turns:
             way = self._turned_way(time_s)
+        elif self.attack.knows:
+            way, self._wind_until_s = self._worst.way(self, time_s), time_s + 0.01
         else:
             way = self._drawn_way(time_s)
         size = float(np.linalg.norm(self.world.wind_g))

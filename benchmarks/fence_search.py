@@ -1,0 +1,243 @@
+"""The force that drives the loop of a way out furthest from it: a search of the model, along its gradient.
+
+The loop north and east as `flightstack.site.backup.follow` closes it, with the snap that is sure (cut as the governor
+cuts it), the lean that thrust has, the rates that are let through and the lags of `flightstack.site.turning`.  The
+force, what no sensor shows of it and the errors of the estimate are vectors of any course within their bounds.  The
+distance from the way at some moment is driven up: a run, its adjoint, each input towards its bound where the adjoint
+points, again and again from some first courses.  For a linear loop that ends at the worst there is; for this one at the
+worst that was found.  Compiled.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.jit import njit, njit_called
+from flightstack.rows import ACC_E, ACC_N, VEL_E, VEL_N
+from flightstack.site import backup as b
+from flightstack.site.swing import asked, turn_towards
+from flightstack.site.tube import OBSERVER_S
+from flightstack.types import F64
+
+STEP_S = 0.01
+_STARTS, _ROUNDS = 6, 30
+_LEAST_SHARE, _LESS, _GAIN = 0.02, 0.4, 1.002
+"""First courses and steps of each; of a step to the bounds, the least that is tried, and how fast it shrinks; what a
+step has to gain to go on."""
+_STATE = 12
+"""Place, velocity, lean, its rate, its snap, what the observer saw: north and east of each."""
+_P, _V, _A, _J, _S, _O = range(0, _STATE, 2)
+_INPUTS = 8
+"""Force, what no sensor shows, errors of place and of velocity: north and east of each."""
+_SMALL = 1e-6
+_KICKED = 2
+_STILL_S = 2.0
+
+
+class Held(NamedTuple):
+    """What the loop has to turn with, and against what; as `flightstack.site.swing.Held`, with the other doubts."""
+
+    snap_mps4: float
+    lean_mps2: float
+    fastest_mps3: float
+    force_mps2: float
+    rest_mps2: float
+    eps_p_m: float
+    eps_v_mps: float
+
+
+class Loop(NamedTuple):
+    """Of the feedback."""
+
+    pole_ps: float
+    lag_s: float
+    rotors_s: float
+
+
+@njit
+def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None:
+    """What the snap goes to, (2,), within what there is."""
+    pole, late = loop[0], loop[1] + loop[2]
+    snap, lean, fastest = held[0], held[1], held[2]
+    north = pole * (at[2] - x[_V] - u[6]) + pole * pole / 3.0 * (at[0] - x[_P] - u[4])
+    east = pole * (at[3] - x[_V + 1] - u[7]) + pole * pole / 3.0 * (at[1] - x[_P + 1] - u[5])
+    share = asked(math.sqrt(north * north + east * east), pole, snap)
+    north, east = at[4] + share * north - x[_O], at[5] + share * east - x[_O + 1]
+    cut = min(1.0, lean / max(math.sqrt(north * north + east * east), 1e-9))
+    north, east = cut * north - x[_A], cut * east - x[_A + 1]
+    short = max(math.sqrt(north * north + east * east), 1e-9)
+    turn = min(turn_towards(short, pole, snap, late), fastest) / short
+    north, east = (at[6] + turn * north - x[_J]) / loop[1], (at[7] + turn * east - x[_J + 1]) / loop[1]
+    less = min(abs(north), abs(east))
+    if north * north + east * east > snap * snap:  # as the governor: each by the same size
+        most = max(snap / math.sqrt(2.0), math.sqrt(max(snap * snap - less * less, 0.0)))
+        north, east = min(max(north, -most), most), min(max(east, -most), most)
+    out[0], out[1] = north, east
+
+
+@njit
+def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
+    """From states[0] on, in steps of STEP_S."""
+    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[2])
+    for k in range(len(inputs)):
+        x, y, u = states[k], states[k + 1], inputs[k]
+        _snap_asked(x, u, way[k], loop, held, snap)
+        for i in range(2):
+            y[_S + i] = x[_S + i] + follows * (snap[i] - x[_S + i])
+            y[_O + i] = x[_O + i] + STEP_S / OBSERVER_S * (u[i] - x[_O + i])
+            y[_P + i] = x[_P + i] + STEP_S * x[_V + i]
+            y[_V + i] = x[_V + i] + STEP_S * (x[_A + i] + u[i] + u[2 + i])
+            y[_A + i] = x[_A + i] + STEP_S * x[_J + i]
+            y[_J + i] = x[_J + i] + STEP_S * y[_S + i]
+
+
+@njit
+def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F64, uphill: F64) -> F64:
+    """The gradient of the place along `toward` (2,) after the last row of `uphill`, by each input there into it (n, 8),
+    and by the first state, returned (12,): backwards in time."""
+    follows, seen = 1.0 - math.exp(-STEP_S / loop[2]), STEP_S / OBSERVER_S
+    g, here, there, at = np.zeros(_STATE), np.empty(2), np.empty(2), np.empty(_STATE)
+    g[_P], g[_P + 1] = toward[0], toward[1]
+    by_snap = np.empty(2)
+    for k in range(len(uphill) - 1, -1, -1):
+        x, u = states[k], inputs[k]
+        _snap_asked(x, u, way[k], loop, held, here)
+        for i in range(2):
+            by_snap[i] = follows * (g[_S + i] + STEP_S * g[_J + i])
+            uphill[k, i] = STEP_S * g[_V + i] + seen * g[_O + i]
+            uphill[k, 2 + i] = STEP_S * g[_V + i]
+            g[_S + i] = (1.0 - follows) * (g[_S + i] + STEP_S * g[_J + i])
+            g[_J + i] += STEP_S * g[_A + i]
+            g[_A + i] += STEP_S * g[_V + i]
+            g[_V + i] += STEP_S * g[_P + i]
+            g[_O + i] *= 1.0 - seen
+        at[:] = x
+        for i in range(_STATE):
+            if i == _S or i == _S + 1:
+                continue
+            at[i] = x[i] + _SMALL
+            _snap_asked(at, u, way[k], loop, held, there)
+            at[i] = x[i]
+            change = (by_snap[0] * (there[0] - here[0]) + by_snap[1] * (there[1] - here[1])) / _SMALL
+            g[i] += change
+            if i < _A:  # an error of the estimate is felt as that of the state
+                uphill[k, 4 + i] = change
+    return g
+
+
+@njit
+def _to_bound(g: F64, most: float, out: F64) -> None:
+    """The vector (2,) of that size along g."""
+    size = math.sqrt(g[0] * g[0] + g[1] * g[1])
+    if size > 1e-12:
+        out[0], out[1] = most * g[0] / size, most * g[1] / size
+
+
+@njit
+def _begin(way: F64, first: F64, here: F64, start: F64) -> None:
+    """The state at first: `here` (12,), or on the way's first point; first: what the observer saw, errors of place and
+    velocity (2 each)."""
+    if not math.isnan(here[0]):
+        start[:] = here
+        return
+    for i in range(2):
+        start[_P + i], start[_V + i] = way[0, i] + first[2 + i], way[0, 2 + i] + first[4 + i]
+        start[_A + i], start[_J + i] = way[0, 4 + i] - first[i], way[0, 6 + i]
+        start[_S + i], start[_O + i] = 0.0, first[i]
+
+
+@njit
+def _course(kind: int, drawn: F64, steps: int, most: F64, inputs: F64, first: F64) -> None:
+    """A first course: along a direction, or against it until a moment; drawn (2,): 0 to 1."""
+    angle = math.pi * kind if kind < _KICKED else 0.25 * math.pi * int(8.0 * drawn[0])
+    turned = 0 if kind < _KICKED else int(0.8 * steps * drawn[1])
+    for i in range(2):
+        along = math.cos(angle) if i == 0 else math.sin(angle)
+        first[i], first[2 + i], first[4 + i] = -most[0] * along, most[2] * along, most[3] * along
+        for k in range(len(inputs)):
+            sign = 1.0 if k >= turned else -1.0
+            inputs[k, i], inputs[k, 2 + i] = sign * most[0] * along, sign * most[1] * along
+            inputs[k, 4 + i], inputs[k, 6 + i] = -most[2] * along, -most[3] * along
+
+
+@njit
+def _away(
+    way: F64, inputs: F64, first: F64, here: F64, loop: F64, held: F64, states: F64, toward: F64
+) -> float:  # fmt: skip
+    """How far from the way a course ends, and which way, into `toward` (2,)."""
+    last = len(inputs)
+    _begin(way, first, here, states[0])
+    _run(way, inputs, loop, held, states)
+    for i in range(2):
+        toward[i] = states[last, i] - way[min(last, len(way) - 1), i]
+    away = math.sqrt(toward[0] ** 2 + toward[1] ** 2)
+    for i in range(2):
+        toward[i] /= max(away, 1e-9)
+    return away
+
+
+@njit_called
+def swing(
+    way: F64, loop: F64, held: F64, here: F64, steps: F64, drawn: F64, out: F64, course: F64
+) -> None:  # fmt: skip
+    """The greatest distance from a way that is found at each of some steps, into `out`; drawn (steps, first courses,
+    2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
+
+    way (n, 8): place, velocity, acceleration, rate of turning asked for (north and east of each)."""
+    n, most = len(way), held[3:7]
+    states, toward, best = np.zeros((n + 1, _STATE)), np.zeros(2), np.zeros(2)
+    inputs, bounds, tried = np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS))
+    first, ends, begun = np.zeros(6), np.zeros(6), np.zeros(6)
+    for m in range(len(steps)):
+        last = int(steps[m])
+        for kind in range(_STARTS):
+            _course(kind, drawn[m, kind], last, most, inputs, first)
+            away, share = _away(way, inputs[:last], first, here, loop, held, states, best), 0.0
+            for _ in range(_ROUNDS):
+                if share < _LEAST_SHARE:  # uphill from here
+                    if share > 0.0:
+                        break
+                    g = _climbed(way, inputs, loop, held, states, best, bounds[:last])
+                    for k in range(last):
+                        for at in range(0, _INPUTS, 2):
+                            _to_bound(bounds[k, at : at + 2], most[at // 2], bounds[k, at : at + 2])
+                    _to_bound(g[_O : _O + 2] - g[_A : _A + 2], most[0], ends[:2])
+                    _to_bound(g[_P : _P + 2], most[2], ends[2:4])
+                    _to_bound(g[_V : _V + 2], most[3], ends[4:6])
+                    share = 1.0
+                tried[:last] = (1.0 - share) * inputs[:last] + share * bounds[:last]
+                begun[:] = (1.0 - share) * first + share * ends
+                found = _away(way, tried[:last], begun, here, loop, held, states, toward)
+                if found > away:
+                    is_done = found < _GAIN * away
+                    away, share, best[:] = found, 0.0, toward
+                    inputs[:last], first[:] = tried[:last], begun
+                    if is_done:
+                        break
+                else:
+                    share *= _LESS
+            if away > out[m]:
+                out[m] = away
+                course[:last] = inputs[:last]
+
+
+def course_of(points: F64) -> F64:
+    """(n, 8) of `swing`: a way out (`backup.roll`), at rest at its end."""
+    t = np.arange(0.0, b.STEP_S * (len(points) - 1) + 1e-9, STEP_S)
+    columns, at = [0, 1, VEL_N, VEL_E, ACC_N, ACC_E, 11, 12], b.STEP_S * np.arange(len(points))
+    way: F64 = np.stack([np.interp(t, at, points[:, column]) for column in columns], axis=1)
+    still = np.concatenate([way[-1, :2], np.zeros(6)])
+    return np.vstack([way, np.tile(still, (round(_STILL_S / STEP_S), 1))])
+
+
+def worst(loop: Loop, held: Held, way: F64, until_s: float, here: F64 | None = None) -> tuple[float, F64]:
+    """How far from a way (n, 8) it is driven by then, and (k, 2) the force that does it, m/s^2, in steps of STEP_S;
+    from a state (12,), else from the worst one at the way's beginning."""
+    here = np.full(_STATE, np.nan) if here is None else here
+    steps, found = np.array([min(float(round(until_s / STEP_S)), float(len(way)))]), np.zeros(1)
+    drawn, course = np.random.default_rng(1).uniform(size=(1, _STARTS, 2)), np.zeros((len(way), _INPUTS))
+    swing(way, np.array(loop), np.array(held), here, steps, drawn, found, course)
+    return float(found[0]), course[: int(steps[0]), :2]
