@@ -11,7 +11,7 @@ endif
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-recorded gap-rotorpy gap-rough help house mutants paper px4 replay same screenshots test tune
+.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots test tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -47,6 +47,8 @@ help:
 	@echo "make campaign-fence     flights in random sites against adversaries: docs/site.md; goes on where it was cut off, MINUTES=60 bounds it"
 	@echo "make close-gap          fly a hidden load, gap on the log, fly again with the corrected file: docs/gap.md"
 	@echo "make gap-recorded       the gap workflow on recorded flights whose answer is known: docs/gap.md"
+	@echo "make gap-frozen         24 drawn flights whose verdicts no commit may change unsaid: docs/gap.md"
+	@echo "make gap-sensitivity    every decision of the gap workflow at half and one and a half times its value (an hour): docs/gap.md"
 	@echo "make gap-rotorpy        the gap workflow on flights of RotorPy, another simulator: docs/gap.md"
 	@echo "make gap-blind          some 650 blind cases of the gap workflow: docs/gap.md; runs accumulate (gap-blind-quick: one of each)"
 	@echo "make clean        remove the environment and all caches"
@@ -211,6 +213,14 @@ close-gap: $(BIN)/.installed
 
 gap-recorded: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_recorded
+
+gap-frozen: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_frozen
+
+gap-sensitivity: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.gap_sensitivity trace 60
+	$(BIN)/python -m benchmarks.gap_sensitivity run 120
+	$(BIN)/python -m benchmarks.gap_sensitivity keep
 
 gap-rotorpy: $(BIN)/.installed-bench
 	$(BIN)/python -m benchmarks.gap_rotorpy

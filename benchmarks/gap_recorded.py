@@ -136,15 +136,15 @@ def late_s(result: GapResult) -> float | None:
 
 def lift(result: GapResult) -> str:
     """By how much the lift's residual falls on held-out data."""
-    return _fall(result, slice(2, 3))
+    return _chi2_decrease(result, slice(2, 3))
 
 
 def lateral(result: GapResult) -> str:
     """By how much the side force's residual falls on held-out data."""
-    return _fall(result, slice(0, 2))
+    return _chi2_decrease(result, slice(0, 2))
 
 
-def _fall(result: GapResult, channels: slice) -> str:
+def _chi2_decrease(result: GapResult, channels: slice) -> str:
     trace = result.report.traces[0]
     held = np.zeros(len(trace.t_s), bool)
     for first, last in trace.held_out_s:

@@ -47,6 +47,8 @@ def meaning(source: str) -> str:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "decide":
+            del node.args[1:]  # a decision's unit, reason and measured sensitivity are no rules
     return ast.dump(tree)
 
 

@@ -11,6 +11,8 @@ import tokenize
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.gap_walk import counts, walk
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("flightstack", "sim/flightstack_sim", "mavlink_bridge", "logs/flightstack_logs", "paper/flightstack_paper")
 LONG_FILE, LONG_FUNCTION, MANY_PARAMETERS, LARGE_INDEX = 400, 60, 8, 2
@@ -27,6 +29,23 @@ def code_lines(source: str, tree: ast.Module) -> int:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             lines.difference_update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     return len(lines)
+
+
+def gap_numbers() -> tuple[int, int]:
+    """Rows of the table of decisions, and the other names of modules in `gap/` whose value holds a number."""
+    decisions = others = 0
+    for path in sorted((ROOT / "flightstack/gap").rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+                continue
+            if isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "decide":
+                decisions += 1
+                continue
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            values = [each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)]
+            if any(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+                others += len(target.elts) if isinstance(target, ast.Tuple) else 1
+    return decisions, others
 
 
 def main() -> None:
@@ -71,6 +90,9 @@ def main() -> None:
         for line in found:
             print(f"  {line}")
     print(f"\nliteral subscripts above {LARGE_INDEX}: {indices}")
+    decisions, others = gap_numbers()
+    print(f"\nnumbers with a name in flightstack/gap: {decisions} decisions, {others} of physics, formats and numerics")
+    print(counts(walk()))
 
 
 if __name__ == "__main__":

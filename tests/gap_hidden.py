@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from flightstack.gap.name import Naming, name
+from flightstack.gap.name import Selection, name
 from flightstack.gap.records import Samples
 from flightstack.vehicle import Vehicle, parse_vehicle, with_effects
 from tests.gap_batch import fly
@@ -60,7 +60,7 @@ def flights() -> dict[str, Samples]:
     return dict(zip(("", *HIDDEN), fly(believed(), hidden, seconds=SECONDS), strict=True))
 
 
-def named(samples: Samples) -> Naming:
+def named(samples: Samples) -> Selection:
     """The verdict, the last fifth held out."""
     at = samples.t_s - samples.t_s[0]
     return name(believed(), [samples], [at < 0.78 * SECONDS], [at > 0.82 * SECONDS])

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flightstack.gap.decisions import RARE_P
 from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.estimate import (
     CI,
@@ -27,8 +28,6 @@ from flightstack.gap.records import Across, Estimate
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
 
-_NOT_THE_SAME_P = 1e-3
-"""Of a parameter's being the same in each flight, a tenth allowed already."""
 _FEWEST_ROWS = 10
 """For each coefficient."""
 
@@ -67,7 +66,7 @@ def across(start: Vehicle, vehicle: Vehicle, told: Mapping[str, Told]) -> tuple[
         variance = np.array([[(0.5 * (e.high - e.low) / CI) ** 2] for e in mine.values()])
         now = np.array([value(vehicle, effect, parameter)])
         p_value = float(same(theta, variance, variation(start, vehicle, [slot], now))[0][0])
-        out.append(Across(effect, parameter, p_value, p_value >= _NOT_THE_SAME_P, tuple(mine.items())))
+        out.append(Across(effect, parameter, p_value, p_value >= RARE_P, tuple(mine.items())))
     return tuple(out)
 
 

@@ -26,7 +26,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ParameterChange:
     """One number of the companion's model that the correction changes."""
 
     name: str
@@ -39,7 +39,7 @@ class Taken:
 class ControllerModelUpdate:
     """What the companion makes of a corrected vehicle."""
 
-    takes: tuple[Taken, ...]
+    takes: tuple[ParameterChange, ...]
     left_to_learner: tuple[str, ...]
     """Effects of the corrected file that its model can't express."""
 
@@ -50,9 +50,9 @@ def companion(believed: Vehicle, corrected: Vehicle) -> ControllerModelUpdate:
     InputError where the corrected vehicle can't carry itself: the companion would refuse it.
     """
     before, after = Model.from_vehicle(believed), Model.from_vehicle(corrected)
-    takes = [Taken(name, unit, getattr(before, name), getattr(after, name)) for name, unit in _FIELDS.items()]
+    takes = [ParameterChange(name, unit, getattr(before, name), getattr(after, name)) for name, unit in _FIELDS.items()]
     takes += [
-        Taken(f"drag_{axis}_kgps", "kg/s", old, new)
+        ParameterChange(f"drag_{axis}_kgps", "kg/s", old, new)
         for axis, old, new in zip(_AXES, before.drag_kgps, after.drag_kgps, strict=True)
     ]
     return ControllerModelUpdate(tuple(each for each in takes if each.before != each.after), after.left_to_learner)

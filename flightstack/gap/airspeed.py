@@ -16,24 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.compare import rollout_starts
+from flightstack.gap.decisions import MOVED, SLOW_ERROR_S
 from flightstack.gap.records import Samples
-from flightstack.gap.rollouts import rollout
-from flightstack.gap.run import Run, params_row
+from flightstack.gap.rollouts import WINDOW_S, rollout
+from flightstack.gap.run import ModelEvaluation, params_row
 from flightstack.gap.track import COLUMNS, track
-from flightstack.gap.windows import WINDOW_S
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate, rotate_inverse
 
 DRAGS = frozenset({"linear_drag", "rotor_drag", "parasitic_drag"})
-MOVED = 3.0
-"""Times its own error (one standard deviation) that a level velocity must vary for a drag to be told.
-
-Least squares on a noisy velocity find a drag too small by the noise's share of its variance: here a tenth.
-"""
 _BY_AIR = DRAGS | {"induced_inflow"}
-_ALIKE_S = 12.0
-"""For so long an estimator's slow error stays much the same."""
 _STILL_MPS = 0.01
 """A mean error that intervals need not hold."""
 _NONE = 0.01
@@ -58,7 +51,7 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
     if not error > 0.0:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = Run(p, flight).shown(p)
+    base = ModelEvaluation(p, flight).shown(p)
     for axis, of in enumerate(power.tolist()):
         share = min(error / max(of, 1e-12), 1.0)
         if share < _NONE:
@@ -66,14 +59,14 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
         less = np.zeros_like(body)
         less[:, axis] = share * body[:, axis]
         expected = replace(flight, vel_ned_mps=flight.vel_ned_mps - rotate(flight.q_ned_frd, less))
-        out[:, :, axis] = flight.lowpass(Run(p, expected).shown(p) - base)
+        out[:, :, axis] = flight.lowpass(ModelEvaluation(p, expected).shown(p) - base)
     return out
 
 
 def offset(samples: Samples, mask: NDArray[np.bool_]) -> F64:
     """(3,) NED standard deviation of the velocity's mean error over these samples; 0 where nothing says."""
     length_s = max(float(mask.sum()) * samples.dt_s, 1e-9)
-    return np.asarray(track(samples).vel_std_mps * min(1.0, (_ALIKE_S / length_s) ** 0.5))
+    return np.asarray(track(samples).vel_std_mps * min(1.0, (SLOW_ERROR_S / length_s) ** 0.5))
 
 
 def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
@@ -83,10 +76,10 @@ def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
     if not vehicle.effects.keys() & _BY_AIR or np.max(offset(samples, samples.valid)) < _STILL_MPS:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = Run(p, flight).shown(p)
+    base = ModelEvaluation(p, flight).shown(p)
     for axis in range(3):
         moved = replace(flight, vel_ned_mps=flight.vel_ned_mps + np.eye(3)[axis])
-        out[:, :, axis] = flight.lowpass(Run(p, moved).shown(p) - base)
+        out[:, :, axis] = flight.lowpass(ModelEvaluation(p, moved).shown(p) - base)
     return out
 
 

@@ -17,45 +17,38 @@ from scipy.special import chdtrc
 from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.classes import splitting_manoeuvre, together
+from flightstack.gap.decisions import CHANCE_P, MOSTLY, NOT_WORSE, RARE_P
 from flightstack.gap.gusts import Gusts, as_found, gusts
 from flightstack.gap.held import far_from_noise, upright
-from flightstack.gap.name import Naming
+from flightstack.gap.name import Selection
 from flightstack.gap.naming.estimate import CI
-from flightstack.gap.pooled import Split
-from flightstack.gap.records import Estimate, Found, Gap, Unexplained
-from flightstack.gap.simulate import Knob, knobs, value, with_value
+from flightstack.gap.pooled import FitHoldoutSplit
+from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Unexplained
+from flightstack.gap.simulate import FreeParameter, free_parameters, value, with_value
 from flightstack.gap.verdict import ONE_STEP, gap_of, is_open
 from flightstack.vehicle import Vehicle
 
-_LEAST_P = 1e-3
-"""Of there being no such effect, gusts being what they are: an effect that the search found, so no further chances."""
-_MAY_BE_P = 0.05
-"""Below this a wind that is not named is what the gusts' mean can't be told from."""
-_NO_GUSTS = 0.9
-"""Share of what is left of the turning that is not noise, from which no gusts are looked for."""
-_MEANS = ("constant_force",)
-"""What the mean of gusts may be taken for; a wind is looked for in its place."""
 _WIND = "steady_wind"
+_FORCE = "constant_force"
+"""Through a drag that is the same on every axis a wind is one: where the gusts leave both open, they are twins."""
 _LOAD = "payload"
 """What a wind that blows up or down may be, and its twins."""
 _LOADS = ("thrust_scale", "constant_force")
-_WORSE = 1.05
-"""Times what the names leave of a figure without gusts: beyond, the names fitted beside gusts are others."""
 
 
-def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Gap]:
+def with_turbulence(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap) -> tuple[Selection, Gap]:
     """Turbulence where it explains what is left of the force, and the names that hold beside it."""
     if not is_open(gap) or "turbulence" in vehicle.effects or not naming.can_be_fitted:
         return naming, gap
     if far_from_noise(
-        gap, ONE_STEP[1:], _NO_GUSTS
+        gap, ONE_STEP[1:], MOSTLY
     ):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
-    back = [f for f in naming.proposed if f.name not in {*held, *_MEANS, _WIND} and _is_force(f)]
+    back = [f for f in naming.proposed if f.name not in {*held, _WIND} and _is_force(f)]
     kept = [f for f in naming.found if f.name != _WIND]
-    wind = [] if held & set(_MEANS) else [_proposed(vehicle, naming, _WIND)]
-    told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)})
+    wind = [_proposed(vehicle, naming, _WIND)]
+    told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)} | ({_FORCE} & held))
     if told is None and back:  # what was taken back may stand for gusts itself
         told = _beside(vehicle, naming, of, [*kept, *wind], {f.name for f in wind})
     if told is not None and any(upright(f) for f in told[0].found) and not held & {_LOAD, *_LOADS}:
@@ -83,36 +76,44 @@ def with_turbulence(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tu
 
 
 def _beside(
-    vehicle: Vehicle, naming: Naming, of: Split, found: list[Found], tested: set[str]
-) -> tuple[Naming, Gusts, tuple[str, ...]] | None:
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, found: list[IdentifiedEffect], tested: set[str]
+) -> tuple[Selection, Gusts, tuple[str, ...]] | None:
     """The names that hold beside gusts, the gusts, and what their mean can't be told from; None if there are none.
 
     Of the `tested` the least certain goes first, and the others are fitted again without it.
     """
     masks = [s.valid for s in of.flights]
     unsure: Gusts | None = None
+    alike: dict[str, str] = {}
     while True:
         named = naming.with_only(found)
-        turned = [knob for f in found for knob in knobs(f.name, _whole(f))]
+        turned = [knob for f in found for knob in free_parameters(f.name, _whole(f))]
         blown = gusts(named.vehicle, of.flights, masks, turned)
         if blown is None or not blown.named:
             return None
         chance = {f.name: _chance(vehicle, named.vehicle, f, turned, blown) for f in found if f.name in tested}
         worst = max(chance, key=lambda name: chance[name], default="")
-        if not worst or chance[worst] <= _LEAST_P:
+        if not worst or chance[worst] <= RARE_P:
             break
-        if worst == _WIND and chance[worst] < _MAY_BE_P:
+        if {_WIND, _FORCE} <= {name for name, p in chance.items() if p > RARE_P}:
+            alike = {_WIND: _FORCE, _FORCE: _WIND}
+        if worst == _WIND and chance[worst] < CHANCE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
-    slow = [f for f in named.found if f.name in (_WIND, *_MEANS) or f.name in tested & {_LOAD}]
+    slow = [f for f in named.found if f.name in (_WIND, _FORCE) or f.name in tested & {_LOAD}]
     for f in slow:
         named = _by_gusts(vehicle, named, f, turned, blown)
+    if len(both := {f.name for f in slow} & alike.keys()) == 1:
+        (one,) = both
+        named = named.with_twins(one, (alike[one],))
     if unsure is not None:
         return named, replace(blown, sigma_mps=unsure.sigma_mps, length_m=unsure.length_m), (_WIND,)
     return named, blown, ()
 
 
-def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> float:
+def _chance(
+    vehicle: Vehicle, at: Vehicle, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> float:
     """Probability of the flights if this effect were as the file has it, gusts being what they are (Wald's test)."""
     count, statistic = _wald(vehicle, at, found, turned, blown)
     if not count:
@@ -120,7 +121,9 @@ def _chance(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob],
     return float(chdtrc(count, statistic))
 
 
-def _wald(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], blown: Gusts) -> tuple[int, float]:
+def _wald(
+    vehicle: Vehicle, at: Vehicle, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> tuple[int, float]:
     """How many parameters of the effect the force shows, and their squared distance from the file's in errors."""
     mine = [k for k, knob in enumerate(turned) if knob.effect == found.name and blown.covariance[k, k] > 0.0]
     if not mine:
@@ -133,7 +136,9 @@ def _wald(vehicle: Vehicle, at: Vehicle, found: Found, turned: Sequence[Knob], b
     return len(mine), float((off / size) @ scaled @ (off / size))
 
 
-def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[Knob], blown: Gusts) -> Naming:
+def _by_gusts(
+    vehicle: Vehicle, naming: Selection, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
+) -> Selection:
     """The verdict with this effect's parameters as they are beside gusts."""
     parameters: dict[str, Estimate] = {}
     for k, knob in enumerate(turned):
@@ -152,22 +157,22 @@ def _by_gusts(vehicle: Vehicle, naming: Naming, found: Found, turned: Sequence[K
 
 
 def _is_worse(now: float | None, was: float | None) -> bool:
-    return now is not None and was is not None and now > _WORSE * was
+    return now is not None and was is not None and now > NOT_WORSE * was
 
 
-def _proposed(vehicle: Vehicle, naming: Naming, effect: str) -> Found:
+def _proposed(vehicle: Vehicle, naming: Selection, effect: str) -> IdentifiedEffect:
     """The effect as it was found, or as the file has it; a load is nothing that a thrust or a force is not."""
     for f in (*naming.found, *naming.proposed):
         if f.name == effect:
             return f
-    own = {knob.parameter: value(vehicle, effect, knob.parameter) for knob in knobs(effect)}
-    made = Found(effect, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
+    own = {knob.parameter: value(vehicle, effect, knob.parameter) for knob in free_parameters(effect)}
+    made = IdentifiedEffect(effect, {p: Estimate(x, x, x, x) for p, x in own.items()}, 0.0, float("nan"), 1.0)
     return together(made, _LOADS) if effect == _LOAD else made
 
 
-def _whole(found: Found) -> dict[str, float]:
+def _whole(found: IdentifiedEffect) -> dict[str, float]:
     return {p.name: found.parameters[p.name].estimate for p in EFFECTS[found.name].params if p.integer}
 
 
-def _is_force(found: Found) -> bool:
+def _is_force(found: IdentifiedEffect) -> bool:
     return EFFECTS[found.name].kind == "force"

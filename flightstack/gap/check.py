@@ -13,21 +13,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.gap.checks import contact, conventions, quality, speeds, stopped
-from flightstack.gap.checks.clocks import LEAST_S, SHORT_S, judge_rates, settle_clocks
-from flightstack.gap.checks.flying import CLEAR_M
+from flightstack.gap.checks import conventions, quality, speeds
+from flightstack.gap.checks.clocks import judge_rates, settle_clocks
+from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
-from flightstack.gap.checks.say import how_to_record, ok, refused, warning
-from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal
+from flightstack.gap.decisions import CLEAR_M, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
+from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal, how_to_record, ok, refused, warning
 from flightstack.vehicle import Vehicle
 
 _GROUND_OFF_M = {"mcap": 0.05, "ulog": 0.05, "dataflash": 0.3, "tlog": 0.3}
 """Logs whose heights are an autopilot's own, and from which distance the ground is not at its frame's origin: in the
 last two heights and landing are told so rarely that 0.1 m may be a touch."""
-_STOOD_S = 10.0
-"""What is looked at before take-off."""
 _MISSED = {
     "q_ned_frd": "attitude: drag and wind can't be told",
     "rate_frd_radps": "body rates: they come from the attitude",
@@ -69,9 +67,9 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     if samples is None:
         findings.append(_not_flying(flight.kind))
         return Checked(read, None, tuple(findings), offsets)
-    samples, more = contact.leave_out(samples, vehicle, contact.standing_m(signals, vehicle, span, ground_d_m))
+    samples, more = exclude_ground_contact(samples, vehicle, standing_m(signals, vehicle, span, ground_d_m))
     findings += more
-    samples, more = stopped.leave_out(samples, vehicle)
+    samples, more = exclude_stopped_rotors(samples, vehicle)
     findings += more
     if not samples.valid.any():
         findings.append(_not_flying(flight.kind))
@@ -83,9 +81,11 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         else:
             findings += judge_vehicle(samples, vehicle)
     seconds = float(np.sum(samples.valid)) * samples.dt_s
-    if seconds < LEAST_S:
-        findings.append(refused("flight", f"only {seconds:.3g} s in the air; it takes {LEAST_S:.0f}, better a minute"))
-    elif seconds < SHORT_S:
+    if seconds < LEAST_FLIGHT_S:
+        findings.append(
+            refused("flight", f"only {seconds:.3g} s in the air; it takes {LEAST_FLIGHT_S:.0f}, better a minute")
+        )
+    elif seconds < SHORT_FLIGHT_S:
         findings.append(warning("flight", f"only {seconds:.3g} s in the air; little can be told apart"))
     else:
         findings.append(ok("flight", f"{seconds:.1f} s in the air"))
@@ -135,7 +135,7 @@ def _ground(kind: str, signals: Mapping[str, Signal], ground_d_m: float, finding
     up = np.flatnonzero(~stands)
     if not len(up):
         return ground_d_m
-    stood = stands & (position.t_s < position.t_s[up[0]]) & (position.t_s > position.t_s[up[0]] - _STOOD_S)
+    stood = stands & (position.t_s < position.t_s[up[0]]) & (position.t_s > position.t_s[up[0]] - STOOD_S)
     if stood.sum() >= 10:
         down = float(np.median(position.value[stood, 2]))
         if abs(down) > _GROUND_OFF_M[kind]:

@@ -12,30 +12,27 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.airspeed import moves
+from flightstack.gap.decisions import ALIKE_EVIDENCE, ALIKE_SHARE, HALF
 from flightstack.gap.naming.evidence import fit_subsets, score
-from flightstack.gap.naming.search import ALIKE, Fit, SelectionState, fit_subset, members
-from flightstack.gap.records import Found, Samples
+from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, members
+from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.track import track
 from flightstack.types import STANDARD_GRAVITY_MPS2
 
-_ALIKE_SHARE = 0.002
-"""Share of what the effect explains that a good model may miss anyway."""
 _TRIED = 4
-_HELD_UP = 0.5
-"""Share of what a named payload weighs, or a thrust scale takes, from which a force against it is no force."""
 
 
 def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ...]:
     """Effects that would explain the flights as well in this one's place, closest first."""
     point = state.point
     base = [m for m in members(point.candidates, best.effects) if point.candidates[m].effect != effect]
-    barred = state.barred | set(best.effects)
-    others = [m for m, c in enumerate(point.candidates) if c.effect not in barred]
+    excluded = state.excluded | set(best.effects)
+    others = [m for m, c in enumerate(point.candidates) if c.effect not in excluded]
     gram = point.gram()
     subsets = [tuple(sorted((*base, m))) for m in others]
     fitted = fit_subsets(gram, [tuple(base), *subsets], point.columns, point.low, point.high)
     explained = max(gram.c - fitted[0].gain - best.chi2, 0.0)
-    bearable = ALIKE + _ALIKE_SHARE * explained
+    bearable = ALIKE_EVIDENCE + ALIKE_SHARE * explained
     count = len(point.candidates)
     scored = sorted(
         (gram.c + float(score(-0.0, s.used, len(s.members), gram.rows, count)) - s.gain, i)
@@ -47,7 +44,7 @@ def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ..
     for fit in state.fits.values():  # to first order alike, what was fitted already may lie where no line leads to
         if len(fit.effects) == len(best.effects) and rest < set(fit.effects) and fit.score - best.score < bearable:
             (name,) = set(fit.effects) - rest
-            if name not in barred:
+            if name not in excluded:
                 found[name] = min(found.get(name, np.inf), fit.score)
     for value, i in scored[:_TRIED]:
         if value > best.score + 3.0 * bearable + 0.05 * explained:
@@ -73,7 +70,7 @@ def poorly_told(effects: Collection[str]) -> set[str]:
     return {e for pair in POORLY_TOLD if set(pair) & set(effects) for e in pair} - set(effects)
 
 
-def beside_a_poor_model(found: Found) -> Found:
+def beside_a_poor_model(found: IdentifiedEffect) -> IdentifiedEffect:
     """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
     for effects in POORLY_TOLD:
         found = together(found, effects) if found.name in effects else found
@@ -82,7 +79,7 @@ def beside_a_poor_model(found: Found) -> Found:
     )  # drag above the centre of mass
 
 
-def confused_with(gone: Collection[Found]) -> set[str]:
+def confused_with(gone: Collection[IdentifiedEffect]) -> set[str]:
     """What these names may have stood for: their twins, and what a manoeuvre is told for that splits them."""
     names = {f.name for f in gone}
     groups = (group for group, _ in _SPLITS if group & names)
@@ -99,7 +96,7 @@ def without_motors(flights: Sequence[Samples]) -> bool:
     return all("motor" in track(s).missing for s in flights)
 
 
-def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Found, ...]:
+def in_classes(found: tuple[IdentifiedEffect, ...], flights: Sequence[Samples]) -> tuple[IdentifiedEffect, ...]:
     """The named effects of these flights: without a gyro their classes are those of a poor model.
 
     Without motors no drag's order is told: how the rotors' speed goes with the air's is what parts them.  Nor is a drag
@@ -114,11 +111,11 @@ def in_classes(found: tuple[Found, ...], flights: Sequence[Samples]) -> tuple[Fo
     return found
 
 
-def _braked(found: Found) -> tuple[str, ...]:
+def _braked(found: IdentifiedEffect) -> tuple[str, ...]:
     return ("payload",) if any(e.before > 0.0 for e in found.parameters.values()) else ()
 
 
-def together(found: Found, others: tuple[str, ...]) -> Found:
+def together(found: IdentifiedEffect, others: tuple[str, ...]) -> IdentifiedEffect:
     """The effect with all of these as its twins."""
     twins = tuple(dict.fromkeys((*found.indistinguishable_from, *(e for e in others if e != found.name))))
     if twins == found.indistinguishable_from:
@@ -126,7 +123,7 @@ def together(found: Found, others: tuple[str, ...]) -> Found:
     return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
-def doubled(found: Sequence[Found], mass_kg: float) -> tuple[str, ...]:
+def doubled(found: Sequence[IdentifiedEffect], mass_kg: float) -> tuple[str, ...]:
     """Named effects (strongest first) that the logs can't tell from a stronger one that is named too.
 
     A force that holds up more than half of what a named payload weighs or a named thrust scale takes (or pulls down
@@ -145,7 +142,7 @@ def doubled(found: Sequence[Found], mass_kg: float) -> tuple[str, ...]:
         lost = 1.0 - of["thrust_scale"]["scale"].estimate if "thrust_scale" in of else 0.0
         weight_n = STANDARD_GRAVITY_MPS2 * (carried_kg + lost * mass_kg)
         down_n = of["constant_force"]["down_n"].estimate
-        gone += ["constant_force"] if -down_n * np.sign(weight_n) > _HELD_UP * abs(weight_n) else []
+        gone += ["constant_force"] if -down_n * np.sign(weight_n) > HALF * abs(weight_n) else []
     return tuple(dict.fromkeys(gone))
 
 

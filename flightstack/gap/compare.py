@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.effects import accelerometer_bias, gyro_bias
-from flightstack.gap.checks.noise import white_noise
-from flightstack.gap.filters import spectrum
+from flightstack.gap.filters import spectrum, white_noise
 from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
-from flightstack.gap.run import Run, params_row, true_attitude
-from flightstack.gap.simulate import disagreement
+from flightstack.gap.run import ModelEvaluation, params_row, true_attitude
+from flightstack.gap.simulate import prediction_error
 from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -48,7 +47,7 @@ _KNOWN: dict[tuple[int, int], tuple[Vehicle, Samples, Residual]] = {}
 
 def _residual(vehicle: Vehicle, samples: Samples) -> Residual:
     flight = track(samples)
-    y, raw = disagreement(vehicle, samples)
+    y, raw = prediction_error(vehicle, samples)
     y[~flight.usable] = np.nan
     noise = _noise_of(raw, samples, flight.usable)
     if flight.usable.any():
@@ -86,7 +85,7 @@ def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) 
     force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).  Where that
     band shows clearly less than the samples' differences say, those hold vibration above the cutoff: the band counts.
     """
-    return _noise_of(disagreement(vehicle, samples)[1], samples, mask)
+    return _noise_of(prediction_error(vehicle, samples)[1], samples, mask)
 
 
 def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
@@ -189,10 +188,10 @@ def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:
     if not flight.vel_std_mps.any():
         return total
     p = params_row(vehicle, flight.step_s)
-    base = Run(p, flight).shown(p)
+    base = ModelEvaluation(p, flight).shown(p)
     for axis in range(3):
         moved = flight.vel_ned_mps + flight.vel_std_mps[axis] * np.eye(3)[axis]
-        change = Run(p, replace(flight, vel_ned_mps=moved)).shown(p) - base
+        change = ModelEvaluation(p, replace(flight, vel_ned_mps=moved)).shown(p) - base
         total += np.mean(change**2, axis=0)
     return np.sqrt(total)
 

@@ -2,6 +2,7 @@
 
 Filters are second-order Butterworth ones, as sections b0, b1, b2, 1, a1, a2 in a row (Oppenheim, Schafer: Discrete-Time
 Signal Processing, bilinear transform); spectra are Welch's with Hann windows that overlap by half.
+The white noise of a signal is told by its own samples.
 """
 
 from __future__ import annotations
@@ -127,3 +128,33 @@ def spectrum(x: F64, y: F64, dt_s: float, each: int, *, linear: bool = False) ->
     if each % 2 == 0:
         density[-1] *= 0.5
     return np.asarray(np.fft.rfftfreq(each, dt_s)), np.asarray(density)
+
+
+_THIRD = float(np.sqrt(20.0))
+"""Standard deviation of the third difference of unit white noise: 1 + 9 + 9 + 1 = 20."""
+_MAD = 1.4826
+_STRIDES = 6
+_STRAIGHT, _OFTEN = 1e-3, 0.2
+"""A third difference this small against the rms is a straight line; so many of them are no accident."""
+
+
+def white_noise(values: F64) -> F64:
+    """(k,) standard deviation of the white noise on the columns of `values` (N, k).
+
+    From third differences, which leave next to nothing of a smooth motion, by their median absolute value, which a few
+    knocks don't move.  Rows filled in by straight lines have next to none; then every second, third
+    ... row is taken.  NaN with less than 20 rows.
+    """
+    columns = values.reshape(len(values), -1)
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    out = np.full(columns.shape[1], np.nan)
+    for stride in range(1, _STRIDES + 1):
+        third = np.diff(columns[::stride], n=3, axis=0)
+        if len(third) < 20:
+            break
+        each = np.abs(third)
+        out = _MAD * np.median(each, axis=0) / _THIRD
+        straight = np.mean(each < _STRAIGHT * np.sqrt(np.mean(third * third, axis=0)), axis=0)
+        if straight.max() < _OFTEN:
+            break
+    return out

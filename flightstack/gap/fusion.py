@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtri
 
+from flightstack.gap.decisions import CHANCE_P, CLEAR_SHARE, SLOW_ERROR_S
 from flightstack.gap.filters import spectrum
 from flightstack.types import F64
 
@@ -22,14 +23,10 @@ _SEGMENT_S = 16.0
 _POSITION_BELOW_HZ = (0.0, 0.04, 0.08, 0.16, 0.32)
 _INERTIA_ABOVE_HZ = (0.1, 0.2, 0.4, 0.8, 1.6)
 _USUAL_HZ = (0.0, 0.4)
-_BETTER = 0.8
-"""Share of the usual crossovers' error below which others are taken."""
-_SLOW_S, _SLOWER_S = 3.0, 12.0
-"""Means of the disagreement: of the power of the shorter's, one of white noise keeps a quarter in the longer's."""
-_CHANCE = 0.05
-"""Probability that white noise's few longer means pass for an error that does not fade."""
 _BOUNDED_HZ = 0.16
 """Below this the position is taken where the velocity errs slowly."""
+_SLOW_S = SLOW_ERROR_S / 4.0
+"""Means of the disagreement: of the power of the shorter's, one of white noise keeps a quarter in the longer's."""
 
 
 def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> tuple[list[tuple[float, float]], F64]:
@@ -42,7 +39,7 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
     by_position = np.gradient(position, dt_s, axis=0) - velocity
     by_inertia = inertial - velocity
     chosen, std = [], np.zeros(3)
-    share = _white_share(max(1, len(velocity) // round(_SLOWER_S / dt_s)))
+    share = _white_share(max(1, len(velocity) // round(SLOW_ERROR_S / dt_s)))
     for axis in range(3):
         hz, errors = _errors(by_position[:, axis], by_inertia[:, axis], dt_s)
         left = {
@@ -52,9 +49,9 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
             if low < high
         }
         best = min(left, key=lambda key: left[key])
-        if left[best] > _BETTER**2 * left[_USUAL_HZ]:
+        if left[best] > CLEAR_SHARE**2 * left[_USUAL_HZ]:
             best = _USUAL_HZ
-        slow, slower = (_mean_power(by_position[:, axis], round(s / dt_s)) for s in (_SLOW_S, _SLOWER_S))
+        slow, slower = (_mean_power(by_position[:, axis], round(s / dt_s)) for s in (_SLOW_S, SLOW_ERROR_S))
         least = left[best]
         if slower > max(least, share * slow):
             best = max(best[0], _BOUNDED_HZ), max(best[1], _USUAL_HZ[1])
@@ -66,7 +63,7 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
 
 def _white_share(means: int) -> float:
     """Of the shorter means' power, what so many of the longer hold of white noise at most, but for chance."""
-    return max(1.0 / 3.0, _SLOW_S / _SLOWER_S * float(chdtri(means, _CHANCE)) / means)
+    return max(1.0 / 3.0, _SLOW_S / SLOW_ERROR_S * float(chdtri(means, CHANCE_P)) / means)
 
 
 def _mean_power(x: F64, block: int) -> float:

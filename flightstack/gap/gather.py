@@ -12,8 +12,8 @@ from flightstack.gap.add import companion
 from flightstack.gap.compare import residual, sensor_noise
 from flightstack.gap.identify import Identifiable
 from flightstack.gap.locate import regimes
-from flightstack.gap.name import Naming
-from flightstack.gap.pooled import Mask, Split
+from flightstack.gap.name import Selection
+from flightstack.gap.pooled import FitHoldoutSplit, Mask
 from flightstack.gap.records import REGIMES, SIGNALS, Checked, Gap
 from flightstack.gap.report.record import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
 from flightstack.gap.simulate import predict
@@ -26,7 +26,9 @@ _LEAST_REGIME_S = 0.5
 _COLUMNS = len(SIGNALS)
 
 
-def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence[Checked], sentence: str) -> GapReport:
+def report(
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, logs: Sequence[Checked], sentence: str
+) -> GapReport:
     """Everything the page shows; `logs` in the order of the split's flights."""
     drawn = _drawn_first(of)
     takes, learner = _companion(vehicle, naming)
@@ -50,12 +52,12 @@ def report(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap, logs: Sequence
     )
 
 
-def _drawn_first(of: Split) -> list[int]:
+def _drawn_first(of: FitHoldoutSplit) -> list[int]:
     """The flight that holds most of what is held out."""
     return [int(np.argmax([int(mask.sum()) for mask in of.holdout]))]
 
 
-def _steps(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Step, ...]:
+def _steps(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap) -> tuple[Step, ...]:
     """The held-out figures with one effect after the other, each at its final values."""
     steps = [Step("", gap.before)]
     now = vehicle
@@ -66,7 +68,7 @@ def _steps(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Step,
     return tuple(steps)
 
 
-def _regimes(before: Vehicle, after: Vehicle, of: Split) -> tuple[RegimeRow, ...]:
+def _regimes(before: Vehicle, after: Vehicle, of: FitHoldoutSplit) -> tuple[RegimeRow, ...]:
     """Rms by regime and channel over all that was flown."""
     was = [residual(before, samples).y[:, :_COLUMNS] for samples in of.flights]
     now = [residual(after, samples).y[:, :_COLUMNS] for samples in of.flights]
@@ -88,7 +90,7 @@ def _rms(values: list[F64], masks: list[Mask]) -> F64:
     return np.where(count > 0, np.sqrt(total.sum(axis=0) / np.maximum(count, 1)), np.nan)
 
 
-def _trace(before: Vehicle, after: Vehicle, of: Split, k: int) -> Trace:
+def _trace(before: Vehicle, after: Vehicle, of: FitHoldoutSplit, k: int) -> Trace:
     """One flight's channels as the figures see them."""
     samples = of.flights[k]
     flight = track(samples)
@@ -139,7 +141,7 @@ def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
     return tuple(sorted(lines, key=lambda line: order[line.level]))
 
 
-def _whiteness(corrected: Vehicle, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+def _whiteness(corrected: Vehicle, of: FitHoldoutSplit, k: int) -> tuple[tuple[str, str], ...]:
     """Whether what is left on held-out data is noise."""
     tested = whiteness(corrected, of.flights[k], of.holdout[k])
     if not tested:
@@ -149,7 +151,7 @@ def _whiteness(corrected: Vehicle, of: Split, k: int) -> tuple[tuple[str, str], 
     return (("what is left", f"{text}; not in {', '.join(coloured)}" if coloured else text),)
 
 
-def _flown_again(vehicle: Vehicle, naming: Naming, of: Split, k: int) -> tuple[tuple[str, str], ...]:
+def _flown_again(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, k: int) -> tuple[tuple[str, str], ...]:
     """The logged path flown once more in the simulator, with the model as it was and with the corrected one."""
     if not naming.found:
         return ()
@@ -164,7 +166,7 @@ def _flown_again(vehicle: Vehicle, naming: Naming, of: Split, k: int) -> tuple[t
     )
 
 
-def _companion(vehicle: Vehicle, naming: Naming) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _companion(vehicle: Vehicle, naming: Selection) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What the companion's model takes of the correction, and which found effects it leaves to its learner."""
     try:
         made = companion(vehicle, naming.vehicle)

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
 from flightstack.gap.naming.drivers import quantities
-from flightstack.gap.records import Estimate, Found, Samples
-from flightstack.gap.simulate import Knob, sensitivities
+from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
+from flightstack.gap.simulate import FreeParameter, sensitivities, spec_of
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -38,23 +38,14 @@ _MOST_BLOCKS = 180
 _FEWEST_BLOCKS = 60
 _LENGTHS_M = np.geomspace(2.0, 400.0, 15)
 _RATIOS = np.geomspace(1e-4, 1e8, 97)
-_EVIDENCE = 20.0
-"""Natural logarithm of the likelihood ratio against noise from which gusts are named."""
-_BETTER = 20.0
-"""And against the best other law."""
-_LEAST_SIGMA_MPS = 0.2
-_USUAL_LENGTH_M, _LENGTH_SPREAD = 25.0, 1.0
-"""Gusts near the ground: median and spread of the length's logarithm, 5 to 70 m; a minute tells little of it."""
-_LEAST_AIRSPEED_MPS = 1.0
 _SPAN = (0.5, 1.5)
 _PERIODS_S = np.geomspace(0.8, 12.0, 9)
-_SPREAD_OUT = 2.0
-"""By which log likelihood ratios at the truth are too large: on 24 flights of 24 s with lengths of 5 to 100 m the mean
-of twice the length's is 1.8, where 1 is due.  Intervals are as wide as that asks for."""
+_USUAL_LENGTH_M, _LENGTH_SPREAD = 25.0, 1.0
+"""Gusts near the ground: median and spread of the length's logarithm, 5 to 70 m; a minute tells little of it."""
 _PARTS = 4
 """Into which a block is cut for the mean of a correlation."""
 _QUANTILES = (0.025, 0.5, 0.975)
-_WIND = tuple(Knob("steady_wind", f"{axis}_mps") for axis in ("north", "east", "down"))
+_WIND = tuple(FreeParameter("steady_wind", f"{axis}_mps") for axis in ("north", "east", "down"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +71,10 @@ class Gusts:
     def named(self) -> bool:
         """Whether the rest is turbulence rather than noise or another law."""
         return (
-            self.evidence > _EVIDENCE
-            and self.evidence > self.other + _BETTER
+            self.evidence > CLEAR_EVIDENCE
+            and self.evidence > self.other + CLEAR_EVIDENCE
             and self.sigma_mps.low > 0.0
-            and self.sigma_mps.estimate >= _LEAST_SIGMA_MPS
+            and self.sigma_mps.estimate >= LEAST_SIGMA_MPS
         )
 
 
@@ -114,7 +105,10 @@ class _Blocks:
 
 
 def gusts(
-    vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[NDArray[np.bool_]], beside: Sequence[Knob] = ()
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    masks: Sequence[NDArray[np.bool_]],
+    beside: Sequence[FreeParameter] = (),
 ) -> Gusts | None:
     """Turbulence in what `vehicle` leaves of these samples; None where no drag or too little shows it.
 
@@ -127,7 +121,7 @@ def gusts(
     fits = [_profile(_dryden(blocks, float(length)), blocks) for length in _LENGTHS_M]
     logs, noise = np.stack([fit.logs for fit in fits]), np.stack([fit.noise for fit in fits])
     usual = -0.5 * (np.log(_LENGTHS_M / _USUAL_LENGTH_M) / _LENGTH_SPREAD) ** 2
-    weight = logs / _SPREAD_OUT + usual[:, None]
+    weight = logs / GUST_SPREAD_OUT + usual[:, None]
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     sigma = np.sqrt(_RATIOS[None, :]) * noise
@@ -168,7 +162,7 @@ def _blocks(
     vehicle: Vehicle,
     flights: Sequence[Samples],
     masks: Sequence[NDArray[np.bool_]],
-    beside: Sequence[Knob],
+    beside: Sequence[FreeParameter],
 ) -> _Blocks | None:
     parts = []
     units = [np.nan_to_num(residual(vehicle, s).noise[:3]) for s in flights]
@@ -183,7 +177,7 @@ def _blocks(
         wind = vehicle.effects.get("steady_wind", {})
         blown = np.array([wind.get(knob.parameter, 0.0) for knob in _WIND])
         drag = drag @ _turned(blown)
-        speed = np.maximum(np.linalg.norm(np.nan_to_num(flight.vel_ned_mps) - blown, axis=1), _LEAST_AIRSPEED_MPS)
+        speed = np.maximum(np.linalg.norm(np.nan_to_num(flight.vel_ned_mps) - blown, axis=1), LEAST_AIRSPEED_MPS)
         size = max(1, round(_BLOCK_S / s.dt_s))
         good = mask & s.valid & np.isfinite(y).all(axis=1)
         count = len(good) // size
@@ -250,10 +244,10 @@ def _kernel(loads: F64, correlations: Sequence[F64]) -> F64:
     return total
 
 
-def as_found(blown: Gusts, gap_power: float) -> Found:
+def as_found(blown: Gusts, gap_power: float) -> IdentifiedEffect:
     """Turbulence among the names; `gap_power`: what is left of the force beyond the floor, mean square."""
     share = 1.0 if gap_power <= 0.0 else min(1.0, blown.force_rms_mps2**2 / gap_power)
-    return Found(
+    return IdentifiedEffect(
         "turbulence",
         {"sigma_mps": blown.sigma_mps, "length_m": blown.length_m},
         -2.0 * blown.evidence,
@@ -302,7 +296,7 @@ def _profile(kernel: F64, blocks: _Blocks) -> _Profile:
 
 def _estimate(values: F64, weight: F64, parameter: str) -> Estimate:
     """Median and 95 % interval of a parameter by its posterior on the grid."""
-    spec = next(p for p in EFFECTS["turbulence"].params if p.name == parameter)
+    spec = spec_of("turbulence", parameter)
     order = np.argsort(values)
     share, ordered = np.cumsum(weight[order]), values[order]
     low, middle, high = (float(ordered[min(int(np.searchsorted(share, q)), len(order) - 1)]) for q in _QUANTILES)

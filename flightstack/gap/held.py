@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import CLEAR_SHARE, FICKLE_P, HALF, SURE_ERRORS
 from flightstack.gap.naming.candidates import at_end
-from flightstack.gap.naming.estimate import FICKLE_P
-from flightstack.gap.pooled import Split
-from flightstack.gap.records import Found, Gap
+from flightstack.gap.pooled import FitHoldoutSplit
+from flightstack.gap.records import Gap, IdentifiedEffect
 from flightstack.gap.simulate import with_value
 from flightstack.gap.verdict import ONE_STEP
 from flightstack.types import F64
@@ -29,14 +29,6 @@ from flightstack.vehicle import Vehicle
 
 _BLOCK_S = 1.0
 _FEWEST_BLOCKS = 4
-_SURE = 2.0
-"""Standard errors by which a slope must miss what is allowed."""
-_LEAST = 0.5
-"""Slope below which less than nothing of the effect's own share is closed."""
-NOT_NOISE = 0.5
-"""Share of what a model leaves, in mean square, that is not the noise floor's: from there it lacks something."""
-_LEAST_BESIDE, _MOST_BESIDE = 0.75, 4.0 / 3.0
-"""What is allowed where something else that nothing explains is there as well (0.75: half the own share is closed)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +40,11 @@ class Slope:
 
     def holds(self, *, beside: bool) -> bool:
         """Whether the effects do what they did; `beside`: something that nothing explains is there as well."""
-        low, high = (_LEAST_BESIDE, _MOST_BESIDE) if beside else (_LEAST, np.inf)
-        return self.value + _SURE * self.error >= low and self.value - _SURE * self.error <= high
+        low, high = (CLEAR_SHARE, 1.0 / CLEAR_SHARE) if beside else (HALF, np.inf)
+        return self.value + SURE_ERRORS * self.error >= low and self.value - SURE_ERRORS * self.error <= high
 
 
-def slope(without: Vehicle, corrected: Vehicle, of: Split) -> Slope:
+def slope(without: Vehicle, corrected: Vehicle, of: FitHoldoutSplit) -> Slope:
     """Of the held-out residual of `without` against what `corrected` makes of it; 1 +- 0 where that can't be said."""
     shares: list[F64] = []
     pairs = []
@@ -79,7 +71,9 @@ def slope(without: Vehicle, corrected: Vehicle, of: Split) -> Slope:
     return Slope(1.0 + off, float(np.sqrt(np.sum(scatter**2))) / power)
 
 
-def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bool) -> tuple[str, ...]:
+def fails_holdout(
+    believed: Vehicle, found: Sequence[IdentifiedEffect], of: FitHoldoutSplit, *, beside: bool
+) -> tuple[str, ...]:
     """Named effects that don't hold on data not used before; all of them where they don't hold together."""
     whole = corrected(believed, found)
     if not slope(believed, whole, of).holds(beside=beside):
@@ -90,13 +84,13 @@ def doubtful(believed: Vehicle, found: Sequence[Found], of: Split, *, beside: bo
     return tuple(name for name, without in others.items() if not slope(without, whole, of).holds(beside=beside))
 
 
-def vanished(found: Sequence[Found]) -> tuple[str, ...]:
+def interval_contains_nominal(found: Sequence[IdentifiedEffect]) -> tuple[str, ...]:
     """Named effects of which refinement has left nothing: every interval holds what the vehicle's file has."""
     told = {f.name: [e for e in f.parameters.values() if math.isfinite(e.before) and e.low < e.high] for f in found}
     return tuple(name for name, each in told.items() if each and all(e.low <= e.before <= e.high for e in each))
 
 
-def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
+def corrected(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> Vehicle:
     """The vehicle with these effects at their estimates."""
     vehicle = believed
     for each in found:
@@ -104,28 +98,30 @@ def corrected(believed: Vehicle, found: Sequence[Found]) -> Vehicle:
     return vehicle
 
 
-def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP, share: float = NOT_NOISE) -> bool:
+def far_from_noise(gap: Gap, figures: Sequence[str] = ONE_STEP, share: float | None = None) -> bool:
     """Whether of what the model leaves of force or torque (or of one of them) this share is not the sensors' noise."""
     pairs = [(getattr(gap.after, n), getattr(gap.noise_floor, n)) for n in figures]
     known = [(now, least) for now, least in pairs if now is not None and least is not None]
-    return any(least**2 < (1.0 - share) * now**2 for now, least in known)
+    return any(least**2 < (1.0 - (HALF if share is None else share)) * now**2 for now, least in known)
 
 
-def proxies(believed: Vehicle, found: Sequence[Found], constant: Mapping[str, float]) -> tuple[str, ...]:
+def surrogate_terms(
+    believed: Vehicle, found: Sequence[IdentifiedEffect], constant: Mapping[str, float]
+) -> tuple[str, ...]:
     """Named effects that, far from the noise, stand for something else.
 
     Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
     of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground, and
     a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing.
     """
-    ends = on_edge(believed, found)
+    ends = at_bound(believed, found)
     names = {f.name for f in found}
     gone = {f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or upright(f)}
     gone |= {"steady_wind"} if names >= {"steady_wind", "constant_force"} else set()
     return tuple(f.name for f in found if f.name in gone)
 
 
-def upright(found: Found) -> bool:
+def upright(found: IdentifiedEffect) -> bool:
     """Whether it is a wind steeper than half a right angle."""
     if found.name != "steady_wind":
         return False
@@ -133,6 +129,6 @@ def upright(found: Found) -> bool:
     return abs(down) > math.hypot(north, east)
 
 
-def on_edge(believed: Vehicle, found: Sequence[Found]) -> tuple[str, ...]:
+def at_bound(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> tuple[str, ...]:
     """Effects with a parameter at the end of its range."""
     return tuple(f.name for f in found if any(at_end(believed, f.name, p, e.estimate) for p, e in f.parameters.items()))

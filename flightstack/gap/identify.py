@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import ALIKE_COSINE, DETECTABLE
 from flightstack.gap.naming.design import Linearised
-from flightstack.gap.scales import natural_scale
-
-_DETECTABLE = 5.0
-"""Standard deviations that an effect must stand out by to be named."""
-_ALIKE = 0.95
+from flightstack.gap.simulate import natural_scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +46,12 @@ def identify(point: Linearised) -> tuple[Identifiable, ...]:
     for i, slot in enumerate(point.slots):
         effect = point.candidates[slot.candidate].effect
         informed = gram.k[i, i] * natural_scale(point.vehicle, effect, slot.parameter) ** 2 > 1e-6
-        smallest = _DETECTABLE / float(size[i]) if informed else float("inf")
+        smallest = DETECTABLE / float(size[i]) if informed else float("inf")
         matters = natural_scale(point.vehicle, effect, slot.parameter)
         others = [j for j, s in enumerate(point.slots) if point.candidates[s.candidate].effect != effect]
         nearest = max(others, key=lambda j: cosine[i, j]) if informed else -1
         near = float(cosine[i, nearest]) if informed else 0.0
-        like = point.candidates[point.slots[nearest].candidate].effect if near > _ALIKE else ""
+        like = point.candidates[point.slots[nearest].candidate].effect if near > ALIKE_COSINE else ""
         row = Identifiable(
             effect, slot.parameter, smallest, matters, smallest < 2.0 * matters, like, near, EFFECTS[effect].manoeuvre
         )

@@ -1,4 +1,7 @@
-"""What of a search's best fit may be named: significant, of some size, and better on held-out data."""
+"""What of a search's best fit may be named: significant, of some size, and better on held-out data.
+
+A battery's sag is none where a thrust that only drifts with time explains the flights better.
+"""
 
 from __future__ import annotations
 
@@ -10,30 +13,26 @@ from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
+from flightstack.gap.decisions import CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE, NAME_P
 from flightstack.gap.naming.candidates import negligible, plausible, trifle
-from flightstack.gap.naming.estimate import CI, Estimates, estimate
+from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
-from flightstack.gap.naming.held_rows import gain
-from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, judged_fit, members, move_to
-from flightstack.gap.records import Estimate, Found
-from flightstack.gap.simulate import value
-
-_LEAST_P = 1e-4
-"""After Holm's correction for all candidates."""
-_LEAST_SIZES = 3.0
-"""Smallest effect that is named, in negligible sizes."""
+from flightstack.gap.naming.search import Fit, SelectionState, judged_fit, members, move_to
+from flightstack.gap.records import Estimate, IdentifiedEffect
+from flightstack.gap.simulate import FreeParameter, value
+from flightstack.types import F64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """The names of a fit, strongest first, and how constant each effect is (p-value)."""
 
-    found: tuple[Found, ...]
+    found: tuple[IdentifiedEffect, ...]
     estimates: Estimates
     constant: Mapping[str, float]
 
 
-def _fall(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
+def _chi2_decrease(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
     """How far chi-square falls by one of the effects, the others fitted again, on the columns at the best."""
     point = state.point
     whole = members(point.candidates, effects)
@@ -56,11 +55,11 @@ def pruned(state: SelectionState) -> Fit:
         weakest, drop = "", np.inf
         for effect in best.effects:
             fall = evidence(state, best, effect)
-            if _size(state, best, effect) < _LEAST_SIZES:
+            if _size(state, best, effect) < LEAST_SIZES:
                 fall = min(fall, 0.0)
             if fall < drop:
                 weakest, drop = effect, fall
-        if drop >= LEAST_EVIDENCE:
+        if drop >= NAME_EVIDENCE:
             return best
         rest_of = frozenset(best.effects) - {weakest}
         same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
@@ -72,7 +71,7 @@ def evidence(state: SelectionState, best: Fit, effect: str) -> float:
     """By how much the score would rise without the effect."""
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
-    return _fall(state, best.effects, effect) - float(price)
+    return _chi2_decrease(state, best.effects, effect) - float(price)
 
 
 def _refit(state: SelectionState, best: Fit, gone: str) -> Fit:
@@ -106,12 +105,12 @@ def judge(state: SelectionState, best: Fit) -> Judged:
         p_value = _p_value(state, best, effect)
         others = alternatives(state, best, effect)
         held = gain(state, made, effect)
-        if p_value * count > _LEAST_P or held <= 0.0:
+        if p_value * count > NAME_P or held <= 0.0:
             continue
         found.append(
             (
                 fall,
-                Found(
+                IdentifiedEffect(
                     effect,
                     parameters_of(state, made, effect),
                     -fall,
@@ -134,7 +133,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
 
 def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
-    fall = _fall(state, best.effects, effect)
+    fall = _chi2_decrease(state, best.effects, effect)
     return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
 
 
@@ -157,3 +156,39 @@ def parameters_of(state: SelectionState, made: Estimates, effect: str) -> dict[s
             low, high = max(now - reach, low), min(now + reach, high)
         found[spec.name] = Estimate(before, now, min(low, now), max(high, now))
     return found
+
+
+def gain(state: SelectionState, made: Estimates, effect: str) -> float:
+    """Share of the explainable held-out gap that falls when the effect joins the others: 0 or less where it does harm.
+
+    NaN where held-out rows hardly hold it (a low pass that only the learned part has): they can't speak for or against.
+    """
+    layout = state.point.layout
+    held = layout.keep & layout.held
+    mine = [i for i, (e, _) in enumerate(made.slots) if e == effect]
+    own = made.x[held][:, mine] @ parameter_change(state, made)[mine]
+    if float(own @ own) < CLEAR_EVIDENCE:
+        return float("nan")
+    before, after = layout.stack(state.bench.residual(state.start))[held], made.rows[held]
+    whole = float(before @ before) - float(after @ after)
+    lost = float((after + own) @ (after + own)) - float(after @ after)
+    return lost / max(whole + 1e-9, lost, 1e-9)
+
+
+def prefers_time_trend(state: SelectionState, made: Estimates) -> bool:
+    """Whether a thrust that only drifts with time explains the flights better than the battery's voltage does."""
+    layout = state.point.layout
+    thrust = state.bench.columns(made.vehicle, [FreeParameter("thrust_scale", "scale")])
+    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
+    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
+    others = [i for i in range(len(made.slots)) if i not in sag]
+    without = made.rows + made.x[:, sag] @ parameter_change(state, made)[sag]
+    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
+    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
+    price = np.log(max(float(state.metric.rows.sum()), 2.0))  # a drift begins somewhere: a coefficient more
+    return explained + float(price) < state.metric.chi2(made.rows)
+
+
+def _along(count: int) -> F64:
+    """(N, 1, 1) from -1 to 1 along a flight."""
+    return np.linspace(-1.0, 1.0, count)[:, None, None]

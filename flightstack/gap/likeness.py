@@ -12,24 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flightstack.gap.records import Found, Samples
+from flightstack.gap.decisions import LEAST_FLIGHT_S, MOSTLY, OTHER_EACH, OTHER_LARGER, OTHER_TOGETHER
+from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.simulate import value
 from flightstack.vehicle import Vehicle
 
 _LIFT, _TURN, _ANSWER = math.log(1.25), math.log(1.5), math.log(3.0)
 """Logarithms of the factors by which one effect changes thrust for its mass, inertia and lag on a vehicle that is
 still the file's: such a change counts one."""
-_LEAST = 0.6
-"""Of these, what thrust and inertia must each be off by."""
-_MANY = 4.0
-"""And all of them together."""
-_BIG = 2.5
-"""Enough where all moments of inertia are off to the same side by `_TURN`, and something is left unexplained."""
-
-
-_COMMON_S = 5.0
-_SAME_NOISE = 0.9
-"""Correlation of an accelerometer's changes from sample to sample: another flight of the same path has other noise."""
 
 
 def same_flight(a: Samples, b: Samples) -> bool:
@@ -37,17 +27,19 @@ def same_flight(a: Samples, b: Samples) -> bool:
     if a.dt_s < b.dt_s:
         a, b = b, a
     common = (a.t_s >= b.t_s[0]) & (a.t_s <= b.t_s[-1])
-    if common.sum() * a.dt_s < _COMMON_S:
+    if common.sum() * a.dt_s < LEAST_FLIGHT_S:
         return False
     own = a.accel_frd_mps2[common]
     other = np.stack([np.interp(a.t_s[common], b.t_s, column) for column in b.accel_frd_mps2.T], axis=1)
     x, y = (np.diff(each, axis=0) for each in (own, other))
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
-    return bool(x @ y > _SAME_NOISE * np.sqrt((x @ x) * (y @ y)))  # nothing known: 0 is not above 0
+    return bool(x @ y > MOSTLY * np.sqrt((x @ x) * (y @ y)))  # nothing known: 0 is not above 0
 
 
-def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found], *, unexplained: bool) -> str:
+def vehicle_mismatch(
+    believed: Vehicle, corrected: Vehicle, found: Sequence[IdentifiedEffect], *, unexplained: bool
+) -> str:
     """How the log's vehicle differs, in words, where it can't be the file's; else empty."""
     if {"body.inertia_kgm2", "rotors.max_thrust_n"} <= set(believed.ranges):  # a file that says that it guesses
         return ""
@@ -62,7 +54,9 @@ def other_vehicle(believed: Vehicle, corrected: Vehicle, found: Sequence[Found],
     off_turn = max(map(abs, off_turns))
     total = off_lift + off_turn + abs(math.log(answer)) / _ANSWER
     larger = min(off_turns) > 1.0 or max(off_turns) < -1.0
-    if min(off_lift, off_turn) < _LEAST or not (total >= _MANY or (total >= _BIG and larger and unexplained)):
+    if min(off_lift, off_turn) < OTHER_EACH or not (
+        total >= OTHER_TOGETHER or (total >= OTHER_LARGER and larger and unexplained)
+    ):
         return ""
     said = ", ".join(f"{turn:.2g}" for turn in turns)
     return f"thrust for its mass is {lift:.2g}, inertia {said} and motor lag {answer:.2g} times the file's"

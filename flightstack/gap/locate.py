@@ -8,7 +8,7 @@ import numpy as np
 
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.records import DRIVERS, REGIMES, SIGNALS, Residual, Samples, Where
+from flightstack.gap.records import DRIVERS, REGIMES, SIGNALS, ChannelResidual, Residual, Samples
 from flightstack.gap.track import track
 from flightstack.types import F64
 
@@ -17,7 +17,7 @@ _FEWEST = 0.5
 _BLOCK_S = 0.2
 
 
-def locate(residuals: Sequence[Residual], flights: Sequence[Samples]) -> tuple[Where, ...]:
+def locate(residuals: Sequence[Residual], flights: Sequence[Samples]) -> tuple[ChannelResidual, ...]:
     """One line for each of the six physical channels that the flights can show.
 
     `correlates_with` is the driver whose square, straight and cubic parts explain most of the channel's block means,
@@ -32,7 +32,7 @@ def locate(residuals: Sequence[Residual], flights: Sequence[Samples]) -> tuple[W
             continue
         noise = float(np.sqrt(np.mean([r.noise[c] ** 2 for r in residuals])))
         found.append(
-            Where(
+            ChannelResidual(
                 signal,
                 float(np.sqrt(np.nanmean(values**2))),
                 "m/s^2" if c < 3 else "rad/s^2",

@@ -24,64 +24,60 @@ from flightstack.gap.classes import (
     together,
 )
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import FICKLE_P, GAP_FROM, LEAST_GAIN, NAME_EVIDENCE, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
-from flightstack.gap.judge import Judged, evidence, judge, parameters_of, pruned
+from flightstack.gap.judge import Judged, evidence, judge, parameters_of, prefers_time_trend, pruned
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import plausible
-from flightstack.gap.naming.drift import drifts_better
-from flightstack.gap.naming.estimate import CI, FICKLE_P, Estimates, estimate
+from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
-from flightstack.gap.naming.held_rows import moved
-from flightstack.gap.naming.joining import joined
+from flightstack.gap.naming.joining import forward_selection_step
 from flightstack.gap.naming.ranged import carried, is_touched
-from flightstack.gap.naming.search import LEAST_EVIDENCE, Fit, SelectionState, members, search
+from flightstack.gap.naming.search import Fit, SelectionState, members, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.records import Across, Found, Rejected, Samples, Unexplained, Where
-from flightstack.gap.remainder import Rest
-from flightstack.gap.rest import beside_names, every_rest, loud, telling, unexplained
-from flightstack.gap.simulate import unseen, untold
-from flightstack.gap.verdict import GAP_FROM
+from flightstack.gap.records import Across, ChannelResidual, IdentifiedEffect, Rejected, Samples, Unexplained
+from flightstack.gap.remainder import (
+    ResidualTest,
+    above_noise,
+    residual_tests,
+    structured_residuals,
+    unexplained,
+    unexplained_given,
+)
+from flightstack.gap.simulate import confounded_with_attitude, missing_signals
 from flightstack.vehicle import Vehicle
 
-_ABSTAIN_SHARE = 0.1
-"""Of what can be explained, the part that depends on something else than the named effects."""
 EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
-_LEAST_GAIN = 0.005
-"""Of the held-out gap, what a force that joins a poor model must explain: below, the page says 0 %."""
-_CLOSELY = 0.1
-"""Share of the negligible sizes that a closer look takes for trifles."""
-_ACTS_SHARE = 0.1
-"""Of what can be explained in a group, the part from which an effect is taken to act there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Naming:
+class Selection:
     """The verdict."""
 
-    found: tuple[Found, ...]
+    found: tuple[IdentifiedEffect, ...]
     """Strongest first; empty where model and flights agree, and where too much stays unexplained."""
     rejected: tuple[Rejected, ...]
     """Every other effect of the table, and why not."""
     vehicle: Vehicle
     """The vehicle with the found effects at their estimates; the given one where nothing was found."""
     unexplained: Unexplained
-    where: tuple[Where, ...]
+    where: tuple[ChannelResidual, ...]
     constant: Mapping[str, float]
     """Effect -> p-value of its being the same in all stretches of the flights."""
     identifiable: tuple[Identifiable, ...] = ()
     """What these flights could have shown at all (`gap.identify`)."""
-    proposed: tuple[Found, ...] = ()
+    proposed: tuple[IdentifiedEffect, ...] = ()
     """All that the search found, also what was taken back since as something that depends on more."""
     _behind: tuple[SimulatorBench, SelectionState] | None = None
     """For `without`."""
     across: tuple[Across, ...] = ()
     """Of several flights: what each says alone (`in_each_flight`)."""
 
-    def in_each_flight(self, alone: Sequence[Told]) -> Naming:
+    def in_each_flight(self, alone: Sequence[Told]) -> Selection:
         """The verdict with what each of several flights says alone: refined (`alone`), else by one step at a time.
 
         What was taken back because it differed stays on the list.
@@ -99,7 +95,7 @@ class Naming:
         before = tuple(row for row in self.across if row.effect not in names)
         return replace(self, across=(*across(state.start, self.vehicle, told), *before))
 
-    def as_wide_as_it_varies(self) -> Naming:
+    def as_wide_as_it_varies(self) -> Selection:
         """The verdict with intervals that reach as far as the stretches of the flights differ."""
         if self._behind is None or not self.found:
             return self
@@ -115,19 +111,19 @@ class Naming:
         _, state = self._behind
         return trifles(state, estimate(state, _values(self.found)), [f.name for f in self.found])
 
-    def with_a_rest(self, share: float) -> Naming:
+    def with_unexplained(self, share: float) -> Selection:
         """The verdict where this share of the held-out gap is still open: something is left, and on what it depends."""
         assert self._behind is not None  # a verdict that names something has it
         bench, state = self._behind
-        rest_of = unexplained(every_rest(bench, state.start, estimate(state, _values(self.found))))
+        rest_of = unexplained(residual_tests(bench, state.start, estimate(state, _values(self.found))))
         return replace(self, unexplained=Unexplained(True, rest_of.depends_on, share))
 
-    def joined(self, of: Collection[str]) -> Naming | None:
+    def forward_selection_step(self, of: Collection[str]) -> Selection | None:
         """The verdict with one more name, of these, that earns its place beside a poor model (`gap.naming.joining`)."""
         assert self._behind is not None  # a verdict that names something has it
         bench, state = self._behind
         values = _values(self.found)
-        more = joined(state, estimate(state, values), values, set(of) - poorly_told(values))
+        more = forward_selection_step(state, estimate(state, values), values, set(of) - poorly_told(values))
         if more is None:
             return None
         judged = judge(*more)
@@ -135,11 +131,11 @@ class Naming:
         if len(judged.found) <= len(values) or mute:
             return None
         kept = in_classes(judged.found, bench.flights)
-        return Naming(
+        return Selection(
             kept,
             tuple(r for r in self.rejected if r.name not in {f.name for f in kept}),
             corrected(state.start, kept),
-            beside_names(bench, state.start, judged.estimates),
+            unexplained_given(bench, state.start, judged.estimates),
             self.where,
             judged.constant,
             self.identifiable,
@@ -147,22 +143,22 @@ class Naming:
             (bench, more[0]),
         )
 
-    def with_twins(self, name: str, others: tuple[str, ...]) -> Naming:
+    def with_twins(self, name: str, others: tuple[str, ...]) -> Selection:
         """The verdict where one name can't be told from these others either: it was found in their place."""
         return replace(self, found=tuple(together(f, others) if f.name == name else f for f in self.found))
 
-    def with_guessed_numbers(self) -> Naming:
+    def with_guessed_numbers(self) -> Selection:
         """The verdict with what the file only guesses in its intervals, and the common scale's class."""
         if self._behind is None or not is_touched(self._behind[1].start, self.found):
             return self
         found, vehicle = carried(self._behind[1], self.found, self.vehicle)
         return replace(self, found=found, vehicle=vehicle)
 
-    def with_classes_of_a_poor_model(self) -> Naming:
+    def with_classes_of_a_poor_model(self) -> Selection:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""
         return replace(self, found=tuple(beside_a_poor_model(f) for f in self.found))
 
-    def without_telling(self, slots: Collection[tuple[str, str]]) -> Naming:
+    def without_telling(self, slots: Collection[tuple[str, str]]) -> Selection:
         """The verdict with these parameters as the file has them: the logs can't tell them."""
         found = tuple(
             replace(
@@ -181,7 +177,7 @@ class Naming:
         """Whether anything could be learned from these flights."""
         return self._behind is not None
 
-    def with_only(self, found: Sequence[Found]) -> Naming:
+    def with_only(self, found: Sequence[IdentifiedEffect]) -> Selection:
         """The verdict with just these names, their parameters fitted again; what was left over stays as it was said."""
         assert self._behind is not None  # a verdict that was proposed anything has it
         _, state = self._behind
@@ -194,7 +190,7 @@ class Naming:
             vehicle=made.vehicle,
         )
 
-    def without(self, gone: Collection[str], reason: str) -> Naming:
+    def without(self, gone: Collection[str], reason: str) -> Selection:
         """The verdict less some of its names: the others fitted again without them, and what then is left unexplained.
 
         That something is missing stays true, whatever the remainder depends on.
@@ -205,7 +201,7 @@ class Naming:
         bench, state = self._behind
         made = estimate(state, _values(kept))
         refitted = tuple(replace(f, parameters=parameters_of(state, made, f.name)) for f in kept)
-        left = beside_names(bench, state.start, made)
+        left = unexplained_given(bench, state.start, made)
         return replace(
             self,
             found=refitted,
@@ -215,12 +211,12 @@ class Naming:
         )
 
 
-def _is_mute(found: Found) -> bool:
+def _is_mute(found: IdentifiedEffect) -> bool:
     """Whether it is a force of which held-out data hold next to nothing."""
-    return EFFECTS[found.name].kind == "force" and found.holdout_gain < _LEAST_GAIN
+    return EFFECTS[found.name].kind == "force" and found.holdout_gain < LEAST_GAIN
 
 
-def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], float]) -> Found:
+def _widened(start: Vehicle, found: IdentifiedEffect, between: Mapping[tuple[str, str], float]) -> IdentifiedEffect:
     parameters = dict(found.parameters)
     for p, e in found.parameters.items():
         variance = between.get((found.name, p), 0.0)
@@ -235,7 +231,7 @@ def _widened(start: Vehicle, found: Found, between: Mapping[tuple[str, str], flo
     return replace(found, parameters=parameters)
 
 
-def _values(found: Sequence[Found]) -> dict[str, dict[str, float]]:
+def _values(found: Sequence[IdentifiedEffect]) -> dict[str, dict[str, float]]:
     return {f.name: {p: e.estimate for p, e in f.parameters.items()} for f in found}
 
 
@@ -246,7 +242,7 @@ def name(
     holdout: Sequence[Mask],
     *,
     closely: bool = False,
-) -> Naming:
+) -> Selection:
     """Name the missing effects of `vehicle` from flights; masks (N,) by flight: samples to learn from, to judge by.
 
     The masks must leave a guard of two seconds between them.  Samples that are not `valid` are never used.  Nothing
@@ -258,12 +254,12 @@ def name(
         flights,
         [m & v for m, v in zip(fit, valid, strict=True)],
         [m & v for m, v in zip(holdout, valid, strict=True)],
-        trifles=_CLOSELY if closely else 1.0,
+        trifles=TENTH if closely else 1.0,
     )
     residuals = [residual(vehicle, s) for s in flights]
     where = locate(residuals, flights)
     if not any(m.any() for m in bench.fit):
-        return Naming((), (), vehicle, Unexplained(False), where, {})
+        return Selection((), (), vehicle, Unexplained(False), where, {})
     apart = () if has_gyro(flights) else POORLY_TOLD
     state = search(bench, vehicle, apart, steady=closely)
     best = pruned(state)
@@ -271,24 +267,24 @@ def name(
         state = search(bench, vehicle, apart, steady=True)
         best = pruned(state)
     judged = judge(state, best)
-    rests = every_rest(bench, vehicle, judged.estimates)
-    told = telling(bench, judged.estimates, rests)
+    rests = residual_tests(bench, vehicle, judged.estimates)
+    told = structured_residuals(bench, judged.estimates, rests)
     seen = identify(state.point)
-    doubtful = {e for group in told for e in _touched(state, judged, rests, group)}
-    left = unexplained(loud(bench, vehicle, told))
+    doubtful = {e for group in told for e in _confounded_terms(state, judged, rests, group)}
+    left = unexplained(above_noise(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and drifts_better(state, judged.estimates, moved(state, judged.estimates)):
+    if sagging and prefers_time_trend(state, judged.estimates):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
         doubtful |= set(names[names.index("battery_sag") :])
         left = Unexplained(True, ("time", "battery"), 1.0)
-    doubtful |= {f.name for f in judged.found if all(untold(s, f.name) for s in bench.flights)}
+    doubtful |= {f.name for f in judged.found if all(confounded_with_attitude(s, f.name) for s in bench.flights)}
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     behind = (bench, state)
-    return Naming(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
+    return Selection(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
-def _touched(state: SelectionState, judged: Judged, rests: Mapping[str, Rest], group: str) -> set[str]:
+def _confounded_terms(state: SelectionState, judged: Judged, rests: Mapping[str, ResidualTest], group: str) -> set[str]:
     """Named effects that may only stand for what this group's remainder depends on: they act there, and it is large.
 
     An effect acts where it does most: a weight is not doubted for what is left of the side force.  One that changes
@@ -303,17 +299,17 @@ def _touched(state: SelectionState, judged: Judged, rests: Mapping[str, Rest], g
         fickle = judged.constant.get(effect, 1.0) < FICKLE_P
         elsewhere = effect in EVERYWHERE and "position" in r.drivers
         most = max(each.get(effect, 0.0) for each in power.values())
-        acts = mine > _ACTS_SHARE * explained and (fickle or mine >= most)
-        if acts and (fickle or elsewhere or r.share > _ABSTAIN_SHARE):
+        acts = mine > TENTH * explained and (fickle or mine >= most)
+        if acts and (fickle or elsewhere or r.share > TENTH):
             out.add(effect)
     return out
 
 
-def _power(state: SelectionState, made: Estimates, r: Rest) -> dict[str, float]:
+def _power(state: SelectionState, made: Estimates, r: ResidualTest) -> dict[str, float]:
     """What each effect brings to a group, mean square in units of the noise."""
     out: dict[str, float] = {}
     if r.by_column:
-        for (effect, _), size, shift in zip(made.slots, r.by_column, moved(state, made), strict=True):
+        for (effect, _), size, shift in zip(made.slots, r.by_column, parameter_change(state, made), strict=True):
             out[effect] = out.get(effect, 0.0) + size * shift**2
     return out
 
@@ -332,12 +328,12 @@ def _rejected(
             continue
         if effect in best.effects:
             fall = evidence(state, best, effect)
-            reason = "too thin" if fall < LEAST_EVIDENCE else "no better on data not used before"
+            reason = "too thin" if fall < NAME_EVIDENCE else "no better on data not used before"
             if effect in doubtful:
                 reason = "what it explains depends on something else as well"
             out.append(Rejected(effect, -fall, reason))
             continue
-        if effect in bench.mute or all(unseen(s, effect) for s in bench.flights):
+        if effect in bench.mute or all(missing_signals(s, effect) for s in bench.flights):
             out.append(Rejected(effect, 0.0, "this log can't show it"))
             continue
         tried = [tuple(sorted((*base, m))) for m, c in enumerate(point.candidates) if c.effect == effect]

@@ -28,9 +28,9 @@ from flightstack.gap.naming.estimate import CI, covariance_of, without_nuisance
 from flightstack.gap.naming.metric import bounded_step, metric_of
 from flightstack.gap.naming.ranged import STANDS_FOR
 from flightstack.gap.naming.search import SelectionState, pressed_beyond
-from flightstack.gap.pooled import Split
+from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Unexplained
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -114,7 +114,7 @@ def with_usual_ranges(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, ranges=MappingProxyType(ranges))
 
 
-def fit_numbers(vehicle: Vehicle, of: Split) -> NumberFit:
+def fit_numbers(vehicle: Vehicle, of: FitHoldoutSplit) -> NumberFit:
     """What these flights say of the vehicle's numbers; ranges decide what is free (`with_usual_ranges` without any)."""
     assumed = not vehicle.ranges
     start = with_usual_ranges(vehicle) if assumed else vehicle
@@ -191,7 +191,9 @@ class _Fit:
         self.vehicle = start if at is None else at
         for effect, values in beside.items():
             self.vehicle = with_value(self.vehicle, effect, values)
-        self._knobs = [Knob(e, p) for e in beside for p in fitted(self.vehicle, e, self.vehicle.effects[e]).parameters]
+        self._knobs = [
+            FreeParameter(e, p) for e in beside for p in fitted(self.vehicle, e, self.vehicle.effects[e]).parameters
+        ]
         middle = np.array([0.5 * (n.low + n.high) - n.value for n in numbers])
         width = np.array([n.high - n.low for n in numbers])
         self._prior = np.sqrt(width**2 / 12.0 + middle**2)

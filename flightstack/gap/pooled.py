@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap import compare
+from flightstack.gap.decisions import GUARD_S, HELD_SHARE
 from flightstack.gap.records import Figures, Samples
 from flightstack.gap.sampled import sampling_floor
 from flightstack.vehicle import Vehicle
@@ -18,7 +19,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Split:
+class FitHoldoutSplit:
     """The flights and what of each is learned from and judged by."""
 
     flights: tuple[Samples, ...]
@@ -28,19 +29,15 @@ class Split:
     """(N,) by flight, at least 2 s away from `fit`."""
 
 
-GUARD_S = 2.0
-_HELD_SHARE = 1.0 / 3.0
-
-
-def split(flights: Sequence[Samples], kept: Sequence[Samples], *, first: bool = False) -> Split:
+def split(flights: Sequence[Samples], kept: Sequence[Samples], *, first: bool = False) -> FitHoldoutSplit:
     """Flights to learn from and flights that were kept; without any kept, the last (or first) third of each one."""
     if kept:
         whole = [np.array(s.valid) for s in (*flights, *kept)]
         chosen = [k < len(flights) for k in range(len(whole))]
         fit = tuple(m & c for m, c in zip(whole, chosen, strict=True))
-        return Split((*flights, *kept), fit, tuple(m & ~f for m, f in zip(whole, fit, strict=True)))
+        return FitHoldoutSplit((*flights, *kept), fit, tuple(m & ~f for m, f in zip(whole, fit, strict=True)))
     parts = [_third(s, first=first) for s in flights]
-    return Split(tuple(flights), tuple(fit for fit, _ in parts), tuple(held for _, held in parts))
+    return FitHoldoutSplit(tuple(flights), tuple(fit for fit, _ in parts), tuple(held for _, held in parts))
 
 
 def _third(samples: Samples, *, first: bool) -> tuple[Mask, Mask]:
@@ -50,20 +47,22 @@ def _third(samples: Samples, *, first: bool) -> tuple[Mask, Mask]:
         return nothing, nothing
     begin, end = float(samples.t_s[rows[0]]), float(samples.t_s[rows[-1]])
     if first:
-        kept = samples.t_s < begin + _HELD_SHARE * (end - begin)
-        learned = samples.t_s >= begin + _HELD_SHARE * (end - begin) + GUARD_S
+        kept = samples.t_s < begin + HELD_SHARE * (end - begin)
+        learned = samples.t_s >= begin + HELD_SHARE * (end - begin) + GUARD_S
     else:
-        kept = samples.t_s >= end - _HELD_SHARE * (end - begin)
-        learned = samples.t_s < end - _HELD_SHARE * (end - begin) - GUARD_S
+        kept = samples.t_s >= end - HELD_SHARE * (end - begin)
+        learned = samples.t_s < end - HELD_SHARE * (end - begin) - GUARD_S
     return samples.valid & learned, samples.valid & kept
 
 
-def figures(vehicle: Vehicle, of: Split) -> Figures:
+def figures(vehicle: Vehicle, of: FitHoldoutSplit) -> Figures:
     """The held-out figures of the simulator of this vehicle."""
     return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))
 
 
-def noise_floor(vehicle: Vehicle, of: Split, after: Figures, gusts: tuple[float, float] = (0.0, 0.0)) -> Figures:
+def noise_floor(
+    vehicle: Vehicle, of: FitHoldoutSplit, after: Figures, gusts: tuple[float, float] = (0.0, 0.0)
+) -> Figures:
     """The held-out figures of a simulator without any error: the sensors' noise, and what sampling hides of commands.
 
     Gusts that are named (`gusts`: specific force, angular acceleration) belong to it: nobody knows when one blows.
@@ -92,7 +91,7 @@ def _reached(floor: float | None, after: float | None) -> float | None:
     return floor if floor is None or after is None else min(floor, after)
 
 
-def _pooled(of: Split, figures_of: Callable[[Samples, Mask], Figures]) -> Figures:
+def _pooled(of: FitHoldoutSplit, figures_of: Callable[[Samples, Mask], Figures]) -> Figures:
     rows = [
         (int(mask.sum()), figures_of(samples, mask))
         for samples, mask in zip(of.flights, of.holdout, strict=True)

@@ -190,7 +190,7 @@ class Across:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class IdentifiedEffect:
     """One named effect."""
 
     name: str
@@ -223,7 +223,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class ChannelResidual:
     """One channel's disagreement before anything is named."""
 
     signal: str
@@ -251,3 +251,27 @@ class Gap:
     after: Figures
     noise_floor: Figures
     closed: float | None
+
+
+_PX4, _ARDUPILOT = "PX4: SDLOG_MODE 0, SDLOG_PROFILE 25", "ArduPilot: LOG_BITMASK with fast attitude and fast IMU"
+_ON_BOARD = f"on board, a telemetry log is too slow. {_PX4}; {_ARDUPILOT}"
+
+
+def how_to_record(kind: str) -> str:
+    """Which settings record what is needed, for the autopilots that write this kind of log."""
+    return {"dataflash": _ARDUPILOT, "tlog": _ON_BOARD}.get(kind, _PX4)
+
+
+def ok(name: str, text: str) -> Finding:
+    """Nothing to do."""
+    return Finding(name, "ok", text)
+
+
+def warning(name: str, text: str) -> Finding:
+    """Mended, or worth knowing."""
+    return Finding(name, "warning", text)
+
+
+def refused(name: str, text: str) -> Finding:
+    """The log can't be used; `text` says why and what to do instead."""
+    return Finding(name, "refused", text)

@@ -29,15 +29,14 @@ from scipy.special import stdtrit
 from flightstack.effects import EFFECTS
 from flightstack.gap.airspeed import offset
 from flightstack.gap.compare import residual
+from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS, TIMING_SHARE
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
-from flightstack.gap.rollouts import rollouts
+from flightstack.gap.rollouts import WINDOW_S, Windows, gathered_by, rollouts, windows_of
 from flightstack.gap.sampled import open_gains
-from flightstack.gap.scales import natural_scale
-from flightstack.gap.simulate import predict, unseen, value, with_value
+from flightstack.gap.simulate import missing_signals, natural_scale, predict, spec_of, value, with_value
 from flightstack.gap.track import track
-from flightstack.gap.windows import WINDOW_S, Windows, gathered_by, windows_of
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 
@@ -48,19 +47,9 @@ _PRIOR_SCALES = 30.0
 """A parameter that the windows can't see stays where it was, with an interval of this many natural scales."""
 _CONVERGED = 0.02
 _TIMING_STEP_S = 0.001
-_BIAS_STD_MPS2 = 0.1
-"""Of an accelerometer in use, before the kinematic columns are looked at."""
 _BLOCK_S = 4.0
-_SAMPLING = 0.05
-"""Of a sample: how well a lag can be known from sampled commands, one standard deviation."""
-_GAIN = 4e-3
-"""How well an inertia's scale can be, for the same reason: a noisy faster loop's sampled commands make it 1 % large."""
-_SWING = 4e-3
-"""And a load's length, as its swing at the start is not known; relative."""
 _WINDS = ("north_mps", "east_mps", "down_mps")
 _MEMORY_S = 5.0
-_STATES = 1.15
-"""Intervals are wider by this: the windows start at smoothed states, whose slow errors no window sees as noise."""
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 """Channels of each part of the commands' noise."""
 _NUISANCES = 9
@@ -71,7 +60,6 @@ _GAIN_PER_S = np.array([0.05, 0.2, 0.2, 0.2])
 """How well thrust and torques are known for each second between samples, one standard deviation: never fitted."""
 _BEND, _BEND_STD = 0.75, 0.25
 """Of `with_sharp_commands`, mean and deviation: a loop as fast as the log, that holds, bends half; a faster one all."""
-_WORSE = 1.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +101,7 @@ def refine(
     theta, covariance = problem.solve()
     # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
     freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
-    half = _STATES * stdtrit(max(freedom, 2.0), 0.975) * np.sqrt(np.diag(covariance))
+    half = STATE_ERRORS * stdtrit(max(freedom, 2.0), 0.975) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
         found.setdefault(effect, {})[parameter] = bounded(believed, effect, parameter, float(theta[k]), float(half[k]))
@@ -121,7 +109,7 @@ def refine(
     late = tuple(s.command_late_s + float(x) for s, x in zip(flights, shifts, strict=True))
     refined = problem.vehicle_at(theta)
     shifted = [replace(s, command_late_s=x) for s, x in zip(flights, late, strict=True)]
-    if np.any(_one_step(refined, shifted, masks) > _WORSE * _one_step(vehicle, flights, masks)):
+    if np.any(_one_step(refined, shifted, masks) > NOT_WORSE * _one_step(vehicle, flights, masks)):
         return None
     return Refined(refined, found, late, problem.count)
 
@@ -145,7 +133,7 @@ def bounded(believed: Vehicle, effect: str, parameter: str, estimate: float, rea
 
 
 def _limits(effect: str, parameter: str) -> tuple[float, float]:
-    spec = next(p for p in EFFECTS[effect].params if p.name == parameter)
+    spec = spec_of(effect, parameter)
     return spec.minimum, spec.maximum
 
 
@@ -159,9 +147,9 @@ def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
     length = round(_BLOCK_S / samples.dt_s)
     blocks = [y[k : k + length].mean(axis=0) for k in range(0, len(y) - length + 1, length)]
     if len(blocks) < 3 or not np.isfinite(blocks).all():
-        return np.zeros(3), np.full(3, _BIAS_STD_MPS2)
+        return np.zeros(3), np.full(3, BIAS_STD_MPS2)
     seen = np.var(blocks, axis=0, ddof=1) / len(blocks)
-    trust = _BIAS_STD_MPS2**2 / (_BIAS_STD_MPS2**2 + seen)
+    trust = BIAS_STD_MPS2**2 / (BIAS_STD_MPS2**2 + seen)
     return trust * np.mean(blocks, axis=0), np.sqrt(trust * seen)
 
 
@@ -178,7 +166,8 @@ class _Problem:
         self._vehicle, self._unknowns = vehicle, unknowns
         most = max(1, _MOST_WINDOWS // max(len(flights), 1))
         usable = [
-            "motor" not in track(s).missing and not any(unseen(s, effect) for effect, _ in unknowns) for s in flights
+            "motor" not in track(s).missing and not any(missing_signals(s, effect) for effect, _ in unknowns)
+            for s in flights
         ]
         self.windows = [
             windows_of(vehicle, s, m if ok else m & False, most)
@@ -232,11 +221,11 @@ class _Problem:
             if effect == "transport_delay":
                 covariance[k, k] += self._sampling_s**2 / 12.0
             elif effect == "motor_lag":
-                covariance[k, k] += (_SAMPLING * self._sampling_s) ** 2
+                covariance[k, k] += (TIMING_SHARE * self._sampling_s) ** 2
             elif effect == "inertia":
-                covariance[k, k] += _GAIN**2
+                covariance[k, k] += SAMPLED_SHARE**2
             elif effect == "slung_load" and parameter == "length_m":
-                covariance[k, k] += (_SWING * theta[k]) ** 2
+                covariance[k, k] += (SAMPLED_SHARE * theta[k]) ** 2
             elif effect == "steady_wind":
                 covariance[k, k] += self._offset[_WINDS.index(parameter)] ** 2
         return theta, covariance

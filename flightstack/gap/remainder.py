@@ -7,13 +7,23 @@ seen.  Nothing is named for it: the answer is a driver and a share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.gap.naming.drivers import Blocks
+from flightstack.gap.compare import residual, velocity_noise
+from flightstack.gap.decisions import CLEAR_SHARE, HALF, MATTERS_MPS2, REST_EVIDENCE, SMALL_SHARE
+from flightstack.gap.naming.bench import SimulatorBench
+from flightstack.gap.naming.drivers import Blocks, block_means
+from flightstack.gap.naming.estimate import Estimates
+from flightstack.gap.naming.whitening import Mask
+from flightstack.gap.records import Samples, Unexplained
+from flightstack.gap.simulate import FreeParameter, sensitivities
+from flightstack.gap.track import track
 from flightstack.types import F64
+from flightstack.vehicle import Vehicle
 
 BLOCK_S = 0.2
 FOLDS = 6
@@ -27,14 +37,10 @@ _REMEMBERED = ("acceleration", "rate")
 """Drivers whose past is looked at as well."""
 GROUPS = {"side force": (0, 1), "lift": (2,), "torque": (3, 4, 5)}
 """Channels that belong together."""
-_EVIDENCE = 12.0
-"""Natural logarithm of the likelihood ratio from which a driver counts."""
-_ALSO = 0.7
-"""Share of the best driver's evidence from which another is told too: the flight can't tell them apart."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class ResidualTest:
     """The rest of one group of channels."""
 
     before: float
@@ -83,10 +89,10 @@ class _Fitted:
         return _predicted(self.kernel.matrix, self.y, fold, self.ratios)
 
 
-def rests(before: F64, blocks: Blocks) -> dict[str, Rest]:
+def tested_residuals(before: F64, blocks: Blocks) -> dict[str, ResidualTest]:
     """The rest of every group; `before` (B, 6) block means of the residual when nothing was named."""
     if len(blocks.y) < 40:
-        return {group: Rest(0.0, 0.0, 0.0, ()) for group in GROUPS}
+        return {group: ResidualTest(0.0, 0.0, 0.0, ()) for group in GROUPS}
     thin = max(1, int(np.ceil(len(blocks.y) / _MOST_BLOCKS)))
     kernels = {name: _kernels(name, x[::thin]) for name, x in blocks.drivers.items()}
     past = {name: _past_kernels(blocks.past[name][::thin]) for name in _REMEMBERED if name in blocks.past}
@@ -100,10 +106,10 @@ def _rest(
     thin: int,
     kernels: dict[str, list[_Kernel]],
     past: dict[str, list[_Kernel]],
-) -> Rest:
+) -> ResidualTest:
     channels = [c for c in GROUPS[group] if np.any(blocks.y[:, c]) and np.std(blocks.y[:, c]) > 0.0]
     if not channels:
-        return Rest(0.0, 0.0, 0.0, ())
+        return ResidualTest(0.0, 0.0, 0.0, ())
     noise = np.array([_noise(blocks.y[:, c]) for c in channels])
     bare = _without(blocks, channels, blocks.y[:, channels] / noise, noise)
     world = bare if group == "torque" else _world_rest(blocks, channels, noise)
@@ -114,17 +120,17 @@ def _rest(
             fits[name] = late
     best = max(fits, key=lambda name: fits[name].evidence)
     evidence = fits[best].evidence
-    driven = fits[best].driven(blocks.fold[::thin]) if evidence >= _EVIDENCE else 0.0
+    driven = fits[best].driven(blocks.fold[::thin]) if evidence >= REST_EVIDENCE else 0.0
     names: tuple[str, ...] = ()
     if driven > 0.0:
         names = tuple(
-            sorted((n for n in fits if fits[n].evidence >= _ALSO * evidence), key=lambda n: -fits[n].evidence)
+            sorted((n for n in fits if fits[n].evidence >= CLEAR_SHARE * evidence), key=lambda n: -fits[n].evidence)
         )
     power_before = float(np.mean(np.sum((before[:, channels] / noise) ** 2, axis=1)))
     power_after = float(np.mean(np.sum((blocks.y[:, channels] / noise) ** 2, axis=1)))
     unit = float(np.sqrt(np.mean(noise**2)))
     shape = np.mean(np.sum((blocks.columns[:, channels, :] / noise[:, None]) ** 2, axis=1), axis=0)
-    return Rest(power_before, power_after, driven, names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
+    return ResidualTest(power_before, power_after, driven, names, unit * float(np.sqrt(driven)), tuple(shape.tolist()))
 
 
 def _noise(y: F64) -> float:
@@ -214,3 +220,66 @@ def _predicted(kernel: F64, y: F64, fold: NDArray[np.int64], ratios: F64) -> flo
             error[out] -= ratio * kernel[np.ix_(out, ~out)] @ np.linalg.solve(k, y[~out, c])
         gained += max(0.0, float(np.mean(y[:, c] ** 2) - np.mean(error**2)))
     return gained
+
+
+def structured_residuals(
+    bench: SimulatorBench, made: Estimates, rests_of: Mapping[str, ResidualTest]
+) -> dict[str, ResidualTest]:
+    """Groups of channels whose rest depends on something, strongly enough to matter."""
+    slow = _slow_noise(bench, made.vehicle)
+    return {
+        group: r
+        for group, r in rests_of.items()
+        if r.drivers and r.share > SMALL_SHARE and r.driven_rms > max(_matters(bench, group), slow[group])
+    }
+
+
+def above_noise(bench: SimulatorBench, start: Vehicle, told: Mapping[str, ResidualTest]) -> dict[str, ResidualTest]:
+    """Of these, what stands out of one step's noise."""
+    noise = np.nan_to_num(np.array([residual(start, s).noise for s in bench.flights])).max(axis=0)
+    return {g: r for g, r in told.items() if r.driven_rms > HALF * np.linalg.norm(noise[list(GROUPS[g])])}
+
+
+def unexplained_given(bench: SimulatorBench, start: Vehicle, made: Estimates) -> Unexplained:
+    """The rest beside a poor model's names: on what it depends; that there is one is known."""
+    told = structured_residuals(bench, made, residual_tests(bench, start, made))
+    return replace(unexplained(above_noise(bench, start, told)), significant=True)
+
+
+def unexplained(told: Mapping[str, ResidualTest]) -> Unexplained:
+    """These rests in one, the strongest driver first."""
+    drivers: list[str] = []
+    for r in sorted(told.values(), key=lambda r: -r.driven):
+        drivers += [d for d in r.drivers if d not in drivers]
+    return Unexplained(bool(told), tuple(drivers), float(max((r.share for r in told.values()), default=0.0)))
+
+
+def residual_tests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, ResidualTest]:
+    """What is left of each group of channels, told or not."""
+    masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
+    after = [residual(made.vehicle, s).y for s in bench.flights]
+    before = [residual(start, s).y for s in bench.flights]
+    none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
+    knobs = [FreeParameter(e, p) for e, p in made.slots]
+    columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none
+    blocks = block_means(bench.flights, after, columns, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    first = block_means(bench.flights, before, none, masks, block_s=BLOCK_S, stretch_s=3.0, folds=FOLDS)
+    return tested_residuals(first.y, blocks)
+
+
+def _slow_noise(bench: SimulatorBench, vehicle: Vehicle) -> dict[str, float]:
+    """What the velocity's own slow error leaves of each group through the vehicle's drag, root mean square."""
+    worst = np.nan_to_num(np.array([velocity_noise(vehicle, s) for s in bench.flights])).max(axis=0)
+    return {group: float(np.max(worst[list(channels)])) for group, channels in GROUPS.items()}
+
+
+def _matters(bench: SimulatorBench, group: str) -> float:
+    """What a remainder of this group must reach to be told, root mean square."""
+    if group != "torque":
+        return MATTERS_MPS2
+    flown = [track(s).lowpass(track(s).measured[:, 3:6])[s.valid] for s in bench.flights]
+    return SMALL_SHARE * float(np.sqrt(np.nanmean(np.concatenate(flown) ** 2)))
+
+
+def _whole(bench: SimulatorBench) -> list[tuple[Samples, Mask, Mask, int]]:
+    return list(zip(bench.flights, bench.fit, bench.holdout, bench.every, strict=True))

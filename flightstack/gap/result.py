@@ -6,7 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from flightstack.gap.records import Across, Estimate, Figures, Found, Gap, Rejected, Unexplained, Where
+from flightstack.gap.records import (
+    Across,
+    ChannelResidual,
+    Estimate,
+    Figures,
+    Gap,
+    IdentifiedEffect,
+    Rejected,
+    Unexplained,
+)
 from flightstack.gap.report import GapReport
 from flightstack.vehicle import Vehicle
 
@@ -20,8 +29,8 @@ class GapResult:
 
     logs: tuple[str, ...]
     vehicle: str
-    where: tuple[Where, ...]
-    found: tuple[Found, ...]
+    where: tuple[ChannelResidual, ...]
+    found: tuple[IdentifiedEffect, ...]
     gap: Gap
     unexplained: Unexplained
     rejected: tuple[Rejected, ...]
@@ -65,7 +74,7 @@ def as_json(result: GapResult) -> dict[str, Any]:
     }
 
 
-def _where(row: Where) -> dict[str, Any]:
+def _where(row: ChannelResidual) -> dict[str, Any]:
     return {
         "signal": row.signal,
         "rms": _known(row.rms),
@@ -76,7 +85,7 @@ def _where(row: Where) -> dict[str, Any]:
     }
 
 
-def _found(found: Found) -> dict[str, Any]:
+def _found(found: IdentifiedEffect) -> dict[str, Any]:
     return {
         "name": found.name,
         "parameters": {name: _estimate(value) for name, value in found.parameters.items()},

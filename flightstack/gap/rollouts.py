@@ -1,4 +1,7 @@
-"""Many short simulations at once, each from a measured state, all driven by the logged commands."""
+"""Many short simulations at once, each from a measured state, all driven by the logged commands.
+
+Output error takes them in windows: what sensors and simulations gather in their pieces.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,10 @@ from flightstack.effects.row import (
     S_VEL,
 )
 from flightstack.gap.evaluated import run_windows
+from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.records import Samples
-from flightstack.gap.run import Run, first_command, later, params_row, true_attitude
-from flightstack.gap.track import Track, track
+from flightstack.gap.run import ModelEvaluation, first_command, params_row, true_attitude, with_added_delay
+from flightstack.gap.track import ProcessedFlight, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import multiply, rotate_inverse
@@ -92,7 +96,9 @@ class _Batch:
 
     __slots__ = ("_at", "_commands", "_driven", "_every", "_voltage", "params", "state")
 
-    def __init__(self, variants: Sequence[tuple[Vehicle, float]], flight: Track, at: NDArray[np.int64]) -> None:
+    def __init__(
+        self, variants: Sequence[tuple[Vehicle, float]], flight: ProcessedFlight, at: NDArray[np.int64]
+    ) -> None:
         self._at, self._every = at, flight.every
         rows = [params_row(vehicle, flight.step_s) for vehicle, _ in variants]
         entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
@@ -107,10 +113,10 @@ class _Batch:
         self._commands: list[F64] = []
         for i, ((_, late_s), p) in enumerate(zip(variants, rows, strict=True)):
             if late_s not in shifted:
-                shifted[late_s] = later(flight, late_s)
+                shifted[late_s] = with_added_delay(flight, late_s)
             moved = shifted[late_s]
             own = self.state[i * len(at) : (i + 1) * len(at)]
-            run = Run(p, moved, runs)
+            run = ModelEvaluation(p, moved, runs)
             own[:, :S_RING] = run.states(at)
             own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
             own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]
@@ -135,9 +141,66 @@ class _Batch:
         return shown, force
 
 
-def _ring(flight: Track, at: NDArray[np.int64], entries: int) -> F64:
+def _ring(flight: ProcessedFlight, at: NDArray[np.int64], entries: int) -> F64:
     """(S, 4 * entries) the commands before each start, the newest last."""
     before = at[:, None] * flight.every - np.arange(entries, 0, -1)[None, :]
     commands = flight.commands[np.maximum(before, 0)]
     commands[before < 0] = first_command(flight)
     return np.asarray(commands.reshape(len(at), -1))
+
+
+WINDOW_S = 0.5
+PIECE_S = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """One flight's windows and what its sensors gathered in their pieces."""
+
+    flight: ProcessedFlight
+    starts: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    """(n + 1,) samples after a start, where pieces begin and end."""
+    gathered: F64
+    """(S, n, 6) integrals of specific force (m/s) and changes of rate (rad/s)."""
+    sharp: Samples
+    """The flight with its commands curved between their stamps."""
+    smooth: Samples
+    """The flight without the noise on its commands."""
+
+
+def windows_of(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], most: int) -> Windows:
+    """Windows one after another over the masked samples (N,), at most so many, spread evenly."""
+    flight = track(samples)
+    good = mask & flight.usable
+    piece = max(1, round(PIECE_S / samples.dt_s))
+    steps = piece * max(2, round(WINDOW_S / samples.dt_s / piece))
+    starts, k = [], 0
+    bad = np.concatenate([[0], np.cumsum(~good)])
+    while k + steps + 1 < len(good):
+        if bad[k + steps + 1] == bad[k]:
+            starts.append(k)
+            k += steps
+        else:
+            k += 1
+    chosen = np.array(starts, dtype=np.int64)
+    if len(chosen) > most:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
+    edges = np.arange(0, steps + 1, piece)
+    force = flight.measured[:, 0:3]
+    sums = np.zeros_like(force)
+    sums[1:] = np.cumsum(0.5 * samples.dt_s * (force[1:] + force[:-1]), axis=0)
+    # The gyro as it is: a smoothed one's residuals are so alike from piece to piece that they would count too much.
+    derived = "rate_frd_radps" in flight.missing
+    rate = flight.turn_frd_radps if derived else np.nan_to_num(samples.rate_frd_radps)
+    at = chosen[:, None] + edges[None, :]
+    gathered = np.concatenate([np.diff(sums[at], axis=1), np.diff(rate[at], axis=1)], axis=2)
+    smooth = with_smooth_commands(samples, vehicle)
+    return Windows(flight, chosen, edges, gathered, with_sharp_commands(samples), smooth)
+
+
+def gathered_by(run: Rollout, windows: Windows) -> F64:
+    """(S, n, 6) of a simulation, as `Windows.gathered` has it."""
+    sums = np.cumsum(run.force_frd_mps2 * windows.flight.samples.dt_s, axis=1)[:, windows.edges]
+    rate = run.rate_frd_radps[:, windows.edges]
+    return np.concatenate([np.diff(sums, axis=1), np.diff(rate, axis=1)], axis=2)

@@ -42,7 +42,7 @@ from flightstack.effects.row import (
 from flightstack.gap.evaluated import evaluate_at
 from flightstack.gap.records import SIGNALS
 from flightstack.gap.rotor_state import load_work, run_battery, run_load, run_rotors
-from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, Track, simpson, step_commands
+from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, ProcessedFlight, simpson, step_commands
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import conjugate, multiply, rotate, rotate_inverse
@@ -52,7 +52,7 @@ from flightstack_sim.plant import evaluate_rows, state_rows
 _MOST_ROWS_MADE = 256
 _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
 _MOST_FELT = 2
-_FELT: dict[tuple[int, bytes], tuple[Track, F64]] = {}
+_FELT: dict[tuple[int, bytes], tuple[ProcessedFlight, F64]] = {}
 """Of the last few vehicles: many ropes are tried on each."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
@@ -60,14 +60,14 @@ SENSORS = [PLACES[effect, p.name] for effect, spec in EFFECTS.items() if spec.ki
 """Places of the sensor effects' parameters in a row."""
 
 
-def later(flight: Track, late_s: float) -> Track:
+def with_added_delay(flight: ProcessedFlight, late_s: float) -> ProcessedFlight:
     """The flight with its commands acting this much later still."""
     samples = flight.samples
     return replace(flight, commands=step_commands(samples, flight.every, samples.command_late_s + late_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turned:
+class CentralDifference:
     """Parameter rows with one parameter a little higher and a little lower, and by how much they differ."""
 
     centre: F64
@@ -90,12 +90,12 @@ def params_row(vehicle: Vehicle, step_s: float) -> F64:
     return _ROWS_MADE[key][1].copy()
 
 
-class Run:
+class ModelEvaluation:
     """One vehicle's rotors, battery and load run through one flight: what is remembered at every sample."""
 
     __slots__ = ("load", "track", "u", "voltage")
 
-    def __init__(self, p: F64, flight: Track, known: dict[tuple[float, ...], F64] | None = None) -> None:
+    def __init__(self, p: F64, flight: ProcessedFlight, known: dict[tuple[float, ...], F64] | None = None) -> None:
         """`p`: `params_row`; `known`: rotors' states run through before, by what they depend on; taken and kept."""
         self.track = flight
         known = {} if known is None else known
@@ -135,7 +135,7 @@ class Run:
         """Specific force and angular acceleration (N, 6) of this parameter row at this run's states."""
         return self._evaluated(p, p[None])[:, :, 0]
 
-    def changes(self, turned: Sequence[Turned]) -> F64:
+    def changes(self, turned: Sequence[CentralDifference]) -> F64:
         """(N, 6, K) difference quotients as the sensors show them, before the low-pass; all at this run's states."""
         count = len(turned)
         rows = np.stack([*(t.up for t in turned), *(t.down for t in turned)])
@@ -165,7 +165,7 @@ class Run:
         moved[:, 3:6] = _turned_back(misalignment, angular) if "rate_frd_radps" in flight.missing else angular
         return moved
 
-    def felt(self, p: F64, moved: F64) -> F64:
+    def measurement_change(self, p: F64, moved: F64) -> F64:
         """A change of motion (N, 6) as the sensors show it, (N, 12)."""
         out = np.zeros((len(moved), COLUMNS))
         out[:, : len(SIGNALS)] = self._sensed(p, moved.copy())
@@ -184,7 +184,7 @@ class Run:
         return np.hstack([self.physics(p, moved), kinematics(self.track, p)])
 
 
-def kinematics(flight: Track, p: F64) -> F64:
+def kinematics(flight: ProcessedFlight, p: F64) -> F64:
     """(N, 6) the columns without physics, as the sensors of this parameter row show them."""
     out = np.empty((len(flight.q_ned_frd), COLUMNS - len(SIGNALS)))
     misalignment = attitude_misalignment.rotation(p)[None, :]
@@ -196,7 +196,7 @@ def kinematics(flight: Track, p: F64) -> F64:
 
 
 @lru_cache(maxsize=8)
-def kinematic_rest(flight: Track, sensors: tuple[float, ...]) -> F64:
+def kinematic_residual(flight: ProcessedFlight, sensors: tuple[float, ...]) -> F64:
     """(N, 6) measured minus `kinematics` through the low-pass: no physics changes it, so it is kept."""
     p = np.zeros(PARAMS)
     p[SENSORS] = sensors
@@ -208,19 +208,19 @@ def _turned_back(q: F64, vectors: F64) -> F64:
     return np.moveaxis(rotate_inverse(q, np.moveaxis(vectors, 1, -1)), -1, 1)
 
 
-def true_attitude(p: F64, flight: Track) -> F64:
+def true_attitude(p: F64, flight: ProcessedFlight) -> F64:
     """(N, 4) attitude without the misalignment of this parameter row."""
     if not np.any(p[attitude_misalignment.ROLL : attitude_misalignment.YAW + 1]):
         return flight.q_ned_frd
     return multiply(flight.q_ned_frd, conjugate(attitude_misalignment.rotation(p)))
 
 
-def first_command(flight: Track) -> F64:
+def first_command(flight: ProcessedFlight) -> F64:
     """(4,) what the rotors are taken to have turned at before the first sample: the first second's mean."""
     return np.asarray(flight.commands[: max(1, round(1.0 / flight.step_s))].mean(axis=0))
 
 
-def _rotors(p: F64, flight: Track) -> F64:
+def _rotors(p: F64, flight: ProcessedFlight) -> F64:
     """Motors' u (N, 4) at the samples."""
     row = state_rows(p[None], dt_us=max(1, int(1e6 * flight.step_s)))[0]
     start = np.clip(first_command(flight), 0.0, 1.0)
@@ -231,7 +231,7 @@ def _rotors(p: F64, flight: Track) -> F64:
     return out
 
 
-def _load(p: F64, flight: Track, u: F64) -> F64:
+def _load(p: F64, flight: ProcessedFlight, u: F64) -> F64:
     """The slung load's direction and its rate (N, 6); hanging at rest at the first sample, where that is no flight."""
     out = np.zeros((len(flight.samples.t_s), 6))
     out[:, 2] = 1.0
@@ -246,7 +246,7 @@ def _load(p: F64, flight: Track, u: F64) -> F64:
     return out
 
 
-def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
+def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
     """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
     bare = p.copy()
     bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
@@ -260,9 +260,9 @@ def _felt_of_the_load(p: F64, flight: Track, u: F64, hanging: F64) -> F64:
     force = flight.measured[:, 0:3]
     if "accel_frd_mps2" not in flight.missing:
         force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
-    felt = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
-    felt[~flight.samples.valid] = np.nan
+    measurement_change = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
+    measurement_change[~flight.samples.valid] = np.nan
     if len(_FELT) >= _MOST_FELT:
         del _FELT[next(iter(_FELT))]
-    _FELT[key] = (flight, np.asarray(felt))  # the flight is kept, so its number is its own
+    _FELT[key] = (flight, np.asarray(measurement_change))  # the flight is kept, so its number is its own
     return _FELT[key][1]

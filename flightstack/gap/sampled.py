@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.compare import path_change
+from flightstack.gap.decisions import TIMING_SHARE
 from flightstack.gap.records import SIGNALS, Figures, Samples
 from flightstack.gap.simulate import predict, timing
 from flightstack.gap.track import track
@@ -22,8 +23,8 @@ from flightstack.vehicle import Vehicle
 
 _THIRD = np.sqrt(20.0)  # of the white noise in its third differences
 _MAD = 0.6745
-_TIMING_S, _TIMING_SAMPLES = 0.0005, 0.05
-"""How far commands may have acted beside their stamps: so long, and this share of the log's period (one sigma)."""
+_TIMING_S = 0.0005
+"""How far commands may have acted beside their stamps, beside the share of a sample (one sigma)."""
 _JUMP = 1.0 / 24.0
 """Variance of a command's mean between stamps for each squared second difference: a twelfth of a jump's, over two."""
 
@@ -56,7 +57,7 @@ def open_gains(shown: F64, change: F64, rows: NDArray[np.bool_]) -> F64:
 
 def timing_s(period_s: float) -> float:
     """Standard deviation of when commands really acted, beside their stamps, in a log of this period."""
-    return _TIMING_S + _TIMING_SAMPLES * period_s
+    return _TIMING_S + TIMING_SHARE * period_s
 
 
 def sampling_floor(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> Figures:

@@ -17,12 +17,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flightstack.effects import EFFECTS, ParamSpec
+from flightstack.effects.record import Size
 from flightstack.effects.row import PLACES
 from flightstack.gap.records import Samples
-from flightstack.gap.run import SENSORS, Run, Turned, kinematic_rest, later, params_row
-from flightstack.gap.scales import natural_scale
+from flightstack.gap.run import (
+    SENSORS,
+    CentralDifference,
+    ModelEvaluation,
+    kinematic_residual,
+    params_row,
+    with_added_delay,
+)
 from flightstack.gap.track import COLUMNS, thinned, track
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from flightstack_sim.parameters import derive
 
@@ -36,7 +43,7 @@ _UPRIGHT = frozenset({"down_n", "down_mps"})
 
 
 @dataclass(frozen=True, slots=True)
-class Knob:
+class FreeParameter:
     """One parameter of one effect, and the values of that effect round which it is turned."""
 
     effect: str
@@ -45,18 +52,18 @@ class Knob:
     """On top of what the vehicle has of the effect: the faulty rotor's number, a load's length."""
 
 
-def knobs(effect: str, at: Mapping[str, float] | None = None) -> tuple[Knob, ...]:
+def free_parameters(effect: str, at: Mapping[str, float] | None = None) -> tuple[FreeParameter, ...]:
     """All continuous parameters of an effect (a fault's rotor and other whole numbers are choices: give them `at`)."""
-    return tuple(Knob(effect, p.name, dict(at or {})) for p in EFFECTS[effect].params if not p.integer)
+    return tuple(FreeParameter(effect, p.name, dict(at or {})) for p in EFFECTS[effect].params if not p.integer)
 
 
-def unseen(samples: Samples, effect: str) -> tuple[str, ...]:
+def missing_signals(samples: Samples, effect: str) -> tuple[str, ...]:
     """Signals that the log lacks and without which it can't show this effect."""
     missing = track(samples).missing
     return tuple(name for name in EFFECTS[effect].needs if name in missing)
 
 
-def untold(samples: Samples, effect: str) -> bool:
+def confounded_with_attitude(samples: Samples, effect: str) -> bool:
     """Whether the effect may only stand for how the log's attitude was made.
 
     An attitude out of the acceleration is the one at which there is no side force: it tells nothing of what blows or
@@ -74,26 +81,26 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     """
     flight = track(samples)
     p = params_row(vehicle, flight.step_s)
-    return Run(p, flight).shown(p)
+    return ModelEvaluation(p, flight).shown(p)
 
 
-def disagreement(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
+def prediction_error(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
     """Measured minus what `predict` says: (N, 12) through the common low-pass, and (N, 6) its physics before it.
 
     Columns that the log can't measure are NaN.
     """
     flight = track(samples)
     p = params_row(vehicle, flight.step_s)
-    raw = flight.measured[:, :6] - Run(p, flight).physics(p)
+    raw = flight.measured[:, :6] - ModelEvaluation(p, flight).physics(p)
     out = np.full((len(raw), COLUMNS), np.nan)
     sighted = [c for c in range(6) if c not in flight.blind]
     if sighted:
         out[:, sighted] = flight.smooth(raw[:, sighted])
-    out[:, 6:] = kinematic_rest(flight, tuple(p[SENSORS].tolist()))
+    out[:, 6:] = kinematic_residual(flight, tuple(p[SENSORS].tolist()))
     return out, raw
 
 
-def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], every: int = 1) -> F64:
+def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[FreeParameter], every: int = 1) -> F64:
     """d predict / d parameter of all these, (ceil(N / every), 12, K), through the common low-pass.
 
     Central differences through the simulator, one-sided where the range ends.  Columns that the log can't measure are
@@ -107,7 +114,7 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[Knob], e
     if fewer > 1:
         flight, every = thinned(flight, fewer), every // fewer
     row = params_row(vehicle, flight.step_s)
-    base = Run(row, flight)
+    base = ModelEvaluation(row, flight)
     turned = [_turned(vehicle, row, knob) for knob in columns]
     mute = _UPRIGHT if "motor" in flight.missing else frozenset()
     seen = [
@@ -137,13 +144,16 @@ def timing(vehicle: Vehicle, samples: Samples) -> F64:
     """
     flight = track(samples)
     p = params_row(vehicle, flight.step_s)
-    shown = [Run(p, later(flight, change_s)).shown(p) for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)]
+    shown = [
+        ModelEvaluation(p, with_added_delay(flight, change_s)).shown(p)
+        for change_s in (-_TIMING_STEP_S, _TIMING_STEP_S)
+    ]
     return flight.lowpass((shown[1] - shown[0]) / (2.0 * _TIMING_STEP_S))
 
 
 def value(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """A parameter as the vehicle has it: the effect's, else its null value, else the vehicle's own; NaN where none."""
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     given = vehicle.effects.get(effect, {}).get(parameter, spec.null)
     if given is not None:
         return float(given)
@@ -157,7 +167,7 @@ def with_value(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Ve
     Values are brought into the range that a vehicle file allows, and what flies keeps some mass: an estimate beyond a
     range must never be refused by the file that is made of it.
     """
-    within = {p: float(np.clip(x, _spec(effect, p).minimum, _spec(effect, p).maximum)) for p, x in values.items()}
+    within = {p: float(np.clip(x, spec_of(effect, p).minimum, spec_of(effect, p).maximum)) for p, x in values.items()}
     changed = {**vehicle.effects.get(effect, {}), **within}
     if effect == "payload":
         changed["mass_kg"] = _carried(vehicle, changed["mass_kg"])
@@ -169,14 +179,15 @@ def _carried(vehicle: Vehicle, mass_kg: float) -> float:
     return max(mass_kg, (2.0 * LEAST_MASS_SHARE - 1.0) * vehicle.mass_kg)
 
 
-def _spec(effect: str, parameter: str) -> ParamSpec:
+def spec_of(effect: str, parameter: str) -> ParamSpec:
+    """The table's row of one parameter."""
     return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
-def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
+def _turned(vehicle: Vehicle, row: F64, knob: FreeParameter) -> CentralDifference:
     """`row`: the vehicle's own."""
     now = knob.at.get(knob.parameter, value(vehicle, knob.effect, knob.parameter))
-    spec = _spec(knob.effect, knob.parameter)
+    spec = spec_of(knob.effect, knob.parameter)
     step = _STEP_SHARE * natural_scale(vehicle, knob.effect, knob.parameter)
     high, low = min(now + step, spec.maximum), max(now - step, spec.minimum)
     centre, up, down = row.copy(), row.copy(), row.copy()
@@ -184,14 +195,14 @@ def _turned(vehicle: Vehicle, row: F64, knob: Knob) -> Turned:
         for name, x in {**knob.at, **more}.items():
             p[PLACES[knob.effect, name]] = _carried(vehicle, x) if knob.effect == "payload" else x
         derive(p)
-    return Turned(centre, up, down, high - low)
+    return CentralDifference(centre, up, down, high - low)
 
 
-def _is_sensor(knob: Knob) -> bool:
+def _is_sensor(knob: FreeParameter) -> bool:
     return EFFECTS[knob.effect].kind == "sensor"
 
 
-def _difference(base: Run, turned: Turned, knob: Knob) -> F64:
+def _difference(base: ModelEvaluation, turned: CentralDifference, knob: FreeParameter) -> F64:
     """Difference quotient of what is shown, (N, 12), before the low-pass, of what no other parameter goes along with.
 
     Sensor effects change the states that the physics is evaluated at, lags and a load's swing are states of their own.
@@ -200,5 +211,19 @@ def _difference(base: Run, turned: Turned, knob: Knob) -> F64:
     if _is_sensor(knob):
         same = base.moved(turned.centre) if knob.effect == "accelerometer_bias" else None
         return (base.shown(up, same) - base.shown(down, same)) / turned.width
-    moved = [Run(p, base.track).moved(p) for p in (up, down)]
-    return base.felt(turned.centre, (moved[0] - moved[1]) / turned.width)
+    moved = [ModelEvaluation(p, base.track).moved(p) for p in (up, down)]
+    return base.measurement_change(turned.centre, (moved[0] - moved[1]) / turned.width)
+
+
+def natural_scale(vehicle: Vehicle, effect: str, parameter: str) -> float:
+    """A change of this parameter that moves the motion by some percent; positive, in the parameter's unit."""
+    hover = min(1.0, (vehicle.mass_kg * STANDARD_GRAVITY_MPS2 / vehicle.max_total_thrust_n) ** 0.5)
+    size = Size(
+        mass_kg=vehicle.total_mass_kg,
+        weight_n=vehicle.weight_n,
+        inertia_kgm2=float(vehicle.inertia_kgm2.mean()),
+        arm_m=float((vehicle.rotors.position_m[:, :2] ** 2).sum(axis=1).mean()) ** 0.5,
+        turning_radps=4.0 * hover * vehicle.rotors.max_speed_radps,
+    )
+    scale = EFFECTS[effect].scale(size)
+    return float(scale if isinstance(scale, float) else scale[parameter])

@@ -58,7 +58,7 @@ GRAVITY_NED_MPS2 = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class ProcessedFlight:
     """One flight, ready: arrays of N samples."""
 
     samples: Samples
@@ -125,7 +125,7 @@ def derivative(x: F64, dt_s: float) -> F64:
 
 
 @lru_cache(maxsize=8)
-def track(samples: Samples) -> Track:
+def track(samples: Samples) -> ProcessedFlight:
     """Make a flight ready; kept for the last few flights, as every step of the workflow asks for it.
 
     A flight whose commands alone are another's changed is ready but for these.
@@ -139,7 +139,7 @@ def track(samples: Samples) -> Track:
     return replace(like, samples=samples, commands=commands, usable=_usable(samples, like.cutoff_hz))
 
 
-_READY: deque[Track] = deque(maxlen=4)
+_READY: deque[ProcessedFlight] = deque(maxlen=4)
 
 
 def _same_but_commands(a: Samples, b: Samples) -> bool:
@@ -148,7 +148,7 @@ def _same_but_commands(a: Samples, b: Samples) -> bool:
     return all(getattr(a, name) is getattr(b, name) for name in names)
 
 
-def _made(samples: Samples) -> Track:
+def _made(samples: Samples) -> ProcessedFlight:
     dt = samples.dt_s
     missing = _missing(samples)
     cutoff = _cutoff(samples)
@@ -168,7 +168,7 @@ def _made(samples: Samples) -> Track:
     if "motor" in missing:  # no simulation without commands; from their mean it is that of the side force
         measured[:, slice(2, 6) if np.isfinite(samples.motor).any() else slice(6)] = np.nan
     every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))
-    return Track(
+    return ProcessedFlight(
         samples,
         _position(path, samples, missing),
         _integrated(smooth, dt) if "pos_ned_m" in missing else path,
@@ -191,7 +191,7 @@ def _made(samples: Samples) -> Track:
     )
 
 
-def thinned(flight: Track, k: int) -> Track:
+def thinned(flight: ProcessedFlight, k: int) -> ProcessedFlight:
     """Every k-th sample of a flight; rotors still run through all its commands."""
     samples = flight.samples
     rows = {name: getattr(samples, name)[::k] for name in _ROWS}

@@ -5,7 +5,7 @@ its noise floor.  `closed` is the share of (before - floor) that the correction 
 corrected model leaves is open where a figure still holds a gap by the same rule:
 
     nothing named   open wherever there was a gap, whether or not a driver of it was found
-    names           open where a driver was found or less than `MOSTLY_CLOSED` is closed
+    names           open where a driver was found or less than `MOSTLY` is closed
 
 The unexplained fraction is 1 - closed, so that the two never contradict each other.
 """
@@ -14,12 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from flightstack.gap.decisions import GAP_FROM, MOSTLY
 from flightstack.gap.records import Figures, Gap, Unexplained
 
-GAP_FROM = 1.2
-"""Times its noise floor, from which a figure holds a gap."""
-MOSTLY_CLOSED = 0.9
-"""Share of the held-out gap below which something is left that the names don't explain."""
 ONE_STEP = ("one_step_mps2", "one_step_radps2")
 
 
@@ -54,7 +51,7 @@ def unexplained(rest: Unexplained, gap: Gap, *, named: bool) -> Unexplained:
         return rest
     if not named:
         return Unexplained(True, rest.depends_on, left)
-    if is_open(gap) and (rest.significant or gap.closed < MOSTLY_CLOSED):
+    if is_open(gap) and (rest.significant or gap.closed < MOSTLY):
         return Unexplained(True, rest.depends_on, left)
     return Unexplained(False, (), left)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from flightstack.gap.records import SIGNALS, Samples
 from flightstack.gap.simulate import predict
-from flightstack.gap.track import Track, derivative, lowpass, track
+from flightstack.gap.track import ProcessedFlight, derivative, lowpass, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate
@@ -116,7 +116,7 @@ def reflight(believed: Vehicle, truths: Sequence[Vehicle], samples: Samples, mas
     return [_flown(believed, truth, flight, first, last) for truth in truths]
 
 
-def _flown(believed: Vehicle, truth: Vehicle, flight: Track, first: int, last: int) -> Reflight:
+def _flown(believed: Vehicle, truth: Vehicle, flight: ProcessedFlight, first: int, last: int) -> Reflight:
     dt = flight.samples.dt_s
     t_s: F64 = dt * np.arange(last - first, dtype=np.float64)
     path = flight.path_ned_m[first:last].copy()
@@ -166,7 +166,7 @@ def _compared(table: F64, at: F64, t_s: F64, path: F64, axis: F64, collective: F
     )
 
 
-def _in_the_air(believed: Vehicle, truth: Vehicle, flight: Track, first: int, start: F64) -> SimulatedVehicle:
+def _in_the_air(believed: Vehicle, truth: Vehicle, flight: ProcessedFlight, first: int, start: F64) -> SimulatedVehicle:
     """A simulated vehicle with the state that the log has at this sample, after a hover that let its loops settle."""
     plant = NativePlant(truth, seed=0, ground=False)
     params = airframe_params(believed)

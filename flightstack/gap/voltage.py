@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from flightstack.gap.checks.noise import white_noise
-from flightstack.gap.filters import both_ways, lowpass, through
+from flightstack.gap.decisions import GAP_FROM, SMALL_SHARE
+from flightstack.gap.filters import both_ways, lowpass, through, white_noise
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
-_SPAN = 0.05
-"""Share of itself, spanned beside what follows the motors' commands, from which on a voltage always tells."""
 _SQUARE = 2.0
 """Thrust goes with the square of the voltage, and more is no battery's doing."""
 _FROM, _TO = 5.0, 95.0
@@ -22,8 +20,6 @@ _PAD = 9
 """Rows by which the voltage is continued at both ends."""
 _LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08)
 """Of that power behind the commands: the rotors'."""
-_ALL_NOISE = 1.2
-"""Times the white noise that a voltage without its noise may differ from the measured one."""
 
 
 def quiet(battery_v: F64, motor: F64, dt_s: float) -> F64:
@@ -37,7 +33,7 @@ def quiet(battery_v: F64, motor: F64, dt_s: float) -> F64:
         return battery_v
     low = lowpass(_SLOW_HZ, dt_s)
     slow = both_ways(low, battery_v, _PAD)
-    power, best, least = np.mean(motor**3, axis=1), battery_v, _ALL_NOISE * noise
+    power, best, least = np.mean(motor**3, axis=1), battery_v, GAP_FROM * noise
     for lag_s in _LAGS_S:
         keep = np.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
         drawn = through(np.array([1.0 - keep]), np.array([1.0, -keep]), power, float(power[0]))
@@ -74,4 +70,4 @@ def tells(samples: Samples, lift_off_mps2: float) -> bool:
     ever do, what goes with the voltage goes with something else.
     """
     own = own_span(samples)
-    return own >= _SPAN or (own > 0.0 and lift_off_mps2 <= _SQUARE * own * STANDARD_GRAVITY_MPS2)
+    return own >= SMALL_SHARE or (own > 0.0 and lift_off_mps2 <= _SQUARE * own * STANDARD_GRAVITY_MPS2)

@@ -16,27 +16,22 @@ from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
-from flightstack.gap.held import doubtful, far_from_noise, proxies, vanished
-from flightstack.gap.likeness import other_vehicle, same_flight
-from flightstack.gap.name import EVERYWHERE, Naming, name
+from flightstack.gap.decisions import ALL_OF_ONE, HALF, MOSTLY, TENTH
+from flightstack.gap.held import fails_holdout, far_from_noise, interval_contains_nominal, surrogate_terms
+from flightstack.gap.likeness import same_flight, vehicle_mismatch
+from flightstack.gap.name import EVERYWHERE, Selection, name
 from flightstack.gap.naming.estimate import fills
-from flightstack.gap.pooled import Split
+from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
-from flightstack.gap.records import Checked, Found, Gap, Samples
+from flightstack.gap.records import Checked, Gap, IdentifiedEffect, Samples
 from flightstack.gap.refine import refine
 from flightstack.gap.report.words import sentence
 from flightstack.gap.result import GapResult
-from flightstack.gap.verdict import MOSTLY_CLOSED, closed_power, gap_of, unexplained
+from flightstack.gap.verdict import closed_power, gap_of, unexplained
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
 OnProgress = Callable[[float, str], None]
-_WORSE = 1.1
-"""Times the held-out figure before, from which a correction is taken back."""
-_ALL_OF_ONE = 1.0 - (1.0 - MOSTLY_CLOSED) ** 2
-"""The same share in power as mostly closed is in rms."""
-_LEAST_CLOSED = 0.5
-"""Share of the held-out gap's power below which nothing is named beside something that nothing explains."""
 
 
 def _silent(share: float, phase: str) -> None:
@@ -88,14 +83,14 @@ def analyse(
 
 
 def _concluded(
-    vehicle: Vehicle, of: Split, called: str, on_progress: OnProgress = _silent, *, closely: bool = False
-) -> tuple[Naming, Split, Gap]:
+    vehicle: Vehicle, of: FitHoldoutSplit, called: str, on_progress: OnProgress = _silent, *, closely: bool = False
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
     naming, of, gap = _judged(vehicle, naming, of, on_progress)
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
-    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < _LEAST_CLOSED)):
+    if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < HALF)):
         gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
         naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
         gap = _verdict(vehicle, naming, of)
@@ -103,15 +98,15 @@ def _concluded(
     if carried is not naming:
         naming = carried
         gap = _verdict(vehicle, naming, of)
-    unlike = other_vehicle(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
+    unlike = vehicle_mismatch(vehicle, naming.vehicle, naming.found, unexplained=naming.unexplained.significant)
     if unlike:
         raise InputError(
             f"log {of.flights[0].name}: this log does not look like {called}: {unlike}; name the file of the vehicle "
             "that flew"
         )
-    if naming.found and gap.closed is not None and gap.closed < MOSTLY_CLOSED:
+    if naming.found and gap.closed is not None and gap.closed < MOSTLY:
         if not naming.unexplained.significant:
-            naming = naming.with_a_rest(1.0 - gap.closed)  # it may have acted on held-out data only
+            naming = naming.with_unexplained(1.0 - gap.closed)  # it may have acted on held-out data only
         here = naming.unexplained.depends_on[:1] == ("position",)
         gone = {f.name for f in naming.found if (here and f.name in EVERYWHERE) or _is_worse(gap, 1.0)}
         if gone:
@@ -125,7 +120,9 @@ def _concluded(
     return naming, of, gap
 
 
-def _looked_closely(vehicle: Vehicle, said: tuple[Naming, Split, Gap], called: str) -> tuple[Naming, Split, Gap]:
+def _looked_closely(
+    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap], called: str
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """The verdict where what a good model may be off by is looked at, too, if that explains all; else what was said.
 
     A centre of mass off by two percent of an arm is less than vehicles differ by, and yet all that is missing here.
@@ -137,13 +134,13 @@ def _looked_closely(vehicle: Vehicle, said: tuple[Naming, Split, Gap], called: s
         return said
     if not naming.found or gap.closed is None:
         return said
-    whole = gap.closed >= MOSTLY_CLOSED and not naming.unexplained.significant
-    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= _ALL_OF_ONE) else said
+    whole = gap.closed >= MOSTLY and not naming.unexplained.significant
+    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= ALL_OF_ONE) else said
 
 
 def _turned_round(
-    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Naming, Split, Gap], called: str
-) -> tuple[Naming, Split, Gap]:
+    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Selection, FitHoldoutSplit, Gap], called: str
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """The verdict with the first third of each flight held out, where that explains all; else what was said.
 
     What acts in the last third only (one low pass before landing) can't be named from the first two.  Learned from, it
@@ -157,7 +154,7 @@ def _turned_round(
     if not naming.found or naming.unexplained.significant:
         return said
     closed = _verdict(vehicle, naming, replace(said[1], flights=of.flights)).closed
-    return said if closed is None or closed < MOSTLY_CLOSED else (naming, of, gap)
+    return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
 
 def usable_flights(
@@ -216,7 +213,9 @@ def _usable(checked: Checked) -> Samples:
     return checked.samples
 
 
-def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str] | None = None) -> tuple[Naming, Split]:
+def _refined(
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, effects: Sequence[str] | None = None
+) -> tuple[Selection, FitHoldoutSplit]:
     """The named effects' parameters (or some) by output error through the simulator, and when commands really acted."""
     used = [k for k, mask in enumerate(of.fit) if mask.any() and not without_motors([of.flights[k]])]
     if not used:
@@ -239,7 +238,9 @@ def _refined(vehicle: Vehicle, naming: Naming, of: Split, effects: Sequence[str]
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
-def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tuple[Naming, Split, Gap]:
+def _same_in_each(
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """Names that are not the same in each of several flights are taken back, clearest first, the others fitted anew.
 
     With several flights, or far from the noise, intervals reach as far as flights and their stretches differ.
@@ -257,7 +258,7 @@ def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tupl
     if len(of.flights) == 1 and not far_from_noise(gap):
         return naming, of, gap
     naming = naming.as_wide_as_it_varies()
-    while unsure := vanished(naming.found):
+    while unsure := interval_contains_nominal(naming.found):
         naming = naming.without(unsure[-1:], "is not sure to be there: it differs that much from stretch to stretch")
         forces = _to_refine(naming, gap)
         naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
@@ -266,12 +267,12 @@ def _same_in_each(vehicle: Vehicle, naming: Naming, of: Split, gap: Gap) -> tupl
     return naming, of, gap
 
 
-def _to_refine(naming: Naming, gap: Gap) -> list[str]:
+def _to_refine(naming: Selection, gap: Gap) -> list[str]:
     """Far from the noise only forces are: torques answer what a rate loop does, forces don't."""
     return [f.name for f in naming.found if not far_from_noise(gap) or EFFECTS[f.name].kind == "force"]
 
 
-def _alone(vehicle: Vehicle, naming: Naming, samples: Samples, effects: Sequence[str]) -> Told:
+def _alone(vehicle: Vehicle, naming: Selection, samples: Samples, effects: Sequence[str]) -> Told:
     """What one flight says of these effects by output error."""
     if not effects:
         return {}
@@ -282,11 +283,13 @@ def _alone(vehicle: Vehicle, naming: Naming, samples: Samples, effects: Sequence
     return {(effect, p): e for effect, own in refined.parameters.items() for p, e in own.items()}
 
 
-def _fixed(naming: Naming) -> set[tuple[str, str]]:
+def _fixed(naming: Selection) -> set[tuple[str, str]]:
     return {(f.name, p) for f in naming.found for p, e in f.parameters.items() if not e.told}
 
 
-def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress) -> tuple[Naming, Split, Gap]:
+def _judged(
+    vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress: OnProgress
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """The names that hold on data not used before, refined, and the gap with them.
 
     Refinement trusts the structure.  Where the model stays far from the noise, only what clearly matters is named,
@@ -299,11 +302,13 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
         return named, moved, _verdict(vehicle, named, moved)
     naming, moved = _refined(vehicle, named, of)
     on_progress(0.75, "verifying")
-    while gone := vanished(naming.found):  # one by one: of two that are alike each is nothing beside the other
+    while gone := interval_contains_nominal(
+        naming.found
+    ):  # one by one: of two that are alike each is nothing beside the other
         left = named.without(gone[-1:], "nothing of it is left once all are refined")
         named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
         naming, moved = _refined(vehicle, named, of)
-    gone = doubtful(vehicle, naming.found, moved, beside=naming.unexplained.significant)
+    gone = fails_holdout(vehicle, naming.found, moved, beside=naming.unexplained.significant)
     if gone:
         named = named.without(gone, "does something else on data not used before")
         naming, moved = _refined(vehicle, named, of)
@@ -317,7 +322,7 @@ def _judged(vehicle: Vehicle, named: Naming, of: Split, on_progress: OnProgress)
     return named, of, _verdict(vehicle, named, of)
 
 
-def _merged(named: Naming) -> Naming:
+def _merged(named: Selection) -> Selection:
     """The verdict with one name for each class: what the logs can't tell from a stronger name is its twin."""
     gone = doubled(named.found, named.vehicle.mass_kg)
     return (
@@ -327,31 +332,31 @@ def _merged(named: Naming) -> Naming:
     )
 
 
-def _beside_a_poor_model(vehicle: Vehicle, named: Naming) -> Naming:
+def _beside_a_poor_model(vehicle: Vehicle, named: Selection) -> Selection:
     """What stands for something else or hardly matters is taken back; what the former stood for may join, one by one.
 
     One beside which any of the names stands for something else does not.
     """
-    stood: list[Found] = []
-    while gone := (proxy := proxies(vehicle, named.found, named.constant)) or named.trifles():
+    stood: list[IdentifiedEffect] = []
+    while gone := (proxy := surrogate_terms(vehicle, named.found, named.constant)) or named.trifles():
         stood += [f for f in named.found if f.name in proxy]
         named = named.without(gone, "stands for something else, or changes hardly what is left")
     open_ = confused_with(stood) - {f.name for f in stood}
-    while open_ and named.found and (more := named.joined(open_)) is not None:
+    while open_ and named.found and (more := named.forward_selection_step(open_)) is not None:
         (new,) = {f.name for f in more.found} - {f.name for f in named.found}
         open_.remove(new)
-        if not proxies(vehicle, more.found, more.constant):
+        if not surrogate_terms(vehicle, more.found, more.constant):
             named = more.with_twins(new, tuple(f.name for f in stood if new in confused_with([f])))
     return named
 
 
-def _is_worse(gap: Gap, times: float = _WORSE) -> bool:
+def _is_worse(gap: Gap, times: float = (1.0 + TENTH)) -> bool:
     """Whether the corrected model predicts data not used before worse than the model as it was."""
     pairs = [(getattr(gap.before, name), getattr(gap.after, name)) for name in ("one_step_mps2", "one_step_radps2")]
     return any(was is not None and now is not None and now > times * was for was, now in pairs)
 
 
-def _verdict(vehicle: Vehicle, naming: Naming, of: Split) -> Gap:
+def _verdict(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit) -> Gap:
     before = pooled.figures(vehicle, of)
     after = pooled.figures(naming.vehicle, of) if naming.found else before
     floor = pooled.noise_floor(naming.vehicle, of, after)

@@ -7,15 +7,15 @@ import numpy as np
 from flightstack.gap.records import (
     REGIMES,
     SIGNALS,
+    ChannelResidual,
     Estimate,
     Figures,
     Finding,
-    Found,
     Gap,
+    IdentifiedEffect,
     Offset,
     Rejected,
     Unexplained,
-    Where,
 )
 from flightstack.gap.report import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
 
@@ -38,18 +38,19 @@ def gap_result() -> GapReport:
         vehicle="quad-x",
         gap=Gap(was, Figures(0.21, 0.62, 0.04), Figures(0.19, 0.6, 0.02), 0.98),
         found=(
-            Found("payload", {"mass_kg": Estimate(0.0, 0.216, 0.21, 0.222)}, -4200.0, 0.91, 0.0),
-            Found(
+            IdentifiedEffect("payload", {"mass_kg": Estimate(0.0, 0.216, 0.21, 0.222)}, -4200.0, 0.91, 0.0),
+            IdentifiedEffect(
                 "rotor_drag", {"k_d_kg_per_rad": Estimate(0.0, 1.6e-4, 1.4e-4, 1.8e-4)}, -310.0, 0.07, 1e-12,
                 ("linear_drag",), "fly excite-yaw-at-speed with turns of 2 g",
             ),
-            Found("rotor_fault", {"rotor": Estimate(2, 2, 2, 2), "effectiveness": Estimate(1.0, 0.9, 0.89, 0.91)},
-                  -90.0, 0.02, 1e-5),
+            IdentifiedEffect(
+                "rotor_fault", {"rotor": Estimate(2, 2, 2, 2), "effectiveness": Estimate(1.0, 0.9, 0.89, 0.91)},
+               -90.0, 0.02, 1e-5),
         ),
         rejected=(Rejected("induced_inflow", 6.1, "no more than its parameters cost"), Rejected("inertia", 3.0)),
         unexplained=Unexplained(True, ("position", "height"), 0.06),
         where=tuple(
-            Where(signal, 1.9 / (k + 1), "m/s^2" if k < 3 else "rad/s^2", 0.15, "fast_forward", "airspeed")
+            ChannelResidual(signal, 1.9 / (k + 1), "m/s^2" if k < 3 else "rad/s^2", 0.15, "fast_forward", "airspeed")
             for k, signal in enumerate(SIGNALS)
         ),
         steps=(

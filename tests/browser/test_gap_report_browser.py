@@ -11,7 +11,7 @@ from gap_result import HOSTILE, gap_result
 from test_report_browser import CHROMIUM, LAYOUT, opened
 
 from flightstack.effects import EFFECTS
-from flightstack.gap.records import Across, Estimate, Figures, Found, Gap, Rejected, Unexplained
+from flightstack.gap.records import Across, Estimate, Figures, Gap, IdentifiedEffect, Rejected, Unexplained
 from flightstack.gap.report import GapReport, write_report
 from flightstack.gap.report.record import Shown
 
@@ -77,7 +77,7 @@ addEventListener("load", () => setTimeout(() => {
 def test_nothing_leaves_its_panel_and_no_word_is_broken(tmp_path: Path, size: str) -> None:
     result = gap_result()
     tiny = Estimate(0.0, -0.016, -0.033, 9.82e-4)
-    force = Found("constant_force", dict.fromkeys(("north_n", "east_n", "down_n"), tiny), -4184.0, 0.17, 0.0)
+    force = IdentifiedEffect("constant_force", dict.fromkeys(("north_n", "east_n", "down_n"), tiny), -4184.0, 0.17, 0.0)
     more = tuple(Rejected(name, 10.0 * k, "explains nothing more") for k, name in enumerate(EFFECTS))
     shown = tuple(Shown(name, "shown", "thrust_model_factor from 0.048; hard to tell from drag") for name in EFFECTS)
     flown = tuple((f"a_rather_long_name_of_flight_{k}.ulg", tiny) for k in range(3))

@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from flightstack.gap import pooled
 from flightstack.gap.across import across, confirmed, differing
-from flightstack.gap.name import Naming, name
+from flightstack.gap.name import Selection, name
 from flightstack.gap.naming.estimate import same
-from flightstack.gap.records import Estimate, Found
+from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.report import words
 from flightstack.vehicle import Vehicle
 from tests import gap_flights
@@ -20,7 +20,7 @@ def told(estimate: float, half: float) -> dict[tuple[str, str], Estimate]:
     return {("payload", "mass_kg"): Estimate(0.0, estimate, estimate - half, estimate + half)}
 
 
-def flown(first_kg: float, second_kg: float) -> Naming:
+def flown(first_kg: float, second_kg: float) -> Selection:
     """Two flights of 16 s, each with its payload, named together."""
     samples = []
     for k, mass_kg in enumerate((first_kg, second_kg)):
@@ -78,6 +78,6 @@ def test_what_the_logs_do_not_tell_has_no_number_in_the_sentence() -> None:
         "y_m": Estimate(0.0, -0.001, -0.002, 0.0),
         "z_m": Estimate(0.0, 0.0, -0.05, 0.05, told=False),
     }
-    found = Found("com_offset", shift, -100.0, 0.9, 1e-9)
+    found = IdentifiedEffect("com_offset", shift, -100.0, 0.9, 1e-9)
     assert words.parameter(found, "z_m") == "z_m not told"
     assert words.interval(shift["z_m"]) == "not told by these logs"

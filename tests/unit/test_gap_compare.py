@@ -11,7 +11,7 @@ from flightstack.gap.compare import expected_noise, figures, noise_floor, residu
 from flightstack.gap.fusion import crossovers
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import rollout, rollouts
-from flightstack.gap.run import Run, params_row
+from flightstack.gap.run import ModelEvaluation, params_row
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack_logs.turn import rotate, rotate_inverse, turned
@@ -87,7 +87,7 @@ def test_a_rollout_is_the_plant_s_own_flight(exact: Samples) -> None:
     plant.vel_ned_mps[:] = flight.vel_ned_mps[start]
     plant.q_ned_frd[:] = flight.q_ned_frd[start]
     plant.rate_frd_radps[:] = flight.rate_frd_radps[start]
-    plant.motor_u[:] = Run(params_row(vehicle, flight.step_s), flight).u[start]
+    plant.motor_u[:] = ModelEvaluation(params_row(vehicle, flight.step_s), flight).u[start]
     for ms in range(1000):
         at = exact.t_s[start] + 0.001 * ms + 0.0005
         plant.step(np.array([np.interp(at, exact.t_s, column) for column in exact.motor.T]))

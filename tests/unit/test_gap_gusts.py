@@ -12,10 +12,10 @@ from flightstack.gap import pooled
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.gusts import gusts
 from flightstack.gap.held import corrected
-from flightstack.gap.name import Naming, name
-from flightstack.gap.pooled import Split
-from flightstack.gap.records import Estimate, Found, Gap, Samples
-from flightstack.gap.simulate import knobs
+from flightstack.gap.name import Selection, name
+from flightstack.gap.pooled import FitHoldoutSplit
+from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Samples
+from flightstack.gap.simulate import free_parameters
 from flightstack.gap.verdict import gap_of, unexplained
 from flightstack.vehicle import Vehicle
 from tests import gap_batch as batch
@@ -51,7 +51,7 @@ def test_intervals_hold_on_flights_that_nobody_tuned_on(length_m: float, sigma_m
         assert sum(each.low <= true <= each.high for each in ranges) >= len(found) - 1, parameter
 
 
-def _told(flight: Samples) -> tuple[Naming, Gap]:
+def _told(flight: Samples) -> tuple[Selection, Gap]:
     """What is named of one flight, its last third held out, as the workflow goes about it."""
     of = pooled.split([flight], [])
     naming = name(believed(), of.flights, of.fit, of.holdout)
@@ -66,18 +66,20 @@ BESIDE = {
     "a wind": {"steady_wind": WIND, "turbulence": GUSTS},
     "a mass": {"payload": {"mass_kg": 0.2}, "turbulence": GUSTS},
     "nothing": {"turbulence": {"sigma_mps": 1.0, "length_m": 60.0}},
+    "a force": {"constant_force": {"north_n": 1.5, "east_n": -1.0, "down_n": 0.0}, "turbulence": GUSTS},
 }
 
 
 @pytest.fixture(scope="module")
-def beside() -> dict[str, tuple[Naming, Gap]]:
-    flown = batch.fly(believed(), list(BESIDE.values()), seed=41_000)
+def beside() -> dict[str, tuple[Selection, Gap]]:
+    flown = batch.fly(believed(), list(BESIDE.values())[:3], seed=41_000)
+    flown += batch.fly(believed(), [BESIDE["a force"]], seed=52_000)
     return {kind: _told(flight) for kind, flight in zip(BESIDE, flown, strict=True)}
 
 
 @pytest.mark.parametrize("kind", list(BESIDE))
-def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Naming, Gap]], kind: str) -> None:
-    """A mean that gusts have of themselves is no wind; a wind or a mass beside them is, and holds the truth."""
+def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Selection, Gap]], kind: str) -> None:
+    """A mean that gusts have of themselves is no wind; a wind, force or mass beside them is, and holds the truth."""
     naming, gap = beside[kind]
     assert {f.name for f in naming.found} == set(BESIDE[kind])
     for found in naming.found:
@@ -85,6 +87,16 @@ def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Namin
             told = found.parameters[parameter]
             assert told.low <= true <= told.high, parameter
     assert not unexplained(naming.unexplained, gap, named=True).significant
+
+
+def test_what_only_the_signals_themselves_show_is_no_trifle_beside_gusts() -> None:
+    """No physics changes what gyro, attitude and velocity say of one another; 0.05 rad was taken back for the gusts."""
+    hidden = {each: HIDDEN[each] for each in ("payload", "attitude_misalignment")}
+    (flight,) = batch.fly(believed(), [hidden | {"turbulence": GUSTS}], seed=43_000)
+    of = pooled.split([flight], [])
+    said = name(believed(), of.flights, of.fit, of.holdout)
+    assert set(hidden) <= {f.name for f in said.found}
+    assert not set(said.trifles()) & set(hidden)
 
 
 def test_beside_gusts_no_steady_wind_goes_through_the_ground(
@@ -97,10 +109,14 @@ def test_beside_gusts_no_steady_wind_goes_through_the_ground(
     gap = gap_of(before, before, pooled.noise_floor(believed(), of, before))
     blown = gusts(believed(), of.flights, [s.valid for s in of.flights])
     up = {"north_mps": -1.0, "east_mps": -0.8, "down_mps": -6.9}
-    wind = Found("steady_wind", {p: Estimate(0.0, x, x - 1.0, x + 1.0) for p, x in up.items()}, -100.0, 1.0, 1e-9)
+    wind = IdentifiedEffect(
+        "steady_wind", {p: Estimate(0.0, x, x - 1.0, x + 1.0) for p, x in up.items()}, -100.0, 1.0, 1e-9
+    )
     tried: list[set[str]] = []
 
-    def beside(vehicle: Vehicle, said: Naming, of: Split, found: list[Found], tested: set[str]) -> object:
+    def beside(
+        vehicle: Vehicle, said: Selection, of: FitHoldoutSplit, found: list[IdentifiedEffect], tested: set[str]
+    ) -> object:
         tried.append({f.name for f in found})
         return None if "payload" in tried[-1] else (replace(said, found=(wind,)), blown, ())
 
@@ -116,7 +132,7 @@ def test_a_thrust_that_fades_is_no_gust(flights: dict[str, Samples]) -> None:
     flight = flights[""]
     share = 1.0 - 0.01 * (flight.t_s - flight.t_s[0])
     fades = replace(flight, accel_frd_mps2=flight.accel_frd_mps2 * np.stack([1.0 + 0.0 * share] * 2 + [share], axis=1))
-    found = gusts(believed(), [fades], [fades.valid], knobs("steady_wind"))
+    found = gusts(believed(), [fades], [fades.valid], free_parameters("steady_wind"))
     assert found is not None
     assert found.evidence > 20.0  # against mere noise it would pass
     assert not found.named

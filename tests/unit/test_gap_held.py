@@ -12,19 +12,20 @@ from scipy.signal import lfilter
 from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
 from flightstack.gap.classes import confused_with, doubled, poorly_told
-from flightstack.gap.held import doubtful, far_from_noise, proxies, slope, vanished
+from flightstack.gap.decisions import CLEARLY
+from flightstack.gap.held import fails_holdout, far_from_noise, interval_contains_nominal, slope, surrogate_terms
+from flightstack.gap.judge import gain
 from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
-from flightstack.gap.naming.held_rows import gain
-from flightstack.gap.naming.joining import joined
+from flightstack.gap.naming.joining import forward_selection_step
 from flightstack.gap.naming.metric import metric_of
 from flightstack.gap.naming.search import SelectionState
-from flightstack.gap.naming.trifles import CLEARLY, trifles, worth_of
-from flightstack.gap.pooled import Split
-from flightstack.gap.records import Estimate, Figures, Found, Gap
-from flightstack.gap.simulate import disagreement
+from flightstack.gap.naming.trifles import mse_increase, trifles
+from flightstack.gap.pooled import FitHoldoutSplit
+from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect
+from flightstack.gap.simulate import prediction_error
 from flightstack.gap.workflow import analyse
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -35,13 +36,13 @@ POOR = Gap(Figures(1.0, 1.0, None), Figures(0.9, 0.9, None), Figures(0.1, 0.1, N
 
 
 @pytest.fixture(scope="module")
-def flown() -> Split:
+def flown() -> FitHoldoutSplit:
     return pooled.split([as_samples(fly(hidden(quad(), HIDDEN), quad(), wander(), seconds=30.0, seed=21))], [])
 
 
-def found(name: str, times: float = 1.0) -> Found:
+def found(name: str, times: float = 1.0) -> IdentifiedEffect:
     values = {p: Estimate(0.0, times * x, 0.0, 1.0) for p, x in HIDDEN[name].items()}
-    return Found(name, values, -100.0, 0.5, 1e-9)
+    return IdentifiedEffect(name, values, -100.0, 0.5, 1e-9)
 
 
 def with_drag(times: float) -> Vehicle:
@@ -49,21 +50,21 @@ def with_drag(times: float) -> Vehicle:
 
 
 @pytest.mark.parametrize(("times", "expected"), [(1.0, 1.0), (2.0, 0.5), (0.5, 2.0)])
-def test_the_slope_is_the_true_size_over_the_found_one(flown: Split, times: float, expected: float) -> None:
+def test_the_slope_is_the_true_size_over_the_found_one(flown: FitHoldoutSplit, times: float, expected: float) -> None:
     without = hidden(quad(), {"payload": HIDDEN["payload"]})
     got = slope(without, with_drag(times), flown)
     assert got.value == pytest.approx(expected, rel=0.05)
     assert got.holds(beside=True) == (times == 1.0)
 
 
-def test_true_effects_hold_and_a_size_of_the_wrong_sign_does_not(flown: Split) -> None:
-    assert doubtful(quad(), [found("payload"), found("rotor_drag")], flown, beside=True) == ()
-    assert doubtful(quad(), [found("payload", -1.0)], flown, beside=False) == ("payload",)
+def test_true_effects_hold_and_a_size_of_the_wrong_sign_does_not(flown: FitHoldoutSplit) -> None:
+    assert fails_holdout(quad(), [found("payload"), found("rotor_drag")], flown, beside=True) == ()
+    assert fails_holdout(quad(), [found("payload", -1.0)], flown, beside=False) == ("payload",)
 
 
-def test_nothing_held_out_nothing_is_doubted(flown: Split) -> None:
+def test_nothing_held_out_nothing_is_doubted(flown: FitHoldoutSplit) -> None:
     nothing = replace(flown, holdout=tuple(np.zeros_like(m) for m in flown.holdout))
-    assert doubtful(quad(), [found("payload", -1.0)], nothing, beside=True) == ()
+    assert fails_holdout(quad(), [found("payload", -1.0)], nothing, beside=True) == ()
 
 
 def test_far_from_the_noise_is_where_half_of_what_is_left_is_not_noise() -> None:
@@ -75,31 +76,31 @@ def test_far_from_the_noise_is_where_half_of_what_is_left_is_not_noise() -> None
 
 
 def test_an_estimate_at_the_end_of_its_range_stands_for_something_else() -> None:
-    edge = Found("vortex_ring", {"strength": Estimate(0.0, 1.0, 0.4, 1.0)}, -50.0, 0.1, 1e-9)
-    assert proxies(quad(), [found("payload"), edge], {}) == ("vortex_ring",)
+    edge = IdentifiedEffect("vortex_ring", {"strength": Estimate(0.0, 1.0, 0.4, 1.0)}, -50.0, 0.1, 1e-9)
+    assert surrogate_terms(quad(), [found("payload"), edge], {}) == ("vortex_ring",)
 
 
 def test_an_inertia_that_no_body_of_that_size_has_stands_for_torques_that_do_not_come() -> None:
     scales = {f"scale_{axis}": Estimate(1.0, x, 1.0, 3.0) for axis, x in zip("xyz", (1.2, 3.0, 1.1), strict=True)}
-    assert proxies(quad(), [Found("inertia", scales, -50.0, 0.1, 1e-9)], {}) == ("inertia",)
+    assert surrogate_terms(quad(), [IdentifiedEffect("inertia", scales, -50.0, 0.1, 1e-9)], {}) == ("inertia",)
 
 
 @pytest.mark.parametrize(("down_mps", "proxy"), [(-2.2, True), (0.2, False)])
 def test_no_steady_wind_goes_through_the_ground(down_mps: float, proxy: bool) -> None:
     air_mps = {"north_mps": 0.2, "east_mps": -0.2, "down_mps": down_mps}
     blows = {name: Estimate(0.0, x, x, x) for name, x in air_mps.items()}
-    wind = Found("steady_wind", blows, -50.0, 0.1, 1e-9)
-    assert proxies(quad(), [wind, found("payload")], {}) == (("steady_wind",) if proxy else ())
+    wind = IdentifiedEffect("steady_wind", blows, -50.0, 0.1, 1e-9)
+    assert surrogate_terms(quad(), [wind, found("payload")], {}) == (("steady_wind",) if proxy else ())
 
 
 def test_a_wind_beside_a_constant_force_stands_for_something_else_far_from_the_noise() -> None:
     """On an indoor flight they undid each other: 0.0107 N by the drag north, and -0.0098 N; left is their torque."""
     blows = {"north_mps": Estimate(0.0, 1.03, 0.96, 1.10), "east_mps": Estimate(0.0, -0.55, -0.58, -0.51)}
     pushes = {"north_n": Estimate(0.0, -0.0097, -0.0107, -0.0087), "east_n": Estimate(0.0, 0.0064, 0.0059, 0.007)}
-    wind = Found("steady_wind", blows | {"down_mps": Estimate(0.0, 0.0, 0.0, 0.0)}, -64.0, 0.2, 1e-9)
-    force = Found("constant_force", pushes | {"down_n": Estimate(0.0, 0.01, 0.0, 0.02)}, -85.0, 0.1, 1e-9)
-    assert proxies(quad(), [force, wind], {}) == ("steady_wind",)
-    assert proxies(quad(), [wind], {}) == ()
+    wind = IdentifiedEffect("steady_wind", blows | {"down_mps": Estimate(0.0, 0.0, 0.0, 0.0)}, -64.0, 0.2, 1e-9)
+    force = IdentifiedEffect("constant_force", pushes | {"down_n": Estimate(0.0, 0.01, 0.0, 0.02)}, -85.0, 0.1, 1e-9)
+    assert surrogate_terms(quad(), [force, wind], {}) == ("steady_wind",)
+    assert surrogate_terms(quad(), [wind], {}) == ()
 
 
 @pytest.mark.parametrize(("mass_kg", "down_n", "gone"), [(0.47, -3.4, True), (0.47, 3.4, False), (-0.2, 1.5, True)])
@@ -108,7 +109,10 @@ def test_a_force_that_holds_up_what_was_named_as_weight_is_none(mass_kg: float, 
     values = {"north_n": 0.0, "east_n": 0.0, "down_n": down_n}
     force = {p: Estimate(0.0, x, x - 0.1, x + 0.1) for p, x in values.items()}
     weight = {"mass_kg": Estimate(0.0, mass_kg, mass_kg - 0.1, mass_kg + 0.1)}
-    names = [Found("payload", weight, -50.0, 0.1, 1e-9), Found("constant_force", force, -50.0, 0.1, 1e-9)]
+    names = [
+        IdentifiedEffect("payload", weight, -50.0, 0.1, 1e-9),
+        IdentifiedEffect("constant_force", force, -50.0, 0.1, 1e-9),
+    ]
     assert doubled(names, quad().mass_kg) == (("constant_force",) if gone else ())
     assert doubled(names[1:], quad().mass_kg) == ()
 
@@ -118,8 +122,10 @@ def test_a_force_that_holds_up_what_a_thrust_scale_takes_is_none(scale: float, d
     """Seen on a hover whose thrust fades, 2.87 kg: commands rise, thrust does not; 0.70 of it and 7.6 N from below."""
     values = {"north_n": 0.0, "east_n": 0.0, "down_n": down_n}
     force = {p: Estimate(0.0, x, x - 0.1, x + 0.1) for p, x in values.items()}
-    lost = Found("thrust_scale", {"scale": Estimate(1.0, scale, scale - 0.1, scale + 0.1)}, -136.0, 1.0, 1e-9)
-    assert doubled([lost, Found("constant_force", force, -77.0, 1.0, 1e-9)], 2.87) == (
+    lost = IdentifiedEffect(
+        "thrust_scale", {"scale": Estimate(1.0, scale, scale - 0.1, scale + 0.1)}, -136.0, 1.0, 1e-9
+    )
+    assert doubled([lost, IdentifiedEffect("constant_force", force, -77.0, 1.0, 1e-9)], 2.87) == (
         ("constant_force",) if gone else ()
     )
 
@@ -142,10 +148,10 @@ def test_of_two_names_that_are_each_other_s_twin_the_stronger_stays() -> None:
 
 def test_what_changes_from_stretch_to_stretch_is_no_effect_beside_a_poor_model() -> None:
     named = [found("payload"), found("rotor_drag")]
-    assert proxies(quad(), named, {"payload": 1e-12, "rotor_drag": 0.5}) == ("payload",)
+    assert surrogate_terms(quad(), named, {"payload": 1e-12, "rotor_drag": 0.5}) == ("payload",)
 
 
-def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: Split) -> None:
+def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: FitHoldoutSplit) -> None:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     state = SelectionState(bench, quad(), point := linearise(bench, with_drag(1.0), quad()), metric_of(point))
@@ -153,7 +159,7 @@ def test_what_only_trims_is_taken_back_and_what_is_there_stays(flown: Split) -> 
     assert trifles(state, made, ["blade_flapping", "payload", "rotor_drag"]) == ("blade_flapping",)
 
 
-def _drag_named(flown: Split) -> tuple[SelectionState, Estimates]:
+def _drag_named(flown: FitHoldoutSplit) -> tuple[SelectionState, Estimates]:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     drag = {"rotor_drag": HIDDEN["rotor_drag"]}
@@ -161,28 +167,31 @@ def _drag_named(flown: Split) -> tuple[SelectionState, Estimates]:
     return state, estimate(state, drag)
 
 
-def test_what_is_there_joins_the_names_and_of_what_is_not_nothing_does(flown: Split) -> None:
+def test_what_is_there_joins_the_names_and_of_what_is_not_nothing_does(flown: FitHoldoutSplit) -> None:
     state, made = _drag_named(flown)
     drag = {"rotor_drag": HIDDEN["rotor_drag"]}
-    joins = joined(state, made, drag, ("payload", "accelerometer_bias", "gyro_bias"))
+    joins = forward_selection_step(state, made, drag, ("payload", "accelerometer_bias", "gyro_bias"))
     assert joins is not None
     assert set(joins[1].effects) == {"rotor_drag", "payload"}
     assert joins[1].effects["payload"]["mass_kg"] == pytest.approx(0.2, rel=0.05)
-    assert joined(state, made, drag, ()) is None
+    assert forward_selection_step(state, made, drag, ()) is None
     whole = estimate(state, HIDDEN)
-    assert joined(state, whole, HIDDEN, ("gyro_bias", "motor_lag", "accelerometer_bias", "com_offset")) is None
+    assert (
+        forward_selection_step(state, whole, HIDDEN, ("gyro_bias", "motor_lag", "accelerometer_bias", "com_offset"))
+        is None
+    )
 
 
-def test_what_joins_must_be_worth_it_on_rows_to_learn_from_and_on_held_out_ones(flown: Split) -> None:
+def test_what_joins_must_be_worth_it_on_rows_to_learn_from_and_on_held_out_ones(flown: FitHoldoutSplit) -> None:
     state, _ = _drag_named(flown)
     made = estimate(state, HIDDEN | {"blade_flapping": {"k_flap_nms2_per_rad_m": 0.0}})
     names = ["blade_flapping", "payload", "rotor_drag"]
-    assert min(worth_of(state, made, names, "payload")) > 1.0  # a sixth of the weight
-    assert max(worth_of(state, made, names, "blade_flapping")) < CLEARLY
+    assert min(mse_increase(state, made, names, "payload")) > 1.0  # a sixth of the weight
+    assert max(mse_increase(state, made, names, "blade_flapping")) < CLEARLY
 
 
 def test_what_a_name_may_have_stood_for_is_its_class_and_what_the_same_manoeuvre_splits_from_it() -> None:
-    wind = Found("steady_wind", {}, -20.0, 0.1, 1e-9, ("vortex_ring",))
+    wind = IdentifiedEffect("steady_wind", {}, -20.0, 0.1, 1e-9, ("vortex_ring",))
     open_ = confused_with([wind])
     assert {"accelerometer_bias", "constant_force", "vortex_ring"} <= open_
     assert not {"steady_wind", "payload", "motor_lag"} & open_
@@ -196,7 +205,7 @@ def test_beside_a_poor_model_no_two_of_a_class_are_named(named: str, closed_to: 
     assert poorly_told([named]) == {closed_to}
 
 
-def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_below(flown: Split) -> None:
+def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_below(flown: FitHoldoutSplit) -> None:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     near = hidden(with_drag(1.0), {"ground_effect": {"strength": 1.0}})
@@ -206,7 +215,9 @@ def test_held_out_data_speak_for_what_acts_in_them_and_not_of_the_ground_far_bel
     assert np.isnan(gain(state, made, "ground_effect"))  # 8 m up
 
 
-def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles_came_between(flown: Split) -> None:
+def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles_came_between(
+    flown: FitHoldoutSplit,
+) -> None:
     masks = [[m & s.valid for m, s in zip(part, flown.flights, strict=True)] for part in (flown.fit, flown.holdout)]
     bench = simulator_bench(quad(), flown.flights, *masks)
     first = bench.residual(vehicle := with_drag(1.0))
@@ -216,7 +227,7 @@ def test_a_residual_that_is_known_is_the_one_computed_anew_however_many_vehicles
     for k in range(70):  # each gone before the next is made: numbers of vehicles that are no more come again
         shown = bench.residual(with_drag(0.5 + 0.01 * k))[0]
         if k % 30 == 0:
-            anew = disagreement(with_drag(0.5 + 0.01 * k), flown.flights[0])[0][:: bench.every[0]]
+            anew = prediction_error(with_drag(0.5 + 0.01 * k), flown.flights[0])[0][:: bench.every[0]]
             seen = np.isfinite(shown)
             assert np.array_equal(shown[seen], anew[seen])
     assert np.array_equal(bench.residual(vehicle)[0], first[0], equal_nan=True)
@@ -260,23 +271,25 @@ def test_no_disk_flaps_into_the_wind() -> None:
 
 
 def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
-    nothing = Found("payload", {"mass_kg": Estimate(0.0, -0.001, -0.004, 0.002)}, -50.0, 0.1, 1e-9)
-    some = Found(
+    nothing = IdentifiedEffect("payload", {"mass_kg": Estimate(0.0, -0.001, -0.004, 0.002)}, -50.0, 0.1, 1e-9)
+    some = IdentifiedEffect(
         "com_offset",
         {"x_m": Estimate(0.0, 1e-3, 9e-4, 1.1e-3), "y_m": Estimate(0.0, 0.0, -1e-4, 1e-4)},
         -50.0,
         0.1,
         1e-9,
     )
-    rope = Found(
+    rope = IdentifiedEffect(
         "slung_load",
         {"mass_kg": Estimate(0.0, 0.1, 0.09, 0.11), "length_m": Estimate(np.nan, 1.0, 0.9, 1.1)},
         -50.0,
         0.1,
         1e-9,
     )
-    fixed = Found("inertia", {"scale_x": Estimate(np.nan, 1.2, 1.1, 1.3)}, -50.0, 0.1, 1e-9)  # nothing to compare with
-    assert vanished([nothing, some, rope, fixed]) == ("payload",)
+    fixed = IdentifiedEffect(
+        "inertia", {"scale_x": Estimate(np.nan, 1.2, 1.1, 1.3)}, -50.0, 0.1, 1e-9
+    )  # nothing to compare with
+    assert interval_contains_nominal([nothing, some, rope, fixed]) == ("payload",)
 
 
 def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) -> None:

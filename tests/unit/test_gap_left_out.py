@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from flightstack.gap import voltage
-from flightstack.gap.checks import contact, stopped
+from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
+from flightstack.gap.decisions import AROUND_S
 from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
-from flightstack.gap.naming.search import Fit, pressed_beyond, strained
+from flightstack.gap.naming.search import Fit, effects_at_bound, pressed_beyond
 from flightstack.gap.records import Samples, Signal
-from flightstack.gap.simulate import untold, with_value
+from flightstack.gap.simulate import confounded_with_attitude, with_value
 from flightstack.types import F64
 from flightstack.vehicle import parse_vehicle, vehicle_to_toml
 from tests import gap_batch as batch
@@ -37,7 +38,7 @@ def cut(samples: Samples, begin_s: float) -> Samples:
 
 def test_a_stopped_rotor_is_left_out_until_five_time_constants_after(flown: Samples) -> None:
     vehicle = replace(quad(), rotors=replace(quad().rotors, time_constant_s=0.1))
-    kept, findings = stopped.leave_out(cut(flown, 10.0), vehicle)
+    kept, findings = exclude_stopped_rotors(cut(flown, 10.0), vehicle)
     t_s = kept.t_s - kept.t_s[0]
     gone = t_s[flown.valid & ~kept.valid]
     assert gone.min() == pytest.approx(10.0, abs=2.0 * kept.dt_s)
@@ -46,13 +47,13 @@ def test_a_stopped_rotor_is_left_out_until_five_time_constants_after(flown: Samp
 
 
 def test_a_flight_whose_rotors_never_stop_is_as_it_was(flown: Samples) -> None:
-    assert stopped.leave_out(flown, quad()) == (flown, [])
+    assert exclude_stopped_rotors(flown, quad()) == (flown, [])
 
 
 def test_a_vehicle_that_stops_its_rotors_all_the_time_is_taken_as_it_is(flown: Samples) -> None:
     motor = flown.motor.copy()
     motor[::50] = 0.0
-    kept, findings = stopped.leave_out(replace(flown, motor=motor), quad())
+    kept, findings = exclude_stopped_rotors(replace(flown, motor=motor), quad())
     assert np.array_equal(kept.valid, flown.valid)
     assert findings[0].level == "warning"
 
@@ -81,8 +82,8 @@ def test_the_log_shows_how_high_the_body_s_origin_stands(before_m: float, after_
     flying = np.arange(3000) // 1000 == 1
     height = np.where(flying, 1.5, np.where(np.arange(3000) < 1000, before_m, after_m))
     log = log_of(height, np.where(flying, 0.5, 0.0))
-    assert contact.standing_m(log, quad(), (10.0, 20.0), 0.0) == pytest.approx(stands_m)
-    assert contact.standing_m({"motor": log["motor"]}, quad(), (10.0, 20.0), 0.0) == 0.0
+    assert standing_m(log, quad(), (10.0, 20.0), 0.0) == pytest.approx(stands_m)
+    assert standing_m({"motor": log["motor"]}, quad(), (10.0, 20.0), 0.0) == 0.0
 
 
 def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) -> None:
@@ -90,11 +91,11 @@ def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) ->
     t_s = flown.t_s - flown.t_s[0]
     height = np.where(np.abs(t_s - 12.0) < 0.02, STANDS_M, 2.0)
     level = replace(flown, height_m=height, q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)))
-    assert contact.leave_out(level, quad()) == (level, [])
-    kept, findings = contact.leave_out(level, quad(), STANDS_M)
+    assert exclude_ground_contact(level, quad()) == (level, [])
+    kept, findings = exclude_ground_contact(level, quad(), STANDS_M)
     gone = t_s[flown.valid & ~kept.valid]
-    assert gone.min() == pytest.approx(12.0 - 0.02 - contact.AROUND_S, abs=2.0 * flown.dt_s)
-    assert gone.max() == pytest.approx(12.0 + 0.02 + contact.AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.min() == pytest.approx(12.0 - 0.02 - AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.max() == pytest.approx(12.0 + 0.02 + AROUND_S, abs=2.0 * flown.dt_s)
     assert [finding.name for finding in findings] == ["ground"]
 
 
@@ -102,10 +103,10 @@ def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flow
     """It is the one at which there is no side force: linear drag F = -d v would be its own null."""
     made = replace(flown, derived=("q_ned_frd",))
     for effect in ("linear_drag", "steady_wind", "blade_flapping", "angular_damping", "motor_lag"):
-        assert untold(made, effect)
-        assert not untold(flown, effect)
+        assert confounded_with_attitude(made, effect)
+        assert not confounded_with_attitude(flown, effect)
     for effect in ("rotor_fault", "com_offset", "thrust_scale", "payload"):
-        assert not untold(made, effect)
+        assert not confounded_with_attitude(made, effect)
 
 
 def with_voltage(samples: Samples, volts: np.ndarray) -> Samples:
@@ -145,9 +146,9 @@ def test_no_effect_is_no_end_of_a_range() -> None:
 def test_where_the_true_value_may_lie_at_the_end_it_is_no_stand_in(factor: float) -> None:
     """It is one only where the flights want to go beyond: a fit to a real Crazyflie stood at 0 for a shifted mass."""
     effects = {"thrust_curve": {"thrust_model_factor": factor}}
-    assert strained(quad(), Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0)) == set()
+    assert effects_at_bound(quad(), Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0)) == set()
     pressed = Fit(effects, quad(), np.empty(0), 0.0, 1, 0.0, frozenset({"thrust_curve"}))
-    assert strained(quad(), pressed) == {"thrust_curve"}
+    assert effects_at_bound(quad(), pressed) == {"thrust_curve"}
 
 
 def test_a_thrust_that_is_the_command_s_square_is_found_from_a_file_that_says_half() -> None:

@@ -9,8 +9,8 @@ import pytest
 from shipped import load_vehicle
 
 from benchmarks import gap_draw
-from flightstack.gap.likeness import other_vehicle, same_flight
-from flightstack.gap.records import Estimate, Found
+from flightstack.gap.likeness import same_flight, vehicle_mismatch
+from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.vehicle import Vehicle, with_effects
 from tests.gap_flights import as_samples, fly, quad, wander
 
@@ -20,10 +20,10 @@ BODY = ("payload", "thrust_scale", "inertia", "motor_lag")
 
 def said(believed: Vehicle, effects: Effects, *, unexplained: bool = False) -> str:
     found = [
-        Found(name, {p: Estimate(0.0, x, x, x) for p, x in values.items()}, -1e3, 0.5, 0.0)
+        IdentifiedEffect(name, {p: Estimate(0.0, x, x, x) for p, x in values.items()}, -1e3, 0.5, 0.0)
         for name, values in effects.items()
     ]
-    return other_vehicle(believed, with_effects(believed, effects), found, unexplained=unexplained)
+    return vehicle_mismatch(believed, with_effects(believed, effects), found, unexplained=unexplained)
 
 
 def as_effects(flew: Vehicle, file: Vehicle) -> Effects:

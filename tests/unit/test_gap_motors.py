@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from flightstack.gap import classes
-from flightstack.gap.records import Estimate, Found
+from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.result import GapResult
-from flightstack.gap.simulate import Knob, sensitivities
+from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.workflow import analyse, usable_flights
 from flightstack.types import InputError
 from flightstack_logs.readers.csv_file import HEADER
@@ -65,7 +65,7 @@ def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Pat
 def test_without_motors_nothing_upright_is_told_of_a_force_or_a_wind(flown: Flown, tmp_path: Path) -> None:
     """By the lean alone a swinging side force looked like 2.7 weights from above, to one percent."""
     (samples,) = usable_flights([written(flown, slow(flown), "motor_", tmp_path / "slow.csv")], quad())
-    columns = [Knob("constant_force", f"{axis}_n") for axis in ("north", "east", "down")]
+    columns = [FreeParameter("constant_force", f"{axis}_n") for axis in ("north", "east", "down")]
     shown = np.nan_to_num(sensitivities(quad(), samples, columns))
     assert [bool(np.any(shown[:, :, k])) for k in range(3)] == [True, True, False]
 
@@ -76,7 +76,8 @@ def test_without_motors_a_drag_that_the_file_has_is_not_told_from_the_mass_that_
     monkeypatch.setattr(classes, "without_motors", lambda flights: True)
     monkeypatch.setattr(classes, "has_gyro", lambda flights: True)
     known, fresh = (
-        Found("linear_drag", {"d_x_kgps": Estimate(was, 1.4, 1.3, 1.5)}, -50.0, 0.9, 1e-9) for was in (1.0, 0.0)
+        IdentifiedEffect("linear_drag", {"d_x_kgps": Estimate(was, 1.4, 1.3, 1.5)}, -50.0, 0.9, 1e-9)
+        for was in (1.0, 0.0)
     )
     twins = [each.indistinguishable_from for each in classes.in_classes((known, fresh), ())]
     assert ["payload" in each for each in twins] == [True, False]

@@ -14,14 +14,15 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
+from flightstack.gap.decisions import NAME_EVIDENCE
 from flightstack.gap.naming import whitening
 from flightstack.gap.naming.candidates import candidates, negligible
 from flightstack.gap.naming.estimate import estimate
 from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
 from flightstack.gap.naming.metric import bounded_step
-from flightstack.gap.naming.search import LEAST_EVIDENCE, members, search
+from flightstack.gap.naming.search import members, search
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, parse_vehicle
 
@@ -172,8 +173,8 @@ class MadeUp:
                 y = y + self._column(c.effect, p, dict(c.variant)) * (self.truth.get((c.effect, p), 0.0) - moved)
         return [y]
 
-    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
-        def one(knob: Knob) -> F64:
+    def columns(self, vehicle: Vehicle, knobs: Sequence[FreeParameter]) -> list[F64]:
+        def one(knob: FreeParameter) -> F64:
             if knob.effect == "slung_load":
                 return np.zeros((self.rows, 2))
             held = {**vehicle.effects.get(knob.effect, {}), **knob.at}
@@ -227,7 +228,7 @@ def test_what_adds_less_than_a_name_needs_is_not_followed(quad: Vehicle) -> None
     simple, key = state.best, state.best_key
     assert set(simple.effects) == {"payload"}
     more = {**simple.effects, "rotor_drag": {"k_d_kg_per_rad": negligible(quad, "rotor_drag", "k_d_kg_per_rad")}}
-    for gained, followed in ((0.7 * LEAST_EVIDENCE, False), (1.3 * LEAST_EVIDENCE, True)):
+    for gained, followed in ((0.7 * NAME_EVIDENCE, False), (1.3 * NAME_EVIDENCE, True)):
         state.fits[key | {"rotor_drag"}] = replace(simple, effects=more, score=simple.score - gained)
         assert ("rotor_drag" in state.best.effects) is followed
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from flightstack.gap.name import Naming, name
+from flightstack.gap.name import Selection, name
 from flightstack.gap.naming.ranged import WEIGH
 from flightstack.vehicle import Vehicle
 from tests import gap_batch as batch
@@ -30,7 +30,7 @@ def guessed() -> Vehicle:
     return replace(true, mass_kg=mass, rotors=rotors, ranges=MappingProxyType(ranges))
 
 
-def verdict(believed: Vehicle) -> Naming:
+def verdict(believed: Vehicle) -> Selection:
     samples = batch.fly(quad(), [{}])[0]
     at = samples.t_s - samples.t_s[0]
     return name(believed, [samples], [at < 18.0], [at > 20.0])

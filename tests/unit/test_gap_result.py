@@ -11,8 +11,9 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.cli.main import main
-from flightstack.gap.pooled import GUARD_S, split
-from flightstack.gap.records import Estimate, Figures, Found, Gap, Samples, Unexplained
+from flightstack.gap.decisions import GUARD_S
+from flightstack.gap.pooled import split
+from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.report.page import panels
 from flightstack.gap.report.record import GapReport, Trace
@@ -43,9 +44,9 @@ def test_closed_is_the_worse_share_of_the_channels_that_have_a_gap(
     assert value == (expected if expected is None else pytest.approx(expected, abs=1e-6))
 
 
-def found(name: str, twins: tuple[str, ...] = (), **parameters: tuple[float, float, float]) -> Found:
+def found(name: str, twins: tuple[str, ...] = (), **parameters: tuple[float, float, float]) -> IdentifiedEffect:
     values = {p: Estimate(0.0, *numbers) for p, numbers in parameters.items()}
-    return Found(name, values, -100.0, 0.9, 1e-9, twins, "fly a circle" if twins else "")
+    return IdentifiedEffect(name, values, -100.0, 0.9, 1e-9, twins, "fly a circle" if twins else "")
 
 
 GAP = Gap(figures(1.0, None), figures(0.1, None), figures(0.09, None), 0.98)

@@ -11,15 +11,15 @@ from scipy.integrate import solve_ivp
 from flightstack.effects import EFFECTS
 from flightstack.frames import quat_from_euler, quat_to_matrix
 from flightstack.gap.records import Samples
-from flightstack.gap.run import Run, params_row
-from flightstack.gap.scales import natural_scale
+from flightstack.gap.run import ModelEvaluation, params_row
 from flightstack.gap.simulate import (
-    Knob,
-    knobs,
+    FreeParameter,
+    free_parameters,
+    missing_signals,
+    natural_scale,
     predict,
     sensitivities,
     timing,
-    unseen,
     value,
     with_value,
 )
@@ -78,9 +78,9 @@ def test_drag_at_constant_speed_acts_along_the_body_axes_against_the_turned_velo
     assert shown[500, 1] == pytest.approx(0.6 * 4.0 * np.sin(np.radians(30.0)) / 1.2, rel=1e-9)
 
 
-def _run(vehicle: Vehicle, samples: Samples) -> Run:
+def _run(vehicle: Vehicle, samples: Samples) -> ModelEvaluation:
     flight = track(samples)
-    return Run(params_row(vehicle, flight.step_s), flight)
+    return ModelEvaluation(params_row(vehicle, flight.step_s), flight)
 
 
 def test_rotors_follow_held_commands_with_their_lag_and_delay() -> None:
@@ -189,7 +189,7 @@ def test_sensitivities_are_the_derivatives_of_the_prediction(effect: str, flown:
     at = {"rotor_fault": {"rotor": 2}, "slung_load": {"mass_kg": 0.2, "length_m": 1.0}}.get(effect, {})
     if effect in ("linear_drag", "parasitic_drag"):
         at = {p.name: 0.3 for p in EFFECTS[effect].params}
-    flight, columns = track(samples), knobs(effect, at)
+    flight, columns = track(samples), free_parameters(effect, at)
     got = sensitivities(vehicle, samples, columns)
     for k, knob in enumerate(columns):
         centre = with_value(vehicle, effect, at) if at else vehicle
@@ -206,23 +206,28 @@ def test_payload_and_drag_columns_are_the_textbook_s(flown: tuple[Samples, Sampl
     samples = flown[0]
     flight = track(samples)
     thrust = -predict(quad(), samples)[:, 2] * 1.2
-    assert sensitivities(quad(), samples, [Knob("payload", "mass_kg")])[..., 0][:, 2] == pytest.approx(
+    assert sensitivities(quad(), samples, [FreeParameter("payload", "mass_kg")])[..., 0][:, 2] == pytest.approx(
         flight.lowpass(thrust[:, None])[:, 0] / 1.2**2, rel=1e-3
     )
     north = np.einsum("nij,ni->nj", np.array([quat_to_matrix(q) for q in flight.q_ned_frd]), flight.vel_ned_mps)
-    column = sensitivities(quad(), samples, [Knob("linear_drag", "d_x_kgps")])[..., 0][:, 0]
+    column = sensitivities(quad(), samples, [FreeParameter("linear_drag", "d_x_kgps")])[..., 0][:, 0]
     assert column == pytest.approx(flight.lowpass(north[:, :1])[:, 0] / -1.2, abs=1e-6)
 
 
 def test_every_th_row_is_the_same_row(flown: tuple[Samples, Samples]) -> None:
-    columns = [Knob("payload", "mass_kg"), Knob("motor_lag", "time_constant_s")]
+    columns = [FreeParameter("payload", "mass_kg"), FreeParameter("motor_lag", "time_constant_s")]
     whole = sensitivities(quad(), flown[1], columns)
     assert np.array_equal(sensitivities(quad(), flown[1], columns, every=3), whole[::3])
 
 
 def test_a_fast_log_may_be_evaluated_at_fewer_samples() -> None:
     samples = as_samples(fly(quad(), quad(), wander(), seconds=6.0, seed=9, every_ms=4))
-    columns = [*knobs("motor_lag"), *knobs("inertia"), *knobs("payload"), *knobs("slung_load", {"length_m": 0.5})[:1]]
+    columns = [
+        *free_parameters("motor_lag"),
+        *free_parameters("inertia"),
+        *free_parameters("payload"),
+        *free_parameters("slung_load", {"length_m": 0.5})[:1],
+    ]
     whole, fewer = sensitivities(quad(), samples, columns)[::4], sensitivities(quad(), samples, columns, every=4)
     inside = slice(20, -20)
     for k, knob in enumerate(columns):
@@ -232,7 +237,7 @@ def test_a_fast_log_may_be_evaluated_at_fewer_samples() -> None:
 
 def test_later_commands_are_a_transport_delay(flown: tuple[Samples, Samples]) -> None:
     column = timing(quad(), flown[0])[200:-200, 3:6]
-    delay = sensitivities(quad(), flown[0], [Knob("transport_delay", "delay_s")])[..., 0][200:-200, 3:6]
+    delay = sensitivities(quad(), flown[0], [FreeParameter("transport_delay", "delay_s")])[..., 0][200:-200, 3:6]
     assert np.sum(column * delay) / np.sum(delay**2) == pytest.approx(1.0, abs=0.02)
 
 
@@ -269,11 +274,13 @@ def test_what_a_log_lacks_is_not_shown(flown: tuple[Samples, Samples]) -> None:
     shown = predict(quad(), bare)
     assert np.isnan(shown[:, 6:]).all()
     assert np.isfinite(shown[:, :6]).all()
-    assert unseen(bare, "linear_drag") == ("vel_ned_mps", "q_ned_frd")
-    assert unseen(bare, "angular_damping") == ("vel_ned_mps", "q_ned_frd")  # drag at the hubs damps as well
-    assert unseen(bare, "battery_sag") == ("battery_v",)
-    assert not np.any(np.nan_to_num(sensitivities(quad(), bare, [Knob("rotor_drag", "k_d_kg_per_rad")])[..., 0]))
-    assert np.nanstd(sensitivities(quad(), bare, [Knob("payload", "mass_kg")])[..., 0][:, 2]) > 0.0
+    assert missing_signals(bare, "linear_drag") == ("vel_ned_mps", "q_ned_frd")
+    assert missing_signals(bare, "angular_damping") == ("vel_ned_mps", "q_ned_frd")  # drag at the hubs damps as well
+    assert missing_signals(bare, "battery_sag") == ("battery_v",)
+    assert not np.any(
+        np.nan_to_num(sensitivities(quad(), bare, [FreeParameter("rotor_drag", "k_d_kg_per_rad")])[..., 0])
+    )
+    assert np.nanstd(sensitivities(quad(), bare, [FreeParameter("payload", "mass_kg")])[..., 0][:, 2]) > 0.0
 
 
 def test_a_force_out_of_the_velocity_passes_what_its_derivative_does(flown: tuple[Samples, Samples]) -> None:

@@ -79,7 +79,7 @@ def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
     monkeypatch: pytest.MonkeyPatch, named: bool, significant: bool, closed: float | None, adopted: bool
 ) -> None:
     turned = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(significant))
-    of = pooled.Split((), (), ())
+    of = pooled.FitHoldoutSplit((), (), ())
     monkeypatch.setattr(workflow, "_concluded", lambda *given: (turned, given[1], None))
     monkeypatch.setattr(workflow, "_verdict", lambda *given: SimpleNamespace(closed=closed))
     said = (SimpleNamespace(), of, None)

@@ -7,16 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.checks.say import how_to_record, refused, warning
-from flightstack.gap.records import Finding, Signal
+from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ
+from flightstack.gap.records import Finding, Signal, how_to_record, refused, warning
 from flightstack.types import F64
 
 SLOW = ("battery_v", "landed", "height_m")
 """Signals that may come as rarely as they like."""
-LEAST_S = 5.0
-SHORT_S = 15.0
-LEAST_HZ = 5.0
-GOOD_HZ = 75.0
 _HELD = 0.02
 _TIME_UNITS = {"ms": (0.9, 90.0, 1e-3), "us": (400.0, 90e3, 1e-6), "ns": (4e5, 90e6, 1e-9)}
 """Unit -> period that it would show as seconds, from, to; its size."""

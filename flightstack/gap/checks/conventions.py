@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
-from flightstack.gap.checks.say import warning
-from flightstack.gap.records import Finding, Signal
+from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, CONVENTION_NEARLY, CONVENTION_POOR
+from flightstack.gap.records import Finding, Signal, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import body_to_frd, multiply, rotate, world_to_ned
 
@@ -24,16 +24,6 @@ GRID_S = 0.04
 _SHIFT_S = 0.4
 _LONGEST_S = 120.0
 _LOW_HZ, _HIGH_HZ = 0.15, 4.0
-_MARGIN = 0.12
-"""By so much must the sum of correlations grow before a convention is changed."""
-_NEARLY, _SHARE = 0.03, 0.2
-"""Or by so much, where less than this share is then left to perfect agreement."""
-_POOR, _MUCH = 0.25, 0.4
-"""Where more than the former is left to perfect agreement, it must grow by the latter: noise agrees with noise."""
-_CHANCE = 0.45
-"""Greatest correlation, over shifts and conventions, that two noises of some seconds may have."""
-_GOOD = 0.15
-"""So near to perfect no other convention is tried."""
 _WORLDS = ("ned", "enu", "nwu")
 _VECTORS = (*_WORLDS, "neu")
 """North, east, up is no right-handed frame, but vectors are logged so."""
@@ -136,7 +126,7 @@ def correlation(a: F64, b: F64, dt_s: float) -> tuple[float, float, float]:
 def agreement(a: F64, b: F64, dt_s: float) -> float:
     """Correlation as far as it is none that noise has by chance: else nothing."""
     found = correlation(a, b, dt_s)[0]
-    return found if found > _CHANCE else 0.0
+    return found if found > CONVENTION_CHANCE else 0.0
 
 
 def _limited(values: F64, dt_s: float) -> F64:
@@ -146,8 +136,8 @@ def _limited(values: F64, dt_s: float) -> F64:
 def _is_better(new: float, kept: float, perfect: float = 1.0) -> bool:
     """Whether one sum of correlations is beyond doubt better than another."""
     gain = new - kept
-    enough = _MARGIN if perfect - new < _POOR else _MUCH
-    return gain > enough or (gain > _NEARLY and perfect - new < _SHARE * (perfect - kept))
+    enough = CONVENTION_MARGIN if perfect - new < CONVENTION_POOR else CONVENTION_CHANCE
+    return gain > enough or (gain > CONVENTION_NEARLY and perfect - new < CONVENTION_POOR * (perfect - kept))
 
 
 def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
@@ -158,7 +148,7 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
     kept = _Convention()
     known = _Known(seen)
     scores = {kept: _score(kept, known)}
-    if scores[kept][0] < _parts(seen) - _GOOD:
+    if scores[kept][0] < _parts(seen) - CONVENTION_MARGIN:
         scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
     # worlds that all signals share are alike but for rounding: then the usual one
     best = max(scores, key=lambda each: round(scores[each][0] - 0.01 * each.changes, 6))
@@ -318,7 +308,7 @@ def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         )
         for frame in _VECTORS
     }
-    agreed = {frame: each[0] if each[0] > _CHANCE else 0.0 for frame, each in given.items()}
+    agreed = {frame: each[0] if each[0] > CONVENTION_CHANCE else 0.0 for frame, each in given.items()}
     best = max(agreed, key=lambda frame: agreed[frame])
     if _is_better(agreed[best], agreed["ned"]):
         _turn(out, dict(seen.columns), "pos_ned_m", lambda v: world_to_ned(v, best))

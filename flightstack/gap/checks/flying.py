@@ -5,18 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.gap.decisions import CLEAR_M, EDGE_S, LEAST_THRUST, STANDING_MPS, TOUCHING_M
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-
-LEAST_THRUST = 0.25
-"""Of the weight: with less than this commanded, and not falling, a vehicle stands."""
-CLEAR_M = 0.1
-"""Below this no height is that of a flight."""
-_DIP_S = 1.0
-_STANDING_M, _STANDING_MPS = 0.06, 0.15
-"""At the ground's height and not moving: on it, whatever the motors do."""
-_EDGE_S = 0.5
-"""Left out after take-off and before landing: legs on the ground, a detector that is late."""
 
 
 def rotor_thrust(vehicle: Vehicle, motor: F64) -> F64:
@@ -45,8 +36,8 @@ def flying(
     if height_m is not None and landed is not None:
         up &= ~(height_m < CLEAR_M)
     if height_m is not None and speed_mps is not None:
-        up &= ~((np.abs(height_m) < _STANDING_M) & (speed_mps < _STANDING_MPS))
-    return _trimmed(_bridged(up, round(_DIP_S / step_s)), round(_EDGE_S / step_s))
+        up &= ~((np.abs(height_m) < 2.0 * TOUCHING_M) & (speed_mps < STANDING_MPS))
+    return _trimmed(_bridged(up, round(2.0 * EDGE_S / step_s)), round(EDGE_S / step_s))
 
 
 def _smoothed(values: F64, window: int) -> F64:

@@ -9,8 +9,7 @@ import numpy as np
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
-from flightstack.gap.checks.say import refused, warning
-from flightstack.gap.records import Finding, Offset, Samples, Signal
+from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate

@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.checks.motion import band
-from flightstack.gap.checks.say import ok, refused, warning
-from flightstack.gap.records import Finding, Samples
+from flightstack.gap.decisions import CLEAR_SHARE, HALF, ORDER_MARGIN, THRUST_OFF
+from flightstack.gap.records import Finding, Samples, ok, refused, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 
 _LONGEST_LAG_S = 0.16
 _LOW_HZ, _HIGH_HZ = 0.5, 10.0
-_CERTAIN = 0.5
-"""Correlation above which the file's order counts as shown."""
-_OTHER = 0.75
-"""Correlation, of roll and of pitch, above which another order does."""
-_MARGIN = 0.3
-_THRUST_LOW, _THRUST_HIGH = 0.35, 3.0
-"""Thrust that the file expects of the commands, over what the accelerometer felt: outside it is another vehicle."""
 _LONGEST = 60_000
 _RINGS_S = 0.5
 
@@ -45,7 +38,7 @@ def _thrust(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     felt = -float(np.mean(force[rows])) * vehicle.total_mass_kg
     expected = float(np.mean(rotor_thrust(vehicle, samples.motor[rows]).sum(axis=1)))
     ratio = expected / felt if felt > 0.1 * vehicle.weight_n else np.inf
-    if _THRUST_LOW < ratio < _THRUST_HIGH:
+    if 1.0 / THRUST_OFF < ratio < THRUST_OFF:
         return []
     return [refused("vehicle", f"the vehicle file expects {expected:.3g} N of this log's commands, its accelerometer "
                     f"felt {felt:.3g} N at the file's mass: name the file of this vehicle")]  # fmt: skip
@@ -75,7 +68,7 @@ def _order(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     kept = shares[(0, 1, 2, 3)]
     best = max(shares, key=lambda order: shares[order].mean())
     other = float(shares[best].mean())
-    if min(shares[best]) > _OTHER and other > kept.mean() + _MARGIN:
+    if min(shares[best]) > CLEAR_SHARE and other > kept.mean() + ORDER_MARGIN:
         said = ", ".join(str(place + 1) for place in best)
         text = (
             "the log's motors are in another order than the vehicle file's rotors: by how the vehicle turns, its "
@@ -84,7 +77,7 @@ def _order(samples: Samples, vehicle: Vehicle) -> list[Finding]:
         )
         return [refused("rotors", text)]
     text = f"(correlation of roll {kept[0]:.2f}, of pitch {kept[1]:.2f})"
-    if kept.min() > _CERTAIN:
+    if kept.min() > HALF:
         return [ok("rotors", f"motors turn the vehicle as the file's rotors should {text}")]
     return [warning("rotors", f"the order of the rotors does not show {text}")]
 

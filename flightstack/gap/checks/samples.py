@@ -18,8 +18,8 @@ from flightstack.gap.checks.grid import (
     period_s,
 )
 from flightstack.gap.checks.motion import rates_of
-from flightstack.gap.checks.noise import white_noise
 from flightstack.gap.checks.speeds import MEASURED
+from flightstack.gap.filters import white_noise
 from flightstack.gap.records import Samples, Signal
 from flightstack.gap.sources import DERIVED, DERIVED_HZ
 from flightstack.gap.voltage import quiet

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.checks.say import ok
-from flightstack.gap.records import Finding, Signal
+from flightstack.gap.records import Finding, Signal, ok
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 

@@ -13,12 +13,12 @@ from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_comma
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
 from flightstack.gap.sampled import open_gains, timing_s
-from flightstack.gap.simulate import Knob, disagreement, evaluated_every, predict, sensitivities, timing
+from flightstack.gap.simulate import FreeParameter, evaluated_every, predict, prediction_error, sensitivities, timing
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
-_GAINS = (Knob("thrust_scale", "scale"), *(Knob("inertia", f"scale_{axis}") for axis in "xyz"))
+_GAINS = (FreeParameter("thrust_scale", "scale"), *(FreeParameter("inertia", f"scale_{axis}") for axis in "xyz"))
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
 """Of those gains, one standard deviation for each second between samples."""
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
@@ -63,13 +63,13 @@ class SimulatorBench:
         out = []
         for s, k in zip(self.flights, self.every, strict=True):
             flight = track(s)
-            y = disagreement(vehicle, s)[0][::k].copy()
+            y = prediction_error(vehicle, s)[0][::k].copy()
             y[~flight.usable[::k]] = np.nan
             y.flags.writeable = False
             out.append(y)
         return out
 
-    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+    def columns(self, vehicle: Vehicle, knobs: Sequence[FreeParameter]) -> list[F64]:
         """Derivatives of the simulated (N, 12, K) of each flight; 0 of what it can't show."""
         out = []
         for s, k in zip(self.flights, self.every, strict=True):

@@ -14,20 +14,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flightstack.effects import EFFECTS, ParamSpec
-from flightstack.gap.scales import natural_scale
-from flightstack.gap.simulate import value
+from flightstack.gap.decisions import NEGLIGIBLE, NEGLIGIBLE_OF_REQUIRED
+from flightstack.gap.simulate import natural_scale, spec_of, value
 from flightstack.vehicle import Vehicle
 
 STOCHASTIC = ("turbulence",)
 """Effects without a column: they show in the remainder's spectrum only."""
 SLUNG_LENGTHS_M = (0.3, 0.6, 1.0, 1.7, 3.0)
 """Rope lengths to start from."""
-_REQUIRED_SHARE = 0.01
-"""Negligible share of a parameter that has no null value."""
 
 
-_SHARE = 0.05
-"""Negligible share of a change that matters (`gap.scales.natural_scale`): some tenths of a percent of the motion."""
 _SHARES = {
     "motor_lag": 0.2,  # a millisecond: stamps are no better
     "transport_delay": 0.2,
@@ -40,7 +36,7 @@ _SHARES = {
 
 def negligible(vehicle: Vehicle, effect: str, parameter: str) -> float:
     """How large this parameter's change is allowed to be without a name, in its unit."""
-    return _SHARES.get(effect, _SHARE) * natural_scale(vehicle, effect, parameter)
+    return _SHARES.get(effect, NEGLIGIBLE) * natural_scale(vehicle, effect, parameter)
 
 
 def trifle(effect: str, share: float) -> float:
@@ -58,7 +54,7 @@ def plausible(vehicle: Vehicle, effect: str, parameter: str) -> tuple[float, flo
     A mass less than half of the file's, an inertia that no shape of that size has or a centre of mass beyond the
     rotors stand for something else: torques that do not come, mostly.
     """
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     arm = float(np.max(np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1)))
     own = {
         "inertia": _INERTIA,
@@ -93,7 +89,7 @@ def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bo
 
     A centre of mass is not judged by its height, which hardly any flight shows.
     """
-    spec = _spec(effect, parameter)
+    spec = spec_of(effect, parameter)
     if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
         return False
     low, high = plausible(vehicle, effect, parameter)
@@ -122,17 +118,13 @@ class Candidate:
 
     def spec(self, parameter: str) -> ParamSpec:
         """The table's row of one parameter, in its plausible range."""
-        spec = _spec(self.effect, parameter)
+        spec = spec_of(self.effect, parameter)
         low, high = self.ranges.get(parameter, (spec.minimum, spec.maximum))
         return replace(spec, minimum=low, maximum=high)
 
     def values(self, vehicle: Vehicle) -> dict[str, float]:
         """The effect's parameters as this candidate starts from: the vehicle's where it has them, else null."""
         return {p: value(vehicle, self.effect, p) for p in self.parameters} | dict(self.variant)
-
-
-def _spec(effect: str, parameter: str) -> ParamSpec:
-    return next(p for p in EFFECTS[effect].params if p.name == parameter)
 
 
 def has(vehicle: Vehicle, effect: str) -> bool:
@@ -167,7 +159,8 @@ def fitted(vehicle: Vehicle, effect: str, values: Mapping[str, float]) -> Candid
     """The candidate once it acts: all its parameters have columns but the whole numbers, which are held."""
     free = tuple(p for p in EFFECTS[effect].params if not p.integer)
     sizes = tuple(
-        _REQUIRED_SHARE * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name) for p in free
+        NEGLIGIBLE_OF_REQUIRED * float(values[p.name]) if p.required else negligible(vehicle, effect, p.name)
+        for p in free
     )
     held = {p.name: float(values[p.name]) for p in EFFECTS[effect].params if p.integer}
     ranges = {p.name: plausible(vehicle, effect, p.name) for p in free}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flightstack.gap.naming.candidates import Candidate, candidates, trifle
 from flightstack.gap.naming.evidence import Gram, robust
 from flightstack.gap.naming.whitening import Mask, Whitener, apply, fit, plain, whole_windows
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 
@@ -32,7 +32,7 @@ class Bench(Protocol):
     def residual(self, vehicle: Vehicle) -> list[F64]:
         """Measured minus simulated; NaN where a channel can't be had."""
 
-    def columns(self, vehicle: Vehicle, knobs: Sequence[Knob]) -> list[F64]:
+    def columns(self, vehicle: Vehicle, knobs: Sequence[FreeParameter]) -> list[F64]:
         """Derivatives of the simulated by these parameters at the vehicle: (N, channels, K) for each flight."""
 
     def nuisance(self, vehicle: Vehicle) -> tuple[list[F64], F64, Mask]:
@@ -178,7 +178,7 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
         for m, candidate in enumerate(group)
         for parameter, size in zip(candidate.parameters, candidate.negligible, strict=True)
     )
-    knobs = [Knob(group[s.candidate].effect, s.parameter, group[s.candidate].variant) for s in slots]
+    knobs = [FreeParameter(group[s.candidate].effect, s.parameter, group[s.candidate].variant) for s in slots]
     raw_x = [np.nan_to_num(x) for x in bench.columns(vehicle, knobs)]
     if layout is None:
         layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]), vehicle is start)

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import STEADY_MPS2, TENTH
 from flightstack.gap.filters import through
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.metric import bounded_step
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -32,14 +32,8 @@ _STEPS = 4
 _STILL = 0.05
 """Standard deviations that another step would move."""
 _SEGMENTS = 6
-_ALLOWED_SPREAD = 0.1
-"""Share by which a coefficient of a good model may differ from segment to segment."""
 CI = 1.959964
 """Standard deviations of a 95 % interval."""
-FICKLE_P = 1e-4 / len(EFFECTS)
-"""Of an effect's being the same everywhere: as sure as a name must be, Bonferroni's correction included."""
-_STEADY_MPS2 = 0.005
-"""One standard deviation of a slow error of accelerometer or attitude: 3 to 8 mm/s^2 with the simulator's sensors."""
 _BAND_S = 0.5
 """Correlation that whitening may have left."""
 
@@ -80,7 +74,7 @@ def estimate(
     rows = layout.stack(state.bench.residual(vehicle))
     x = np.zeros((len(rows), 0))
     for _ in range(_STEPS if slots else 0):
-        raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
+        raw = state.bench.columns(vehicle, [FreeParameter(e, p) for e, p in slots])
         x = layout.stack([np.nan_to_num(values) for values in raw])
         step = _step(state, vehicle, slots, x, rows, chosen)
         moved = vehicle
@@ -174,7 +168,7 @@ def covariance_of(
     told = state.point.nuisance_fitted
     steady = _steady(state.point.layout)
     other = np.hstack([state.point.nuisance[:, ~told], steady])
-    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], _STEADY_MPS2)])
+    scale = np.concatenate([state.point.nuisance_size[~told], np.full(steady.shape[1], STEADY_MPS2)])
     gram = both[chosen].T @ both[chosen] + np.diag(prior)
     shift = (inverse(gram) @ (both[chosen].T @ other[chosen]))[:count] * scale
     return np.asarray(covariance + shift @ shift.T)
@@ -286,7 +280,7 @@ def variation(start: Vehicle, vehicle: Vehicle, slots: Sequence[tuple[str, str]]
     """(n,) variance of each parameter that a good model of a good vehicle may show from place to place."""
     origin = np.array([_origin(start, e, p, v) for (e, p), v in zip(slots, values, strict=True)])
     slack = np.array([negligible(vehicle, e, p) for e, p in slots])
-    return np.asarray((_ALLOWED_SPREAD * (values - origin)) ** 2 + slack**2)
+    return np.asarray((TENTH * (values - origin)) ** 2 + slack**2)
 
 
 def same(theta: F64, variance: F64, allowed: F64) -> tuple[F64, F64]:
@@ -311,3 +305,9 @@ def _heterogeneity(theta: F64, variance: F64) -> tuple[F64, F64]:
 def _origin(start: Vehicle, effect: str, parameter: str, now: float) -> float:
     origin = value(start, effect, parameter)
     return origin if np.isfinite(origin) else now
+
+
+def parameter_change(state: SelectionState, made: Estimates) -> F64:
+    """(n,) how far each coefficient is from where it started; 0 for one that started nowhere."""
+    origin = np.array([value(state.start, *slot) for slot in made.slots])
+    return np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)

@@ -12,19 +12,17 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from flightstack.gap.decisions import CLEARLY, LINE_ERROR
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.metric import metric_of
-from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, judged_fit, members, strained
-from flightstack.gap.naming.trifles import CLEARLY, worth_of
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_subset, judged_fit, members
+from flightstack.gap.naming.trifles import mse_increase
 from flightstack.vehicle import Vehicle
 
-_NEAR = 12.0
-"""By which straight lines may well err."""
 
-
-def joined(
+def forward_selection_step(
     state: SelectionState, made: Estimates, effects: Mapping[str, Mapping[str, float]], of: Collection[str]
 ) -> tuple[SelectionState, Fit] | None:
     """The named effects (all in `made`) and one more, one of `of`, in a search of their own; None if none earns it."""
@@ -32,20 +30,20 @@ def joined(
     point = fresh.point
     now = judged_fit(fresh, effects, made.vehicle, point.rest, len(made.slots))
     base = members(point.candidates, effects)
-    own = [m for m, c in enumerate(point.candidates) if c.effect in set(of) - set(effects) - state.barred]
+    own = [m for m, c in enumerate(point.candidates) if c.effect in set(of) - set(effects) - state.excluded]
     subsets = [tuple(sorted((*base, m))) for m in own]
     gram, count = point.gram(), len(point.candidates)
     found = [s for s in fit_subsets(gram, subsets, point.columns, point.low, point.high) if np.isfinite(s.gain)]
     promised = [gram.c + float(score(s.gain, s.used, len(s.members), gram.rows, count)) for s in found]
     best: tuple[float, Fit] | None = None
     for i in np.argsort(promised):
-        if promised[i] > now.score + _NEAR:
+        if promised[i] > now.score + LINE_ERROR:
             break
         fit = fit_subset(fresh, found[i])
         (new,) = set(fit.effects) - set(effects)
-        if fit.score >= now.score or strained(state.start, fit):
+        if fit.score >= now.score or effects_at_bound(state.start, fit):
             continue
-        across, held = worth_of(fresh, estimate(fresh, fit.effects), list(fit.effects), new)
+        across, held = mse_increase(fresh, estimate(fresh, fit.effects), list(fit.effects), new)
         if min(across, held) >= CLEARLY and (best is None or across > best[0]):
             best = across, fit
     if best is None:
@@ -57,4 +55,4 @@ def joined(
 def _searched_at(state: SelectionState, vehicle: Vehicle) -> SelectionState:
     """A search with its columns at this vehicle, and the other's model of the noise."""
     point = linearise(state.bench, vehicle, state.start, layout=state.point.layout)
-    return SelectionState(state.bench, state.start, point, metric_of(point), barred=state.barred)
+    return SelectionState(state.bench, state.start, point, metric_of(point), excluded=state.excluded)

@@ -16,14 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.effects import EFFECTS
 from flightstack.file_numbers import FileNumber, file_numbers, with_numbers
+from flightstack.gap.decisions import ALIKE_COSINE
 from flightstack.gap.naming.candidates import fitted
 from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.estimate import CI, covariance_of, inverse, without_nuisance
 from flightstack.gap.naming.search import SelectionState
-from flightstack.gap.records import Estimate, Found
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.records import Estimate, IdentifiedEffect
+from flightstack.gap.simulate import FreeParameter, spec_of, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
@@ -39,23 +39,24 @@ _SCALED = ("payload", "thrust_scale", "inertia")
 _USUAL = {"body.mass_kg": 0.3, "rotors.max_thrust_n": 0.5, "body.inertia_kgm2": 0.7}
 """Relative half width within which a plain number of these is taken to lie once an effect contradicts it."""
 _STEP = 1e-3
-_ALIKE = 0.95
 WEIGH = "weigh the vehicle: no acceleration shows the common scale of mass, thrust, inertia and drag"
 
 
-def is_touched(start: Vehicle, found: Sequence[Found]) -> bool:
+def is_touched(start: Vehicle, found: Sequence[IdentifiedEffect]) -> bool:
     """Whether guessed numbers or the common scale concern these names."""
     return bool(found) and (bool(start.ranges) or sum(f.name in _SCALED for f in found) > 1)
 
 
-def carried(state: SelectionState, found: tuple[Found, ...], vehicle: Vehicle) -> tuple[tuple[Found, ...], Vehicle]:
+def carried(
+    state: SelectionState, found: tuple[IdentifiedEffect, ...], vehicle: Vehicle
+) -> tuple[tuple[IdentifiedEffect, ...], Vehicle]:
     """The names with what guessed numbers do to them, and the vehicle at their estimates; `vehicle` holds them."""
     start, layout, chosen = state.start, state.point.layout, state.point.fit_rows()
     told = {(f.name, p) for f in found for p, e in f.parameters.items() if e.told}
     slots = [(f.name, p) for f in found for p in fitted(vehicle, f.name, vehicle.effects[f.name]).parameters]
     slots = [slot for slot in slots if slot in told]
     numbers = {n.name: n for n in file_numbers(start)}
-    raw = state.bench.columns(vehicle, [Knob(e, p) for e, p in slots])
+    raw = state.bench.columns(vehicle, [FreeParameter(e, p) for e, p in slots])
     x = layout.stack([np.nan_to_num(columns) for columns in raw])
     now = np.array([value(vehicle, e, p) for e, p in slots])
     centre, sigma = np.array([_prior(numbers, e, p, v) for (e, p), v in zip(slots, now, strict=True)]).T
@@ -105,11 +106,11 @@ def _number_columns(state: SelectionState, vehicle: Vehicle, numbers: Sequence[F
 
 
 def _told(
-    found: tuple[Found, ...], vehicle: Vehicle, slots: list[tuple[str, str]], values: F64, covariance: F64
-) -> tuple[tuple[Found, ...], Vehicle]:
+    found: tuple[IdentifiedEffect, ...], vehicle: Vehicle, slots: list[tuple[str, str]], values: F64, covariance: F64
+) -> tuple[tuple[IdentifiedEffect, ...], Vehicle]:
     """The names at these values, intervals as wide as before or as this covariance; classes of what goes together."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    alike = np.abs(covariance) > _ALIKE * np.maximum(np.outer(sigma, sigma), 1e-300)
+    alike = np.abs(covariance) > ALIKE_COSINE * np.maximum(np.outer(sigma, sigma), 1e-300)
     place = {slot: k for k, slot in enumerate(slots)}
     out, changed = [], vehicle
     for each in found:
@@ -119,7 +120,7 @@ def _told(
             k = place.get((each.name, name))
             if k is None:
                 continue
-            spec = next(p for p in EFFECTS[each.name].params if p.name == name)
+            spec = spec_of(each.name, name)
             now = float(np.clip(values[k], spec.minimum, spec.maximum))
             half = max(0.5 * (e.high - e.low), CI * float(sigma[k]))
             parameters[name] = Estimate(e.before, now, max(now - half, spec.minimum), min(now + half, spec.maximum))

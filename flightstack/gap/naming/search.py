@@ -16,24 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import ALIKE_EVIDENCE, LINE_ERROR, LINE_ERROR_SHARE, NAME_EVIDENCE
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
 from flightstack.gap.naming.design import Bench, Linearised, linearise
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
-from flightstack.gap.simulate import Knob, value, with_value
+from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
 MOST = 3
-LEAST_EVIDENCE = 15.0
-"""Fall of the score from which an effect is named."""
-ALIKE = 10.0
-"""Difference of scores below which one of two explanations is not preferred."""
 _SHORTLIST = {1: 4, 2: 4, 3: 3}
-_MARGIN = 12.0
-"""Difference of scores that a straight line's error may make."""
-_NEAR = 0.3
-"""And its share of the whole gain, far from where the columns were taken."""
 _NEIGHBOURS = 6
 _ONE_LINE = ((("motor_lag", "time_constant_s"), ("transport_delay", "delay_s")),)
 """To first order alike, at tens of milliseconds not at all: each is fitted in the other's place."""
@@ -77,7 +70,7 @@ class SelectionState:
     metric: Metric
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     """By candidate keys."""
-    barred: set[str] = field(default_factory=set)
+    excluded: set[str] = field(default_factory=set)
     """Effects that ran to the end of what is plausible where they fitted best: they are not tried again."""
     apart: Sequence[tuple[str, str]] = ()
     """Pairs of effects that these flights can't tell apart: never named together."""
@@ -95,26 +88,26 @@ class SelectionState:
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.barred & set(fit.effects) and not strained(self.start, fit)
+            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit)
         }
         best = min(fair, key=lambda key: fair[key])
-        as_good = [k for k in fair if fair[k] < fair[best] + (LEAST_EVIDENCE if k <= best else ALIKE)]
+        as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
         fewest = min(len(key) for key in as_good)
         as_good = [key for key in as_good if key <= best or len(key) == fewest]
         return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
-def strained(start: Vehicle, fit: Fit) -> set[str]:
+def effects_at_bound(start: Vehicle, fit: Fit) -> set[str]:
     """Its effects that stand at an end of what is plausible, and not merely where the true value may lie."""
     ends = {e: [(p, x) for p, x in values.items() if at_end(start, e, p, x)] for e, values in fit.effects.items()}
     return {e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)}
 
 
-def _bar(state: SelectionState) -> bool:
+def _exclude_at_bound(state: SelectionState) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
-    fair = [fit for fit in state.fits.values() if not state.barred & set(fit.effects)]
-    at_ends = strained(state.start, min(fair, key=lambda fit: fit.score))
-    state.barred |= at_ends
+    fair = [fit for fit in state.fits.values() if not state.excluded & set(fit.effects)]
+    at_ends = effects_at_bound(state.start, min(fair, key=lambda fit: fit.score))
+    state.excluded |= at_ends
     return bool(at_ends)
 
 
@@ -131,7 +124,7 @@ def search(
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, [s for s in subsets if _allowed(state, s)])
     _fit_all(state, _shortlist(scored))
-    while _bar(state):
+    while _exclude_at_bound(state):
         _fit_all(state, _shortlist([(value_, s) for value_, s in scored if _allowed(state, s.members)]))
     swaps = (*_ONE_LINE, *(pair[::-1] for pair in _ONE_LINE), _HUNG)
     _swap(state, swaps)
@@ -141,7 +134,7 @@ def search(
             break
         move_to(state, best.vehicle)
         _fit_all(state, _neighbours(state))
-        while _bar(state):
+        while _exclude_at_bound(state):
             _fit_all(state, _neighbours(state))
         _swap(state, swaps)
     return state
@@ -149,7 +142,7 @@ def search(
 
 def _allowed(state: SelectionState, members: Sequence[int]) -> bool:
     effects = {state.point.candidates[m].effect for m in members}
-    return not state.barred & effects and not any(effects.issuperset(pair) for pair in state.apart)
+    return not state.excluded & effects and not any(effects.issuperset(pair) for pair in state.apart)
 
 
 def move_to(state: SelectionState, vehicle: Vehicle) -> None:
@@ -165,7 +158,7 @@ def move_to(state: SelectionState, vehicle: Vehicle) -> None:
 def _shortlist(scored: list[tuple[float, Subset]]) -> list[Subset]:
     """The best of each size, and of those only what comes near the best of all: columns taken elsewhere err."""
     best, floor = scored[0]
-    margin = _MARGIN + _NEAR * floor.gain
+    margin = LINE_ERROR + LINE_ERROR_SHARE * floor.gain
     return [
         s
         for size, count in _SHORTLIST.items()
@@ -204,7 +197,7 @@ def _neighbours(state: SelectionState) -> list[Subset]:
     found = []
     for value_, s in scored:
         # more on top of the best is told well by these columns, something else in its place is not
-        near = best - 0.5 * LEAST_EVIDENCE if set(inside) <= set(s.members) else best + _MARGIN
+        near = best - 0.5 * NAME_EVIDENCE if set(inside) <= set(s.members) else best + LINE_ERROR
         if value_ < min(near, _beaten(state, s)):
             found.append(s)
     return found[:_NEIGHBOURS]
@@ -214,7 +207,7 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
     """Fit the best with what a straight line hardly tells from one of its members in that one's place, as large."""
     effects, start = state.best.effects, state.start
     for (old, was), (new, now) in swaps:
-        if old not in effects or new in effects or new in state.barred:
+        if old not in effects or new in effects or new in state.excluded:
             continue
         size = effects[old][was] - value(start, old, was) + value(start, new, now)
         if size <= value(start, new, now):  # sooner than the file says: no delay is negative
@@ -225,7 +218,9 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
         for effect, values in swapped.items():
             vehicle = with_value(vehicle, effect, values)
         group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
-        _keep(state, group, _fit_from(state, group, _swung(state, vehicle) if new == "slung_load" else vehicle))
+        _keep(
+            state, group, _fit_from(state, group, _fit_cable_length(state, vehicle) if new == "slung_load" else vehicle)
+        )
 
 
 def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
@@ -271,7 +266,7 @@ def fit_subset(state: SelectionState, subset: Subset) -> Fit:
     group = [state.point.candidates[m] for m in subset.members]
     vehicle = _stepped(state, subset)
     if any(c.effect == "slung_load" for c in group):
-        vehicle = _swung(state, vehicle)
+        vehicle = _fit_cable_length(state, vehicle)
     return _fit_from(state, group, vehicle)
 
 
@@ -283,7 +278,7 @@ def _fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicl
     pressed: frozenset[str] = frozenset()
     for _ in range(_STEPS if group else 0):
         slots = [(c, p) for c in group for p in fitted(vehicle, c.effect, vehicle.effects[c.effect]).parameters]
-        raw = state.bench.columns(vehicle, [Knob(c.effect, p) for c, p in slots])
+        raw = state.bench.columns(vehicle, [FreeParameter(c.effect, p) for c, p in slots])
         x = metric.columns(layout.stack([np.nan_to_num(values) for values in raw]))
         before = chi2
         for _ in range(_CHORDS):
@@ -314,12 +309,12 @@ def pressed_beyond(k: F64, b: F64, sides: NDArray[np.int64]) -> list[int]:
     for i in np.flatnonzero(sides):
         pull = float(b[i] - k[i, free] @ inverse @ b[free])
         stiffness = float(k[i, i] - k[i, free] @ inverse @ k[free, i])
-        if pull * sides[i] > 0.0 and pull**2 > LEAST_EVIDENCE * stiffness:
+        if pull * sides[i] > 0.0 and pull**2 > NAME_EVIDENCE * stiffness:
             found.append(int(i))
     return found
 
 
-def _swung(state: SelectionState, vehicle: Vehicle) -> Vehicle:
+def _fit_cable_length(state: SelectionState, vehicle: Vehicle) -> Vehicle:
     """The vehicle with the rope on which the load swings best: too long or too short by a quarter it swings otherwise.
 
     Which rope that is hardly depends on what else is missing, so all are tried once for each set of columns.

@@ -4,7 +4,8 @@ Far from the noise everything that bends a curve helps a little.  An effect of t
 held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
 may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
 torques) counts little, or in the rows as they are, where fast disagreement counts little.  What doubles any group's
-remainder there goes, whatever else it helps.
+remainder there goes, whatever else it helps.  What a sensor errs by shows in what the log's signals say of one another,
+too: there gusts are nothing.
 """
 
 from __future__ import annotations
@@ -14,21 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS
 from flightstack.gap.naming.design import Layout, layout_of
-from flightstack.gap.naming.estimate import Estimates
+from flightstack.gap.naming.estimate import Estimates, parameter_change
 from flightstack.gap.naming.search import SelectionState
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.remainder import GROUPS
-from flightstack.gap.simulate import Knob, value
+from flightstack.gap.simulate import FreeParameter
 from flightstack.types import F64
 
-CLEARLY = 1.1**2 - 1.0
-"""Share by which a group's mean square must rise without an effect: a tenth of the rms."""
-_HARM = 0.75
-"""Share by which a group's mean square must fall without an effect that does harm: half of the rms."""
-_SURE = 2.0
-"""Standard errors, over blocks of a second, by which it must rise."""
 _FEWEST_BLOCKS = 4
+_KINEMATIC = ((6, 7, 8), (9, 10, 11))
+"""Channels in which no physics acts: the gyro against the attitude, the accelerometer against the velocity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +68,10 @@ class _View:
             out[own] = self.left(mine, self.learned & ~own)[own]
         return out
 
-    def worth(self, base: F64, without: F64, judged: Mask) -> float:
+    def worth(self, base: F64, without: F64, judged: Mask, effect: str) -> float:
         """Greatest sure rise of a group's mean square over these rows, relative; a fall where it is large."""
         best = worst = 0.0
-        for channels in GROUPS.values():
+        for channels in (*GROUPS.values(), *(_KINEMATIC if EFFECTS[effect].kind == "sensor" else ())):
             mine = judged & np.isin(self.layout.channel, channels)
             if not mine.any():
                 continue
@@ -80,10 +79,10 @@ class _View:
             risen = float(blocks.sum())
             if len(blocks) < _FEWEST_BLOCKS:
                 continue
-            if abs(risen) > _SURE * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
+            if abs(risen) > SURE_ERRORS * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
                 share = risen / max(float(np.sum(base[mine] ** 2)), 1e-300)
                 best, worst = max(best, share), min(worst, share)
-        return worst if worst <= -_HARM else best
+        return worst if worst <= -CLEAR_SHARE else best
 
     def _seconds(self, mine: Mask, change: F64) -> F64:
         """Sums of these rows' changes over each second of each flight."""
@@ -109,11 +108,11 @@ def trifles(state: SelectionState, made: Estimates, effects: Sequence[str]) -> t
     return tuple(gone)
 
 
-def worth_of(state: SelectionState, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
+def mse_increase(state: SelectionState, made: Estimates, effects: Sequence[str], effect: str) -> tuple[float, float]:
     """What one of these effects (all in `made`) is worth: across the rows to learn from, and on held-out ones."""
     views = _views(state, made)
     base, less = _columns(made, effects), _columns(made, [e for e in effects if e != effect])
-    across = (view.worth(view.left_across(base), view.left_across(less), view.learned) for view in views)
+    across = (view.worth(view.left_across(base), view.left_across(less), view.learned, effect) for view in views)
     return _of_all(across), _of_all(_worth(view, made, effects, effect) for view in views)
 
 
@@ -127,7 +126,7 @@ def _worth(view: _View, made: Estimates, effects: Sequence[str], gone: str) -> f
     base, less = (
         view.left(_columns(made, kept), view.learned) for kept in (effects, [e for e in effects if e != gone])
     )
-    return view.worth(base, less, view.judged)
+    return view.worth(base, less, view.judged, gone)
 
 
 def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
@@ -135,15 +134,14 @@ def _columns(made: Estimates, effects: Sequence[str]) -> list[int]:
 
 
 def _views(state: SelectionState, made: Estimates) -> tuple[_View, _View]:
-    origin = np.array([value(state.start, *slot) for slot in made.slots])
-    moved = np.where(np.isfinite(origin), made.values - np.nan_to_num(origin), 0.0)
+    changed = parameter_change(state, made)
     bench, coloured = state.bench, state.point.layout
     rate = np.array([bench.rate(f) for f in range(len(bench.fit))])
     rows = bench.residual(made.vehicle)
-    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [Knob(e, p) for e, p in made.slots])]
+    raw = [np.nan_to_num(x) for x in bench.columns(made.vehicle, [FreeParameter(e, p) for e, p in made.slots])]
     plain = layout_of(bench, rows, coloured=False)
     x = plain.stack(raw)
     return (
-        _View(coloured, made.x, made.rows + made.x @ moved, rate),
-        _View(plain, x, plain.stack(rows) + x @ moved, rate),
+        _View(coloured, made.x, made.rows + made.x @ changed, rate),
+        _View(plain, x, plain.stack(rows) + x @ changed, rate),
     )

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from flightstack.gap.decisions import MOSTLY
 from flightstack.gap.records import SIGNALS
 from flightstack.gap.report import tables, words
 from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.report.waterfall import waterfall_svg
-from flightstack.gap.verdict import MOSTLY_CLOSED
 from flightstack.types import F64
 from flightstack_logs.report.flight import ReportSamples
 from flightstack_logs.report.page import asset, figures_html, fill, panel_html, safe_json
@@ -72,7 +72,7 @@ def _figures(report: GapReport) -> tuple[KeyFigure, ...]:
     gap = report.gap
     closed = "–" if gap.closed is None else words.percent(gap.closed)
     why = "of the gap over the noise" if gap.closed is not None else "no gap to close"
-    state = "plain" if gap.closed is None else "good" if gap.closed >= MOSTLY_CLOSED else "bad"
+    state = "plain" if gap.closed is None else "good" if gap.closed >= MOSTLY else "bad"
 
     def figure(label: str, name: str, unit: str, note: str = "") -> KeyFigure:
         before, after = getattr(gap.before, name), getattr(gap.after, name)

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flightstack.gap.records import Across, Figures, Finding, Found, Gap, Offset, Rejected, Unexplained, Where
+from flightstack.gap.records import (
+    Across,
+    ChannelResidual,
+    Figures,
+    Finding,
+    Gap,
+    IdentifiedEffect,
+    Offset,
+    Rejected,
+    Unexplained,
+)
 from flightstack.types import F64
 
 
@@ -81,10 +91,10 @@ class GapReport:
     sentence: str
     vehicle: str
     gap: Gap
-    found: tuple[Found, ...]
+    found: tuple[IdentifiedEffect, ...]
     rejected: tuple[Rejected, ...]
     unexplained: Unexplained
-    where: tuple[Where, ...]
+    where: tuple[ChannelResidual, ...]
     steps: tuple[Step, ...] = ()
     regimes: tuple[RegimeRow, ...] = ()
     shown: tuple[Shown, ...] = ()

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from flightstack.effects import EFFECTS
-from flightstack.gap.records import SIGNALS, Estimate, Found, Offset, Where
+from flightstack.gap.records import SIGNALS, ChannelResidual, Estimate, IdentifiedEffect, Offset
 from flightstack.gap.report import words
 from flightstack.gap.report.record import GapReport, LogQuality, RegimeRow
 
@@ -39,7 +39,7 @@ def effects(report: GapReport) -> str:
     return "".join(parts)
 
 
-def _effect(found: Found) -> str:
+def _effect(found: IdentifiedEffect) -> str:
     rows = "".join(_parameter(found, name, value) for name, value in found.parameters.items())
     twin = ""
     if found.indistinguishable_from:
@@ -56,7 +56,7 @@ def _effect(found: Found) -> str:
     )
 
 
-def _parameter(found: Found, name: str, value: Estimate) -> str:
+def _parameter(found: IdentifiedEffect, name: str, value: Estimate) -> str:
     spec = next((p for p in EFFECTS[found.name].params if p.name == name), None)
     unit = words.unit(spec.unit) if spec is not None else ""
     whole = spec is not None and spec.integer
@@ -93,7 +93,7 @@ def _range_svg(value: Estimate) -> str:
     )
 
 
-def where(rows: tuple[Where, ...]) -> str:
+def where(rows: tuple[ChannelResidual, ...]) -> str:
     """Each channel's disagreement, its size over the noise, the regime and the quantity it goes with."""
     if not rows:
         return '<p class="missing">not in these logs</p>'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from flightstack.effects import EFFECTS
-from flightstack.gap.records import Estimate, Figures, Found, Gap, Unexplained
+from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
 from flightstack.gap.report.record import GapReport
 
 _IN_FULL = 2
@@ -27,7 +27,7 @@ def number(value: float, like: float | None = None) -> str:
     return f"{value:.4g}".replace("-", "−")
 
 
-def parameter(found: Found, name: str) -> str:
+def parameter(found: IdentifiedEffect, name: str) -> str:
     """`mass_kg 0.216 kg (0.210 to 0.222)`, the unit from the effect's table."""
     value = found.parameters[name]
     if not value.told:
@@ -55,7 +55,9 @@ def _width(value: Estimate) -> float:
 _SIDE_ONLY = "vertical force and torques were not looked at, as motors were logged too slowly"
 
 
-def sentence(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False) -> str:
+def sentence(
+    found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False
+) -> str:
     """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more."""
     if found:
         parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained, gap), *_doubt(found)]
@@ -82,7 +84,7 @@ def headline(report: GapReport) -> str:
     return "; ".join(part for part in parts if part) + "."
 
 
-def _found(found: tuple[Found, ...]) -> str:
+def _found(found: tuple[IdentifiedEffect, ...]) -> str:
     """One or two effects with all that is known of them, more by their sizes alone: the page has the rest below."""
     named = [_in_full(each) if len(found) <= _IN_FULL else _in_short(each) for each in found]
     text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
@@ -90,14 +92,14 @@ def _found(found: tuple[Found, ...]) -> str:
     return f"The model lacks {text}" + (" (what stands after an or these logs can't tell apart)" if twins else "")
 
 
-def _in_full(found: Found) -> str:
+def _in_full(found: IdentifiedEffect) -> str:
     shown = [parameter(found, name) for name in found.parameters]
     others = [effect(name) for name in found.indistinguishable_from]
     alternative = f" or {' or '.join(others)}, which these logs can't tell apart" if others else ""
     return f"{effect(found.name)} ({', '.join(shown)}){alternative}"
 
 
-def _in_short(found: Found) -> str:
+def _in_short(found: IdentifiedEffect) -> str:
     specs = {p.name: p for p in EFFECTS[found.name].params}
     units = list(dict.fromkeys(unit(specs[name].unit) for name in found.parameters if name in specs))
     values = ", ".join(
@@ -135,7 +137,7 @@ def _depends(unexplained: Unexplained) -> list[str]:
     return [f"it depends on {' and '.join(unexplained.depends_on)}"]
 
 
-def _doubt(found: tuple[Found, ...]) -> list[str]:
+def _doubt(found: tuple[IdentifiedEffect, ...]) -> list[str]:
     return [f"to settle which: {each.manoeuvre}" for each in found if each.indistinguishable_from and each.manoeuvre][
         :1
     ]
@@ -149,7 +151,7 @@ def percent(share: float) -> str:
     return f"{min(value, 99.9):.1f} %"
 
 
-def held_out(found: Found) -> str:
+def held_out(found: IdentifiedEffect) -> str:
     """What data not used before say of an effect."""
     if math.isnan(found.holdout_gain):
         return "held-out data hardly hold it and say nothing for or against"
@@ -158,7 +160,7 @@ def held_out(found: Found) -> str:
     )
 
 
-def verdict(found: tuple[Found, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
+def verdict(found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
     """The page's state (good, plain, bad) and word."""
     if unexplained.significant:
         return "bad", "partly explained" if found else "not explained"

@@ -1,7 +1,12 @@
-"""Ground contact: what the ground does to a vehicle that touches it is no gap of its model; it is left out.
+"""What is left out of a flight: ground contact and stopped rotors.
 
-A motion capture's origin of the body may lie above the feet: where the vehicle stands before and after its flight,
-the log itself shows how high.
+What the ground does to a vehicle that touches it is no gap of its model.  A motion capture's origin of the body may lie
+above the feet: where the vehicle stands before and after its flight, the log itself shows how high.
+
+A driven rotor follows its command by what its motor can do, up as well as down.  Without current (or below the
+controller's least command) it runs down by its own drag, more and more slowly, and has to be caught again: no lag of
+first order describes it.  On a recorded quadrotor whose throttle is cut, lag and delay come out as 65 ms from lift and
+from torques alike where the rotors are driven, and as 85 and 45 ms with the cuts among the data.
 """
 
 from __future__ import annotations
@@ -11,15 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from flightstack.gap.checks.flying import LEAST_THRUST, rotor_thrust
+from flightstack.gap.checks.flying import rotor_thrust
+from flightstack.gap.decisions import AROUND_S, HALF, LAGS, LEAST_THRUST, STOPPED, TOUCHING_M
 from flightstack.gap.records import Finding, Samples, Signal
 from flightstack.vehicle import Vehicle
 
-CLEAR_M = 0.03
-"""Least distance of the lowest rotor from the ground."""
-AROUND_S = 0.25
-"""What is left out before and after a contact: the low-pass carries it there."""
-_FEWEST_S = 0.1
 _STANDING_S = 0.5
 
 
@@ -44,7 +45,7 @@ def standing_m(signals: Mapping[str, Signal], vehicle: Vehicle, span: tuple[floa
     return lowest
 
 
-def leave_out(samples: Samples, vehicle: Vehicle, stands_m: float = 0.0) -> tuple[Samples, list[Finding]]:
+def exclude_ground_contact(samples: Samples, vehicle: Vehicle, stands_m: float = 0.0) -> tuple[Samples, list[Finding]]:
     """The samples without those in which a rotor is at the ground, and a word on it where there are any.
 
     `stands_m`: of `standing_m`.
@@ -53,13 +54,29 @@ def leave_out(samples: Samples, vehicle: Vehicle, stands_m: float = 0.0) -> tupl
     w, i, j, k = samples.q_ned_frd.T
     down_x, down_y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
     lowest = samples.height_m - np.max(np.outer(down_x, x) + np.outer(down_y, y), axis=1)
-    touching = samples.valid & (lowest < stands_m + CLEAR_M)
+    touching = samples.valid & (lowest < stands_m + TOUCHING_M)
     if not touching.any():
         return samples, []
     reach = max(1, round(AROUND_S / samples.dt_s))
     near = np.convolve(touching, np.ones(2 * reach + 1), mode="same") > 0.5
     seconds = float(np.sum(samples.valid & near)) * samples.dt_s
     kept = replace(samples, valid=samples.valid & ~near)
-    if seconds < _FEWEST_S:
-        return kept, []
     return kept, [Finding("ground", "ok", f"{seconds:.1f} s at the ground were left out")]
+
+
+def exclude_stopped_rotors(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding]]:
+    """The samples without those in which a rotor is stopped or just was, and a word on it where there are any."""
+    stopped = samples.valid & (np.nan_to_num(samples.motor, nan=1.0).min(axis=1) < STOPPED)
+    if not stopped.any():
+        return samples, []
+    lag_s = vehicle.effects.get("motor_lag", {}).get("time_constant_s", vehicle.rotors.time_constant_s)
+    reach = max(1, round(max(AROUND_S, LAGS * lag_s) / samples.dt_s))
+    count = np.concatenate([[0], np.cumsum(stopped)])
+    at = np.arange(len(stopped)) + 1
+    lately = count[at] > count[np.maximum(at - 1 - reach, 0)]
+    lost, whole = int(np.sum(samples.valid & lately)), int(np.sum(samples.valid))
+    text = f"rotors are stopped in {100.0 * stopped.sum() / whole:.1f} % of the time"
+    if lost > HALF * whole:
+        return samples, [Finding("rotors", "warning", f"{text}: their lag is none of the first order there")]
+    kept = replace(samples, valid=samples.valid & ~lately)
+    return kept, [Finding("rotors", "ok", f"{text}; with what follows {lost * samples.dt_s:.1f} s were left out")]
