@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from flightstack.barrier.budgets import budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, safe_sets
@@ -35,15 +36,15 @@ from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, ledger, slopes
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
-from flightstack.barrier.queries import Envelope, budget, lean
-from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response, area_of
+from flightstack.barrier.queries import Envelope, lean
+from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Margin, Response, area_of
 from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, ellipse, largest_steps
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
+from flightstack.types import F64, Filtered, Learned, Measurement
 
 _VALID = 2
 _SPARED_MORE = 0.03
@@ -52,8 +53,6 @@ _PATIENCE, _EAGER = 16.0, 1.0
 """Longest wait in periods, with a certificate in force and without."""
 _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
-_LEAST_HOVER_MPS2 = 1.0
-"""What a vehicle out of hand has taught of its hover may be below zero."""
 _HOVER_OFF = 1.05
 """The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
@@ -248,7 +247,7 @@ class OnlineCertifier:
         self, known: Accelerations, version: int, widen_mps2: F64, thrust: Thrust, last: bool = False
     ) -> Iterator[Knowledge | None]:
         """What is known of this region: None after each piece of the work, then it; `last`: none is issued after it."""
-        box, hover_mps2 = self._budget(known, thrust)
+        box, hover_mps2 = budget_for(self.model, self.limits, known, thrust)
         yield None
         over = _HOVER_OFF * box.thrust_max_mps2 / hover_mps2
         yield from Knowledge.steps(
@@ -261,7 +260,7 @@ class OnlineCertifier:
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
         """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
         live = Accelerations.live(learner, self.model)
-        box, _ = self._budget(live, self.config.thrusts[turn])
+        box, _ = budget_for(self.model, self.limits, live, self.config.thrusts[turn])
         delta, torque = self.config.delta, self.torque_mps2
         return Knowledge.of(
             Request(live, self.model, self._envelope(), box, self.initial, delta, version, torque_mps2=torque)
@@ -323,25 +322,6 @@ class OnlineCertifier:
             self.config.slice_only,
             self.config.axes,
         )
-
-    def _budget(self, learned: Accelerations, asked: Thrust) -> tuple[Budget, float]:
-        """The budget that balances what is known and leaves what is asked for; and the specific thrust of hover."""
-        g = STANDARD_GRAVITY_MPS2
-        thrust = np.array([[0.0, 0.0, 0.8 * g], [0.0, 0.0, 1.6 * g]])
-        still, far = np.zeros((2, 3)), np.zeros(2)
-        down, _, _ = learned.at(DOWN, still, thrust, far)
-        gain = max(float(down[0] - down[1]) / (0.8 * g), 0.2)
-        hover = max(0.8 * g + float(down[0]) / gain, _LEAST_HOVER_MPS2)
-        at = np.array([[0.0, 0.0, hover]])
-        force = max(
-            abs(float(mean[0])) + 3.0 * float(sigma[0])
-            for mean, sigma, _ in (learned.at(i, still[:1], at, far[:1]) for i in (0, 1))
-        )
-        box = budget(
-            self.model, self.limits, lateral_mps2=(force + asked.lateral_mps2) / gain,
-            low_mps2=asked.least_hovers * hover, high_mps2=asked.most_hovers * hover, hover_mps2=hover,
-        )  # fmt: skip
-        return box, hover
 
     def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
         """One axis to be designed, and what a barrier on it needs."""
