@@ -65,6 +65,8 @@ class Hearing:
             return
         if kind is m.CommandAck:
             self._now.commands.acknowledge(message)
+            if message.command == px4.Cmd.DO_SET_MODE and message.result == px4.Result.ACCEPTED:
+                self._now.stalls.mode_was_granted(now_us)
         elif kind is m.Statustext:
             self._observer.on_event(t_us, "statustext", message.text, "warning" if message.severity <= 4 else "info")
         elif kind is m.ParamValue:

@@ -37,6 +37,8 @@ class Stalls:
         """Since when and until when nobody steered, of late."""
         self._late_until_us = 0
         """A Hold that was taken for lost may be seen until then."""
+        self._answered_us = 0
+        """When the vehicle last said that it takes a mode that our own system asked for."""
         self._stall_us = self._held_us = 0
         """Of the last stall: its length, and after how long Hold was commanded."""
 
@@ -83,9 +85,17 @@ class Stalls:
         self.taken_back += 1
         self._late_until_us = 0 if hold_seen else now_us + RETAKE_LIMIT_US
 
+    def mode_was_granted(self, now_us: int) -> None:
+        """The vehicle accepts a mode that our own system, the dead-man or we, asked for."""
+        self._answered_us = now_us
+
     def is_late_hold(self, custom_mode: int, now_us: int) -> bool:
-        """Whether a mode that is seen now is the Hold that was taken for lost: a busy vehicle obeys late."""
-        return now_us < self._late_until_us and self.own_hold(custom_mode)
+        """Whether a mode that is seen now is the Hold that was taken for lost: a busy vehicle obeys late, and says so.
+
+        Without its answer to our own system since then the Hold is a pilot's.
+        """
+        answered = self._answered_us > self.report.hold_ns // 1000
+        return answered and now_us < self._late_until_us and self.own_hold(custom_mode)
 
     def _unsteered_us(self, now_us: int) -> int:
         since_us = now_us - WITHIN_US

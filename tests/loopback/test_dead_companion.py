@@ -282,3 +282,36 @@ def test_in_the_middle_of_the_landing_command_a_stall_still_ends_in_a_landing(fl
         flight.step()
     assert flight.mode == "Land"
     assert flight.companion.state is State.LANDING
+
+
+def _stall_whose_words_are_held_up(flight: GuardedFlight) -> list[bytes]:
+    """A stall of 0.1 s; what was said to the vehicle meanwhile, which did not reach it: OFFBOARD was kept."""
+    server, held = flight.flight.shell.server, list[bytes]()
+    receive = server.receive
+    server.receive = lambda index, data: held.append(data)  # type: ignore[method-assign,assignment]
+    flight.stand_still(0.1)
+    server.receive = receive  # type: ignore[method-assign]
+    for _ in range(60):
+        flight.step()
+    assert flight.companion.state is State.OFFBOARD
+    assert flight.mode == "Offboard"
+    return held
+
+
+def test_a_hold_of_the_dead_mans_that_is_obeyed_late_is_taken_back(flight: GuardedFlight) -> None:
+    for data in _stall_whose_words_are_held_up(flight):
+        flight.flight.shell.server.receive(ONBOARD, data)
+    for _ in range(100):
+        flight.step()
+    assert flight.companion.state is State.OFFBOARD
+    assert flight.mode == "Offboard"
+
+
+def test_a_pilots_hold_after_a_hold_that_was_lost_is_not_taken_for_the_dead_mans(flight: GuardedFlight) -> None:
+    """Nobody answered the companion's system that a mode was accepted: it was another one who asked."""
+    _stall_whose_words_are_held_up(flight)
+    _pilot(flight, px4.Cmd.DO_SET_MODE, 1.0, 4.0, 3.0)
+    for _ in range(250):
+        flight.step()
+    assert flight.mode == "Hold"
+    assert flight.companion.state is State.PILOT

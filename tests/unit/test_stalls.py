@@ -56,16 +56,20 @@ def test_the_time_until_offboard_is_back_counts_as_not_steered() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hold_seen", "mode", "after_us", "late"),
-    [(False, px4.MODE_HOLD, 900_000, True), (False, px4.MODE_HOLD, 1_100_000, False), (True, px4.MODE_HOLD, 1, False),
-     (False, px4.MODE_LAND, 1, False)],
+    ("hold_seen", "mode", "after_us", "answered", "late"),
+    [(False, px4.MODE_HOLD, 900_000, True, True), (False, px4.MODE_HOLD, 1_100_000, True, False),
+     (True, px4.MODE_HOLD, 1, True, False), (False, px4.MODE_LAND, 1, True, False),
+     (False, px4.MODE_HOLD, 900_000, False, False)],
 )  # fmt: skip
 def test_a_hold_that_was_taken_for_lost_is_known_when_it_comes(
-    hold_seen: bool, mode: int, after_us: int, late: bool
+    hold_seen: bool, mode: int, after_us: int, answered: bool, late: bool
 ) -> None:
-    """A PX4 on a busy machine obeyed 0.24 s later; once Hold has been seen, the next one is a pilot's."""
+    """A PX4 on a busy machine obeyed 0.24 s later; once seen, or not granted to us, Hold is a pilot's."""
     stalls = Stalls()
+    stalls.mode_was_granted(SECOND_US)  # OFFBOARD, long before
     assert _stalled(stalls, 1, 5 * SECOND_US, 100_000) == ""
     back_us = 5 * SECOND_US + 230_000
     stalls.is_back(back_us, hold_seen=hold_seen)
+    if answered:
+        stalls.mode_was_granted(back_us)
     assert stalls.is_late_hold(mode, back_us + after_us) is late
