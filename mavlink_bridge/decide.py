@@ -289,9 +289,9 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
     return Decision(HandshakeEvent.MISSION_DONE) if now.mission_done else None
 
 
-def _held(now: Situation, now_us: int) -> Decision:
+def _held(now: Situation, now_us: int, *, is_taking_back: bool = False) -> Decision:
     """The dead-man commanded Hold: taken back after a short stall, else the flight is over."""
-    why = now.stalls.judge(now_us)
+    why = now.stalls.judge(now_us, is_taking_back=is_taking_back)
     if not why:
         return Decision(HandshakeEvent.STALLED)
     if now.stalls.report.touched:
@@ -305,8 +305,7 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
     if view.heartbeat_at_us > now.entered_us and not view.armed:
         return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
     if stalls.is_held:
-        stalls.nobody_steered_until(stalls.report.silent_ns // 1000)
-        return _held(now, now_us)
+        return _held(now, now_us, is_taking_back=True)
     asked_us = now.commands.status(px4.Cmd.DO_SET_MODE).sent_us
     seen = view.mode_at_us > now.entered_us
     if seen and not view.in_offboard and not stalls.own_hold(view.custom_mode):

@@ -28,7 +28,7 @@ class Reaction(Enum):
     DROP = "drops the frame and counts it"
     PX4 = "nothing: PX4's own offboard-loss failsafe acts"
     DEAD_MAN = "the dead-man levels by body rates and commands PX4's Hold"
-    RETAKE = "the dead-man levels and commands PX4's Hold; OFFBOARD is taken back"
+    RETAKE = "the dead-man levels and commands PX4's Hold; OFFBOARD is taken back, at most once in 10 s"
 
 
 class FaultReaction(NamedTuple):

@@ -1,16 +1,12 @@
 """What becomes of a flight whose companion stood still and whose vehicle the dead-man gave to PX4's Hold.  Sans-IO.
 
-A short stall whose Hold is the dead-man's own, touched by nobody else, is taken back: OFFBOARD again, as long as nobody
-steered for at most a tenth of the last ten seconds.  After a longer one, after more of them, or where anybody else
-changed the mode, the vehicle stays where it is: hands off.
-
-Stalls come in company: what stopped a process for 0.1 s stops it again within a second or two.  One that the dead-man
-caught costs the vehicle nothing but the time in which it was not steered, so that is what is counted, not their number.
+A short stall whose Hold is the dead-man's own, touched by nobody else, is taken back: OFFBOARD again, at most once in
+`AGAIN_US`.  A stall while OFFBOARD is being taken back is part of that, as long as nobody steers for at most
+`UNSTEERED_MAX_US` in all.  After a longer one, or where anybody else changed the mode, the vehicle stays where it is:
+hands off.
 """
 
 from __future__ import annotations
-
-from collections import deque
 
 from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
@@ -18,8 +14,9 @@ from mavlink_bridge.vehicle_view import VehicleView
 
 SHORT_US = 500_000
 """Stalls below this are taken back."""
-UNSTEERED_MAX_US, WITHIN_US = 1_000_000, 10_000_000
-"""Nobody may have steered for longer than the first within the second."""
+AGAIN_US = 10_000_000
+UNSTEERED_MAX_US = 1_000_000
+"""A stall of 0.5 s and a take-back as long: stalls within one may last no longer."""
 HOLD_EFFECTIVE_US = 150_000
 """A Hold that is not seen so long after it was sent, with OFFBOARD still reported, was lost (measured: 25 ms)."""
 RETAKE_LIMIT_US = 1_000_000
@@ -33,8 +30,9 @@ class Stalls:
         self.taken_back = 0
         """How often OFFBOARD was taken back."""
         self._known_hold_ns = 0
-        self._unsteered: deque[tuple[int, int]] = deque()
-        """Since when and until when nobody steered, of late."""
+        self._taken_us = -AGAIN_US
+        self._silent_us = 0
+        """Since when nobody steers, at the last stall that was judged."""
         self._late_until_us = 0
         """A Hold that was taken for lost may be seen until then."""
         self._answered_us = 0
@@ -55,33 +53,32 @@ class Stalls:
         """Whether the vehicle is in a Hold of the dead-man's that nobody else touched."""
         return bool(self.report.hold_ns) and not self.report.touched and custom_mode == px4.MODE_HOLD
 
-    def judge(self, now_us: int) -> str:
-        """After `is_held`: why the flight ends in Hold, empty where it is taken back; then it counts as known."""
+    def judge(self, now_us: int, *, is_taking_back: bool = False) -> str:
+        """After `is_held`: why the flight ends in Hold, empty where it is taken back; then it counts as known.
+
+        `is_taking_back`: OFFBOARD is not back from the stall before.
+        """
         self._known_hold_ns = self.report.hold_ns
         ended_us = max(now_us, self.report.alive_ns // 1000)  # we may have been stopped after looking at the clock
-        self._stall_us = ended_us - self.report.silent_ns // 1000
-        self._held_us = (self.report.hold_ns - self.report.silent_ns) // 1000
+        silent_us = self.report.silent_ns // 1000
+        self._stall_us = ended_us - silent_us
+        self._held_us = self.report.hold_ns // 1000 - silent_us
         if self.report.touched:
             return "somebody else changed the mode meanwhile"
         if self._stall_us >= SHORT_US:
             return f"too long to take back (limit {1e-6 * SHORT_US:g} s)"
-        self._unsteered.append((ended_us - self._stall_us, ended_us))
-        if (unsteered_us := self._unsteered_us(now_us)) > UNSTEERED_MAX_US:
-            return (
-                f"nobody steered for {1e-6 * unsteered_us:.1f} s of the last {1e-6 * WITHIN_US:.0f} s "
-                f"(limit {1e-6 * UNSTEERED_MAX_US:g} s)"
-            )
+        if is_taking_back:
+            unsteered_us = ended_us - self._silent_us
+            if unsteered_us > UNSTEERED_MAX_US:
+                return f"nobody steered for {1e-6 * unsteered_us:.1f} s (limit {1e-6 * UNSTEERED_MAX_US:g} s)"
+            return ""
+        if now_us - self._taken_us < AGAIN_US:
+            return f"taken back {(now_us - self._taken_us) * 1e-6:.1f} s ago already"
+        self._taken_us, self._silent_us = now_us, silent_us
         return ""
-
-    def nobody_steered_until(self, now_us: int) -> None:
-        """OFFBOARD was not back before now: the time since the last stall counts as well."""
-        if self._unsteered:
-            began_us, ended_us = self._unsteered.pop()
-            self._unsteered.append((began_us, max(ended_us, now_us)))
 
     def is_back(self, now_us: int, *, hold_seen: bool = True) -> None:
         """OFFBOARD was taken back; or the Hold was never seen, and nothing had to be."""
-        self.nobody_steered_until(now_us)
         self.taken_back += 1
         self._late_until_us = 0 if hold_seen else now_us + RETAKE_LIMIT_US
 
@@ -96,12 +93,6 @@ class Stalls:
         """
         answered = self._answered_us > self.report.hold_ns // 1000
         return answered and now_us < self._late_until_us and self.own_hold(custom_mode)
-
-    def _unsteered_us(self, now_us: int) -> int:
-        since_us = now_us - WITHIN_US
-        while self._unsteered and self._unsteered[0][1] <= since_us:
-            self._unsteered.popleft()
-        return sum(ended_us - max(began_us, since_us) for began_us, ended_us in self._unsteered)
 
     @property
     def words(self) -> str:

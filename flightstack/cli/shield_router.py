@@ -218,9 +218,8 @@ class ShieldRouter:
     def _take_back(self, now_us: int) -> None:
         """OFFBOARD again after a short stall whose Hold was the dead-man's alone, while the program speaks."""
         if self.stalls.is_held:
-            if self._retaking_us >= 0:
-                self.stalls.nobody_steered_until(self.stalls.report.silent_ns // 1000)
-            self._retaking_us = -1 if self.stalls.judge(now_us) else now_us
+            refused = self.stalls.judge(now_us, is_taking_back=self._retaking_us >= 0)
+            self._retaking_us = -1 if refused else now_us
         if self._retaking_us < 0:
             return
         settled, ours = self.stalls.hold_is_settled(self.view), self.stalls.own_hold(self.view.custom_mode)

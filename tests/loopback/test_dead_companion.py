@@ -126,21 +126,17 @@ def test_a_long_stall_ends_in_hold(flight: GuardedFlight) -> None:
     assert not flight.companion.link.datagrams_to_send()
 
 
-def test_stalls_one_after_the_other_are_taken_back_and_harm_nothing(flight: GuardedFlight) -> None:
-    """Seven of 0.1 s within as many seconds: one of two shorter than a take-back, as a busy machine does."""
-    began_us = flight.flight.t_us
-    for k in range(7):
-        flight.stand_still(0.1)
-        for _ in range(15 if k % 2 else 300):
-            flight.step()
-    after = flight.since(began_us)
-    assert flight.companion.state in (State.OFFBOARD, State.RETAKING)
-    assert not any(truth.on_ground for truth in after)
-    assert max(truth.tilt_deg for truth in after) <= TILT_MAX_DEG
-    assert max(truth.height_m for truth in after) - min(truth.height_m for truth in after) <= LOST_MAX_M
-    while not flight.companion.done:
+def test_a_second_stall_within_ten_seconds_ends_in_hold(flight: GuardedFlight) -> None:
+    flight.stand_still(0.2)
+    for _ in range(500):
         flight.step()
-    assert flight.companion.completed, flight.companion.reason
+    assert flight.companion.state is State.OFFBOARD
+    flight.stand_still(0.2)
+    for _ in range(250):
+        flight.step()
+    assert flight.companion.state is State.PILOT
+    assert "taken back" in flight.companion.reason
+    assert flight.mode == "Hold"
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -171,19 +167,6 @@ def test_a_pilot_who_takes_over_while_offboard_is_being_taken_back_keeps_the_veh
         flight.step()
     assert flight.companion.state is State.PILOT
     assert flight.mode == taken != "Offboard"
-
-
-def test_where_nobody_steers_for_a_tenth_of_the_time_the_flight_ends_in_hold(flight: GuardedFlight) -> None:
-    began_us = flight.flight.t_us
-    for _ in range(4):
-        flight.stand_still(0.3)
-        for _ in range(250):
-            flight.step()
-    assert flight.companion.state is State.PILOT
-    assert flight.companion.reason.startswith("stalled-long")
-    assert "nobody steered for 1." in flight.companion.reason
-    assert flight.mode == "Hold"
-    assert max(truth.tilt_deg for truth in flight.since(began_us)) <= TILT_MAX_DEG
 
 
 def test_a_pilot_who_selects_hold_between_two_stalls_keeps_the_vehicle(flight: GuardedFlight) -> None:

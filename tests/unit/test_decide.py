@@ -43,7 +43,7 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     held = SimpleNamespace(
         is_held=False, words="no setpoint for 600 ms", own_hold=lambda mode: mode == px4.MODE_HOLD,
         hold_was_lost=lambda view: False, report=SimpleNamespace(touched=False, silent_ns=0),
-        judge=lambda now_us: "too long", nobody_steered_until=lambda now_us: None,
+        judge=lambda now_us, is_taking_back: "too long",
         is_back=lambda now_us, hold_seen: None, is_late_hold=lambda mode, now_us: False,
     )  # fmt: skip
     vars(held).update(stalls)
@@ -133,7 +133,7 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.OFFBOARD, {"armed": False, "heartbeat_at_us": ENTERED, "in_offboard": True}, {}, 1.0, None),
     (State.OFFBOARD, AWAY, {}, 1.0, E.TOOK_OVER),
     (State.OFFBOARD, {**AWAY, "mode_at_us": ENTERED}, {}, 1.0, None),
-    (State.OFFBOARD, AWAY, {"stalls": {"is_held": True, "judge": lambda now_us: ""}}, 1.0, E.STALLED),
+    (State.OFFBOARD, AWAY, {"stalls": {"is_held": True, "judge": lambda now_us, is_taking_back: ""}}, 1.0, E.STALLED),
     (State.OFFBOARD, AWAY, {"stalls": {"is_held": True}}, 1.0, E.FAULT_HOLD),
     (State.OFFBOARD, AWAY, {"stalls": {"is_held": True, "report": SimpleNamespace(touched=True)}}, 1.0, E.TOOK_OVER),
     (State.RETAKING, AWAY, {}, 1.0, None),
@@ -142,7 +142,7 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.RETAKING, {**ELSEWHERE, "mode_at_us": ENTERED}, {}, 0.5, None),
     (State.RETAKING, DISARMED, {}, 0.5, E.TOOK_OVER),
     (State.RETAKING, {"armed": False, "heartbeat_at_us": ENTERED}, {}, 0.5, None),
-    (State.RETAKING, AWAY, {"stalls": {"is_held": True, "judge": lambda now_us: ""}}, 0.5, E.STALLED),
+    (State.RETAKING, AWAY, {"stalls": {"is_held": True, "judge": lambda now_us, is_taking_back: ""}}, 0.5, E.STALLED),
     (State.RETAKING, FLYING, {"asked": {SET_MODE: {"sent_us": ENTERED}}}, 0.5, E.RETAKEN),
     (State.RETAKING, FLYING, {"asked": {SET_MODE: {"sent_us": ENTERED - 1}}}, 0.5, None),
     (State.RETAKING, FLYING, {"asked": {SET_MODE: {"sent_us": LATER}}}, 0.5, None),
