@@ -78,7 +78,7 @@ def run(bench: Bench, runs: int) -> list[Row]:
     short = [seen for seen in stalls if seen.stall_s < SHORT_S - 0.05]
     back = Row(
         f"stalls below {SHORT_S:g} s taken back", f"{sum(seen.taken_back for seen in short)} of {len(short)}",
-        all(seen.taken_back for seen in short), len(short),
+        all(seen.taken_back for seen in short) if short else None, len(short),
         [f"{seen.stall_s:.2f} s: {seen.said}" for seen in short if not seen.taken_back],
     )  # fmt: skip
     burst = _row(f"stopped {BURST} times for {BURST_STALL_S:g} s within 8 s", bursts)
