@@ -2,8 +2,11 @@
 
 PX4 reports HIGHRES_IMU without the accelerometer bias that its filter estimates, and SCALED_IMU with it, in whole mG.
 The two samples of one time differ by just that bias, b = raw - reported: fixed to the body, slow.  Their stamps are of
-different moments of PX4's work, so of the newest reported samples the one is taken whose difference from the raw one is
-nearest to b as known; noise makes any other pair unlike.  b follows over a second.
+different moments of PX4's work, so which of the newest reported samples belongs to a raw one is told by the differences
+themselves: those of two raw samples in a row with their own partners are both b, and agree within what rounding leaves,
+in all three axes; with any other sample noise makes them unlike.  What is known of b has no say in it: a rule that
+takes the difference nearest to the b believed finds one near any b, and wanders.  A vehicle where most raw samples find
+no partner (the two streams of two sensors) is told nothing.  b follows over a second.
 
 A learner takes -b for a force where the bias is not there.  Whether it is, nothing on the link says: an estimator whose
 velocity contradicts its own position is not believed (`EstimateObserver.weight`, its greatest axis), one that agrees
@@ -22,14 +25,17 @@ from flightstack.types import F64, Tuple3
 _RING = 8
 """Reported samples that a raw one may belong to: 32 ms at 250 Hz."""
 _FOLLOW_S = 1.0
-_NEAR_MPS2 = 0.15
-"""A pair whose difference is farther from b than this is none; the limit grows while none is found."""
-_GROWTH_MPS3 = 0.1
+_ALIKE_MPS2 = 0.03
+"""Two differences that are both b are no farther apart (length of a vector): rounding to whole mG leaves 0.0098 an axis,
+and between two raw samples a b that moves by 0.25 m/s^2 in a second 0.01."""
+_PAIRED = 0.5
+"""Share of the raw samples of the last second that must have had a partner."""
 _MOST_MPS2 = 1.0
 """No filter takes more out (PX4's EKF2_ABL_LIM is 0.4)."""
 
-_BIAS, _LAST_S, _HEAD, _FILLED, _SAMPLES = 0, 3, 4, 5, 6
-_ROW = _SAMPLES + 3 * _RING
+_BIAS, _LAST_S, _HEAD, _FILLED, _SHARE, _COMPARED, _SAMPLES = 0, 3, 4, 5, 6, 7, 8
+_BEFORE = _SAMPLES + 3 * _RING  # the raw sample before this one less each of the reported ones then
+_ROW = _BEFORE + 3 * _RING
 
 
 class ImuBias:
@@ -68,21 +74,26 @@ def _keep(row: F64, x: float, y: float, z: float) -> None:
 def _compare(row: F64, t: float, x: float, y: float, z: float) -> None:
     if not math.isfinite(t + x + y + z):
         return
-    since = 0.0 if row[_LAST_S] < 0.0 else t - row[_LAST_S]
-    if row[_LAST_S] < 0.0:
-        row[_LAST_S] = t
-    limit = _NEAR_MPS2 + _GROWTH_MPS3 * max(since, 0.0)
-    nearest, best = limit * limit, -1
-    for k in range(int(row[_FILLED])):
-        place = _SAMPLES + 3 * k
-        a, b, c = x - row[place] - row[0], y - row[place + 1] - row[1], z - row[place + 2] - row[2]
-        apart = a * a + b * b + c * c
-        if apart < nearest:
-            nearest, best = apart, place
-    if best < 0:
-        return
-    share = min(max(since, 0.0) / _FOLLOW_S, 1.0)
-    for i, value in enumerate((x, y, z)):
-        moved = row[i] + share * (value - row[best + i] - row[i])
-        row[i] = min(max(moved, -_MOST_MPS2), _MOST_MPS2)
+    since = min(max(t - row[_LAST_S], 0.0), _FOLLOW_S) if row[_LAST_S] >= 0.0 else 0.0
     row[_LAST_S] = t
+    filled, compared = int(row[_FILLED]), int(row[_COMPARED])
+    differences = np.empty((_RING, 3))
+    nearest, best = _ALIKE_MPS2 * _ALIKE_MPS2, -1
+    for k in range(filled):
+        place = _SAMPLES + 3 * k
+        a, b, c = x - row[place], y - row[place + 1], z - row[place + 2]
+        differences[k, 0], differences[k, 1], differences[k, 2] = a, b, c
+        for j in range(compared):
+            old = _BEFORE + 3 * j
+            apart = (a - row[old]) ** 2 + (b - row[old + 1]) ** 2 + (c - row[old + 2]) ** 2
+            if apart < nearest:
+                nearest, best = apart, k
+    row[_BEFORE : _BEFORE + 3 * filled] = differences[:filled].ravel()
+    row[_COMPARED] = row[_FILLED]
+    share = since / _FOLLOW_S
+    row[_SHARE] += share * ((1.0 if best >= 0 else 0.0) - row[_SHARE])
+    if best < 0 or row[_SHARE] < _PAIRED:
+        return
+    for i in range(3):
+        moved = row[i] + share * (differences[best, i] - row[i])
+        row[i] = min(max(moved, -_MOST_MPS2), _MOST_MPS2)

@@ -29,6 +29,32 @@ def test_it_is_found_within_two_hundredths_whatever_the_stamps() -> None:
         np.testing.assert_allclose(run(ImuBias(), true, late=late), true, atol=0.02)
 
 
+def test_one_that_moves_as_on_a_real_px4_is_followed_whatever_was_believed() -> None:
+    """x by 0.25 m/s^2 within half a second (after a take-off), every tenth reported sample lost, 60 s."""
+    rng = np.random.default_rng(4)
+    white = rng.normal(size=(60 * 250 + 1, 3)) * [0.5, 1.7, 1.4]
+    noise = 0.5 * (white[1:] + white[:-1]) + [0.0, 0.0, -9.8]
+    bias = ImuBias()
+    for k, sample in enumerate(noise):
+        true = np.array([-0.25 * min(max(k / 250.0 - 5.0, 0.0) / 0.5, 1.0), 0.1, -0.02])
+        if rng.random() > 0.1:
+            bias.reported(tuple(sample - true))
+        if k % 10 == 0:
+            bias.raw(4000 * k, tuple(np.trunc(sample / 9.80665e-3) * 9.80665e-3))
+            if k > 250 * 11:
+                np.testing.assert_allclose(bias.bias_frd_mps2, true, atol=0.03)
+
+
+def test_where_raw_samples_are_of_another_sensor_nothing_is_told() -> None:
+    rng = np.random.default_rng(5)
+    bias = ImuBias()
+    for k in range(60 * 250):
+        bias.reported(tuple(rng.normal(size=3) * [0.35, 1.2, 1.0] + [0.0, 0.0, -9.8]))
+        if k % 10 == 0:
+            bias.raw(4000 * k, tuple(rng.normal(size=3) * [0.35, 1.2, 1.0] + [0.3, 0.0, -9.8]))
+    np.testing.assert_array_equal(bias.bias_frd_mps2, np.zeros(3))
+
+
 def test_a_pair_that_is_none_changes_nothing() -> None:
     bias = ImuBias()
     rng = np.random.default_rng(2)
