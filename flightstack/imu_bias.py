@@ -26,8 +26,8 @@ _RING = 8
 """Reported samples that a raw one may belong to: 32 ms at 250 Hz."""
 _FOLLOW_S = 1.0
 _ALIKE_MPS2 = 0.03
-"""Two differences that are both b are no farther apart (length of a vector): rounding to whole mG leaves 0.0098 an axis,
-and between two raw samples a b that moves by 0.25 m/s^2 in a second 0.01."""
+"""Two differences that are both b are no farther apart (length of a vector): rounding to whole mG leaves 0.0098 an
+axis, and between two raw samples a b that moves by 0.25 m/s^2 in a second 0.01."""
 _PAIRED = 0.5
 """Share of the raw samples of the last second that must have had a partner."""
 _MOST_MPS2 = 1.0

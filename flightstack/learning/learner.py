@@ -100,7 +100,7 @@ class FullWindow(NamedTuple):
     """A window on its way into the stores."""
 
     mean: F64
-    """Of its samples: inputs, targets, rate inputs, rate targets."""
+    """Of its samples: inputs, targets, rate inputs, rate targets, thrust apart from the asked."""
     noise_var: F64
     """(3,) of the mean target, tilt axes."""
     span_us: tuple[int, int]
@@ -114,9 +114,9 @@ class LearnerState:
 
     __slots__ = (
         "began_us", "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
-        "forward", "forward_us", "gain_variance", "lateral", "memory", "posterior", "query", "rate_mean", "rate_sigma",
-        "rates", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance", "vertical", "watch",
-        "window",
+        "forward", "forward_us", "gain_variance", "lateral", "memory", "noise_quiet", "posterior", "query", "rate_mean",
+        "rate_sigma", "rates", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance", "vertical",
+        "watch", "window",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -148,6 +148,8 @@ class LearnerState:
         """Mean at the state, tilt axes."""
         self.posterior = np.full(2, math.inf)
         """Posterior variance at the state: lateral, vertical."""
+        self.noise_quiet = 4.0 * config.priors.vertical.noise_var
+        """Variance of a window's mean along z up to which thrust answers no errors that matter."""
         self.variance = np.full(3, math.inf)
         """Calibrated variances at the state, tilt axes."""
         self.calm_variance = np.full(3, math.inf)
@@ -270,6 +272,7 @@ class GpLearner:
                 watch.reset()
         if state.changes > changes:
             state.window = None  # of samples from before
+            self._sampler.renew(state.memory)
             return True
         if watch.full:
             while state.window is not None:  # windows so short that there are too few ticks between them
@@ -315,13 +318,30 @@ def _take_turn(state: LearnerState, window: FullWindow, turn: int) -> None:
         state.lateral.take(x, y[:2], span_us)
     elif turn == _VERTICAL:
         state.vertical.hear(noise[2])
-        state.vertical.take(x, y[2:], span_us)
+        state.vertical.take(*_as_asked(state, mean, noise[2]), span_us)
     else:
         state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
         state.rate_mean, spread = state.rates.expect(state.sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3])
         state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
     left = tuple(other for other in left if other != turn)
     state.window = window._replace(left=left) if left else None
+
+
+def _as_asked(state: LearnerState, mean: F64, noise_var: float) -> tuple[F64, F64]:
+    """Input (D,) and target (1,) of the vertical store for a window's mean, moved to the thrust that was asked for.
+
+    Thrust that answers errors of the estimate is worse than nothing as an input (`asked`).  How much of what was not
+    asked for does so is told by the noise as measured: none with up to twice the deviation that the prior says of a
+    window, nearly all with many times it.  The target goes along by the gain as learned.
+    """
+    x, y = mean[: s.D], mean[s.D + 2 : s.D + 3]
+    shift = max(1.0 - state.noise_quiet / noise_var, 0.0) * mean[s.D + 9]
+    if shift == 0.0:
+        return x, y
+    x = x.copy()
+    x[s.GROUND] *= 1.0 - shift / x[s.THRUST]
+    x[s.THRUST] -= shift
+    return x, y - shift * state.forward[0, SLOPE]
 
 
 def _look_at_gain(state: LearnerState) -> None:

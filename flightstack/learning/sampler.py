@@ -27,6 +27,7 @@ import numpy as np
 
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
+from flightstack.learning import asked
 from flightstack.model import Model
 from flightstack.rows import VEL_D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement
@@ -81,7 +82,8 @@ _B_U, _B_SLOW, _B_COUNT, _B_TT, _B_TF, _B_FF = range(6)  # lagged u, slow part o
 _BANK = 6
 _M_EVIDENT = _M_BANK + _BANK * _CANDIDATES
 _M_RUN_S = _M_EVIDENT + 1
-_MEMORY = _M_RUN_S + 1
+_M_ASKED = _M_RUN_S + 1  # thrust that the reference asks for
+_MEMORY = _M_ASKED + asked.ROW
 
 # What a sample is, one row.
 S_OK = 0
@@ -89,7 +91,8 @@ S_INPUT = 1
 S_TARGET = S_INPUT + D
 S_RATE_INPUT = S_TARGET + 3
 S_RATE_TARGET = S_RATE_INPUT + 3
-S_APPLIED = S_RATE_TARGET + 3
+S_APART = S_RATE_TARGET + 3  # `asked`
+S_APPLIED = S_APART + 1
 S_LATENCY = S_APPLIED + 1
 S_HEADING = S_LATENCY + 1  # cosine and sine of the turn from tilt axes to body axes
 S_TARGET_FRD = S_HEADING + 2
@@ -128,6 +131,10 @@ class Sampler:
             self._constants, memory, measurement.row, sent.rate_frd_radps, float(sent.thrust_norm),
             (sent.t_us * 1e-6, measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6), out,
         )  # fmt: skip
+
+    def renew(self, memory: F64) -> None:
+        """The vehicle is not what it was: thrust has another level from now on."""
+        memory[_M_ASKED + asked.SEEN_S] = 0.0
 
     def at_reference(self, memory: F64, reference: FlatOutput, learned: F64, out: F64) -> None:
         """The input at the reference and its time derivative into `out` (2, D), thrust columns 0 in the first.
@@ -309,6 +316,8 @@ def _sample(
     out[S_APPLIED] = thrust
     out[S_DELAY] = pick * _CANDIDATE_STEP_S
     out[S_LATENCY] = out[S_DELAY] if memory[_M_EVIDENT] != 0.0 else math.nan
+    if flying and fresh:
+        out[S_APART] = asked.apart(memory[_M_ASKED:_MEMORY], weights, dt, constants[_C_MOTOR_LAG])
     upright = r[2, 2] > 0.0
     out[S_REPEATED] = 0.0 if dt > _SAME_S else 1.0
     out[S_OK] = 1.0 if fresh and flying and upright and weights > _THRUST_LEAST_WEIGHTS else 0.0
@@ -376,6 +385,7 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
     if size < 1.0:
         t[0], t[1], t[2], size = 0.0, 0.0, 1.0, 1.0
         rate[:] = 0.0
+    memory[_M_ASKED + asked.NOW] = size / STANDARD_GRAVITY_MPS2
     along = (t[0] * rate[0] + t[1] * rate[1] + t[2] * rate[2]) / size
     for i in range(2):
         out[0, AXIS_N + i] = t[i] / size

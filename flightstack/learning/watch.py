@@ -86,7 +86,7 @@ class Watch:
         return np.array([_long_run(self._row, i) for i in range(3)]) / self.ticks
 
     def take(self) -> F64:
-        """The window's mean sample (inputs, targets, rate inputs, rate targets), and a new window."""
+        """The window's mean sample (inputs, targets, rate inputs, rate targets, thrust apart), and a new window."""
         mean: F64 = self._row[_W_SUMS:] / self._row[_W_N]
         self._row[_W_N:] = 0.0
         return mean

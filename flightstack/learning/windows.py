@@ -49,4 +49,4 @@ def windows(
             kept.append(np.mean(gathered, axis=0))
             gathered.clear()
     rows = np.array(kept).reshape(-1, s.S_APPLIED - s.S_INPUT)
-    return SampleWindows(*np.split(rows, (s.D, s.D + 3, s.D + 6), axis=1))
+    return SampleWindows(*np.split(rows[:, : s.D + 9], (s.D, s.D + 3, s.D + 6), axis=1))
