@@ -32,7 +32,7 @@ count = {FLIGHTS}
 
 
 def _start(folder: Path, *arguments: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "flightstack.cli.main", "campaign", *(str(argument) for argument in arguments)]
+    command = [sys.executable, "-m", "flightstack", "campaign", *(str(argument) for argument in arguments)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
