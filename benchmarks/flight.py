@@ -82,7 +82,7 @@ def print_lockstep(row: dict[str, Any]) -> None:
 
 def realtime(seconds: float, port: int = 14_640) -> dict[str, Any]:
     """Lateness of `offboard` against `sim` in another process; the track lasts `seconds`."""
-    cli = [sys.executable, "-m", "flightstack.cli.main"]
+    cli = [sys.executable, "-m", "flightstack"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with tempfile.TemporaryDirectory() as folder:
         result_file = Path(folder) / "result.json"

@@ -32,7 +32,7 @@ FLIGHTS: dict[str, tuple[str, ...]] = {
 def fly(tree: Path, out: Path, name: str) -> None:
     """One flight by the sources in `tree`; its log and result lie in `out`."""
     paths = [str(tree / part) for part in (".", "sim", "logs", "paper")]
-    command = [sys.executable, "-m", "flightstack.cli.main", "fly", *FLIGHTS[name], "--seed", "1"]
+    command = [sys.executable, "-m", "flightstack", "fly", *FLIGHTS[name], "--seed", "1"]
     command += ["--out", str(out), "--log", str(out / f"{name}.mcap"), "--json", str(out / f"{name}.json")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=False)

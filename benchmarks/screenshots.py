@@ -22,7 +22,7 @@ LOADED = "[effects.payload]\nmass_kg = 0.25\n[effects.rotor_drag]\nk_d_kg_per_ra
 
 def flightstack(*words: str | Path) -> None:
     """One call of the command line; what it says goes to the terminal."""
-    subprocess.run([sys.executable, "-m", "flightstack.cli.main", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-m", "flightstack", *map(str, words)], check=True)
 
 
 def pages(folder: Path) -> dict[str, Path]:

@@ -82,7 +82,7 @@ def watching(port: int) -> Iterator[list[dict[str, Any]]]:
 @contextmanager
 def simulator(port: int, gcs_port: int, *more: str, speed: float = SPEED) -> Iterator[None]:
     """Up and running inside; `more` goes to its command line."""
-    command = [sys.executable, "-m", "flightstack.cli.main", "sim", "--port", port, "--gcs-port", gcs_port]
+    command = [sys.executable, "-m", "flightstack", "sim", "--port", port, "--gcs-port", gcs_port]
     command += ["--speed", speed, "--duration", SIM_ENDS_AFTER_S, *more]
     with subprocess.Popen(
         [str(word) for word in command],

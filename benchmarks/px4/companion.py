@@ -27,7 +27,7 @@ class Flown(NamedTuple):
 
 def command(px4: Px4, folder: Path, scenario: str, *more: str, arm: bool = True) -> list[str]:
     """`flightstack offboard` for this PX4 (`fly --px4-hil` where it waits for its physics), its files in `folder`."""
-    words = [*px4.bench.prefix, sys.executable, "-m", "flightstack.cli.main"]
+    words = [*px4.bench.prefix, sys.executable, "-m", "flightstack"]
     filed = ["--out", str(folder), "--json", str(folder / "flight.json")]
     if px4.kind == "hil":
         return [*words, "fly", scenario, "--px4-hil", "--hil-port", str(px4.hil_port), *filed, *more]

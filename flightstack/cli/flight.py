@@ -26,8 +26,9 @@ from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack_logs.log_clock import LogClock, clock_metadata
+from flightstack_logs.recorder import NoLog
 from flightstack_logs.threaded import ThreadedLog
-from flightstack_logs.writer import Recorder
+from flightstack_logs.writer import FlightLog, Recorder
 from flightstack_sim.faults import Fault, parse_faults
 from flightstack_sim.grade import Grade, changed_grade, load_grade
 from flightstack_sim.plant import Truth
@@ -65,6 +66,8 @@ class FlyOptions(FlightOptions):
     """As on the command line; see sim.faults."""
     hil_port: int = 4560
     """Of `--px4-hil`."""
+    log_kept: bool = True
+    """Not: nothing is written, and `log` in the result is null.  Of flights by the thousand."""
 
     @property
     def in_real_time(self) -> bool:
@@ -312,9 +315,13 @@ def _flown(
         _WARM.add(kind)
     assert options.log is not None
     began_us = utc_us() if options.realtime else UNIX_AT_BOOT_US
-    log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
+    log: FlightLog | NoLog = NoLog()
+    if options.log_kept:
+        log = setup.flight.open_log(options.log, clock_metadata(began_us, simulated=not options.realtime))
     with undisturbed(real_time=options.realtime) as is_ahead:  # the log's thread too
-        recorder = shown_live(ThreadedLog(log) if options.realtime else log, options.live)
+        recorder = shown_live(
+            ThreadedLog(log) if options.realtime and isinstance(log, FlightLog) else log, options.live
+        )
         timing = LoopTiming(250, is_ahead=is_ahead) if options.realtime else None
         started = time.perf_counter()
         try:

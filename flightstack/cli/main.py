@@ -174,9 +174,3 @@ def main(arguments: list[str] | None = None) -> None:
         print("error: interrupted", file=sys.stderr)
         code = INTERRUPTED
     sys.exit(code if isinstance(code, int) else OK)
-
-
-if __name__ == "__main__":
-    from flightstack.cli.start import main as start
-
-    start()

@@ -18,9 +18,9 @@ from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
+from flightstack_logs.recorder import NoLog, Recorder
 from flightstack_logs.scene import Scene, SceneRegion, StoppingWay
 from flightstack_logs.topics import FILTER_STATUS, MESSAGE
-from flightstack_logs.writer import Recorder
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
 
@@ -205,6 +205,7 @@ class LogObserver:
     ) -> None:
         self.companion: Companion | None = None
         self._log, self._clock = log, clock
+        self._kept = not isinstance(log, NoLog)
         self._scene, self._way_ned_m, self._way_due_us = scene, way_ned_m, 0
         self.record_to: Callable[[TickRecord], None] | None = None
         """Told each tick."""
@@ -231,7 +232,21 @@ class LogObserver:
         self._log.event(self._clock.t_us, name, text, severity)
 
     def on_tick(self, record: TickRecord) -> None:
-        """One tick of the stack; with the first one of the mission the 3-D view knows where the scenario lies."""
+        """One tick of the stack."""
+        if self._kept:
+            self._show(record)
+        self._log.tick(record, self._clock.t_us)
+        if self._certifier is not None:
+            self._certifier.trail.add(record)
+        if self._kept:
+            self._on_estimate(record.t_us)
+            self._learner_events.on_learned(record.t_us, record.learned)
+            self._filter_events.on_filtered(record.t_us, record.filtered)
+        if self.record_to is not None:
+            self.record_to(record)
+
+    def _show(self, record: TickRecord) -> None:
+        """What the 3-D view shows; with the first tick of the mission it knows where the scenario lies."""
         if not self._placed and self.companion is not None and self.companion.mission is not None:
             self._placed = True
             self._height_events.begin()
@@ -241,14 +256,6 @@ class LogObserver:
             if len(way := self._way_ned_m()):
                 self._log.scene(self._clock.t_us, StoppingWay(way))
         self._on_certificates(record.t_us)
-        self._log.tick(record, self._clock.t_us)
-        if self._certifier is not None:
-            self._certifier.trail.add(record)
-        self._on_estimate(record.t_us)
-        self._learner_events.on_learned(record.t_us, record.learned)
-        self._filter_events.on_filtered(record.t_us, record.filtered)
-        if self.record_to is not None:
-            self.record_to(record)
 
     def _on_estimate(self, t_us: int) -> None:
         """The estimate's agreement with itself, 25 times a second."""
@@ -296,6 +303,8 @@ class LogObserver:
         """A message of the vehicle, as a table."""
         if self.message_to is not None:
             self.message_to(t_us, message)
+        if not self._kept:
+            return
         self._height_events.on_message(t_us, message)
         t_us = self._clock.t_us
         kind = type(message)

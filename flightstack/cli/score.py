@@ -15,6 +15,7 @@ from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
 from flightstack.mission import first_height_m
 from flightstack.types import F64, Learned, TickRecord, Tuple3
+from flightstack_logs.recorder import NoLog
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
 from mavlink_bridge.messages import LocalPositionNed
@@ -124,7 +125,7 @@ class FlightScore:
 
     def result(
         self,
-        log: FlightLog,
+        log: FlightLog | NoLog,
         *,
         wall_s: float,
         clock_s: float,
@@ -149,7 +150,7 @@ class FlightScore:
         result = FlightResult(
             scenario=prepared.scenario.name,
             seed=seed,
-            log=str(log.path),
+            log=None if log.path is None else str(log.path),
             completed=completed and not reason,
             reason=reason,
             flight_time_s=flown_us * 1e-6,

@@ -12,14 +12,14 @@ from flightstack.calibration import true_residual_frd_mps2
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, SimulatedFlight, warm_up_all
 from flightstack.model import Model
 from flightstack.types import F64, Learned, TickRecord
+from flightstack_logs.recorder import NoLog
 from flightstack_sim.plant import Truth
 from mavlink_bridge.pace import undisturbed
 
 
-class Tape:
+class Tape(NoLog):
     """A flight's log (`Recorder`) that keeps the last tick and the last truth."""
 
-    failed: str | None = None
     record: TickRecord | None = None
     last_truth: Truth | None = None
 
@@ -31,11 +31,6 @@ class Tape:
         """The simulator's truth."""
         assert isinstance(truth, Truth)
         self.last_truth = truth
-
-    def _not_kept(self, *call: object, **named: object) -> None:
-        pass
-
-    write = mavlink = event = statustext = location = scene = certificate = result = close = _not_kept
 
 
 @dataclass(slots=True)

@@ -18,11 +18,9 @@ from flightstack.effects.row import (
     S_COMMAND,
     S_FORCE,
     S_LOAD_DIR,
-    S_POS,
-    S_Q,
     S_RATE,
     S_RING,
-    S_VEL,
+    S_U,
     S_VOLTAGE,
 )
 from flightstack.jit import njit_called
@@ -31,20 +29,16 @@ from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, ste
 
 
 @njit_called
-def evaluate_at(params: F64, pos: F64, vel: F64, q: F64, rate: F64, u: F64, load: F64, voltage: F64, out: F64) -> None:
+def evaluate_at(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> None:
     """Specific force and angular acceleration (N, 6, M) into `out`, of M parameter rows at the same N states.
 
-    pos, vel, rate (N, 3), q (N, 4), motors' u (N, 4), load (N, 6) as in the state row, voltage (N,).
+    states (N, S_U) as the state row begins: position, velocity, attitude, rate, load; motors' u (N, 4), voltage (N,).
     """
     row = np.zeros(S_RING)
     dy = np.empty(EVALUATED)
     for n in range(out.shape[0]):
-        for j in range(3):
-            row[S_POS + j], row[S_VEL + j], row[S_RATE + j] = pos[n, j], vel[n, j], rate[n, j]
-        for j in range(4):
-            row[S_Q + j] = q[n, j]
-        for j in range(6):
-            row[S_LOAD_DIR + j] = load[n, j]
+        for j in range(S_U):
+            row[j] = states[n, j]
         now = (u[n, 0], u[n, 1], u[n, 2], u[n, 3])
         for m in range(out.shape[2]):
             p = params[m]
@@ -63,15 +57,15 @@ def run_windows(
     driven: NDArray[np.int64],
     commands: F64,
     voltage: F64,
-    every: int,
     shown: F64,
     force: F64,
 ) -> None:
     """Simulate R rows freely from their states: what they show (R, n + 1, S_LOAD_DIR) and mean specific forces.
 
-    Row i starts at sample start[i] and is driven by commands[driven[i]] (N * every, 4) and voltage[driven[i]] (N,);
-    force (R, n + 1, 3) is the mean since the sample before, 0 at the start.
+    Row i starts at sample start[i] and is driven by commands[driven[i]] (N, or a multiple of N, 4) and
+    voltage[driven[i]] (N,); force (R, n + 1, 3) is the mean since the sample before, 0 at the start.
     """
+    every = commands.shape[1] // voltage.shape[1]
     work = np.empty((3, EVALUATED))
     for i in range(state.shape[0]):
         row, p, c = state[i], params[i], driven[i]

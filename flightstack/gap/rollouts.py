@@ -94,12 +94,12 @@ def _as_shown(p: F64, at: NDArray[np.int64], state: F64, force: F64) -> Rollout:
 class _Batch:
     """State and parameter rows of V variants times S starts, variant by variant."""
 
-    __slots__ = ("_at", "_commands", "_driven", "_every", "_voltage", "params", "state")
+    __slots__ = ("_at", "_commands", "_driven", "_voltage", "params", "state")
 
     def __init__(
         self, variants: Sequence[tuple[Vehicle, float]], flight: ProcessedFlight, at: NDArray[np.int64]
     ) -> None:
-        self._at, self._every = at, flight.every
+        self._at = at
         rows = [params_row(vehicle, flight.step_s) for vehicle, _ in variants]
         entries = int(np.ceil(max(p[D_DELAY_STEPS] for p in rows))) + 2
         self.params = np.repeat(np.stack(rows), len(at), axis=0)
@@ -137,7 +137,7 @@ class _Batch:
         start = np.tile(self._at, len(self._driven))
         driven = np.repeat(np.array(self._driven, dtype=np.int64), len(self._at))
         commands, voltage = np.stack(self._commands), np.stack(self._voltage)
-        run_windows(self.state, self.params, start, driven, commands, voltage, self._every, shown, force)
+        run_windows(self.state, self.params, start, driven, commands, voltage, shown, force)
         return shown, force
 
 

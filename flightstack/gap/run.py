@@ -145,12 +145,9 @@ class ModelEvaluation:
 
     def _evaluated(self, sensors: F64, rows: F64) -> F64:
         """(N, 6, M) of M parameter rows, all with the sensors of one."""
-        flight = self.track
         out = np.empty((len(self.u), 6, len(rows)))
-        rate = flight.rate_frd_radps - gyro_bias.bias(sensors)
-        attitude = np.ascontiguousarray(true_attitude(sensors, flight))
-        voltage = np.ascontiguousarray(self.voltage)
-        evaluate_at(rows, flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, self.u, self.load, voltage, out)
+        states = _states(sensors, self.track, self.load)
+        evaluate_at(rows, states, self.u, np.ascontiguousarray(self.voltage), out)
         return out
 
     def _sensed(self, p: F64, moved: F64) -> F64:
@@ -246,6 +243,12 @@ def _load(p: F64, flight: ProcessedFlight, u: F64) -> F64:
     return out
 
 
+def _states(p: F64, flight: ProcessedFlight, load: F64) -> F64:
+    """(N, S_U) the measured motion without what the sensors add to it, and the load's, as a state row begins."""
+    rate = flight.rate_frd_radps - gyro_bias.bias(p)
+    return np.hstack((flight.pos_ned_m, flight.vel_ned_mps, true_attitude(p, flight), rate, load))
+
+
 def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
     """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
     bare = p.copy()
@@ -254,13 +257,11 @@ def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> 
     if key in _FELT:
         return _FELT[key][1]
     out = np.empty((len(u), 6, 1))
-    rate, attitude = flight.rate_frd_radps - gyro_bias.bias(p), np.ascontiguousarray(true_attitude(p, flight))
-    voltage = np.ascontiguousarray(flight.samples.battery_v)
-    evaluate_at(bare[None], flight.pos_ned_m, flight.vel_ned_mps, attitude, rate, u, hanging, voltage, out)
+    evaluate_at(bare[None], _states(p, flight, hanging), u, np.ascontiguousarray(flight.samples.battery_v), out)
     force = flight.measured[:, 0:3]
     if "accel_frd_mps2" not in flight.missing:
         force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
-    measurement_change = p[D_MASS] * rotate(attitude, force - out[:, 0:3, 0])
+    measurement_change = p[D_MASS] * rotate(true_attitude(p, flight), force - out[:, 0:3, 0])
     measurement_change[~flight.samples.valid] = np.nan
     if len(_FELT) >= _MOST_FELT:
         del _FELT[next(iter(_FELT))]

@@ -1,4 +1,4 @@
-"""What a flight may call to be recorded, whoever keeps it, and shows it."""
+"""What a flight may call to be recorded, whoever keeps it, and shows it; and who keeps nothing."""
 
 from __future__ import annotations
 
@@ -50,3 +50,20 @@ class Recorder(Protocol):
 
     def close(self) -> None:
         """Finish the file; again does nothing."""
+
+
+class NoLog:
+    """The recorder of a flight whose log nobody wants: what is made for a log alone need not be made."""
+
+    path = failed = None
+
+    def _not_kept(self, *call: object, **named: object) -> None:
+        pass
+
+    def tick(self, record: TickRecord, t_us: int | None = None) -> None:
+        """One tick of the stack."""
+
+    def truth(self, t_us: int, truth: object) -> None:
+        """The simulator's truth."""
+
+    write = mavlink = event = statustext = location = scene = certificate = result = close = _not_kept

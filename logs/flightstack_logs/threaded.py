@@ -67,8 +67,7 @@ class ThreadedLog:
 
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message of a topic of the table."""
-        if len(self._queue) < self._capacity and not self._closed:  # as `_put`, for the call that comes most
-            self._last_t_us = t_us
+        if len(self._queue) < self._capacity and not self._closed:  # as `_put`, for the calls of every tick
             self._queue.append((self.log.write, (topic, t_us, record)))
         else:
             self._put(t_us, self.log.write, topic, t_us, record)
@@ -79,11 +78,20 @@ class ThreadedLog:
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""
-        self._put(record.t_us if t_us is None else t_us, self.log.tick, record, t_us)
+        at_us = record.t_us if t_us is None else t_us
+        if len(self._queue) < self._capacity and not self._closed:
+            self._last_t_us = at_us
+            self._queue.append((self.log.tick, (record, t_us)))
+        else:
+            self._put(at_us, self.log.tick, record, t_us)
 
     def truth(self, t_us: int, truth: object) -> None:
         """The simulator's truth."""
-        self._put(t_us, self.log.truth, t_us, truth)
+        if len(self._queue) < self._capacity and not self._closed:
+            self._last_t_us = t_us
+            self._queue.append((self.log.truth, (t_us, truth)))
+        else:
+            self._put(t_us, self.log.truth, t_us, truth)
 
     def event(self, t_us: int, name: str, text: str, severity: str = "info") -> None:
         """Something that happened."""

@@ -13,7 +13,10 @@ from typing import Any
 import pytest
 
 from flightstack.cli import main as cli
+from flightstack.cli.campaign.single import fly_text
+from flightstack.cli.campaign.table import flight_row
 from flightstack.cli.flight import FlyOptions, fly
+from flightstack.cli.shipped import path_of
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -32,7 +35,7 @@ count = {FLIGHTS}
 
 
 def _start(folder: Path, *arguments: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "flightstack.cli.main", "campaign", *(str(argument) for argument in arguments)]
+    command = [sys.executable, "-m", "flightstack", "campaign", *(str(argument) for argument in arguments)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -145,3 +148,19 @@ def test_bad_files_are_one_line_and_2(
     assert err.count("\n") == 1
     assert words in err
     assert not (tmp_path / "x").exists()
+
+
+def test_a_flight_without_a_log_has_the_row_of_one_with_it(tmp_path: Path) -> None:
+    text = (
+        path_of("scenarios", "hover")
+        .read_text()
+        .replace("\n[trajectory]", "\n[flight]\nduration = 1.0\n\n[trajectory]")
+    )
+    rows = []
+    for keep in ("none", "all"):
+        flown = fly_text(text, tmp_path / keep, keep=keep, kept=False, on_progress=lambda share: None)
+        assert (tmp_path / keep / "flight.mcap").is_file() is (keep == "all")
+        entry = {"flight": 0, "seed": 0, "scenario": "hover", "values": {}, "log": None, "report": None}
+        rows.append(flight_row(entry | {name: flown[name] for name in ("outcome", "reason", "result")}))
+    assert rows[0] == rows[1]
+    assert rows[0]["outcome"] == "completed"

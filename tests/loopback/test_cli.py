@@ -38,7 +38,7 @@ def _run(*arguments: object) -> int:
 
 
 def _start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "flightstack.cli.main", *(str(argument) for argument in arguments)]
+    command = [sys.executable, "-m", "flightstack", *(str(argument) for argument in arguments)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(
         command, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -25,7 +25,7 @@ STALL_S, AFTER_STALL_S, AFTER_KILL_S = 0.2, 3.0, 2.0
 
 
 def _offboard(port: int, out: Path, *more: str) -> list[str]:
-    words = [sys.executable, "-m", "flightstack.cli.main", "offboard", "--connect", f"udpin:{HOST}:{port}"]
+    words = [sys.executable, "-m", "flightstack", "offboard", "--connect", f"udpin:{HOST}:{port}"]
     return [*words, "--arm", "--no-learning", "--out", str(out), "--json", str(out / "flight.json"), *more]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 NAMES = ("app", "sim", "logs", "gap", "paper", "vehicles", "core", "utils")
 CALLS = (
-    ["-m", "flightstack.cli.main", "scenarios"],
+    ["-m", "flightstack", "scenarios"],
     ["-c", "import flightstack_sim.plant, flightstack_logs.reader, mavlink_bridge.link, flightstack.gap.workflow"],
 )
 

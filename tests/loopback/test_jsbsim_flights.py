@@ -82,7 +82,7 @@ def test_sim_alone_flies_jsbsim_too(tmp_path: Path) -> None:
     """`flightstack sim --plant jsbsim` comes up and simulates."""
     result = tmp_path / "sim.json"
     command = [
-        sys.executable, "-m", "flightstack.cli.main", "sim", "--plant", "jsbsim", "--duration", "1", "--speed", "10",
+        sys.executable, "-m", "flightstack", "sim", "--plant", "jsbsim", "--duration", "1", "--speed", "10",
         "--port", "47110", "--gcs-port", "47111", "--json", str(result),
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)

@@ -35,7 +35,7 @@ def _free_port() -> int:
 
 @contextmanager
 def _simulator(port: int, *more: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "flightstack.cli.main", "sim", "--px4-hil", "--hil-port", str(port), *more]
+    command = [sys.executable, "-m", "flightstack", "sim", "--px4-hil", "--hil-port", str(port), *more]
     with subprocess.Popen(
         command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as sim:  # fmt: skip
@@ -194,7 +194,7 @@ def test_a_busy_port_and_a_fault_are_one_line_and_code_2() -> None:
         port = str(other.getsockname()[1])
         for more in (["--hil-port", port], ["--hil-port", str(_free_port()), "--fault", "gcs-loss"]):
             done = subprocess.run(
-                [sys.executable, "-m", "flightstack.cli.main", "sim", "--px4-hil", *more],
+                [sys.executable, "-m", "flightstack", "sim", "--px4-hil", *more],
                 env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=GIVE_UP_S,
             )  # fmt: skip
             assert done.returncode == 2

@@ -237,7 +237,7 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:
     def little_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
 
-    command = [sys.executable, "-m", "flightstack.cli.main", "fly", "hover", "--duration", "5"]
+    command = [sys.executable, "-m", "flightstack", "fly", "hover", "--duration", "5"]
     command += ["--out", str(tmp_path), "--json", str(tmp_path / "r.json")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(

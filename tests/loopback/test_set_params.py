@@ -63,7 +63,7 @@ class Bench:
     def start(self, *more: str) -> subprocess.Popen[str]:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "XDG_STATE_HOME": str(self.folder)}
         return subprocess.Popen(
-            [sys.executable, "-m", "flightstack.cli.main", *self.words, *more],
+            [sys.executable, "-m", "flightstack", *self.words, *more],
             env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=self.folder,
         )  # fmt: skip
 

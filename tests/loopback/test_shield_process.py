@@ -46,7 +46,7 @@ def flying(folder: Path) -> Iterator[tuple[subprocess.Popen[str], subprocess.Pop
     (port, gcs_port), (served, _) = free_ports(), free_ports()
     site, truth = folder / "field.toml", folder / "truth.mcap"
     site.write_text(SITE)
-    words = [sys.executable, "-m", "flightstack.cli.main", "shield", "--connect", f"udpin:{HOST}:{port}"]
+    words = [sys.executable, "-m", "flightstack", "shield", "--connect", f"udpin:{HOST}:{port}"]
     words += ["--serve", f"udpout:{HOST}:{served}", "--site", str(site), "--json", str(folder / "shield.json")]
     command = [sys.executable, str(PROGRAM), f"udpin:{HOST}:{served}"]
     with (

@@ -44,7 +44,7 @@ def ignore_ctrl_c() -> None:
 def start(*words: object, **more: str) -> subprocess.Popen[str]:
     """In a shell's background: Ctrl-C is ignored from the beginning."""
     return subprocess.Popen(
-        [sys.executable, "-m", "flightstack.cli.start", "sim", *map(str, words)],
+        [sys.executable, "-m", "flightstack", "sim", *map(str, words)],
         env=ENVIRONMENT | more, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         preexec_fn=ignore_ctrl_c,
     )  # fmt: skip

@@ -64,3 +64,20 @@ def test_without_room_anywhere_it_counts_as_crashed_and_says_why(
     row = _row(tmp_path)
     assert row["outcome"] == "crashed"
     assert FULL in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("keep", "kept", "written"), [("none", False, False), ("none", True, True), ("all", False, True)]
+)
+def test_a_log_that_nobody_keeps_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: str, kept: bool, written: bool
+) -> None:
+    asked: list[bool] = []
+
+    def fly(options: Any, **_: Any) -> Flown:
+        asked.append(options.log_kept)
+        return Flown("")
+
+    monkeypatch.setattr(flight, "fly", fly)
+    fly_text("x", tmp_path / "flying", keep=keep, kept=kept, on_progress=lambda share: None)
+    assert asked == [written]

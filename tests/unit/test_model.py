@@ -81,13 +81,10 @@ def test_the_rotors_drag_in_hover_and_the_parasitic_one_at_2_mps_are_what_the_pl
     vehicle = with_effects(load_vehicle("quad-x"), effects)
     model = Model.from_vehicle(vehicle)
     vel, level = np.vstack([np.zeros(3), 2.0 * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
-    u, load, out = (
-        np.full((4, 4), model.hover_norm),
-        np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (4, 1)),
-        np.empty((4, 6, 1)),
-    )
+    pos, load = np.tile([0.0, 0.0, -50.0], (4, 1)), np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (4, 1))
+    u, out = np.full((4, 4), model.hover_norm), np.empty((4, 6, 1))
     row = params_row(vehicle, 0.001)[None]
-    evaluate_at(row, np.tile([0.0, 0.0, -50.0], (4, 1)), vel, level, np.zeros((4, 3)), u, load, np.zeros(4), out)
+    evaluate_at(row, np.hstack((pos, vel, level, np.zeros((4, 3)), load)), u, np.zeros(4), out)
     felt = np.diag(out[1:, :3, 0] - out[0, :3, 0])
     assert felt == pytest.approx(-2.0 * np.array(model.drag_kgps) / model.mass_kg, rel=1e-6)
     checker = Believed.of(tomllib.loads(vehicle_to_toml(vehicle)))

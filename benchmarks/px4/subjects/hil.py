@@ -34,7 +34,7 @@ def _row(bench: Bench, scenario: str, limit_m: float, more: tuple[str, ...], run
                 *bench.prefix,
                 sys.executable,
                 "-m",
-                "flightstack.cli.main",
+                "flightstack",
                 "fly",
                 scenario,
                 "--px4-hil",

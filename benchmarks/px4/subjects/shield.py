@@ -65,7 +65,7 @@ def _flight(bench: Bench, deed: str) -> dict[str, float]:
     folder = log_folder(bench, "shield")
     (folder / "field.toml").write_text(_SITE)
     with Px4(bench, params={"SIH_MASS": _MASS_KG}) as px4:
-        words = [*bench.prefix, sys.executable, "-m", "flightstack.cli.main", "shield", "--connect", px4.address]
+        words = [*bench.prefix, sys.executable, "-m", "flightstack", "shield", "--connect", px4.address]
         words += ["--serve", f"udpout:127.0.0.1:{_PORT}", "--site", str(folder / "field.toml")]
         words += ["--vehicle", str(_vehicle(folder)), "--sensors", "px4-sih-ekf", "--json", str(folder / "shield.json")]
         shield = subprocess.Popen(words, stdout=(folder / "shield.txt").open("wb"), stderr=subprocess.STDOUT)
