@@ -196,7 +196,11 @@ def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, second
 
 @pytest.mark.parametrize(("away", "leaves"), [("all", True), ("nothing", False)])
 def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves: bool) -> None:
-    """The way out alone, truth at the edge of what is declared, the estimate off by all of it: exits can be seen."""
-    row = planted({"away": away, "slid": False, "seconds": 6.0}, 910003, tmp_path)
-    assert (row["exits"] > 0) is leaves
-    assert row["stopped"] > 100
+    """The way out alone, truth at the edge of what is declared, the estimate off by all of it: exits can be seen.
+
+    One of such flights tells nothing: without margins some half of them leave (7 of 16 seeds, with them 0 of 16), and
+    which ones changes with any change of the loop.
+    """
+    rows = [planted({"away": away, "slid": False, "seconds": 6.0}, seed, tmp_path) for seed in range(910003, 910009)]
+    assert (sum(row["exits"] > 0 for row in rows) >= 1) is leaves
+    assert sum(row["stopped"] for row in rows) > 600
