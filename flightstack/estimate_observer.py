@@ -47,8 +47,8 @@ _JUMP_M = 0.25
 _SMALL_MPS = 0.03
 """A slow c of this size costs a centimetre of position: less than half of it is followed."""
 
-# The row: p^, c^, slow part of c^, mean squares of the slow part and of the rest, of c^, last velocity, s^, time, weight
-# of the means.
+# The row: p^, c^, slow part of c^, mean squares of the slow part and of the rest, of c^, last velocity, s^, time,
+# weight of the means.
 _POS, _C, _SLOW, _SLOW_SQUARE, _REST_SQUARE, _SQUARE, _VEL, _SLOPE, _TIME, _SEEN_S = 0, 3, 6, 9, 12, 15, 18, 21, 24, 25
 _ROW = 26
 
