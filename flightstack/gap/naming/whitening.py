@@ -85,9 +85,15 @@ def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
 @njit
 def whiten(taps: F64, values: F64, channel: int, rows: NDArray[np.int64], out: F64) -> None:
     """One channel of `values` (N, channels, K) filtered by `taps` at these rows, into `out` (rows, K)."""
+    if out.shape[1] == 1:
+        for r in range(len(rows)):
+            total = 0.0
+            for k in range(len(taps)):
+                total += taps[k] * values[rows[r] - k, channel, 0]
+            out[r, 0] = total
+        return
+    out[:] = 0.0
     for r in range(len(rows)):
-        for j in range(out.shape[1]):
-            out[r, j] = 0.0
         for k in range(len(taps)):
             for j in range(out.shape[1]):
                 out[r, j] += taps[k] * values[rows[r] - k, channel, j]
