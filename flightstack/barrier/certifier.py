@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flightstack.barrier.budgets import budget_for
+from flightstack.barrier.budgets import HOVER_OFF, budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, safe_sets
@@ -36,11 +36,12 @@ from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, ledger, slopes
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
-from flightstack.barrier.queries import Envelope, lean
-from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Margin, Response, area_of
+from flightstack.barrier.queries import Envelope
+from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Margin, Response, area_of
 from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, ellipse, largest_steps
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import within
+from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -53,8 +54,6 @@ _PATIENCE, _EAGER = 16.0, 1.0
 """Longest wait in periods, with a certificate in force and without."""
 _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
-_HOVER_OFF = 1.05
-"""The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
 
 
@@ -176,7 +175,7 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and self._pays(ready, area, state):
+        elif holds and _leans_within(ready, measurement) and self._pays(ready, area, state):
             issued = ready
         else:
             return None
@@ -247,9 +246,9 @@ class OnlineCertifier:
         self, known: Accelerations, version: int, widen_mps2: F64, thrust: Thrust, last: bool = False
     ) -> Iterator[Knowledge | None]:
         """What is known of this region: None after each piece of the work, then it; `last`: none is issued after it."""
-        box, hover_mps2 = budget_for(self.model, self.limits, known, thrust)
+        box, hover_mps2 = self._budget(known, thrust)
         yield None
-        over = _HOVER_OFF * box.thrust_max_mps2 / hover_mps2
+        over = HOVER_OFF * box.thrust_max_mps2 / hover_mps2
         yield from Knowledge.steps(
             Request(
                 known, self.model, self._envelope(), box, self.initial, self.config.delta, version, last,
@@ -285,7 +284,7 @@ class OnlineCertifier:
             vehicle_hash="",
             estimate=replace(config.estimate, acc_mps2=(north, east, down)),
             speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.estimate.vel_mps),
-            lean=lean(knowledge.budget),
+            leans=knowledge.budget.leans,
             thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
             applied_share=APPLIED_AS_SENT,
             thrust_gain=gain_of(
@@ -322,6 +321,10 @@ class OnlineCertifier:
             self.config.slice_only,
             self.config.axes,
         )
+
+    def _budget(self, learned: Accelerations, asked: Thrust) -> tuple[Budget, float]:
+        tilt_off = max(self.config.estimate.acc_mps2[:2]) / STANDARD_GRAVITY_MPS2
+        return budget_for(self.model, self.limits, learned, asked, tilt_off)
 
     def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
         """One axis to be designed, and what a barrier on it needs."""
@@ -365,6 +368,13 @@ def compile_all() -> None:
         pass
     slopes(ellipse(axis, Ratios(0.3, 1.0)), -1.0, 1.0, 0.1, 0.004)
     prepare()
+
+
+def _leans_within(certificate: Certificate, measurement: Measurement) -> bool:
+    """Whether the vehicle leans as the certificate lets it: taken in the midst of a wider lean, it ends at once."""
+    assert certificate.premises is not None
+    axis = quat_to_matrix(measurement.q_ned_frd)[:2, 2]
+    return all(least <= lean <= most for lean, (least, most) in zip(axis, certificate.premises.leans, strict=True))
 
 
 def _lateness(certificate: Certificate) -> float:
