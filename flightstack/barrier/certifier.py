@@ -45,7 +45,7 @@ from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, Filtered, Learned, Measurement
+from flightstack.types import STANDARD_GRAVITY_MPS2, F64, Filtered, Learned, Measurement
 
 _VALID = 2
 _SPARED_MORE = 0.03
