@@ -13,6 +13,7 @@ from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
 from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
+from flightstack.errors import one_line
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +31,7 @@ def say(text: str) -> None:
 
 def say_error(text: str) -> None:
     """One line on stderr that begins `error:`."""
-    errors.print(f"error: {' '.join(text.split())}", markup=False)
+    errors.print(f"error: {one_line(text)}", markup=False)
 
 
 def show_result(result: FlightResult) -> None:
