@@ -118,8 +118,8 @@ def gap(
     json: JsonOption = None,
 ) -> None:
     """Find, name, add and verify what the model of a vehicle lacks in logs of its flights."""
-    from flightstack.cli import console, files, terminal
-    from flightstack.cli.gap import GapOptions, find_gap
+    from flightstack.cli import files, terminal
+    from flightstack.cli.gap import GapOptions, find_gap, show_gap
     from flightstack.gap.result import as_json
 
     options = GapOptions(
@@ -133,7 +133,7 @@ def gap(
     )
     with terminal.progress("gap") as show:
         result = find_gap(options, on_progress=show)
-    console.show_gap(result, out)
+    show_gap(result, out)
     if json is not None:
         files.write_json(json, as_json(result))
 
