@@ -15,7 +15,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack_logs.reader import Log, read
-from flightstack_logs.report import (
+from flightstack_logs.report import words
+from flightstack_logs.report.flight import (
     CheckResult,
     FlightEvent,
     FlightReport,
@@ -24,14 +25,11 @@ from flightstack_logs.report import (
     ReportRegion,
     ReportSamples,
     Timing,
-    from_log,
-    outcome_from_result,
-    render_report,
     samples,
-    timing_from_result,
-    words,
-    write_report,
 )
+from flightstack_logs.report.log_input import from_log
+from flightstack_logs.report.page import render_report, write_report
+from flightstack_logs.report.result import outcome_from_result, timing_from_result
 from flightstack_logs.topics import TOPICS, Attachment, Field
 from flightstack_logs.writer import FlightLog
 
