@@ -56,26 +56,26 @@ class Box:
         return scenario, site
 
 
-def flight_of(box: Box, seed: int, folder: Path) -> FenceFlight:
+def flight_of(box: Box, seed: int, folder: Path, given: Path | None = None) -> FenceFlight:
     """The flight, its attack (none) begins with the track."""
     scenario, site = box.write(folder)
     parsed, _ = files.load_scenario(str(scenario))
     attack = Attack(NOMINAL, seed, begins_s=plan(parsed, np.zeros(3)).track_start_s, gusts=False)
     world = World(seed=seed, scenario=str(scenario), mass_ratio=1.0, wind_g=(0.0, 0.0, 0.0))
-    return FenceFlight(world, site, attack)
+    return FenceFlight(world, site, attack, given=given)
 
 
 def is_deep_inside(flight: FenceFlight) -> bool:
     """Whether the way out from every point of the reference, and what smoothness needs, is clear."""
     made, score = flight.plan_of.certificate, flight.score
-    row, tube = made.rows[made.row_of(_LEAST_GAIN)], made.tubes()[1]
+    row, half = made.rows[made.row_of(_LEAST_GAIN)], made.halves()[1]
     points, way = np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for t_s in np.arange(flight.mission.track_start_s, flight.mission.track_end_s, 0.05).tolist():
         at = flight.mission.reference(t_s).row
         start = np.zeros(backup.ROW)
         start[:3] = at[:3] - flight.origin
         start[3:9], start[9:11], start[11:13] = at[3:9], at[9:11], at[9:11]
-        count = backup.roll(start, row, tube, points, way)
+        count = backup.roll(start, row, half, points, way)
         way[:, 3:] += _SMOOTH_M
         if count == 0 or clear_of(score.packed, way, count, 1.0)[0] < 0.0:
             return False
@@ -96,10 +96,10 @@ def drawn_box(seed: int, folder: Path) -> Box:
         share -= 0.05
 
 
-def errors(box: Box, seed: int, folder: Path) -> tuple[float, float, float, float]:
+def errors(box: Box, seed: int, folder: Path, given: Path | None) -> tuple[float, float, float, float]:
     """Rms error with the site and without (the controller as it flies without), shares changed and governed."""
     seconds = _LAPS * box.lap_s
-    kept = flight_of(box, seed, folder)
+    kept = flight_of(box, seed, folder, given)
     outcome = kept.run(seconds, keep=True)
     places = [place for _, place, _ in outcome.seen]
     free = flight_of(box, seed, folder)
@@ -123,13 +123,14 @@ def main() -> None:
     """Fly the boxes and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--boxes", type=int, default=10)
+    parser.add_argument("--certificate", type=Path, help="a learned one (`certify --site`); without: the prior's")
     given = parser.parse_args()
     print("| box | figure-8 (half), lap | rms with site | without | ratio | changed | governed |")
     with tempfile.TemporaryDirectory(prefix="boxes-") as name:
         folder = Path(name)
         boxes = [Box(12.0, 10.0, 3.0, 3.0, 1.5, 8.0), *(drawn_box(seed, folder) for seed in range(given.boxes))]
         for k, box in enumerate(boxes):
-            with_m, without_m, changed, governed = errors(box, k, folder)
+            with_m, without_m, changed, governed = errors(box, k, folder, given.certificate)
             size = f"{box.north_m:g} x {box.east_m:g} x {box.ceiling_m:g} m"
             figure = f"{box.length_m:g} x {box.width_m:g} m, {box.lap_s:g} s"
             print(

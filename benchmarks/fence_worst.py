@@ -1,5 +1,5 @@
 """The force that knows the loop: against the velocity, and while a way out is followed the course that a search of the
-model's loop (`fence_search`) finds to drive it furthest from that way, from the true state on, anew every 0.2 s."""
+model's loop (`flightstack.site.worst`) finds to drive it furthest from that way, from the true state on, anew every 0.2 s."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.fence_search import STEP_S, Held, Loop, course_of, worst
 from flightstack.frames import quat_to_matrix
 from flightstack.site import backup as b
 from flightstack.site.decide import COMMITTED, FORCE, KEPT, SINCE_US
+from flightstack.site.worst import STEP_S, Held, Loop, course_of, worst
 from flightstack.types import F64
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 
@@ -56,8 +56,9 @@ def _found(flight: Any) -> F64:
     gone = round(1e-6 * (flight.vehicle.t_us - numbers[SINCE_US]) / STEP_S)
     row = made.rows[made.row_of(1.0 / flight.world.mass_ratio)]
     held = Held(
-        made.turning.sure_mps4, float(row[b.LEAN]), made.turning.rate_radps * G,
+        made.turning.sure_mps4, float(row[b.LEAN]), min(made.turning.rate_radps * G, 2.0 * float(row[b.JERK])),
         float(np.hypot(*(line.across_mps2 for line in made.ledger[:2]))), *made.doubts[0][1:],
     )  # fmt: skip
-    loop = Loop(made.across.gains.acc_ps / 3.0, *made.lags_s[0])
-    return worst(loop, held, course[min(max(gone, 0), len(course) - 2) :], _UNTIL_S, _state(flight))[1]
+    loop = Loop.of(made.across.gains, made.lags_s[0])
+    gone = min(max(gone, 0), len(course) - 2)
+    return worst(loop, held, course, (_UNTIL_S,), here=_state(flight), gone=gone)[1]

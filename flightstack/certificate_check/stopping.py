@@ -1,10 +1,10 @@
-"""Certificates of a stop (`flightstack.stopping/2`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/3`): ledger, tubes and braking worked out anew; shares no code.
 
-Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = -(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j,
-o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each
-input are integrated by Runge and Kutta's rule; the sum of their absolute areas, each times its bound, is the least
-radius that may be claimed.  So is the greatest distance of the loop whose turning is bounded (`_swung`), under square
-waves of force and under one along the velocity.
+Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
++ k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v)
++ k_p (p + n_p) + o) - a.  The answers to each input are integrated by Runge and Kutta's rule; the sum of their absolute
+areas, each times its bound, is the least radius that may be claimed.  So is what the ways out are left by where turning
+is bounded (`left`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
+from .left import Loop, Way, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/2"
+SCHEMA = "flightstack.stopping/3"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
-_SWING_STEP_S, _SWING_S, _WAVES = 0.01, 8.0, 24
-_ASKED_SHARE, _TURN_SHARE = 0.5, 0.7
+_LEAD_S, _SEEN_SHARE = 0.05, 0.85
+_LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 0j), (2 + 0j, -3 + 0j))
+_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
+"""Ways out whose worst is looked for, by speed and lean: with little motion at first, and with much."""
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
 _K_SIGMA = 4.3
@@ -36,7 +39,7 @@ _LOOP = (
 )  # fmt: skip
 _TOP = (
     "schema", "vehicle", "vehicle_hash", "sensors", "prior", "learned", "ledger", "across", "along", "turning",
-    "braking", "stops_within_m",
+    "way_least", "way_most", "braking", "stops_within_m",
 )  # fmt: skip
 
 
@@ -58,20 +61,21 @@ def check_stopping(text: str) -> list[str]:
     _learned(top["learned"], (low, high, force_g))
     sums = _ledger(top["ledger"], force_g)
     lines = ["prior: holds what the flight is said to have shown", f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
-    radius, turning = 0.0, _turning(top["turning"], top["braking"], high)
+    turning = _turning(top["turning"], top["braking"], high)
+    ways = [_way(top[name], name, turning) for name in ("way_least", "way_most")]
+    loops = {}
     for i, name in enumerate(("across", "along")):
-        loop = dict(zip(_LOOP, numbers(top[name], _LOOP, name), strict=True))
+        loops[name] = loop = dict(zip(_LOOP, numbers(top[name], _LOOP, name), strict=True))
         for key, total in zip(("force_mps2", "rest_mps2"), sums[i], strict=True):
             if not loop[key] >= total - 1e-9:
                 raise Refused(f"{name}.{key} = {loop[key]:.4g} is less than its lines in the ledger: {total:.4g}")
         found = _radius(loop, i == 0)
-        if i == 0:
-            steps = [number(top["ledger"][line]["across_mps2"], "ledger") for line in (0, 1)]
-            found = max(found, _swung(loop, turning, float(np.hypot(steps[0], steps[1]))))
         if not loop["radius_m"] >= (1.0 - _ROOM) * found:
             raise Refused(f"{name}: the tube reaches {found:.4f} m, not {loop['radius_m']:.4f} m")
         lines.append(f"{name}: tube of {loop['radius_m']:.3f} m, found {found:.3f} m")
-        radius = loop["radius_m"] if i == 0 else radius
+    radius = loops["across"]["radius_m"]
+    steps = [number(top["ledger"][line]["across_mps2"], "ledger") for line in (0, 1)]
+    lines += _left(ways, loops["across"], turning, float(np.hypot(*steps)))
     _braking(top["braking"], (low, high, force_g))
     lines.append("braking: thrust carries weight, force and braking together")
     _ways(top["stops_within_m"], float(top["braking"]["across_mps2"]), radius)
@@ -139,13 +143,15 @@ def _radius(loop: dict[str, float], is_across: bool) -> float:
     if is_across:
         a[2, 3] = a[3, asked] = 1.0
         a[asked, 2] = -gain
-    a[asked, last] = -gain
+    a[asked, last] = -gain * (_SEEN_SHARE if is_across else 1.0)
     into[asked, 2:] = -loop["pos_ps3"], -loop["vel_ps2"]
     late = loop["lag_s"] * (loop["rotors_s"] if is_across else 1.0)
+    if is_across:
+        late /= 1.0 + _LEAD_S / loop["lag_s"]
     a[asked] /= late
     into[asked] /= late
     if is_across:
-        a[asked, asked] = -1.0 / loop["rotors_s"]
+        a[asked, asked] = -1.0 / loop["rotors_s"] - _LEAD_S / loop["lag_s"] ** 2
     a[last, last] = -1.0 / _OBSERVER_S
     into[1, :2] = 1.0
     into[last, 0] = 1.0 / _OBSERVER_S
@@ -174,44 +180,46 @@ def _greatest(a: F64, x: F64, bounds: F64, begun: F64) -> float:
 
 
 def _turning(value: Any, braking: Any, high: float) -> tuple[float, float, float]:
-    """Snap, lean, fastest turning; the way takes no more than all of the snap, the lean no more than thrust carries."""
-    snap, way, lean, fastest = numbers(value, ("snap_mps4", "way_mps4", "lean_mps2", "fastest_mps3"), "turning")
-    if not (0.0 < way <= snap and lean > 0.0 and fastest > 0.0):
-        raise Refused("turning: nothing of it may be 0, and the way takes no more than all of the snap")
+    """Snap, lean, fastest turning; the lean is no more than thrust carries."""
+    snap, lean, fastest = numbers(value, ("snap_mps4", "lean_mps2", "fastest_mps3"), "turning")
+    if not (snap > 0.0 and lean > 0.0 and fastest > 0.0):
+        raise Refused("turning: nothing of it may be 0")
     thrust = float(braking["thrust_mps2"]) / high
     if not np.hypot(_GRAVITY, lean) <= thrust + 1e-9:
         raise Refused(f"turning: a lean of {lean:.3f} m/s^2 takes more than the least thrust, {thrust:.3f} m/s^2")
     return snap, lean, fastest
 
 
-def _swung(loop: dict[str, float], turning: tuple[float, float, float], force: float) -> float:
-    """The greatest distance from rest with bounded snap, lean and turning; a lane for each course of the force."""
-    (snap, lean, fastest), pole = turning, loop["acc_ps"] / 3.0
-    if not (np.isclose(loop["vel_ps2"], 3.0 * pole**2) and np.isclose(loop["pos_ps3"], pole**3)):
-        raise Refused("across: gains of no triple pole")
-    periods = np.repeat(np.geomspace(0.5, 12.0, _WAVES), 2)
-    turned = np.where(np.arange(2 * _WAVES) % 2 == 0, 1.0, -1.0)
-    late = _TURN_SHARE * snap * (loop["lag_s"] + loop["rotors_s"])
-    p, v, a, j, s, seen = (np.zeros(2 * _WAVES + 1) for _ in range(6))
-    p[:], v[:], a[:], seen[:] = loop["eps_p_m"], loop["eps_v_mps"], -force, force
-    follows, greatest = 1.0 - np.exp(-_SWING_STEP_S / loop["rotors_s"]), 0.0
-    for k in range(round(_SWING_S / _SWING_STEP_S)):
-        greatest = max(greatest, float(np.abs(p).max()))
-        wave = turned * np.where(np.floor(2.0 * k * _SWING_STEP_S / periods) % 2.0 == 1.0, 1.0, -1.0)
-        way = np.append(wave, np.where(v[-1] < 0.0, -1.0, 1.0))
-        linear = -(pole * (v - loop["eps_v_mps"] * np.sign(v)) + pole**2 / 3.0 * (p - loop["eps_p_m"] * np.sign(p)))
-        most = _ASKED_SHARE * np.cbrt(snap) * np.cbrt((linear / pole) ** 2)
-        short = np.clip(np.clip(linear, -most, most) - seen, -lean, lean) - a
-        room = np.abs(short)
-        turn = np.minimum(loop["acc_ps"] * room, np.sqrt(late**2 + 2.0 * _TURN_SHARE * snap * room) - late)
-        asked = np.sign(short) * np.minimum(turn, fastest)
-        s += follows * (np.clip((asked - j) / loop["lag_s"], -snap, snap) - s)
-        seen += _SWING_STEP_S / _OBSERVER_S * (way * force - seen)
-        p += _SWING_STEP_S * v
-        v += _SWING_STEP_S * (a + way * (force + loop["rest_mps2"]))
-        a += _SWING_STEP_S * j
-        j += _SWING_STEP_S * s
-    return greatest
+def _way(value: Any, name: str, turning: tuple[float, float, float]) -> Way:
+    """How ways are laid out, for the least gain or the greatest; they take no more than all of the snap."""
+    way = Way(*numbers(value, Way._fields, name))
+    if not (min(way) > 0.0 and way.slow_mps4 <= way.fast_mps4 <= turning[0]):
+        raise Refused(f"{name}: nothing of it may be 0, and a way takes no more than all of the snap")
+    if not way.lean_mps2 >= turning[1]:
+        raise Refused(f"{name}: a lean of {way.lean_mps2:.3f} m/s^2 is less than that of the least gain")
+    return way
+
+
+def _left(
+    ways: list[Way], across: dict[str, float], turning: tuple[float, float, float], force_mps2: float
+) -> list[str]:  # fmt: skip
+    """Each kind of way is left by no more than its radius."""
+    sizes, lines = np.array([force_mps2, across["rest_mps2"], across["eps_p_m"], across["eps_v_mps"]]), []
+    if not across["radius_m"] >= max(way.rest_radius_m for way in ways) - 1e-9:
+        raise Refused("across: the tube at rest is the widest of both ways'")
+    for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
+        loop = Loop(*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2])
+        found = left(way, loop, sizes, [*_LITTLE, *_MUCH])
+        for kind, most, radius in (
+            ("little", float(found[: len(_LITTLE)].max()), way.rest_radius_m),
+            ("much", float(found.max()), way.most_radius_m),
+        ):
+            if not radius >= (1.0 - _ROOM) * most:
+                raise Refused(
+                    f"across: ways out (gain {name}, {kind} motion) are left by {most:.4f} m, not {radius:.4f} m"
+                )
+        lines.append(f"ways out (gain {name}): left by up to {found.max():.3f} m, tube of {way.most_radius_m:.3f} m")
+    return lines
 
 
 def _braking(value: Any, prior: tuple[float, float, float]) -> None:

@@ -39,7 +39,7 @@ from flightstack.rows import (
     WAY_HALF,
     WAY_RADIUS,
 )
-from flightstack.site.swing import asked, turn_towards
+from flightstack.site.law import SEEN_SHARE, asked, snap_asked, turn_towards
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 STEP_S = 0.04
@@ -52,8 +52,9 @@ that is asked for (2), snap across (2); across, acceleration is that of the lean
 carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, PARAMETERS,
-) = *range(23), 26, 27  # fmt: skip
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST, LATE_LED_S, STOPPABLE, REST_RADIUS,
+    MOST_RADIUS, PARAMETERS,
+) = *range(23), *range(26, 35)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
@@ -62,8 +63,11 @@ how jerk (less what is asked for) and snap go on over a step (2, 2), and the sna
 _ASKED_N, _ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
-_STOPPABLE = 0.7
-"""Of the jerk that snap can take away before the lean is reached."""
+LITTLE_MPS, MUCH_MPS, LEANT_S = 2.0, 4.0, 0.4
+"""Motion of a way's beginning (speed, and what its lean adds in that time) with which it is left by no more than one
+from rest, and from which on by the most."""
+FASTEST, STOP_SHARE = 2.0, 0.75
+"""Turning while a way is followed, by its own greatest; of the snap, what stops turning that is faster than the way's."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
 _LEAST_UPRIGHT = 0.3
 
@@ -76,15 +80,14 @@ def turned(lag_s: float, rotors_s: float) -> list[float]:
 
 
 @njit_called
-def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
+def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
     """The way out from a point (ROW,): into `points` (STEPS, ROW) and the discs of `way` (STEPS, 5); how many, or 0.
 
-    tube (STEPS, 2): radius across and half height after each step.  0: it does not come to rest in time,
-    or leans too far on the way.
+    half (STEPS,): half height of the tube after each step.  0: it does not come to rest in time, or leans too far on the way.
     """
     x = start.copy()
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D])
-    late = p[LATE_S] * speed
+    late, radius = p[LATE_S] * speed, wide(start, p)
     dt = STEP_S / _SUBSTEPS
     most = max(p[STEEPEST] * p[STEEPEST], x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E])
     for k in range(STEPS):
@@ -97,7 +100,8 @@ def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
         if still:
             for i in range(3, ROW):
                 points[k, i] = 0.0
-            way[k, WAY_RADIUS], way[k, WAY_HALF] = tube[STEPS - 1, 0] + late, tube[STEPS - 1, 1] + late
+            way[k, WAY_RADIUS], way[k, WAY_HALF] = radius + late, half[STEPS - 1] + late
+            _all_heights(way, k + 1)
             return k + 1
         for _ in range(_SUBSTEPS):
             _step(x, p, dt)
@@ -105,28 +109,62 @@ def roll(start: F64, p: F64, tube: F64, points: F64, way: F64) -> int:
             return 0
         across = math.sqrt((x[0] - at_n) ** 2 + (x[1] - at_e) ** 2)
         way[k, WAY_RADIUS], way[k, WAY_HALF] = (
-            tube[k, 0] + late + 0.5 * across,
-            tube[k, 1] + late + 0.5 * abs(x[2] - at_d),
+            radius + late + 0.5 * across,
+            half[k] + late + 0.5 * abs(x[2] - at_d),
         )
         way[k, 0], way[k, 1], way[k, 2] = 0.5 * (at_n + x[0]), 0.5 * (at_e + x[1]), -0.5 * (at_d + x[2])
     return 0
 
 
 @njit
+def wide(start: F64, p: F64) -> float:
+    """Radius of the tube of a way that begins so: more where it begins with much motion."""
+    north, east = start[VEL_N] + LEANT_S * start[ACC_N], start[VEL_E] + LEANT_S * start[ACC_E]
+    share = (math.sqrt(north * north + east * east) - LITTLE_MPS) / (MUCH_MPS - LITTLE_MPS)
+    return p[REST_RADIUS] + min(max(share, 0.0), 1.0) * (p[MOST_RADIUS] - p[REST_RADIUS])  # type: ignore[no-any-return]
+
+
+@njit
+def _all_heights(way: F64, count: int) -> None:
+    """Every disc at all the heights of a way: the tube is about its places, whenever the vehicle is at them."""
+    low, high = np.inf, -np.inf
+    for k in range(count):
+        low, high = min(low, way[k, 2] - way[k, WAY_HALF]), max(high, way[k, 2] + way[k, WAY_HALF])
+    for k in range(count):
+        way[k, 2], way[k, WAY_HALF] = 0.5 * (low + high), 0.5 * (high - low)
+
+
+@njit
+def apart(points: F64, count: int, north: float, east: float) -> float:
+    """How far across a place is from the nearest of a way."""
+    nearest = np.inf
+    for k in range(max(count - 1, 1)):
+        n, e = points[k, 0], points[k, 1]
+        dn, de = (points[k + 1, 0] - n, points[k + 1, 1] - e) if k + 1 < count else (0.0, 0.0)
+        share = min(max(((north - n) * dn + (east - e) * de) / max(dn * dn + de * de, 1e-12), 0.0), 1.0)
+        nearest = min(nearest, (north - n - share * dn) ** 2 + (east - e - share * de) ** 2)
+    return math.sqrt(nearest)
+
+
+@njit
 def _step(x: F64, p: F64, dt: float) -> None:
     """A step of the way out, in place."""
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E])
-    brake = min(p[ACROSS] / max(speed, 1e-9), p[FADE])
+    brake = min(p[ACROSS] / max(speed, 1e-9), p[FADE], p[EASE] / max(speed, 1e-9) ** (1.0 / 3.0))
+    hurry = min(max(2.0 * (speed / p[FAST] - 1.0), 0.0), 1.0)
+    most = p[SNAP] + hurry * (p[SNAP_FAST] - p[SNAP])
+    turns = math.sqrt(x[JERK_N] * x[JERK_N] + x[JERK_E] * x[JERK_E]) / math.sqrt(p[SNAP] * p[ACROSS])
+    most = max(most, p[SNAP] + min(max(2.0 * (turns - 0.8), 0.0), 1.0) * (STOP_SHARE * p[SURE] - p[SNAP]))
     rate_lag = max(p[LEAD_S], dt)
     jn = -brake * x[VEL_N] - x[ACC_N] - rate_lag * (x[JERK_N] + p[ROTORS_S] * x[SNAP_N])
     je = -brake * x[VEL_E] - x[ACC_E] - rate_lag * (x[JERK_E] + p[ROTORS_S] * x[SNAP_N + 1])
     short = max(math.sqrt(jn * jn + je * je), 1e-9)
-    turn = min(_LEAN_GAIN_PS * short, _STOPPABLE * math.sqrt(2.0 * p[SNAP] * short), p[JERK]) / short
+    turn = min(_LEAN_GAIN_PS * short, p[STOPPABLE] * math.sqrt(2.0 * most * short), p[JERK]) / short
     jn, je = turn * jn, turn * je
     sn, se = _JERK_GAIN_PS * (jn - x[_ASKED_N]), _JERK_GAIN_PS * (je - x[_ASKED_E])
     size = math.sqrt(sn * sn + se * se)
-    if size > p[SNAP]:
-        sn, se = sn * p[SNAP] / size, se * p[SNAP] / size
+    if size > most:
+        sn, se = sn * most / size, se * most / size
     x[_ASKED_N] += dt * sn
     x[_ASKED_E] += dt * se
     for i in range(2):
@@ -179,16 +217,17 @@ def at_time(points: F64, count: int, time_s: float, out: F64) -> None:
 
 
 @njit
-def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64, rate: F64) -> float:
-    """The command that keeps a predicted state (STATE,) to a point: normalised thrust, body rates into `rate` (3,)."""
+def follow(p: F64, chain: F64, state: F64, spin: F64, offset: F64, gain: float, target: F64, rate: F64) -> float:
+    """The command that keeps a predicted state (STATE,) and its spin (2,) to a point: normalised thrust, body rates
+    into `rate` (3,)."""
     here = np.empty(ROW)
-    point_of(chain, state, state[10:12], offset, gain, state[10:13], here)  # no more than its lean is looked at
+    point_of(chain, state, spin, offset, gain, state[10:13], here)
     r = quat_to_matrix(state[6:10])
     back_n = (p[VEL_GAIN] * (target[VEL_N] - here[VEL_N]) + p[POS_GAIN] * (target[0] - here[0])) / p[ACC_GAIN]
     back_e = (p[VEL_GAIN] * (target[VEL_E] - here[VEL_E]) + p[POS_GAIN] * (target[1] - here[1])) / p[ACC_GAIN]
-    pole = p[ACC_GAIN] / 3.0
-    share = asked(math.sqrt(back_n * back_n + back_e * back_e), pole, p[SURE])
-    lean_n, lean_e = target[ACC_N] + share * back_n, target[ACC_E] + share * back_e
+    share = asked(math.sqrt(back_n * back_n + back_e * back_e), p[VEL_GAIN] / p[ACC_GAIN], p[SURE])
+    lean_n = target[ACC_N] + share * back_n + (1.0 - SEEN_SHARE) * offset[0]
+    lean_e = target[ACC_E] + share * back_e + (1.0 - SEEN_SHARE) * offset[1]
     by_n, by_e = lean_n - offset[0], lean_e - offset[1]
     size = math.sqrt(by_n * by_n + by_e * by_e)
     down = target[ACC_D] + p[VEL_DOWN] * (target[VEL_D] - here[VEL_D]) + p[POS_DOWN] * (target[2] - here[2])
@@ -198,9 +237,13 @@ def follow(p: F64, chain: F64, state: F64, offset: F64, gain: float, target: F64
         lean_n, lean_e = offset[0] + by_n * most / size, offset[1] + by_e * most / size
     short_n, short_e = lean_n - here[ACC_N], lean_e - here[ACC_E]
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
-    turn = min(turn_towards(short, pole, p[SURE], p[LEAD_S] + p[ROTORS_S]), 2.0 * p[JERK]) / short
+    turn = min(turn_towards(short, p[ACC_GAIN], p[SURE], p[LATE_LED_S]), FASTEST * p[JERK]) / short
     turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
     jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
+    sn, se = snap_asked(
+        (jn, je), (here[JERK_N], here[JERK_E]), (here[SNAP_N], here[SNAP_N + 1]), p[SURE], (p[LEAD_S], p[ROTORS_S])
+    )
+    jn, je = here[JERK_N] + p[LEAD_S] * sn, here[JERK_E] + p[LEAD_S] * se
     upright = max(r[2, 2], _LEAST_UPRIGHT)
     force = STANDARD_GRAVITY_MPS2 / upright
     north, east = -jn / force, -je / force

@@ -1,4 +1,4 @@
-"""Certificates of a stop as files, `flightstack.stopping/2` (JSON): what was learned, and all that follows from it.
+"""Certificates of a stop as files, `flightstack.stopping/3` (JSON): what was learned, and all that follows from it.
 
 A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
 the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
@@ -16,9 +16,15 @@ from flightstack.site.stopping import Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
-SCHEMA = "flightstack.stopping/2"
+SCHEMA = "flightstack.stopping/3"
 _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
+_WAY = {
+    "across_mps2": b.ACROSS, "lean_mps2": b.LEAN, "jerk_mps3": b.JERK, "slow_mps4": b.SNAP, "fast_mps4": b.SNAP_FAST,
+    "fast_mps": b.FAST, "ease": b.EASE, "fade_ps": b.FADE, "stoppable": b.STOPPABLE, "rest_radius_m": b.REST_RADIUS,
+    "most_radius_m": b.MOST_RADIUS,
+}  # fmt: skip
+"""Of the row of the least gain, and of the greatest."""
 
 
 def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors: str, learned: dict[str, Any]) -> str:
@@ -36,10 +42,11 @@ def as_json(made: StoppingCertificate, vehicle: str, vehicle_hash: str, sensors:
         **loops,
         "turning": {
             "snap_mps4": made.turning.sure_mps4,
-            "way_mps4": made.turning.way_mps4,
             "lean_mps2": float(least[b.LEAN]),
-            "fastest_mps3": made.turning.rate_radps * STANDARD_GRAVITY_MPS2,
+            "fastest_mps3": min(made.turning.rate_radps * STANDARD_GRAVITY_MPS2, b.FASTEST * float(least[b.JERK])),
         },
+        "way_least": {name: float(least[at]) for name, at in _WAY.items()},
+        "way_most": {name: float(made.rows[-1][at]) for name, at in _WAY.items()},
         "braking": {
             "thrust_mps2": made.thrust_mps2,
             "least_thrust_mps2": made.least_mps2,
@@ -100,7 +107,16 @@ def _by_name(said: Any) -> dict[str, Any]:
 def require_same(text: str, source: str, made: StoppingCertificate) -> None:
     """InputError where any number of the file is not the one that follows from its prior for this vehicle."""
     said, again = (_by_name(json.loads(each)) for each in (text, as_json(made, "", "", "", {})))
-    for part in ("across", "along", "turning", "braking", "stops_within_m", *(line.name for line in made.ledger)):
+    for part in (
+        "across",
+        "along",
+        "turning",
+        "way_least",
+        "way_most",
+        "braking",
+        "stops_within_m",
+        *(line.name for line in made.ledger),
+    ):
         for key, value in again[part].items():
             found = said.get(part, {}).get(key) if isinstance(said.get(part), dict) else None
             if isinstance(value, str):

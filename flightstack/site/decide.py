@@ -29,7 +29,21 @@ from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
 from flightstack.rows import FORCE_Z, RATE_X, RATE_Y
 from flightstack.site import slide
-from flightstack.site.backup import JERK, LEAD_S, ROW, SNAP, STEP_S, STEPS, UPRIGHT, at_time, follow, point_of, roll
+from flightstack.site.backup import (
+    JERK,
+    LEAD_S,
+    ROW,
+    SNAP,
+    STEP_S,
+    STEPS,
+    UPRIGHT,
+    apart,
+    at_time,
+    follow,
+    point_of,
+    roll,
+    wide,
+)
 from flightstack.site.clearance import CHUTE, FLOOR, GROUND, OPEN, TILT_CODE, clear_of
 from flightstack.site.tube import OBSERVER_S
 from flightstack.site.turning import ahead, seen, turn_on
@@ -67,7 +81,7 @@ class Known(NamedTuple):
     vehicle: F64
     rows: F64
     soft: F64
-    tubes: F64
+    halves: F64
 
 
 class Kept(NamedTuple):
@@ -110,10 +124,10 @@ class Now(NamedTuple):
 
 
 class Keeping(NamedTuple):
-    """What is kept to: a row of the certificate, its tube, the site."""
+    """What is kept to: a row of the certificate, half heights of its tube, the site."""
 
     row: F64
-    tube: F64
+    half: F64
     site: F64
 
 
@@ -164,7 +178,7 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
     r = quat_to_matrix(after[6:10])
     count = 0
     if r[2, 2] + _TILT_AHEAD_S * (after[RATE_Y] * r[2, 0] - after[RATE_X] * r[2, 1]) >= p[UPRIGHT]:
-        count = roll(start, p, of.tube, buffers.scratch, buffers.way)
+        count = roll(start, p, of.half, buffers.scratch, buffers.way)
     if count == 0:
         n[EDGE] = TILT_CODE
         return False
@@ -202,7 +216,7 @@ def _decide(
         n[SENT + i] = commands.sent_rate[i]
         rate[i] = commands.wanted_rate[i]
     now = Now(known.vehicle[:CHAIN], state, spin, known.vehicle[_ROTORS_S], offset, origin, n)
-    of = Keeping(known.rows[at], known.tubes[1 if is_read(n) else 0], site)
+    of = Keeping(known.rows[at], known.halves[1 if is_read(n) else 0], site)
     s = known.soft[at]
     if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
         n[LEFT] = 1.0
@@ -221,6 +235,14 @@ def _decide(
     return _held(now, norm, of, kept.committed, buffers, begins_us)
 
 
+@njit_called
+def row_of(n: F64, vehicle: F64, count: int) -> int:
+    """The row of the certificate for the least gain there may be."""
+    lowest = vehicle[_GAINS]
+    least = max(n[GAIN] * (1.0 - vehicle[_OPEN_SHARE]), lowest) if is_read(n) else lowest
+    return int(min(max((least - lowest) / vehicle[_GAINS + 2], 0.0), count - 1.0))
+
+
 @njit
 def _now(
     known: Known, kept: Kept, origin: F64, measured: F64, times_us: tuple[float, float, float], commands: Commands
@@ -234,8 +256,7 @@ def _now(
     follow_rotors(kept.memory, chain, times_us[1])
     seen(kept.memory, chain, vehicle[_ROTORS_S], measured, times_us[1], dt, n[SPIN : SPIN + 2])
     _observe(n, chain, measured, kept.memory[0, M_ROTORS], dt, origin[2] - measured[2], gains, vehicle[_DRAG])
-    least = max(n[GAIN] * (1.0 - vehicle[_OPEN_SHARE]), gains[0]) if is_read(n) else gains[0]
-    return int(min(max((least - gains[0]) / vehicle[_GAINS + 2], 0.0), len(known.rows) - 1.0))
+    return row_of(n, vehicle, len(known.rows))
 
 
 @njit
@@ -296,10 +317,10 @@ def _held(
     at_time(committed, int(n[COMMITTED]), time_s, target)
     for i in range(3):
         target[i] += now.origin[i]
-    off = math.sqrt((state[0] - target[0]) ** 2 + (state[1] - target[1]) ** 2)
+    off = apart(committed, int(n[COMMITTED]), state[0] - now.origin[0], state[1] - now.origin[1])
     step = int(min(max(time_s / STEP_S, 0.0), STEPS - 1.0))
-    n[OFF] = max(off - of.tube[step, 0], abs(state[2] - target[2]) - of.tube[step, 1])
-    brake_norm = follow(of.row, chain, state, now.offset, n[GAIN], target, brake)
+    n[OFF] = max(off - wide(committed[0], of.row), abs(state[2] - target[2]) - of.half[step])
+    brake_norm = follow(of.row, chain, state, now.spin, now.offset, n[GAIN], target, brake)
     for share in _SHARES:
         share_norm = min(max(brake_norm + share * (norm - brake_norm), chain[C_NORM_LOW]), chain[C_NORM_HIGH])
         for i in range(3):

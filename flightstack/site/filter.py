@@ -24,10 +24,10 @@ from flightstack.rows import ATTITUDE, F_H, F_INTERVENED, F_STATUS, F_THRUST, F_
 from flightstack.site import bend as bending
 from flightstack.site import decide as d
 from flightstack.site import slide
-from flightstack.site.backup import LATE_S, ROW, STEPS
+from flightstack.site.backup import LATE_S, ROW, STEPS, wide
 from flightstack.site.clearance import CHUTE, GROUND, OPEN, clear_of, edge_name, packed
 from flightstack.site.shape import Site
-from flightstack.site.stopping import GAIN_STEP, StoppingCertificate
+from flightstack.site.stopping import GAIN_STEP, SMOOTH_M, StoppingCertificate
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
@@ -61,7 +61,7 @@ class _Known(NamedTuple):
     known: tuple[F64, F64, F64, F64]
     """`decide.Known`, plain."""
     far: F64
-    """`slide` parameters of a reference."""
+    """`slide` parameters of a reference, by least gain as the rows."""
     most_mps2: float
     """More force than this falsifies it."""
 
@@ -71,9 +71,9 @@ class _Known(NamedTuple):
         drag = 0.5 * (model.drag_kgps[0] + model.drag_kgps[1]) / model.mass_kg
         ends = [drag, made.eps_gain, *made.prior.gain, GAIN_STEP, made.turning.rotors_s]
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
-        far, doubts = made.soft[0].copy(), made.doubts[0]
-        far[slide.RADIUS] = made.kept_m
-        return cls((vehicle, made.rows, made.soft, made.tubes()), far, doubts.force_mps2 + doubts.rest_mps2)
+        far, doubts = made.soft.copy(), made.doubts[0]
+        far[:, slide.RADIUS] += made.kept_m - made.radius_m - SMOOTH_M
+        return cls((vehicle, made.rows, made.soft, made.halves()), far, doubts.force_mps2 + doubts.rest_mps2)
 
 
 class SiteFilter:
@@ -135,7 +135,8 @@ class SiteFilter:
         dt = state.numbers[d.HOLD_S] or _BEND_DT_S
         if state.bent[bending.KNOWN] == 0.0 or not np.isfinite(row[:6]).all():
             return setpoint
-        far = self._in_force(state.numbers).far
+        known = self._in_force(state.numbers)
+        far = known.far[d.row_of(state.numbers, known.known[0], len(known.far))]
         if not bending.bend(state.bent, self._site, far, row, dt, self._rows, self._way, out):
             return setpoint
         out[:3] += state.origin_ned_m
@@ -168,15 +169,16 @@ class SiteFilter:
         if not len(way) or measurement.t_us - numbers[d.LAST_US] > _PAUSE_US:
             at = measurement.pos_ned_m - state.origin_ned_m
             return np.array([[at[0], at[1], -at[2], *at_rest]])
-        _, rows, _, tubes = self._in_force(numbers).known
-        tube = tubes[1 if d.is_read(numbers) else 0]
-        tube = np.vstack([tube[: len(way) - 1], tube[-1:]])
-        late_s = float(rows[:, LATE_S].max())
+        _, rows, _, halves = self._in_force(numbers).known
+        half = halves[1 if d.is_read(numbers) else 0]
+        half = np.append(half[: len(way) - 1], half[-1])
+        late = float(rows[:, LATE_S].max()) * float(np.linalg.norm(way[0, 3:6]))
         steps = np.vstack([np.diff(way[:, :3], axis=0), np.zeros(3)])
-        grown = late_s * float(np.linalg.norm(way[0, 3:6])) + tube
-        grown += 0.5 * np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)
-        middle = way[:, :3] + 0.5 * steps
-        return np.ascontiguousarray(np.column_stack([middle[:, :2], -middle[:, 2], grown]))
+        middle, half = way[:, :3] + 0.5 * steps, half + late + 0.5 * np.abs(steps[:, 2])
+        low, high = float((-middle[:, 2] - half).min()), float((-middle[:, 2] + half).max())
+        across = max(wide(way[0], row) for row in rows) + late + 0.5 * np.hypot(steps[:, 0], steps[:, 1])
+        flat = np.full((len(way), 2), [0.5 * (low + high), 0.5 * (high - low)])
+        return np.ascontiguousarray(np.column_stack([middle[:, :2], flat[:, 0], across, flat[:, 1]]))
 
     def _begin(self, state: SiteState, measurement: Measurement, sent: Command) -> None:
         """At first, or after somebody else flew: nothing is committed, rotors turn as the accelerometer says; what was

@@ -35,40 +35,44 @@ import numpy as np
 from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import UNBOUNDED, GovernorTerms, within
 from flightstack.model import Limits, Model
-from flightstack.rows import VEL_N, WAY_RADIUS
+from flightstack.rows import ACC_E, ACC_N, VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.approach import JERK_MOST_MPS3
-from flightstack.site.swing import Held
+from flightstack.site.law import led_lags
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
 from flightstack.site.tube import LoopBounds, Tube, across, along
 from flightstack.site.turning import Turning, turning
+from flightstack.site.worst import Held, Loop, course_of, worst
 from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
 
 MODEL_ACROSS_MPS2, MODEL_ALONG_MPS2 = 0.15, 0.15
 """Set, not derived, and no bound: `benchmarks.fence_model` measures up to 0.18 and 0.9, and more of one vehicle."""
-_OVER, _DEMAND = 1.05, 1.5
+_OVER, _DEMAND, _SPARE = 1.05, 1.5, 1.6
 _UP_SHARE, _UP_MOST = 0.3, 3.0
 _DOWN_SHARE, _DOWN_LEAST, _DOWN_MOST = 0.4, 0.5, 2.0
-_ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 6.0, 0.08
+_ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 7.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
-_SNAP_SHARE, _CALM_SHARE, _SLOW_SHARE, _SLOW = 0.6, 0.85, 0.4, 1.13
-"""Of the fastest rates and of the snap that is sure, what the way out takes itself: more where the force is known to be
-small (with 0.85 a force that turned when the way began left one), less where a force at rest swings the vehicle further
-than the linear tube says, as it needs the rest to be kept to (so much more: _SLOW)."""
+_EASE, _WAY, _WAY_CALM = 0.8, (0.2, 0.4, 1.6, 0.65), (0.35, 0.85, 2.0, 0.8)
+"""Of the fastest rates, and of the snap that is sure, what the way out takes itself: less where it is slow, or leans out
+of the brake, as following it needs the rest; of what that snap does in the time that the speed lasts, the lean out of
+the brake; how fast braking fades at last."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
 _LED_S = 0.09
-_SMOOTH_M = 0.1
+SMOOTH_M = 0.1
 _SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
-_FADES_PS = tuple(2.5 - 0.1 * k for k in range(18))
-_TURNED_BACK = 0.1
-"""Of the speed that was stopped from; set: at 2.5 / s quad-x turns back by 0.025 of it, slow 5 kg by 0.46."""
+_POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
+_RESTING_S, _ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
+_LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 1.7, 1.7), (0.0, 3.0, 0.0), (2.0, -3.0, 0.0))
+_MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.0, 4.0, 0.0), (3.0, 0.0, 4.0))
+"""Of ways whose worst is searched for, with little motion at first and with any other: speed north, lean north, east."""
+_MOMENTS, _STILL_S = tuple(0.12 + 0.07 * k for k in range(10)), 2.5
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
 _LATE_S = 0.01
 _STEER_PS = 6.5
@@ -167,18 +171,17 @@ class StoppingCertificate:
     @property
     def kept_m(self) -> float:
         """Distance that a reference keeps: the tube at rest and what smoothness needs."""
-        return self.radius_m + 1.5 * _SMOOTH_M
+        return self.radius_m + 1.5 * SMOOTH_M
 
     @property
     def snap_mps4(self) -> float:
         """How fast jerk can change with the torque that the governor lets through."""
         return self.turning.snap_mps4
 
-    def tubes(self) -> F64:
-        """(2, b.STEPS, 2) radius and half height after each step of a way: before the gain was read, and after."""
-        at = np.minimum((np.arange(b.STEPS) + 1) * round(b.STEP_S / TUBE_STEP_S), len(self.across.radius_m) - 1)
-        one, two, first = (each.radius_m[at] for each in (self.across, self.along, self.along_first))
-        return np.stack([np.stack([one, first], axis=1), np.stack([one, two], axis=1)])
+    def halves(self) -> F64:
+        """(2, b.STEPS) half height of the tube after each step of a way: before the gain was read, and after."""
+        at = np.minimum((np.arange(b.STEPS) + 1) * round(b.STEP_S / TUBE_STEP_S), len(self.along.radius_m) - 1)
+        return np.stack([each.radius_m[at] for each in (self.along_first, self.along)])
 
     def row_of(self, gain_low: float) -> int:
         """The row for a least gain, rounded down."""
@@ -189,7 +192,7 @@ class StoppingCertificate:
         start = np.zeros(b.ROW)
         start[VEL_N] = speed_mps
         points, way = np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
-        count = b.roll(start, self.rows[self.row_of(gain_low)], self.tubes()[1], points, way)
+        count = b.roll(start, self.rows[self.row_of(gain_low)], self.halves()[1], points, way)
         return float(np.max(way[:count, 0] + way[:count, WAY_RADIUS])) if count else math.inf
 
 
@@ -231,14 +234,21 @@ def stopping(
     lag_along = slower * model.motor_lag_s + held_s + 0.01
     down = _down(vehicle, prior, governor, least)
     lean_most = _authority(gain_low * high, force, hardest, (down, limits))[2]
-    held = Held(turn.sure_mps4, lean_most, turn.rate_radps * G, _stepped(ledger, told))
-    tubes, linear = (across(lags_across, doubts[0], held), along(lag_along, doubts[1])), across(lags_across, doubts[0])
-    is_slow = tubes[0].radius_m[-1] > _SLOW * linear.radius_m[-1]
-    share = _CALM_SHARE if prior.force_g <= _CALM_G else _SNAP_SHARE
-    turn = turn._replace(way_mps4=(_SLOW_SHARE if is_slow else share) * turn.sure_mps4)
+    held = Held(
+        turn.sure_mps4,
+        lean_most,
+        min(turn.rate_radps, b.FASTEST * _JERK_RADPS) * G,
+        _stepped(ledger, told),
+        *doubts[0][1:],
+    )
+    tubes = _resting(lags_across, doubts[0], held), along(lag_along, doubts[1])
+    slow, fast, *eased = _WAY_CALM if prior.force_g <= _CALM_G else _WAY
+    turn = turn._replace(way_mps4=slow * turn.sure_mps4, way_fast_mps4=fast * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    rows, soft = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told)
+    rows = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told, (held, *eased))
+    tubes = _searched(rows, tubes[0], held, lags_across), tubes[1]
+    soft = _softness(rows, tubes[1], turn)
     chain, response = _answer(model, limits, turn.lag_s)
     made = StoppingCertificate(
         prior, ledger, *tubes, first, rows, soft, chain, response, governor,
@@ -253,8 +263,8 @@ def stopping(
             f"{prior.mass_high * (1.0 + prior.force_g):.2f}: nothing keeps it in a site but a certificate of less mass"
         )
     for row, each in zip(made.rows, made.soft, strict=True):
-        row[b.FADE] = _fade_ps(row, made.tubes()[1])
-        each[slide.SLOW_S] = _slow_s(row, made.tubes()[1]) + _SMOOTH_LATE_S
+        each[slide.SLOW_S] = _slow_s(row, made.halves()[1]) + _SMOOTH_LATE_S
+        each[slide.SLOW_S] += (row[b.MOST_RADIUS] - row[b.REST_RADIUS]) / b.MUCH_MPS
     return made
 
 
@@ -277,30 +287,87 @@ def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: f
     return down
 
 
+def _resting(lags_s: tuple[float, float], doubts: LoopBounds, held: Held) -> Tube:
+    """The loop that is driven least far from rest: its pole is searched."""
+    still, best, least = course_of(np.zeros((1, b.ROW)), _RESTING_S[-1]), None, math.inf
+    for pole in _POLES_PS:
+        tube = across(pole, lags_s, doubts)
+        if tube is None:
+            continue
+        found = worst(Loop.of(tube.gains, lags_s), held, still, _RESTING_S, rounds=8)[0]
+        if found < least:
+            best, least = tube, found
+    assert best is not None
+    return best
+
+
+def _searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> Tube:
+    """The loop with what its ways can be left by, which the rows are told: those that brake as hard as any by the last
+    one, the others by the first one as well."""
+    loop, whole = (
+        Loop.of(tube.gains, lags_s),
+        np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1),
+    )
+    found = np.zeros((2, 2))
+    for at in [-1] if whole.all() else [-1, 0]:
+        ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
+        for i, starts in enumerate((_LITTLE, _MUCH)):
+            found[at, i] = max(found[-1, i], *(_left(rows[at], loop, ends, start) for start in starts))
+    found[:, 0] = _ROOM * np.maximum(found[:, 0], tube.radius_m[-1])
+    found[:, 1] = np.maximum(_ROOM * found[:, 1], found[:, 0])
+    rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
+    return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
+
+
+def _left(row: F64, loop: Loop, held: Held, motion: tuple[float, float, float]) -> float:
+    """How far the way from a motion can be left; 0 where there is none."""
+    start, points, way = np.zeros(b.ROW), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+    start[VEL_N], start[ACC_N], start[ACC_E] = motion
+    count = b.roll(start, row, np.zeros(b.STEPS), points, way)
+    if not count:
+        return 0.0
+    course = course_of(points[:count], _STILL_S)
+    moments = tuple(TUBE_STEP_S * len(course) * each for each in _MOMENTS)
+    most = worst(loop, held, course, moments, rounds=16)[0]
+    return most
+
+
 def _rows(
     prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], turn: Turning,
     lags_s: tuple[float, float], told: Told,
-) -> tuple[F64, F64]:  # fmt: skip
-    """`backup` and `slide` parameters for each gain of the prior, the least first; `ends`: the most thrust, and what a
+    more: tuple[Held, float, float],
+) -> F64:  # fmt: skip
+    """`backup` parameters for each gain of the prior, the least first; `ends`: the most thrust, and what a
     climb is braked by, m/s^2."""
-    rows, soft, force, (high, brake) = [], [], prior.force_g * G, ends
+    rows, force, (high, brake), (held, fade_ps, stoppable) = [], prior.force_g * G, ends, more
     gain_low, gain_high = prior.gain
     gains, down, snap, steps = tubes[0].gains, tubes[1].gains, turn.way_mps4, b.turned(*lags_s)
-    jerk = min(_JERK_RADPS, _RATE_SHARE * turn.rate_radps) * G
+    jerk, spare = min(_JERK_RADPS, _RATE_SHARE * turn.rate_radps) * G, _SPARE * (held.force_mps2 + held.rest_mps2)
     for gain in np.arange(gain_low, gain_high + 1e-9, GAIN_STEP).tolist():
         a, up, lean_most = _authority(gain * high, force, hardest, (brake, limits))
+        a = min(a, max(lean_most - spare, _ACROSS_LEAST))
+        fast_mps = max(0.5 * a * math.sqrt(4.0 * a / snap), 0.2)
         rows.append([
-            a, up, brake, jerk, snap, 2.5, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
+            a, up, brake, jerk, snap, fade_ps, 3.0, 0.06, 40.0, gains.acc_ps, gains.vel_ps2, gains.pos_ps3,
             down.vel_ps2, down.pos_ps3, lean_most, told.late * _LATE_S, lags_s[0], gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
-            told.force * _OVER * force, lags_s[1], *steps, turn.sure_mps4,
+            told.force * _OVER * force, lags_s[1], *steps, turn.sure_mps4, _EASE * snap ** (1.0 / 3.0),
+            turn.way_fast_mps4, fast_mps, sum(led_lags(*lags_s)), stoppable, 0.0, 0.0,
         ])  # fmt: skip
-        soft.append([
-            tubes[0].radius_m[-1] + _SMOOTH_M, tubes[1].radius_m[-1] + 0.5 * _SMOOTH_M, 0.0, _SMOOTH_SHARE * a,
-            _GAMMA_PS, _SMOOTH_SHARE * up, _SMOOTH_SHARE * brake,
-            min(JERK_MOST_MPS3, turn.snap_mps4 * _LED_S),
-        ])  # fmt: skip
-    return np.array(rows), np.array(soft)
+    return np.array(rows)
+
+
+def _softness(rows: F64, down: Tube, turn: Turning) -> F64:
+    """`slide` parameters of each row."""
+    jerk = min(JERK_MOST_MPS3, turn.snap_mps4 * _LED_S)
+    high = down.radius_m[-1] + 0.5 * SMOOTH_M
+    return np.array([
+        [
+            row[b.REST_RADIUS] + SMOOTH_M, high, 0.0, _SMOOTH_SHARE * row[b.ACROSS], _GAMMA_PS, _SMOOTH_SHARE * row[b.UP],
+            _SMOOTH_SHARE * row[b.DOWN], jerk,
+        ]
+        for row in rows
+    ])  # fmt: skip
 
 
 def _answer(model: Model, limits: Limits, rate_lag_s: float) -> tuple[F64, F64]:
@@ -338,20 +405,9 @@ def _authority(
     phi = np.linspace(0.0, 0.5 * math.pi, 46)
     carried = G + _OVER * force_mps2 * np.sin(phi) + up
     left = np.sqrt(np.maximum(most_mps2**2 - carried**2, 0.0)) - _DEMAND * force_mps2 * np.cos(phi)
-    a = min(max(float(left.min()), _ACROSS_LEAST), hardest_mps2)
+    a = max(float(left.min()), _ACROSS_LEAST)
     tilted = min((G - down) * math.tan(limits.tilt_max_rad), _LEAN_MPS2)
-    return a, up, min(a + _DEMAND * force_mps2, tilted)
-
-
-def _fade_ps(row: F64, tube: F64) -> float:
-    """How fast braking may fade with the speed, the fastest of some: lean that is taken back too late for the snap that
-    there is turns the way back, which costs the lean and the snap that following it needs."""
-    for fade_ps in _FADES_PS:
-        row[b.FADE] = fade_ps
-        turned = max(-float(points[:, VEL_N].min()) / speed for speed, points in _stops(row, tube))
-        if turned <= _TURNED_BACK:
-            break
-    return fade_ps
+    return min(a, hardest_mps2), up, min(a + _DEMAND * force_mps2, tilted)
 
 
 def _slow_s(row: F64, tube: F64) -> float:

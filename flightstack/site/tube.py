@@ -5,9 +5,9 @@ what is asked for with the rate loop's lag L and the rotors' T (`turning`); the 
 accelerometer shows beyond the model:
 
     p' = v,   v' = a + d + r,   a' = j,   j' = s,   tau_o o' = d - o
-    T s' = (-(k_a (a + o) + k_v (v + n_v) + k_p (p + n_p)) - j) / L - s
+    T s' = (-(k_a (a + o SEEN_SHARE) + k_v (v + n_v) + k_p (p + n_p)) - j) / L - s
 
-d is a force that the accelerometer shows (at most D), r what it does not (R); n_p and n_v are the estimate's errors, at
+with the lags that the rate's lead leaves (`law`).  Here d is a force that the accelerometer shows (at most D), r what it does not (R); n_p and n_v are the estimate's errors, at
 most eps_p and eps_v, from the first moment on (the way begins where the vehicle is believed to be).  Up and down thrust
 answers at once but for one lag.  Bounded inputs of any shape move p by at most the L1 norms of the answers,
 
@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from flightstack.site.swing import Held, radii
+from flightstack.site.law import PLACE_SHARE, SEEN_SHARE, TURN_PER_POLE, led_lags
 from flightstack.types import F64
 
 STEP_S, HORIZON_S = 0.01, 8.0
@@ -35,7 +35,6 @@ OBSERVER_S = 0.1
 """tau_o."""
 MOST_MPS2 = 9.0
 """The loop asks for no more, the estimate's errors included: thrust and lean give no more."""
-_ACROSS_POLES = tuple(0.8 + 0.2 * k for k in range(11))
 _ALONG_POLES = tuple(0.75 + 0.25 * k for k in range(18))
 
 
@@ -74,18 +73,11 @@ class Tube(NamedTuple):
     """Greatest error of velocity."""
 
 
-def across(lags_s: tuple[float, float], doubts: LoopBounds, held: Held | None = None) -> Tube:
-    """The lateral loop with the least tube that asks for no more than there is: the triple pole for it is searched;
-    lags_s: L and T; held: what it swings by (`swing`) counts as well."""
-    tubes = [of_gains(Gains(3.0 * pole, 3.0 * pole**2, pole**3), lags_s, doubts) for pole in _ACROSS_POLES]
-    if held is None:
-        return _best(tubes)
-    rest, found = (doubts.rest_mps2, doubts.eps_p_m, doubts.eps_v_mps), []
-    for tube in tubes:
-        if tube is not None:
-            swung = radii(tube.gains.acc_ps / 3.0, lags_s, held, rest, len(tube.radius_m))
-            found.append(tube._replace(radius_m=np.maximum(tube.radius_m, swung)))
-    return _best(list(found))
+def across(pole_ps: float, lags_s: tuple[float, float], doubts: LoopBounds) -> Tube | None:
+    """The lateral loop of a pole (`law`); lags_s: L and T, without the lead; None where it does not settle."""
+    turn_ps = TURN_PER_POLE * pole_ps
+    gains = Gains(turn_ps, turn_ps * pole_ps, turn_ps * PLACE_SHARE * pole_ps**2)
+    return of_gains(gains, led_lags(*lags_s), doubts)
 
 
 def along(lag_s: float, doubts: LoopBounds) -> Tube:
@@ -99,11 +91,11 @@ def of_gains(gains: Gains, lags_s: tuple[float, float], doubts: LoopBounds) -> T
     if gains.acc_ps > 0.0:
         matrix = np.zeros((6, 6))
         matrix[[0, 1, 2, _JERK], [1, 2, _JERK, _SNAP]] = 1.0
-        asked = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, 0.0, -gains.acc_ps])
+        asked = np.array([-gains.pos_ps3, -gains.vel_ps2, -gains.acc_ps, -1.0, 0.0, -SEEN_SHARE * gains.acc_ps])
         matrix[_SNAP] = asked / (lag_s * rotors_s)
         matrix[_SNAP, _SNAP] = -1.0 / rotors_s
         matrix[_SEEN, _SEEN] = -1.0 / OBSERVER_S
-        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, 0.0, gains.acc_ps]) / gains.acc_ps
+        demand = np.array([gains.pos_ps3, gains.vel_ps2, 0.0, 0.0, 0.0, SEEN_SHARE * gains.acc_ps]) / gains.acc_ps
     else:
         matrix = np.zeros((4, 4))
         matrix[[0, 1], [1, 2]] = 1.0

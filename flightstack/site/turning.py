@@ -55,7 +55,8 @@ class Turning(NamedTuple):
     rate_radps: float
     """The fastest that is let through."""
     way_mps4: float = 0.0
-    """What of it the way out takes."""
+    """What of it the way out takes; and while it is fast."""
+    way_fast_mps4: float = 0.0
 
 
 def turning(vehicle: Vehicle, model: Model, governor: GovernorTerms, limits: Limits) -> Turning:

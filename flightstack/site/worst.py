@@ -1,11 +1,11 @@
-"""The force that drives the loop of a way out furthest from it: a search of the model, along its gradient.
+"""How far a way out can be left: the loop that follows it, driven to its worst along its gradient.
 
-The loop north and east as `flightstack.site.backup.follow` closes it, with the snap that is sure (cut as the governor
-cuts it), the lean that thrust has, the rates that are let through and the lags of `flightstack.site.turning`.  The
-force, what no sensor shows of it and the errors of the estimate are vectors of any course within their bounds.  The
-distance from the way at some moment is driven up: a run, its adjoint, each input towards its bound where the adjoint
-points, again and again from some first courses.  For a linear loop that ends at the worst there is; for this one at the
-worst that was found.  Compiled.
+The loop north and east as `backup.follow` closes it, with the snap that is sure (cut as the governor cuts it), the lean
+that thrust has, the rates that are let through and the lags of `turning`.  The force, what no sensor shows of it and
+the errors of the estimate are vectors of any course within their bounds.  The distance from the way, the nearest of all
+its places, is driven up at some moments: a run, its adjoint, each input towards its bound where the adjoint points,
+again and again from some first courses.  For a linear loop that ends at the worst there is; for this one at the worst
+that was found.  Compiled.
 """
 
 from __future__ import annotations
@@ -18,15 +18,14 @@ import numpy as np
 from flightstack.jit import njit, njit_called
 from flightstack.rows import ACC_E, ACC_N, VEL_E, VEL_N
 from flightstack.site import backup as b
-from flightstack.site.swing import asked, turn_towards
+from flightstack.site.law import SEEN_SHARE, asked, led_lags, snap_asked, turn_towards
 from flightstack.site.tube import OBSERVER_S
 from flightstack.types import F64
 
 STEP_S = 0.01
-_STARTS, _ROUNDS = 6, 30
+STARTS = 6
 _LEAST_SHARE, _LESS, _GAIN = 0.02, 0.4, 1.002
-"""First courses and steps of each; of a step to the bounds, the least that is tried, and how fast it shrinks; what a
-step has to gain to go on."""
+"""Of a step to the bounds, the least that is tried, and how fast it shrinks; what a step has to gain to go on."""
 _STATE = 12
 """Place, velocity, lean, its rate, its snap, what the observer saw: north and east of each."""
 _P, _V, _A, _J, _S, _O = range(0, _STATE, 2)
@@ -38,50 +37,61 @@ _STILL_S = 2.0
 
 
 class Held(NamedTuple):
-    """What the loop has to turn with, and against what; as `flightstack.site.swing.Held`, with the other doubts."""
+    """What the loop has to turn with, and against what."""
 
     snap_mps4: float
+    """`Turning.sure_mps4`."""
     lean_mps2: float
     fastest_mps3: float
+    """Turning that is let through."""
     force_mps2: float
+    """Half of the greatest step of force, as an acceleration."""
     rest_mps2: float
     eps_p_m: float
     eps_v_mps: float
 
 
 class Loop(NamedTuple):
-    """Of the feedback."""
+    """Of the feedback, and its lags."""
 
-    pole_ps: float
+    vel_ps: float
+    """Lean by speed; and by place."""
+    pos_ps2: float
+    turn_ps: float
     lag_s: float
     rotors_s: float
+    late_s: float
+
+    @classmethod
+    def of(cls, gains: tuple[float, float, float], lags_s: tuple[float, float]) -> Loop:
+        """`tube.Gains` and `Turning`'s lags."""
+        acc_ps, vel_ps2, pos_ps3 = gains
+        return cls(vel_ps2 / acc_ps, pos_ps3 / acc_ps, acc_ps, *lags_s, sum(led_lags(*lags_s)))
 
 
 @njit
 def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None:
     """What the snap goes to, (2,), within what there is."""
-    pole, late = loop[0], loop[1] + loop[2]
+    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]
     snap, lean, fastest = held[0], held[1], held[2]
-    north = pole * (at[2] - x[_V] - u[6]) + pole * pole / 3.0 * (at[0] - x[_P] - u[4])
-    east = pole * (at[3] - x[_V + 1] - u[7]) + pole * pole / 3.0 * (at[1] - x[_P + 1] - u[5])
-    share = asked(math.sqrt(north * north + east * east), pole, snap)
-    north, east = at[4] + share * north - x[_O], at[5] + share * east - x[_O + 1]
+    north = vel_ps * (at[2] - x[_V] - u[6]) + pos_ps2 * (at[0] - x[_P] - u[4])
+    east = vel_ps * (at[3] - x[_V + 1] - u[7]) + pos_ps2 * (at[1] - x[_P + 1] - u[5])
+    share = asked(math.sqrt(north * north + east * east), vel_ps, snap)
+    north, east = at[4] + share * north - SEEN_SHARE * x[_O], at[5] + share * east - SEEN_SHARE * x[_O + 1]
     cut = min(1.0, lean / max(math.sqrt(north * north + east * east), 1e-9))
     north, east = cut * north - x[_A], cut * east - x[_A + 1]
     short = max(math.sqrt(north * north + east * east), 1e-9)
-    turn = min(turn_towards(short, pole, snap, late), fastest) / short
-    north, east = (at[6] + turn * north - x[_J]) / loop[1], (at[7] + turn * east - x[_J + 1]) / loop[1]
-    less = min(abs(north), abs(east))
-    if north * north + east * east > snap * snap:  # as the governor: each by the same size
-        most = max(snap / math.sqrt(2.0), math.sqrt(max(snap * snap - less * less, 0.0)))
-        north, east = min(max(north, -most), most), min(max(east, -most), most)
+    turn = min(turn_towards(short, turn_ps, snap, late), fastest) / short
+    north, east = snap_asked(
+        (at[6] + turn * north, at[7] + turn * east), (x[_J], x[_J + 1]), (x[_S], x[_S + 1]), snap, (lag, rotors)
+    )
     out[0], out[1] = north, east
 
 
 @njit
 def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
     """From states[0] on, in steps of STEP_S."""
-    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[2])
+    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[4])
     for k in range(len(inputs)):
         x, y, u = states[k], states[k + 1], inputs[k]
         _snap_asked(x, u, way[k], loop, held, snap)
@@ -98,7 +108,7 @@ def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
 def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F64, uphill: F64) -> F64:
     """The gradient of the place along `toward` (2,) after the last row of `uphill`, by each input there into it (n, 8),
     and by the first state, returned (12,): backwards in time."""
-    follows, seen = 1.0 - math.exp(-STEP_S / loop[2]), STEP_S / OBSERVER_S
+    follows, seen = 1.0 - math.exp(-STEP_S / loop[4]), STEP_S / OBSERVER_S
     g, here, there, at = np.zeros(_STATE), np.empty(2), np.empty(2), np.empty(_STATE)
     g[_P], g[_P + 1] = toward[0], toward[1]
     by_snap = np.empty(2)
@@ -116,8 +126,6 @@ def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F
             g[_O + i] *= 1.0 - seen
         at[:] = x
         for i in range(_STATE):
-            if i == _S or i == _S + 1:
-                continue
             at[i] = x[i] + _SMALL
             _snap_asked(at, u, way[k], loop, held, there)
             at[i] = x[i]
@@ -165,25 +173,28 @@ def _course(kind: int, drawn: F64, steps: int, most: F64, inputs: F64, first: F6
 
 @njit
 def _away(
-    way: F64, inputs: F64, first: F64, here: F64, loop: F64, held: F64, states: F64, toward: F64
+    way: F64, places: F64, inputs: F64, first: F64, here: F64, loop: F64, held: F64, states: F64, toward: F64
 ) -> float:  # fmt: skip
-    """How far from the way a course ends, and which way, into `toward` (2,)."""
+    """How far from all of some places a course ends, and which way, into `toward` (2,)."""
     last = len(inputs)
     _begin(way, first, here, states[0])
     _run(way, inputs, loop, held, states)
-    for i in range(2):
-        toward[i] = states[last, i] - way[min(last, len(way) - 1), i]
-    away = math.sqrt(toward[0] ** 2 + toward[1] ** 2)
+    n, e, nearest = states[last, 0], states[last, 1], np.inf
+    for k in range(len(places)):
+        away = (n - places[k, 0]) ** 2 + (e - places[k, 1]) ** 2
+        if away < nearest:
+            nearest, toward[0], toward[1] = away, n - places[k, 0], e - places[k, 1]
+    away = math.sqrt(nearest)
     for i in range(2):
         toward[i] /= max(away, 1e-9)
     return away
 
 
 @njit_called
-def swing(
-    way: F64, loop: F64, held: F64, here: F64, steps: F64, drawn: F64, out: F64, course: F64
+def search(
+    way: F64, places: F64, loop: F64, held: F64, here: F64, steps: F64, rounds: int, drawn: F64, out: F64, course: F64
 ) -> None:  # fmt: skip
-    """The greatest distance from a way that is found at each of some steps, into `out`; drawn (steps, first courses,
+    """The greatest distance from places (n, 2) of a way that is found at each of some steps, into `out`; drawn (steps, first courses,
     2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
 
     way (n, 8): place, velocity, acceleration, rate of turning asked for (north and east of each)."""
@@ -193,13 +204,14 @@ def swing(
     first, ends, begun = np.zeros(6), np.zeros(6), np.zeros(6)
     for m in range(len(steps)):
         last = int(steps[m])
-        for kind in range(_STARTS):
+        for kind in range(drawn.shape[1]):
             _course(kind, drawn[m, kind], last, most, inputs, first)
-            away, share = _away(way, inputs[:last], first, here, loop, held, states, best), 0.0
-            for _ in range(_ROUNDS):
+            away, share = _away(way, places, inputs[:last], first, here, loop, held, states, best), 0.0
+            for _ in range(rounds):
                 if share < _LEAST_SHARE:  # uphill from here
                     if share > 0.0:
                         break
+                    _away(way, places, inputs[:last], first, here, loop, held, states, best)
                     g = _climbed(way, inputs, loop, held, states, best, bounds[:last])
                     for k in range(last):
                         for at in range(0, _INPUTS, 2):
@@ -210,10 +222,10 @@ def swing(
                     share = 1.0
                 tried[:last] = (1.0 - share) * inputs[:last] + share * bounds[:last]
                 begun[:] = (1.0 - share) * first + share * ends
-                found = _away(way, tried[:last], begun, here, loop, held, states, toward)
+                found = _away(way, places, tried[:last], begun, here, loop, held, states, toward)
                 if found > away:
                     is_done = found < _GAIN * away
-                    away, share, best[:] = found, 0.0, toward
+                    away, share = found, 0.0
                     inputs[:last], first[:] = tried[:last], begun
                     if is_done:
                         break
@@ -224,20 +236,26 @@ def swing(
                 course[:last] = inputs[:last]
 
 
-def course_of(points: F64) -> F64:
-    """(n, 8) of `swing`: a way out (`backup.roll`), at rest at its end."""
+def course_of(points: F64, still_s: float = _STILL_S) -> F64:
+    """(n, 8) of `search`: a way out (`backup.roll`), at rest at its end for a while."""
     t = np.arange(0.0, b.STEP_S * (len(points) - 1) + 1e-9, STEP_S)
     columns, at = [0, 1, VEL_N, VEL_E, ACC_N, ACC_E, 11, 12], b.STEP_S * np.arange(len(points))
     way: F64 = np.stack([np.interp(t, at, points[:, column]) for column in columns], axis=1)
     still = np.concatenate([way[-1, :2], np.zeros(6)])
-    return np.vstack([way, np.tile(still, (round(_STILL_S / STEP_S), 1))])
+    return np.vstack([way, np.tile(still, (round(still_s / STEP_S), 1))])
 
 
-def worst(loop: Loop, held: Held, way: F64, until_s: float, here: F64 | None = None) -> tuple[float, F64]:
-    """How far from a way (n, 8) it is driven by then, and (k, 2) the force that does it, m/s^2, in steps of STEP_S;
-    from a state (12,), else from the worst one at the way's beginning."""
+def worst(
+    loop: Loop, held: Held, way: F64, until_s: tuple[float, ...], rounds: int = 30, here: F64 | None = None,
+    gone: int = 0,
+) -> tuple[float, F64]:  # fmt: skip
+    """How far from a way (n, 8) it is driven by one of some moments, and (k, 2) the force that does it at the last,
+    m/s^2, in steps of STEP_S; from the worst state at the way's beginning, else from a state (12,) after `gone` steps.
+    """
+    places, way = way[:, :2].copy(), way[gone:]
     here = np.full(_STATE, np.nan) if here is None else here
-    steps, found = np.array([min(float(round(until_s / STEP_S)), float(len(way)))]), np.zeros(1)
-    drawn, course = np.random.default_rng(1).uniform(size=(1, _STARTS, 2)), np.zeros((len(way), _INPUTS))
-    swing(way, np.array(loop), np.array(held), here, steps, drawn, found, course)
-    return float(found[0]), course[: int(steps[0]), :2]
+    steps = np.minimum(np.round(np.array(until_s) / STEP_S), float(len(way) - 1))
+    found, course = np.zeros(len(steps)), np.zeros((len(way), _INPUTS))
+    drawn = np.random.default_rng(1).uniform(size=(len(steps), STARTS, 2))
+    search(way, places, np.array(loop), np.array(held), here, steps, rounds, drawn, found, course)
+    return float(found.max()), course[: int(steps[-1]), :2]
