@@ -1,5 +1,5 @@
 """The force that knows the loop: against the velocity, and while a way out is followed the course that a search of the
-model's loop (`flightstack.site.worst`) finds to drive it furthest from that way, from the true state on, anew every 0.2 s."""
+model's loop (`flightstack.site.worst`) finds to drive it furthest from that way, from the true state, every 0.2 s."""
 
 from __future__ import annotations
 

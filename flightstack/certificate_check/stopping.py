@@ -1,10 +1,10 @@
 """Certificates of a stop (`flightstack.stopping/3`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
-+ k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j, lag a' = -(k_v (v + n_v)
-+ k_p (p + n_p) + o) - a.  The answers to each input are integrated by Runge and Kutta's rule; the sum of their absolute
-areas, each times its bound, is the least radius that may be claimed.  So is what the ways out are left by where turning
-is bounded (`left`).
++ k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j,
+lag a' = -(k_v (v + n_v) + k_p (p + n_p) + o) - a.  The answers to each input are integrated by Runge and Kutta's rule;
+the sum of their absolute areas, each times its bound, is the least radius that may be claimed.  So is what the ways out
+are left by where turning is bounded (`left`).
 """
 
 from __future__ import annotations

@@ -52,14 +52,16 @@ that is asked for (2), snap across (2); across, acceleration is that of the lean
 carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
-    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST, LATE_LED_S, STOPPABLE, REST_RADIUS,
-    MOST_RADIUS, PARAMETERS,
+    POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST,
+    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PARAMETERS,
 ) = *range(23), *range(26, 35)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
 lean on the way, m/s^2; of thrust what is kept for the force, m/s^2; what the rotors' lag makes later, s; and
-how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`."""
+how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`.  Of the lean
+out of the brake its size for a speed of 1 m/s; the snap of a way that is faster than a speed, and that speed; lags with
+the lead (`law`); of the turning that can be stopped, the share that is used; radii of the tube (`wide`)."""
 _ASKED_N, _ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
@@ -67,7 +69,7 @@ LITTLE_MPS, MUCH_MPS, LEANT_S = 2.0, 4.0, 0.4
 """Motion of a way's beginning (speed, and what its lean adds in that time) with which it is left by no more than one
 from rest, and from which on by the most."""
 FASTEST, STOP_SHARE = 2.0, 0.75
-"""Turning while a way is followed, by its own greatest; of the snap, what stops turning that is faster than the way's."""
+"""Turning while a way is followed, by its own greatest; of the snap, what stops turning faster than the way's."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
 _LEAST_UPRIGHT = 0.3
 
@@ -83,7 +85,7 @@ def turned(lag_s: float, rotors_s: float) -> list[float]:
 def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
     """The way out from a point (ROW,): into `points` (STEPS, ROW) and the discs of `way` (STEPS, 5); how many, or 0.
 
-    half (STEPS,): half height of the tube after each step.  0: it does not come to rest in time, or leans too far on the way.
+    half (STEPS,): half height of the tube after each step.  0: it does not come to rest in time, or leans too far.
     """
     x = start.copy()
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D])

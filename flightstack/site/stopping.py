@@ -35,15 +35,16 @@ import numpy as np
 from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.torque import UNBOUNDED, GovernorTerms, within
 from flightstack.model import Limits, Model
-from flightstack.rows import ACC_E, ACC_N, VEL_N, WAY_RADIUS
+from flightstack.rows import VEL_N, WAY_RADIUS
 from flightstack.site import backup as b
 from flightstack.site import slide
 from flightstack.site.approach import JERK_MOST_MPS3
 from flightstack.site.law import led_lags
+from flightstack.site.radii import resting, searched
 from flightstack.site.tube import STEP_S as TUBE_STEP_S
-from flightstack.site.tube import LoopBounds, Tube, across, along
+from flightstack.site.tube import LoopBounds, Tube, along
 from flightstack.site.turning import Turning, turning
-from flightstack.site.worst import Held, Loop, course_of, worst
+from flightstack.site.worst import Held
 from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.vehicle import Vehicle
@@ -58,21 +59,17 @@ _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 7.0, 0.08
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
 _EASE, _WAY, _WAY_CALM = 0.8, (0.2, 0.4, 1.6, 0.65), (0.35, 0.85, 2.0, 0.8)
-"""Of the fastest rates, and of the snap that is sure, what the way out takes itself: less where it is slow, or leans out
-of the brake, as following it needs the rest; of what that snap does in the time that the speed lasts, the lean out of
-the brake; how fast braking fades at last."""
+"""Of the fastest rates, what the way out takes itself; of what its snap does in the time that the speed lasts, the lean
+out of the brake; of the snap that is sure, what a slow and a fast way take, as following it needs the rest; how fast
+braking fades at last, and of the turning that can be stopped, the share that is used."""
 _LEAN_MPS2 = 8.5
 _TILT_ROOM_RAD = math.radians(5.0)
 _SWING_MPS2, _SWING_LAG_S = 8.5, 0.025
-_LED_S = 0.09
+_LED_S, _LED_PS, _LED_MPS2 = 0.09, 3.0, 0.75
+"""Jerk of a reference that is led: by the snap that there is, by the braking that is left, and by what lean falls
+behind with the rates' lag."""
 SMOOTH_M = 0.1
 _SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
-_POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
-_RESTING_S, _ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
-_LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 1.7, 1.7), (0.0, 3.0, 0.0), (2.0, -3.0, 0.0))
-_MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.0, 4.0, 0.0), (3.0, 0.0, 4.0))
-"""Of ways whose worst is searched for, with little motion at first and with any other: speed north, lean north, east."""
-_MOMENTS, _STILL_S = tuple(0.12 + 0.07 * k for k in range(10)), 2.5
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
 _LATE_S = 0.01
 _STEER_PS = 6.5
@@ -241,13 +238,13 @@ def stopping(
         _stepped(ledger, told),
         *doubts[0][1:],
     )
-    tubes = _resting(lags_across, doubts[0], held), along(lag_along, doubts[1])
+    tubes = resting(lags_across, doubts[0], held), along(lag_along, doubts[1])
     slow, fast, *eased = _WAY_CALM if prior.force_g <= _CALM_G else _WAY
     turn = turn._replace(way_mps4=slow * turn.sure_mps4, way_fast_mps4=fast * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
     rows = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told, (held, *eased))
-    tubes = _searched(rows, tubes[0], held, lags_across), tubes[1]
+    tubes = searched(rows, tubes[0], held, lags_across), tubes[1]
     soft = _softness(rows, tubes[1], turn)
     chain, response = _answer(model, limits, turn.lag_s)
     made = StoppingCertificate(
@@ -287,51 +284,6 @@ def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: f
     return down
 
 
-def _resting(lags_s: tuple[float, float], doubts: LoopBounds, held: Held) -> Tube:
-    """The loop that is driven least far from rest: its pole is searched."""
-    still, best, least = course_of(np.zeros((1, b.ROW)), _RESTING_S[-1]), None, math.inf
-    for pole in _POLES_PS:
-        tube = across(pole, lags_s, doubts)
-        if tube is None:
-            continue
-        found = worst(Loop.of(tube.gains, lags_s), held, still, _RESTING_S, rounds=8)[0]
-        if found < least:
-            best, least = tube, found
-    assert best is not None
-    return best
-
-
-def _searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> Tube:
-    """The loop with what its ways can be left by, which the rows are told: those that brake as hard as any by the last
-    one, the others by the first one as well."""
-    loop, whole = (
-        Loop.of(tube.gains, lags_s),
-        np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1),
-    )
-    found = np.zeros((2, 2))
-    for at in [-1] if whole.all() else [-1, 0]:
-        ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
-        for i, starts in enumerate((_LITTLE, _MUCH)):
-            found[at, i] = max(found[-1, i], *(_left(rows[at], loop, ends, start) for start in starts))
-    found[:, 0] = _ROOM * np.maximum(found[:, 0], tube.radius_m[-1])
-    found[:, 1] = np.maximum(_ROOM * found[:, 1], found[:, 0])
-    rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
-    return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
-
-
-def _left(row: F64, loop: Loop, held: Held, motion: tuple[float, float, float]) -> float:
-    """How far the way from a motion can be left; 0 where there is none."""
-    start, points, way = np.zeros(b.ROW), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
-    start[VEL_N], start[ACC_N], start[ACC_E] = motion
-    count = b.roll(start, row, np.zeros(b.STEPS), points, way)
-    if not count:
-        return 0.0
-    course = course_of(points[:count], _STILL_S)
-    moments = tuple(TUBE_STEP_S * len(course) * each for each in _MOMENTS)
-    most = worst(loop, held, course, moments, rounds=16)[0]
-    return most
-
-
 def _rows(
     prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], turn: Turning,
     lags_s: tuple[float, float], told: Told,
@@ -359,12 +311,12 @@ def _rows(
 
 def _softness(rows: F64, down: Tube, turn: Turning) -> F64:
     """`slide` parameters of each row."""
-    jerk = min(JERK_MOST_MPS3, turn.snap_mps4 * _LED_S)
-    high = down.radius_m[-1] + 0.5 * SMOOTH_M
+    high, late_s = down.radius_m[-1] + 0.5 * SMOOTH_M, turn.lag_s + turn.rotors_s
+    jerk = min(JERK_MOST_MPS3, turn.snap_mps4 * _LED_S, _LED_MPS2 / late_s)
     return np.array([
         [
-            row[b.REST_RADIUS] + SMOOTH_M, high, 0.0, _SMOOTH_SHARE * row[b.ACROSS], _GAMMA_PS, _SMOOTH_SHARE * row[b.UP],
-            _SMOOTH_SHARE * row[b.DOWN], jerk,
+            row[b.REST_RADIUS] + SMOOTH_M, high, 0.0, _SMOOTH_SHARE * row[b.ACROSS], _GAMMA_PS,
+            _SMOOTH_SHARE * row[b.UP], _SMOOTH_SHARE * row[b.DOWN], min(jerk, _LED_PS * row[b.ACROSS]),
         ]
         for row in rows
     ])  # fmt: skip

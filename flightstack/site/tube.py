@@ -7,9 +7,10 @@ accelerometer shows beyond the model:
     p' = v,   v' = a + d + r,   a' = j,   j' = s,   tau_o o' = d - o
     T s' = (-(k_a (a + o SEEN_SHARE) + k_v (v + n_v) + k_p (p + n_p)) - j) / L - s
 
-with the lags that the rate's lead leaves (`law`).  Here d is a force that the accelerometer shows (at most D), r what it does not (R); n_p and n_v are the estimate's errors, at
-most eps_p and eps_v, from the first moment on (the way begins where the vehicle is believed to be).  Up and down thrust
-answers at once but for one lag.  Bounded inputs of any shape move p by at most the L1 norms of the answers,
+with the lags that the rate's lead leaves (`law`).  Here d is a force that the accelerometer shows (at most D), r what
+it does not (R); n_p and n_v are the estimate's errors, at most eps_p and eps_v, from the first moment on (the way
+begins where the vehicle is believed to be).  Up and down thrust answers at once but for one lag.  Bounded inputs of any
+shape move p by at most the L1 norms of the answers,
 
     |p(t)| <= D int |g_d| + R int |g_r| + eps_p (|x_p(t)| + int |g_p|) + eps_v (|x_v(t)| + int |g_v|)
 

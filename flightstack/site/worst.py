@@ -194,8 +194,8 @@ def _away(
 def search(
     way: F64, places: F64, loop: F64, held: F64, here: F64, steps: F64, rounds: int, drawn: F64, out: F64, course: F64
 ) -> None:  # fmt: skip
-    """The greatest distance from places (n, 2) of a way that is found at each of some steps, into `out`; drawn (steps, first courses,
-    2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
+    """The greatest distance from places (n, 2) of a way that is found at each of some steps, into `out`; drawn (steps,
+    first courses, 2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
 
     way (n, 8): place, velocity, acceleration, rate of turning asked for (north and east of each)."""
     n, most = len(way), held[3:7]

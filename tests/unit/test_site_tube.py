@@ -10,25 +10,36 @@ from flightstack.types import F64
 
 LAG_S, ROTORS_S = 0.06, 0.03
 LAGS_S = LAG_S, ROTORS_S
+LEAD_S, POLE_PS = 0.05, 2.2
 T = np.arange(0.0, 6.0, STEP_S)
 
 
 def loop(tube: Tube) -> StateSpace:
-    """p, v, a, j, s, o, written down anew; inputs d, r, n_p, n_v."""
-    k, late = tube.gains, LAG_S * ROTORS_S
+    """p, v, a, j, s, o, written down anew; inputs d, r, n_p, n_v.  The rate that is asked for leads by LEAD_S:
+    T s' = (1 + LEAD_S / L) (c - j) / L - (LEAD_S T / L^2 + 1) s; of the force that is seen 0.85 is leant against."""
+    k, lead = tube.gains, (1.0 + LEAD_S / LAG_S) / (LAG_S * ROTORS_S)
+    asked = [-k.pos_ps3, -k.vel_ps2, -k.acc_ps, -1.0, 0.0, -0.85 * k.acc_ps]
+    snap = [lead * each for each in asked]
+    snap[4] = -LEAD_S / LAG_S**2 - 1.0 / ROTORS_S
     a = np.array([
         [0, 1, 0, 0, 0, 0],
         [0, 0, 1, 0, 0, 0],
         [0, 0, 0, 1, 0, 0],
         [0, 0, 0, 0, 1, 0],
-        [-k.pos_ps3 / late, -k.vel_ps2 / late, -k.acc_ps / late, -1 / late, -1 / ROTORS_S, -k.acc_ps / late],
+        snap,
         [0, 0, 0, 0, 0, -1 / OBSERVER_S],
     ])  # fmt: skip
-    asked, none = [0, 0, -k.pos_ps3 / late, -k.vel_ps2 / late], [0, 0, 0, 0]
+    none = [0, 0, 0, 0]
     b = np.array([
-        none, [1, 1, 0, 0], none, none, asked, [1 / OBSERVER_S, 0, 0, 0],
+        none, [1, 1, 0, 0], none, none, [0, 0, *snap[:2]], [1 / OBSERVER_S, 0, 0, 0],
     ])  # fmt: skip
     return StateSpace(a, b, np.eye(1, 6), np.zeros((1, 4)))
+
+
+def tube_of(doubts: LoopBounds) -> Tube:
+    tube = across(POLE_PS, LAGS_S, doubts)
+    assert tube is not None
+    return tube
 
 
 def moved(tube: Tube, inputs: F64, start: F64) -> F64:
@@ -37,7 +48,7 @@ def moved(tube: Tube, inputs: F64, start: F64) -> F64:
 
 def test_nothing_within_the_doubts_leaves_the_tube() -> None:
     doubts = LoopBounds(1.5, 0.3, 0.02, 0.05)
-    tube = across(LAGS_S, doubts)
+    tube = tube_of(doubts)
     rng = np.random.default_rng(0)
     for _ in range(60):
         held = rng.integers(1, 120)
@@ -49,7 +60,7 @@ def test_nothing_within_the_doubts_leaves_the_tube() -> None:
 def test_the_worst_disturbance_comes_to_its_rim() -> None:
     """Bang-bang by the sign of the answer, backwards in time: the bound is tight, so half of it would be broken."""
     doubts = LoopBounds(1.5, 0.0, 0.0, 0.0)
-    tube = across(LAGS_S, doubts)
+    tube = tube_of(doubts)
     pulse = np.zeros((len(T), 4))
     pulse[0, 0] = 1.0 / STEP_S
     answer = moved(tube, pulse, np.zeros(6))
@@ -62,6 +73,6 @@ def test_the_worst_disturbance_comes_to_its_rim() -> None:
 
 
 def test_less_doubt_is_a_narrower_tube() -> None:
-    wide, narrow = across(LAGS_S, LoopBounds(1.5, 0.3, 0.02, 0.05)), across(LAGS_S, LoopBounds(0.75, 0.15, 0.01, 0.025))
+    wide, narrow = tube_of(LoopBounds(1.5, 0.3, 0.02, 0.05)), tube_of(LoopBounds(0.75, 0.15, 0.01, 0.025))
     assert narrow.radius_m[-1] <= 0.55 * wide.radius_m[-1]
     assert np.all(np.diff(wide.radius_m) >= 0.0)

@@ -1,0 +1,66 @@
+"""How wide a tube is: the furthest that a search (`worst`) finds the loop driven from rest and from ways out.
+
+The loop's pole is the one that is driven least far at rest.  Ways out from some motions are searched then: those that
+begin with little motion, and any others.  Claimed is ROOM times what is found, for a search may find too little.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.rows import ACC_E, ACC_N, VEL_N
+from flightstack.site import backup as b
+from flightstack.site.tube import STEP_S, LoopBounds, Tube, across
+from flightstack.site.worst import Held, Loop, course_of, worst
+from flightstack.types import F64
+
+_POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
+_RESTING_S, ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
+_LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 1.7, 1.7), (0.0, 3.0, 0.0), (2.0, -3.0, 0.0))
+_MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.0, 4.0, 0.0), (3.0, 0.0, 4.0))
+"""Ways whose worst is searched for, with little motion at first and with more: speed north, lean north, east."""
+_MOMENTS, _STILL_S = tuple(0.12 + 0.07 * k for k in range(10)), 2.5
+
+
+def resting(lags_s: tuple[float, float], doubts: LoopBounds, held: Held) -> Tube:
+    """The loop that is driven least far from rest: its pole is searched."""
+    still, best, least = course_of(np.zeros((1, b.ROW)), _RESTING_S[-1]), None, math.inf
+    for pole in _POLES_PS:
+        tube = across(pole, lags_s, doubts)
+        if tube is None:
+            continue
+        found = worst(Loop.of(tube.gains, lags_s), held, still, _RESTING_S, rounds=8)[0]
+        if found < least:
+            best, least = tube, found
+    assert best is not None
+    return best
+
+
+def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> Tube:
+    """The loop with what its ways can be left by, which the rows are told: those that brake as hard as any by the last
+    one, the others by the first one as well."""
+    loop = Loop.of(tube.gains, lags_s)
+    whole = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
+    found = np.zeros((2, 2))
+    for at in [-1] if whole.all() else [-1, 0]:
+        ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
+        for i, starts in enumerate((_LITTLE, _MUCH)):
+            found[at, i] = max(found[-1, i], *(_left(rows[at], loop, ends, start) for start in starts))
+    found[:, 0] = ROOM * np.maximum(found[:, 0], tube.radius_m[-1])
+    found[:, 1] = np.maximum(ROOM * found[:, 1], found[:, 0])
+    rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
+    return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
+
+
+def _left(row: F64, loop: Loop, held: Held, motion: tuple[float, float, float]) -> float:
+    """How far the way from a motion can be left; 0 where there is none."""
+    start, points, way = np.zeros(b.ROW), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+    start[VEL_N], start[ACC_N], start[ACC_E] = motion
+    count = b.roll(start, row, np.zeros(b.STEPS), points, way)
+    if not count:
+        return 0.0
+    course = course_of(points[:count], _STILL_S)
+    moments = tuple(STEP_S * len(course) * each for each in _MOMENTS)
+    return worst(loop, held, course, moments, rounds=16)[0]
