@@ -8,6 +8,7 @@ in three lower, with keep-outs that stand and that hang.
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -70,11 +71,23 @@ def drawn_vehicle(seed: int) -> str:
     return vehicle_text("drawn", mass_kg, weights, arm_m, lag_s, float(rng.uniform(0.0, 1.0)), more)
 
 
-def drawn_room(seed: int) -> str:
-    """A site; one in three is low, with what stands on its floor and what hangs from its ceiling."""
+def drawn_room(seed: int, times: float = 1.0) -> str:
+    """A site; one in three is low, with what stands on its floor and what hangs from its ceiling.  `times`: as much
+    longer and wider, for a vehicle that needs more room than was drawn."""
     text, rng = drawn_site(seed), np.random.default_rng([26, seed])
-    if rng.uniform() >= _LOW_SHARE:
-        return text
+    if rng.uniform() < _LOW_SHARE:
+        text = _low(text, rng)
+
+    def longer(line: re.Match[str]) -> str:
+        places = np.array(json.loads(line[2]))
+        places[..., :2] *= times
+        return f"{line[1]}{places.round(3).tolist()}"
+
+    return re.sub(r"((?:inside|polygon|centre) = )(.*)", longer, text) if times != 1.0 else text
+
+
+def _low(text: str, rng: np.random.Generator) -> str:
+    """With a low ceiling and four blocks."""
     ceiling = rng.uniform(2.5, 4.0)
     text = re.sub(r"ceiling_m = [0-9.]+\n", f"ceiling_m = {ceiling:.2f}\n", text, count=1)
     for low, high in ((0.0, 0.6), (ceiling - 0.6, ceiling)):
@@ -101,14 +114,14 @@ def drawn_truth(seed: int, vehicle: str, folder: Path, edge_share: float = _EDGE
 
 
 def flight(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
-    """One flight of `seconds`; `kind`: a shipped vehicle, one of KINDS, or drawn."""
+    """One flight of `seconds`; `kind`: a shipped vehicle, one of KINDS, or drawn; `times`: of its room, if not 1."""
     kind = values["kind"]
     text = drawn_vehicle(seed) if kind == "drawn" else KINDS.get(kind, "")
     if text:
         (folder / "vehicle.toml").write_text(text)
     world = drawn_truth(seed, str(folder / "vehicle.toml") if text else kind, folder)
     attack = replace(drawn_attack(seed), begins_s=4.0)
-    return _flown(world, attack, seed, folder, values["seconds"])
+    return _flown(world, attack, seed, folder, values)
 
 
 def planted(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
@@ -122,16 +135,18 @@ def planted(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
     told = shares[away] if away in shares else HONEST._replace(**{away: 0.0})
     world = drawn_truth(seed, "quad-x", folder, edge_share=1.0)
     attack = replace(drawn_attack(seed), begins_s=4.0, pumps=True, errs=True)
-    row = _flown(world, attack, seed, folder, values["seconds"], told=told, unslid=not values["slid"])
+    row = _flown(world, attack, seed, folder, values, told=told, unslid=not values["slid"])
     row.pop("failure", None)  # it is looked for
     return row
 
 
-def _flown(world: World, attack: Attack, seed: int, folder: Path, seconds: float, **more: Any) -> dict[str, Any]:
+def _flown(
+    world: World, attack: Attack, seed: int, folder: Path, values: dict[str, Any], **more: Any
+) -> dict[str, Any]:
     site = folder / "site.toml"
-    site.write_text(drawn_room(seed))
+    site.write_text(drawn_room(seed, values.get("times", 1.0)))
     flown = FenceFlight(world, site, attack, **more)
-    out = flown.run(seconds)
+    out = flown.run(values["seconds"])
     row = {
         "attack": attack.kind, "errs": attack.errs, "pumps": attack.pumps, "plant": world.plant,
         "ticks": out.ticks, "engaged": out.engaged, "exits": out.exits, "first": flown.score.outside_first,

@@ -19,7 +19,7 @@ _C = NDArray[np.complex128]
 _STEP_S, _STILL_S, _OBSERVER_S, _LONGEST = 0.01, 2.5, 0.1, 768
 _ASKED_SHARE, _TURN_SHARE, _SEEN_SHARE, _LEAD_S = 0.5, 0.5, 0.85, 0.05
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
-_MOMENTS, _COURSES = (0.25, 0.35, 0.5, 0.75), ((0.0, 0.0), (0.0, 0.5), (0.5, 0.35), (0.75, 0.6))
+_MOMENTS, _COURSES = (0.19, 0.25, 0.35, 0.5, 0.72), ((0.0, 0.0), (0.0, 0.5), (0.5, 0.35), (0.75, 0.6))
 """Shares of a way's time; first courses: half turns of a direction, share of the time until the force turns round."""
 _STOP_SHARE = 0.75
 """Of the snap, what stops a turning that is faster than a way's own."""

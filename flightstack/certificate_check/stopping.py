@@ -24,7 +24,7 @@ _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
 _LEAD_S, _SEEN_SHARE = 0.05, 0.85
 _LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 0j), (2 + 0j, -3 + 0j))
-_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
+_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
 """Ways out whose worst is looked for, by speed and lean: with little motion at first, and with much."""
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""

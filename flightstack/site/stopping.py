@@ -58,7 +58,7 @@ _ACROSS_MOST, _ACROSS_MOST_CALM, _CALM_G = 4.0, 7.0, 0.08
 """Braking across, at most; and where the force is known to be small."""
 _ACROSS_LEAST, _UP_LEAST = 0.3, 0.05
 _JERK_RADPS, _RATE_SHARE = 1.6, 0.6
-_EASE, _WAY, _WAY_CALM = 0.8, (0.2, 0.4, 1.6, 0.65), (0.35, 0.85, 2.0, 0.8)
+_EASE, _WAY, _WAY_CALM = 0.8, (0.2, 0.4, 1.6, 0.65), (0.35, 0.88, 2.0, 0.82)
 """Of the fastest rates, what the way out takes itself; of what its snap does in the time that the speed lasts, the lean
 out of the brake; of the snap that is sure, what a slow and a fast way take, as following it needs the rest; how fast
 braking fades at last, and of the turning that can be stopped, the share that is used."""

@@ -201,11 +201,14 @@ def search(
     n, most = len(way), held[3:7]
     states, toward, best = np.zeros((n + 1, _STATE)), np.zeros(2), np.zeros(2)
     inputs, bounds, tried = np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS))
-    first, ends, begun = np.zeros(6), np.zeros(6), np.zeros(6)
+    first, ends, begun, begins = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     for m in range(len(steps)):
         last = int(steps[m])
-        for kind in range(drawn.shape[1]):
-            _course(kind, drawn[m, kind], last, most, inputs, first)
+        for kind in range(drawn.shape[1] + min(m, 1)):
+            if kind < drawn.shape[1]:
+                _course(kind, drawn[m, kind], last, most, inputs, first)
+            else:  # what was worst a moment before
+                inputs[:], first[:] = course, begins
             away, share = _away(way, places, inputs[:last], first, here, loop, held, states, best), 0.0
             for _ in range(rounds):
                 if share < _LEAST_SHARE:  # uphill from here
@@ -233,7 +236,9 @@ def search(
                     share *= _LESS
             if away > out[m]:
                 out[m] = away
-                course[:last] = inputs[:last]
+                course[:last], begins[:] = inputs[:last], first
+        for k in range(last, n):
+            course[k] = course[last - 1]
 
 
 def course_of(points: F64, still_s: float = _STILL_S) -> F64:
@@ -247,15 +252,16 @@ def course_of(points: F64, still_s: float = _STILL_S) -> F64:
 
 def worst(
     loop: Loop, held: Held, way: F64, until_s: tuple[float, ...], rounds: int = 30, here: F64 | None = None,
-    gone: int = 0,
+    gone: int = 0, starts: int = STARTS,
 ) -> tuple[float, F64]:  # fmt: skip
     """How far from a way (n, 8) it is driven by one of some moments, and (k, 2) the force that does it at the last,
     m/s^2, in steps of STEP_S; from the worst state at the way's beginning, else from a state (12,) after `gone` steps.
+    `starts`: first courses at each moment, beside the one that was worst a moment before.
     """
     places, way = way[:, :2].copy(), way[gone:]
     here = np.full(_STATE, np.nan) if here is None else here
     steps = np.minimum(np.round(np.array(until_s) / STEP_S), float(len(way) - 1))
     found, course = np.zeros(len(steps)), np.zeros((len(way), _INPUTS))
-    drawn = np.random.default_rng(1).uniform(size=(len(steps), STARTS, 2))
+    drawn = np.random.default_rng(1).uniform(size=(len(steps), starts, 2))
     search(way, places, np.array(loop), np.array(held), here, steps, rounds, drawn, found, course)
     return float(found.max()), course[: int(steps[-1]), :2]

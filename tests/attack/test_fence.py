@@ -181,16 +181,19 @@ def test_a_push_into_the_ground_before_the_chute_was_left_touches_it_gently(tmp_
 def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> None:
     """5 kg on 2.0 weights of thrust, 1.5 times as heavy, shaken: its way out took rates for changed at once that the
     governor changes in half a second, and was followed with poles at which the governed loop swings by metres."""
-    row = flight({"kind": "lifter", "seconds": 3.5}, 900006, tmp_path)
+    row = flight({"kind": "lifter", "seconds": 3.5, "times": 2.0}, 900006, tmp_path)
     assert row["exits"] == 0
     assert row["changed"] > 0
 
 
-@pytest.mark.parametrize(("seed", "seconds"), [(975010, 2.0), (980007, 3.5)])
-def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, seconds: float) -> None:
-    """Rotors of 63 ms, for which PX4 flies a third of the default gains; 37 m/s^4 of snap: both left their sites."""
-    row = flight({"kind": "drawn", "seconds": seconds}, seed, tmp_path)
+@pytest.mark.parametrize(("seed", "seconds", "times"), [(975010, 2.0, 1.5), (980007, 3.5, 2.0)])
+def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, seconds: float, times: float) -> None:
+    """Rotors of 63 ms, for which PX4 flies a third of the default gains; 37 m/s^4 of snap: both left their sites.
+
+    In rooms as large as a true tube of such vehicles (1.3 and 2.6 m at rest) needs; as drawn they are refused."""
+    row = flight({"kind": "drawn", "seconds": seconds, "times": times}, seed, tmp_path)
     assert row["exits"] == 0
+    assert row["changed"] > 0
     assert row["opened"] == 0
 
 
@@ -198,9 +201,11 @@ def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, second
 def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves: bool) -> None:
     """The way out alone, truth at the edge of what is declared, the estimate off by all of it: exits can be seen.
 
-    One of such flights tells nothing: without margins some half of them leave (7 of 16 seeds, with them 0 of 16), and
-    which ones changes with any change of the loop.
+    One of such flights tells nothing: without margins a third to a half of them leave, with them none, and which ones
+    changes with any change of the loop.
     """
-    rows = [planted({"away": away, "slid": False, "seconds": 6.0}, seed, tmp_path) for seed in range(910003, 910009)]
+    values = {"away": away, "slid": False, "seconds": 6.0, "times": 1.5}
+    rows = [planted(values, seed, tmp_path) for seed in range(910003, 910009)]
     assert (sum(row["exits"] > 0 for row in rows) >= 1) is leaves
+    assert (sum(row["broken"] > 0 for row in rows) >= 1) is leaves
     assert sum(row["stopped"] for row in rows) > 600

@@ -88,7 +88,7 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
         (_set("ledger", 3, "name", to="luck"), "torque is expected"),
         (_times("ledger", 2, "across_mps2", by=-1.0), "negative"),
         (_times("across", "lag_s", by=1.5), "across"),
-        (_times("across", "lag_s", by=4.0), "settle"),
+        (_times("across", "lag_s", by=6.0), "settle"),
         (_set("across", "rotors_s", to=0.0), "rotors"),
         (_set("along", "rotors_s", to=0.02), "rotors"),
         (_times("turning", "snap_mps4", by=0.3), "no more than all of the snap"),
