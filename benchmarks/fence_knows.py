@@ -29,6 +29,7 @@ def main() -> None:
     """Fly them and print a line each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--slid", action="store_true", help="commands are slid along what is near as well")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="fence-") as folder:
@@ -36,10 +37,12 @@ def main() -> None:
         site.write_text(_WALL)
         for mass, lean in _FLIGHTS:
             world = World(
-                seed=1, scenario="hover", mass_ratio=mass, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2,
+                seed=given.seed, scenario="hover", mass_ratio=mass, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2,
                 down_ms=0.0,
             )  # fmt: skip
-            flight = FenceFlight(world, site, Attack(PUSH, seed=1, knows=True, errs=True), unslid=not given.slid)
+            flight = FenceFlight(
+                world, site, Attack(PUSH, seed=given.seed, knows=True, errs=True), unslid=not given.slid
+            )
             flight.adversary.until_s, flight.adversary.lean = math.inf, np.array([lean, 0.0])
             out = flight.run(given.seconds)
             print(

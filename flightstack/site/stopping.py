@@ -69,7 +69,7 @@ _LED_S, _LED_PS, _LED_MPS2 = 0.09, 3.0, 0.75
 """Jerk of a reference that is led: by the snap that there is, by the braking that is left, and by what lean falls
 behind with the rates' lag."""
 SMOOTH_M = 0.1
-_SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 2.5
+_SMOOTH_SHARE, _SMOOTH_LATE_S, _GAMMA_PS = 0.7, 0.1, 3.5
 _LAG_SHARE, _HOLD_S = 1.2, 0.006
 _LATE_S = 0.01
 _STEER_PS = 6.5
