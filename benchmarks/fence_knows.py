@@ -37,12 +37,11 @@ def main() -> None:
         site.write_text(_WALL)
         for mass, lean in _FLIGHTS:
             world = World(
-                seed=given.seed, scenario="hover", mass_ratio=mass, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2,
-                down_ms=0.0,
+                seed=given.seed, scenario="hover", mass_ratio=mass, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2,
+                inertia_ratio=1.2, down_ms=0.0,
             )  # fmt: skip
-            flight = FenceFlight(
-                world, site, Attack(PUSH, seed=given.seed, knows=True, errs=True), unslid=not given.slid
-            )
+            attack = Attack(PUSH, seed=given.seed, knows=True, errs=True)
+            flight = FenceFlight(world, site, attack, unslid=not given.slid)
             flight.adversary.until_s, flight.adversary.lean = math.inf, np.array([lean, 0.0])
             out = flight.run(given.seconds)
             print(

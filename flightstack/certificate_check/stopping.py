@@ -75,7 +75,7 @@ def check_stopping(text: str) -> list[str]:
         lines.append(f"{name}: tube of {loop['radius_m']:.3f} m, found {found:.3f} m")
     radius = loops["across"]["radius_m"]
     steps = [number(top["ledger"][line]["across_mps2"], "ledger") for line in (0, 1)]
-    lines += _left(ways, loops["across"], turning, float(np.hypot(*steps)))
+    lines += _left(ways, loops["across"], turning, float(np.hypot(steps[0], steps[1])))
     _braking(top["braking"], (low, high, force_g))
     lines.append("braking: thrust carries weight, force and braking together")
     _ways(top["stops_within_m"], float(top["braking"]["across_mps2"]), radius)
@@ -208,7 +208,7 @@ def _left(
     if not across["radius_m"] >= max(way.rest_radius_m for way in ways) - 1e-9:
         raise Refused("across: the tube at rest is the widest of both ways'")
     for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
-        loop = Loop(*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2])
+        loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
         found = left(way, loop, sizes, [*_LITTLE, *_MUCH])
         for kind, most, radius in (
             ("little", float(found[: len(_LITTLE)].max()), way.rest_radius_m),

@@ -239,11 +239,11 @@ def stopping(
         *doubts[0][1:],
     )
     tubes = resting(lags_across, doubts[0], held), along(lag_along, doubts[1])
-    slow, fast, *eased = _WAY_CALM if prior.force_g <= _CALM_G else _WAY
+    slow, fast, fade_ps, stoppable = _WAY_CALM if prior.force_g <= _CALM_G else _WAY
     turn = turn._replace(way_mps4=slow * turn.sure_mps4, way_fast_mps4=fast * turn.sure_mps4)
     first = along(lag_along, doubts[1]._replace(force_mps2=doubts[1].force_mps2 + unread))
     first = first._replace(radius_m=np.maximum(first.radius_m, tubes[1].radius_m))
-    rows = _rows(prior, (high, down), hardest, limits, tubes, turn, lags_across, told, (held, *eased))
+    rows = _rows(prior, (high, down, hardest), limits, tubes, turn, lags_across, told, (held, fade_ps, stoppable))
     tubes = searched(rows, tubes[0], held, lags_across), tubes[1]
     soft = _softness(rows, tubes[1], turn)
     chain, response = _answer(model, limits, turn.lag_s)
@@ -252,17 +252,22 @@ def stopping(
         (told.force * force + told.model * MODEL_ALONG_MPS2) / G, doubts,
         (lags_across, (lag_along, 0.0)), high, least, turn,
     )  # fmt: skip
-    if gain_low * high < (1.0 + prior.force_g) * G:
-        raise InputError(
-            f"vehicle {vehicle.name}: {high / G:.2f} times the believed weight is all the thrust that it is flown with "
-            f"(its rotors give {model.max_thrust_n / model.weight_n:.2f}, some of it for turning); "
-            f"{prior.mass_high:g} times the believed mass and a force of {prior.force_g:g} g take "
-            f"{prior.mass_high * (1.0 + prior.force_g):.2f}: nothing keeps it in a site but a certificate of less mass"
-        )
+    _require_thrust(vehicle, model, prior, high)
     for row, each in zip(made.rows, made.soft, strict=True):
         each[slide.SLOW_S] = _slow_s(row, made.halves()[1]) + _SMOOTH_LATE_S
         each[slide.SLOW_S] += (row[b.MOST_RADIUS] - row[b.REST_RADIUS]) / b.MUCH_MPS
     return made
+
+
+def _require_thrust(vehicle: Vehicle, model: Model, prior: Prior, high_mps2: float) -> None:
+    """InputError where thrust does not carry the heaviest against the force."""
+    if prior.gain[0] * high_mps2 < (1.0 + prior.force_g) * G:
+        raise InputError(
+            f"vehicle {vehicle.name}: {high_mps2 / G:.2f} times the believed weight is all the thrust that it is flown "
+            f"with (its rotors give {model.max_thrust_n / model.weight_n:.2f}, some of it for turning); "
+            f"{prior.mass_high:g} times the believed mass and a force of {prior.force_g:g} g take "
+            f"{prior.mass_high * (1.0 + prior.force_g):.2f}: nothing keeps it in a site but a certificate of less mass"
+        )
 
 
 def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: float) -> float:
@@ -285,13 +290,12 @@ def _down(vehicle: Vehicle, prior: Prior, governor: GovernorTerms, least_mps2: f
 
 
 def _rows(
-    prior: Prior, ends: tuple[float, float], hardest: float, limits: Limits, tubes: tuple[Tube, Tube], turn: Turning,
-    lags_s: tuple[float, float], told: Told,
-    more: tuple[Held, float, float],
+    prior: Prior, ends: tuple[float, float, float], limits: Limits, tubes: tuple[Tube, Tube], turn: Turning,
+    lags_s: tuple[float, float], told: Told, more: tuple[Held, float, float],
 ) -> F64:  # fmt: skip
     """`backup` parameters for each gain of the prior, the least first; `ends`: the most thrust, and what a
-    climb is braked by, m/s^2."""
-    rows, force, (high, brake), (held, fade_ps, stoppable) = [], prior.force_g * G, ends, more
+    climb is braked by and across at most, m/s^2; `more`: what the loop has, how braking fades, what it stops."""
+    rows, force, (high, brake, hardest), (held, fade_ps, stoppable) = [], prior.force_g * G, ends, more
     gain_low, gain_high = prior.gain
     gains, down, snap, steps = tubes[0].gains, tubes[1].gains, turn.way_mps4, b.turned(*lags_s)
     jerk, spare = min(_JERK_RADPS, _RATE_SHARE * turn.rate_radps) * G, _SPARE * (held.force_mps2 + held.rest_mps2)

@@ -103,6 +103,20 @@ def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean:
     assert (outcome.broken > 0) is (told < 1.0)
 
 
+def test_a_force_that_knows_the_loop_keeps_it_in_its_tube(tmp_path: Path) -> None:
+    """Searched from the true state every 0.2 s; it left the tube of the linear loop, and the site (decision 22)."""
+    (tmp_path / "wall.toml").write_text(WALL)
+    world = World(
+        seed=1, scenario="hover", mass_ratio=0.8, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2, down_ms=0.0
+    )
+    flown = FenceFlight(world, tmp_path / "wall.toml", Attack(PUSH, seed=1, knows=True, errs=True), unslid=True)
+    flown.adversary.until_s, flown.adversary.lean = math.inf, np.array([0.35, 0.0])
+    outcome = flown.run(6.0)
+    assert outcome.kept > 100
+    assert outcome.broken == 0
+    assert outcome.exits == 0
+
+
 BOX = """schema = "flightstack.site/1"
 floor_m = 0.3
 ceiling_m = 3.0
@@ -204,7 +218,7 @@ def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves
     One of such flights tells nothing: without margins a third to a half of them leave, with them none, and which ones
     changes with any change of the loop.
     """
-    values = {"away": away, "slid": False, "seconds": 6.0, "times": 1.5}
+    values = {"away": away, "slid": False, "seconds": 6.0, "times": 1.75}
     rows = [planted(values, seed, tmp_path) for seed in range(910003, 910009)]
     assert (sum(row["exits"] > 0 for row in rows) >= 1) is leaves
     assert (sum(row["broken"] > 0 for row in rows) >= 1) is leaves

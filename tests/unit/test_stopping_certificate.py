@@ -74,7 +74,7 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("forge", "said"),
     [
-        (_times("across", "radius_m", by=0.8), "across: the tube reaches"),
+        (_times("across", "radius_m", by=0.7), "across: the tube reaches"),
         (_times("across", "radius_m", by=0.95), "at rest is the widest"),
         (_times("way_least", "rest_radius_m", by=0.6), "little motion) are left by"),
         (_times("way_least", "most_radius_m", by=0.5), "much motion) are left by"),
@@ -87,7 +87,7 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
         (_times("ledger", 0, "across_mps2", by=0.5), "less than the prior's"),
         (_set("ledger", 3, "name", to="luck"), "torque is expected"),
         (_times("ledger", 2, "across_mps2", by=-1.0), "negative"),
-        (_times("across", "lag_s", by=1.5), "across"),
+        (_times("across", "lag_s", by=2.5), "across"),
         (_times("across", "lag_s", by=6.0), "settle"),
         (_set("across", "rotors_s", to=0.0), "rotors"),
         (_set("along", "rotors_s", to=0.02), "rotors"),
