@@ -169,14 +169,15 @@ class SiteFilter:
         if not len(way) or measurement.t_us - numbers[d.LAST_US] > _PAUSE_US:
             at = measurement.pos_ned_m - state.origin_ned_m
             return np.array([[at[0], at[1], -at[2], *at_rest]])
-        _, rows, _, halves = self._in_force(numbers).known
+        vehicle, rows, _, halves = self._in_force(numbers).known
+        row = rows[max(d.row_of(numbers, vehicle, len(rows)) - 1, 0)]  # the gain that it was laid out for may be less
         half = halves[1 if d.is_read(numbers) else 0]
         half = np.append(half[: len(way) - 1], half[-1])
         late = float(rows[:, LATE_S].max()) * float(np.linalg.norm(way[0, 3:6]))
         steps = np.vstack([np.diff(way[:, :3], axis=0), np.zeros(3)])
         middle, half = way[:, :3] + 0.5 * steps, half + late + 0.5 * np.abs(steps[:, 2])
         low, high = float((-middle[:, 2] - half).min()), float((-middle[:, 2] + half).max())
-        across = max(wide(way[0], row) for row in rows) + late + 0.5 * np.hypot(steps[:, 0], steps[:, 1])
+        across = wide(way[0], row) + late + 0.5 * np.hypot(steps[:, 0], steps[:, 1])
         flat = np.full((len(way), 2), [0.5 * (low + high), 0.5 * (high - low)])
         return np.ascontiguousarray(np.column_stack([middle[:, :2], flat[:, 0], across, flat[:, 1]]))
 

@@ -396,7 +396,7 @@ def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(
 def test_a_site_without_room_is_not_taken_and_none_before_the_vehicle_is_known(router: ShieldRouter, rig: Rig) -> None:
     assert router.replace_site(_room()).endswith("not known yet")
     flat = parse_site(SITE.replace("ceiling_m = 5.0", "ceiling_m = 0.35"), "flat.toml")
-    assert rig.router.replace_site(flat).startswith("flat.toml: no room for the 0.6")
+    assert rig.router.replace_site(flat).startswith("flat.toml: no room for the 1.2")
     beside = parse_site(SITE.replace("[5.0,", "[-3.0,"), "beside.toml")
     assert "clear of its edge" in rig.router.replace_site(beside)
     rig.run(1.0)
