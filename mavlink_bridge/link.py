@@ -58,6 +58,16 @@ class Received(NamedTuple):
     """One of the event classes of `mavlink_bridge.messages`."""
 
 
+class RunReader(Protocol):
+    """Reads several messages of one sender at once (`frequent`)."""
+
+    source: int
+    """system << 8 | component."""
+
+    def read(self, data: bytes, at: int, sequence: int) -> tuple[int, int, object | None]:
+        """What begins at `at`, its sequence number given: where it ends, how many messages, and what they are."""
+
+
 class Signing(Protocol):
     """MAVLink 2 signing, as the link needs it."""
 
@@ -137,6 +147,7 @@ class Link:
         self._expected: dict[int, int] = {}
         self._peer = 0
         self._lean = signing is None and isinstance(self._framing, DatagramFraming)
+        self._runs: RunReader | None = None
 
     @property
     def signing(self) -> bool:
@@ -151,6 +162,10 @@ class Link:
     def expect_peer(self, system: int) -> None:
         """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""
         self._peer = system
+
+    def read_runs(self, reader: RunReader) -> None:
+        """From now on what `reader` can read is handed out as it says, where good frames follow one another."""
+        self._runs = reader
 
     def receive_datagram(self, data: bytes, now_us: int) -> None:
         """Take what arrived at `now_us`: one datagram, or any piece of a stream."""
@@ -209,8 +224,16 @@ class Link:
 
     def _take_plain(self, data: bytes, now_us: int) -> int:
         """Take good unsigned frames that follow one another (nearly always: all there is); where they end."""
-        at, have, expected = 0, len(data), self._expected
+        at, have, expected, runs = 0, len(data), self._expected, self._runs
         while at + _SHORTEST <= have:
+            if runs is not None and (sequence := expected.get(runs.source, -1)) >= 0:
+                at, count, message = runs.read(data, at, sequence)
+                if count:
+                    expected[runs.source] = (sequence + count) & 0xFF
+                    self.stats.received += count
+                    sender = runs.source >> 8, runs.source & 0xFF, sequence, now_us, message
+                    self._events.append(_new_received(Received, sender))
+                    continue
             magic, size, sequence, system, number = _header(data, at)
             known, crc_at = _KNOWN.get(number >> 8), at + HEADER_SIZE + size
             if known is None or magic != MAGIC_V2 or size > 0xFF or crc_at + 2 > have:  # the size's upper byte: flags
