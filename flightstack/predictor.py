@@ -22,6 +22,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement, Tuple3, T
 _AGE_MAX_S = 0.05
 _NEVER = -1.0
 _LATEST_US = 4e18
+_NO_TIME = -(2**63)
 
 # The row: the newest samples (attitude and rates, position and velocity, gyro, specific force, motors), then the
 # vehicle's stamps of the four.
@@ -133,7 +134,7 @@ def predict(streams: Streams, now_us: int, *, corrected: bool = True, newest_onl
     out = np.empty(20)
     rows = streams.row, streams.observer.row, streams.imu_bias.row
     at_us, position_age, attitude_age, imu_age = _PREDICT.call(*rows, now_us, corrected, newest_only, out)
-    return Measurement(at_us, out, position_age, attitude_age, imu_age) if at_us >= 0 else None
+    return Measurement(at_us, out, position_age, attitude_age, imu_age) if at_us != _NO_TIME else None
 
 
 _Ages = tuple[int, int, int, int]
@@ -141,19 +142,21 @@ _Ages = tuple[int, int, int, int]
 
 @njit
 def _whole(stamp_us: float) -> int:
-    """A stamp off the wire, which may be any number of 64 bits."""
-    return int(min(stamp_us, _LATEST_US))
+    """A stamp off the wire, which may be any number of 64 bits, or a time by such stamps."""
+    return int(max(min(stamp_us, _LATEST_US), -_LATEST_US))
 
 
 @njit
 def _predict(
-    row: F64, observed: F64, bias: F64, now_us: int, corrected: bool, newest_only: bool, out: F64
+    row: F64, observed: F64, bias: F64, now_us: float, corrected: bool, newest_only: bool, out: F64
 ) -> _Ages:  # fmt: skip
-    """Time and ages (time -1: not every stream has been heard); `out` (20,): a Measurement's row."""
+    """Time and ages (no time: not every stream has been heard); `out` (20,): a Measurement's row."""
     position_us, attitude_us, imu_us = _whole(row[_POSITION_US]), _whole(row[_ATTITUDE_US]), _whole(row[_IMU_US])
     if min(position_us, attitude_us, imu_us) < 0:
-        return -1, 0, 0, 0
-    at_us = min(now_us, max(position_us, attitude_us, imu_us)) if newest_only else now_us
+        return _NO_TIME, 0, 0, 0
+    at_us = _whole(now_us)
+    if newest_only:
+        at_us = min(at_us, max(position_us, attitude_us, imu_us))
     position_age, attitude_age = at_us - position_us, at_us - attitude_us
     # The gyro counts where it is newer than the attitude's own rates.
     _carried_over(row, position_age * 1e-6, attitude_age * 1e-6, imu_us > attitude_us, out)
@@ -186,4 +189,4 @@ def _carried_over(samples: F64, position_age: float, attitude_age: float, gyro_n
         out[13 + i] = samples[16 + i]
 
 
-_PREDICT = Entry(_predict, "f8[::1], f8[::1], f8[::1], i8, b1, b1, f8[::1]")
+_PREDICT = Entry(_predict, "f8[::1], f8[::1], f8[::1], f8, b1, b1, f8[::1]")

@@ -83,10 +83,9 @@ class ParamReader:
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
+        self.outputs_row = Outputs().row
+        """`outputs_now` for compiled code, the same array for good."""
         self.outputs_now = Outputs()
-        """`outputs` as of the last parameter that came."""
-        self.outputs_row = self.outputs_now.row
-        """And its row, the same array for good."""
         self._wanted: list[str] = []
         """Which pulse limits are wanted by then."""
         self._absent: set[str] = set()
@@ -110,9 +109,17 @@ class ParamReader:
             if math.isfinite(value):
                 self.values[message.param_id] = value
                 self.outputs_now, self._wanted = self.outputs, self._limits_wanted()
-                self.outputs_row[:] = self.outputs_now.row
         elif isinstance(message, m.ParamError) and message.param_id in self._asked:
             self._absent.add(message.param_id)
+
+    @property
+    def outputs_now(self) -> Outputs:
+        """`outputs` as of the last parameter that came."""
+        return self._outputs
+
+    @outputs_now.setter
+    def outputs_now(self, outputs: Outputs) -> None:
+        self._outputs, self.outputs_row[:] = outputs, outputs.row
 
     @property
     def needs_dead_man(self) -> bool:
