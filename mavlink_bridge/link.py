@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 from fastcrc.crc16 import mcrf4xx
@@ -200,10 +201,7 @@ class Link:
 
     def queue(self, frames: bytes, ends: list[int]) -> None:
         """Queue unsigned frames of this link's own, one after the other, each numbered on from `next_sequence`."""
-        begin = 0
-        for end in ends:
-            self._outgoing.append(frames[begin:end])
-            begin = end
+        self._outgoing += [frames[begin:end] for begin, end in pairwise((0, *ends))]
         self._next_sequence[self.component] = (self.next_sequence(self.component) + len(ends)) & 0xFF
         self.stats.sent += len(ends)
 

@@ -245,6 +245,8 @@ class NumbersEncoder:
             self._template += bytes(count * struct.calcsize("<" + code))
             self._columns.append((field.name, at, at + count))
             at += count
+        self.count = at
+        """Numbers of a row."""
         self.size = len(self._template)
         """Bytes of a message."""
         self._type = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})

@@ -175,26 +175,23 @@ class FlightLog:
         try:
             channel = self._channels.get(topic) or self._open_channel(topic)
             if type(record) is np.ndarray and channel.packed:
-                self._pack_numbers(channel, topic, t_us, record)
-                return
-            if channel.is_log:
-                record = viewer.log_line(t_us, *record)  # type: ignore[misc]
-            try:
-                data = channel.encoders[type(record)](record)
-            except Exception:  # the first record of its type, or one with other arrays than the first
-                data = channel.encode(record)
-            if channel.packed:
-                self._pack(channel, topic, t_us, data)
+                size = self._pack_numbers(channel, topic, t_us, record)
             else:
-                channel.log(data, t_us * 1000)
+                if channel.is_log:
+                    record = viewer.log_line(t_us, *record)  # type: ignore[misc]
+                try:
+                    data = channel.encoders[type(record)](record)
+                except Exception:  # the first record of its type, or one with other arrays than the first
+                    data = channel.encode(record)
+                size = len(data)
+                if channel.packed:
+                    self._pack(channel, topic, t_us, data)
+                else:
+                    channel.log(data, t_us * 1000)
         except Exception as error:
             self.rejected += 1
             self.failed = self.failed or f"log {self.path}: a record for {topic} doesn't fit ({error})"
             return
-        self._count(len(data), t_us)
-
-    def _count(self, size: int, t_us: int) -> None:
-        """A message was written."""
         self.messages += 1
         self._pending += size + _MESSAGE_OVERHEAD
         self._last_us = t_us
@@ -202,13 +199,16 @@ class FlightLog:
             self._due_us = t_us + self._flush_period_us
             self.flush()
 
-    def _pack_numbers(self, channel: Channel, topic: str, t_us: int, numbers: F64) -> None:
+    def _pack_numbers(self, channel: Channel, topic: str, t_us: int, numbers: F64) -> int:
+        """Bytes of the message that will be."""
         encoder = channel.numbers or channel.open_numbers()
+        if numbers.shape != (encoder.count,):
+            raise ValueError(f"{numbers.shape} numbers where {encoder.count} belong")
         assert self._blocks is not None
         self._blocks.add_numbers(topic, t_us, numbers, encoder)
         if t_us >= channel.copy_due_us and channel.is_shown:
             self._copy(channel, t_us, channel.encoders[np.ndarray](numbers))
-        self._count(encoder.size, t_us)
+        return encoder.size
 
     def _copy(self, channel: Channel, t_us: int, data: bytes) -> None:
         """Of a packed topic for viewers."""
