@@ -1,4 +1,4 @@
-"""Read a log into pandas: `python examples/log_to_pandas.py flight.mcap` (needs `pip install flightstack[pandas]`)."""
+"""Read a log into pandas: `python examples/log_to_pandas.py flight.mcap` (in a clone: `pip install .[pandas]`)."""
 
 import sys
 

@@ -5,13 +5,14 @@ An autopilot's filter may report a velocity that is not the derivative of the po
     c = d(position)/dt - velocity
 
 by 0.1 to 0.3 m/s over seconds where its model of the noise is wrong (PX4 with its simulator SIH at stock parameters).
-Feedback of both turns c into a position error of 3 c / pole.  An observer of second order integrates the velocity and
-is corrected by the position; with e the position's innovation, dt apart, and a = exp(-w dt), both poles at w:
+Feedback of both turns c into a position error of 3 c / pole.  An observer of third order integrates the velocity and
+is corrected by the position; with c' = s, e the position's innovation, dt apart, and a = exp(-w dt), all poles at w:
 
-    p^ = p^ + dt (v + c^) + (1 - a^2) e,    c^ = c^ + (1 - a)^2 e / dt
+    p^ = p^ + dt (v + c^) + (1 - a^3) e,  c^ = c^ + dt s^ + 1.5 (1 - a)^2 (1 + a) e / dt,  s^ = s^ + (1 - a)^3 e / dt^2
 
-(the critically damped alpha-beta filter; P. R. Kalata, "The tracking index", IEEE Trans. AES 20(2), 1984).  What is
-added to the velocity is weight c^, axis by axis,
+(the critically damped alpha-beta-gamma filter; P. R. Kalata, "The tracking index", IEEE Trans. AES 20(2), 1984).  It
+follows a c that rises evenly; one of second order stays behind it by 2 / w of its rise, and what it stays behind is
+flown (a quarter of a c of 0.2 Hz at 8 rad/s).  What is added to the velocity is weight c^, axis by axis,
 
     weight = r^2 / (r^2 + n^2 + (0.03 m/s)^2)
 
@@ -38,7 +39,7 @@ from flightstack.types import F64, Tuple3
 
 POOR_MPS = 0.15
 """rms(c) above which the estimator is warned of: a position error of 0.1 m and more by feedback."""
-_POLE_RADPS = 8.0
+_POLE_RADPS = 6.0
 _SLOW_S = 1.0 / (2.0 * math.pi * 0.5)
 _MEMORY_S = 15.0
 _GAP_MAX_S = 0.1
@@ -46,10 +47,10 @@ _JUMP_M = 0.25
 _SMALL_MPS = 0.03
 """A slow c of this size costs a centimetre of position: less than half of it is followed."""
 
-# The row: p^, c^, slow part of c^, mean squares of the slow part and of the rest, of c^, last velocity, time, weight of
-# the means.
-_POS, _C, _SLOW, _SLOW_SQUARE, _REST_SQUARE, _SQUARE, _VEL, _TIME, _SEEN_S = 0, 3, 6, 9, 12, 15, 18, 21, 22
-_ROW = 23
+# The row: p^, c^, slow part of c^, mean squares of the slow part and of the rest, of c^, last velocity, s^, time,
+# weight of the means.
+_POS, _C, _SLOW, _SLOW_SQUARE, _REST_SQUARE, _SQUARE, _VEL, _SLOPE, _TIME, _SEEN_S = 0, 3, 6, 9, 12, 15, 18, 21, 24, 25
+_ROW = 26
 
 
 class EstimateObserver:
@@ -70,6 +71,7 @@ class EstimateObserver:
         row = self.row
         row[_TIME] = -1.0
         row[_C : _C + 3] = row[_SLOW : _SLOW + 3]
+        row[_SLOPE : _SLOPE + 3] = 0.0
 
     @property
     def disagreement_ned_mps(self) -> F64:
@@ -132,16 +134,18 @@ def observe(row: F64, t: float, sample: F64) -> None:
         row[_SEEN_S] = min(row[_SEEN_S] + dt, _MEMORY_S)
     share = dt / max(row[_SEEN_S], 1.0) if begun else 0.0
     for i, (pos, vel) in enumerate(((n, vn), (e, ve), (d, vd))):
-        moved = row[_POS + i] + dt * (0.5 * (vel + row[_VEL + i]) + row[_C + i])
+        moved = row[_POS + i] + dt * (0.5 * (vel + row[_VEL + i]) + row[_C + i] + 0.5 * dt * row[_SLOPE + i])
         error = pos - moved
         row[_VEL + i] = vel
         if not begun or abs(error) > _JUMP_M:
             row[_POS + i] = pos
             if begun:
                 row[_C + i] = row[_SLOW + i]
+                row[_SLOPE + i] = 0.0
             continue
-        row[_POS + i] = moved + (1.0 - decay * decay) * error
-        row[_C + i] += (1.0 - decay) ** 2 * error / dt
+        row[_POS + i] = moved + (1.0 - decay**3) * error
+        row[_C + i] += dt * row[_SLOPE + i] + 1.5 * (1.0 - decay) ** 2 * (1.0 + decay) * error / dt
+        row[_SLOPE + i] += (1.0 - decay) ** 3 * error / (dt * dt)
         c = row[_C + i]
         row[_SLOW + i] += slower * (c - row[_SLOW + i])
         slow = row[_SLOW + i]

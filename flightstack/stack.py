@@ -67,7 +67,8 @@ class Stack:
     """The flight stack of one believed vehicle; final, holds only constants."""
 
     __slots__ = (
-        "certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model", "under_way",
+        "braking", "certifier", "controller", "filter", "governor", "guard", "learner", "limiter", "limits", "model",
+        "under_way",
     )  # fmt: skip
 
     def __init__(
@@ -81,10 +82,16 @@ class Stack:
         safety_filter: SafetyFilter | None = None,
         governor: Governor | None = None,
     ) -> None:
-        """`governor`: of rate commands, which has the last word while a certificate that counts on it is in force."""
+        """`governor`: of rate commands, which has the last word while a certificate that counts on it is in force.
+
+        Where a premise of a certificate ended it the stack's own controller flies to rest, whoever flew before: the
+        filter alone goes by bounds that no longer hold, and lets a controller that pushes outwards push on.
+        """
         self.model = model
         self.limits = limits or Limits()
         self.controller: Controller = controller or FlatnessController(model, limits=self.limits)
+        own = isinstance(self.controller, FlatnessController)
+        self.braking: Controller = self.controller if own else FlatnessController(model, limits=self.limits)
         self.learner: Learner = learner or NoLearner()
         self.certifier: Certifier = certifier or NoCertifier()
         self.filter: SafetyFilter = safety_filter or NoFilter()
@@ -113,7 +120,7 @@ class Stack:
         """State to go on from after somebody else flew: what was learned and certified stays, control begins anew."""
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
-        control = self.controller.init(measurement.t_us)
+        control = self._pilot(state.watch).init(measurement.t_us)
         return state._replace(
             control=control, sent=sent, measurement=measurement, carried_n=weight, filtered=_UNFILTERED,
             watch=interrupted(state.watch),
@@ -121,7 +128,8 @@ class Stack:
 
     def gains_changed(self, state: StackState) -> StackState:
         """State after the vehicle told of other rate gains: a certificate in force is over, the vehicle is braked."""
-        return state._replace(watch=ended_by(state.watch, state.measurement, RATE_GAINS))
+        watch = ended_by(state.watch, state.measurement, RATE_GAINS)
+        return state._replace(watch=watch, control=self._handed(state.control, state.watch, watch, state.sent.t_us))
 
     def carried(self, state: StackState | None, measurement: Measurement, now_us: int) -> Measurement:
         """A state as of its newest sample, at `now_us`; before each tick.  No stack's state: nothing was sent."""
@@ -153,7 +161,8 @@ class Stack:
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
-            control, proposal = self.controller.step(control, seen, bent, learned, sent, now_us)
+            control = self._handed(control, state.watch, premises, now_us)
+            control, proposal = self._pilot(premises).step(control, seen, bent, learned, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
@@ -161,8 +170,8 @@ class Stack:
                 filtered = filtered.with_premise(premises.broken, premises.ended)
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
         governing, command, governed = self._govern(governing, command, safe, seen)
-        if guard and not self.controller.healthy(control):
-            control = self.controller.init(now_us)
+        if guard and not self._pilot(premises).healthy(control):
+            control = self._pilot(premises).init(now_us)
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
@@ -171,6 +180,14 @@ class Stack:
             learned if usable else state.learned, state.under_way,
         )  # fmt: skip
         return after, command, record
+
+    def _pilot(self, watch: WatchState) -> Controller:
+        return self.controller if watch.rest is None else self.braking
+
+    def _handed(self, control: Any, before: WatchState, after: WatchState, now_us: int) -> Any:
+        """The state of whoever flies: anew where it is another one than before."""
+        pilot = self._pilot(after)
+        return control if pilot is self._pilot(before) else pilot.init(now_us)
 
     def _govern(
         self, state: GovernorState | None, command: Command, safe: object, seen: Measurement

@@ -20,26 +20,24 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
 
 from flightstack.barrier.budgets import budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
-from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.falsify import doubt, marked, prepare
 from flightstack.barrier.flown import least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge, Request
-from flightstack.barrier.margins import Accuracy, Doubts, ledger, slopes
+from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
 from flightstack.barrier.queries import Envelope, lean
-from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Margin, Response, area_of
-from flightstack.barrier.search import Axis, Ledger, Ratios, Worth, ellipse, largest_steps
-from flightstack.barrier.shapes import Barrier
+from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response, area_of
+from flightstack.barrier.search import Axis, Ratios, Worth, largest_steps
 from flightstack.barrier.torque import within
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
@@ -341,16 +339,13 @@ class OnlineCertifier:
             apart = max(box.high_mps2 - lead, lead - box.low_mps2) / lead
             coupling = steer * 0.5 * float((authority.u_high_mps2 - authority.u_low_mps2).max()) * apart
 
-        @cache  # a search asks for the same barrier again and again
-        def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
-            return ledger(
-                axis, barrier, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
-                accuracy=accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
-                torque_part_mps2=knowledge.torque_part_mps2[axis],
-                coupling_mps=coupling,
-                inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
-            )  # fmt: skip
-
+        needs = Ledger(
+            axis, authority, response, gamma_ps=config.gamma_ps, dt_s=config.dt_s,
+            accuracy=accuracy, doubts=self.doubts, gain_part_mps2=knowledge.gain_part_mps2[axis],
+            torque_part_mps2=knowledge.torque_part_mps2[axis],
+            coupling_mps=coupling,
+            inside_ps=config.inside_ps if axis == DOWN else config.inside_lateral_ps,
+        )  # fmt: skip
         return Axis(axis, self.safe[axis], authority, response), needs
 
 
@@ -360,10 +355,9 @@ def compile_all() -> None:
     v, one = np.linspace(-1.0, 1.0, 3), np.ones(3)
     authority = Authority(v, 0.0 * v, 0.0 * v, -3.0 * one, 3.0 * one, 0.1 * one, 0.1 * one)
     axis = Axis(DOWN, SafeSet(1.0, 1.0), authority, Response(0.02, 0.0, 0.01))
-    setting = Setting(0.5, 0.01, 0.0, 0.004, 0.003, 0.01, 20.0, 0.02)
-    for _ in largest_steps(axis, lambda barrier: (setting, ()), Ratios(0.3, 1.0)):
+    needs = Ledger(DOWN, authority, axis.response, gamma_ps=0.5, dt_s=0.004, inside_ps=20.0)
+    for _ in largest_steps(axis, needs, Ratios(0.3, 1.0)):
         pass
-    slopes(ellipse(axis, Ratios(0.3, 1.0)), -1.0, 1.0, 0.1, 0.004)
     prepare()
 
 

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from flightstack.jit import njit_called
 from flightstack.types import F64
 
 STATEMENT = (
@@ -66,13 +67,13 @@ def colour(residual: F64, spans_us: NDArray[np.int64], noise_var: float) -> Colo
         return Colour.white(residual.shape[1])
     breaks = spans_us[1:, 0] - spans_us[:-1, 1] > _GAP_US
     runs = np.concatenate([[0], np.cumsum(breaks)])
-    found = [_of_one(residual[:, i], runs, noise_var) for i in range(residual.shape[1])]
+    found = [_of_one(np.ascontiguousarray(residual[:, i]), runs, noise_var) for i in range(residual.shape[1])]
     return Colour(np.array([each[0] for each in found]), np.array([each[1] for each in found]))
 
 
 def _of_one(residual: F64, runs: NDArray[np.int64], noise_var: float) -> tuple[float, float]:
     longest = min(LONGEST_BLOCK, len(residual) - 1)
-    covariance = np.array([_lagged(residual, runs, lag) for lag in range(longest)])
+    covariance = _lagged(residual, runs, longest)
     share = covariance / max(covariance[0], 1e-300)
     small = np.flatnonzero(share < 2.0 / math.sqrt(len(residual)))
     correlated = 0.5 + float(share[1 : small[0] if len(small) else longest].sum())
@@ -88,11 +89,18 @@ def _of_one(residual: F64, runs: NDArray[np.int64], noise_var: float) -> tuple[f
     return inflation, max(0.0, float(np.abs(means).max()) - z * inflation * math.sqrt(noise_var / block))
 
 
-def _lagged(residual: F64, runs: NDArray[np.int64], lag: int) -> float:
-    """Mean product of residuals so many windows apart; 0 where there are none."""
-    end = len(residual) - lag
-    together = runs[lag:] == runs[:end]
-    return float((residual[lag:] * residual[:end])[together].mean()) if together.any() else 0.0
+@njit_called
+def _lagged(residual: F64, runs: NDArray[np.int64], lags: int) -> F64:
+    """(lags,) mean product of residuals so many windows apart; 0 where there are none."""
+    found = np.zeros(lags)
+    for lag in range(lags):
+        total, count = 0.0, 0
+        for i in range(len(residual) - lag):
+            if runs[i + lag] == runs[i]:
+                total += residual[i + lag] * residual[i]
+                count += 1
+        found[lag] = total / count if count else 0.0
+    return found
 
 
 def _block_means(residual: F64, runs: NDArray[np.int64], block: int) -> F64:

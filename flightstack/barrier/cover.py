@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.barrier.condition import NEAR_H, Reach, Setting, coefficients, doubt_of, interval
-from flightstack.barrier.records import Authority
+from flightstack.barrier.records import Authority, reach_between
 from flightstack.barrier.shapes import (
     BRAKE,
     K_EE,
@@ -101,9 +101,16 @@ def region_box(barrier: Barrier, eta: float) -> F64:
 
 def bands(authority: Authority) -> F64:
     """(n - 1, 6) between neighbouring nodes: v_low, v_high and the reach there, `Authority.reach`."""
-    v = authority.v_mps
-    rows = [[v[i], v[i + 1], *authority.reach(0.5 * (v[i] + v[i + 1]))] for i in range(len(v) - 1)]
-    return np.array(rows).reshape(len(rows), 6)
+    return _bands(authority.table)
+
+
+@njit_called
+def _bands(table: F64) -> F64:
+    found = np.empty((table.shape[1] - 1, 6))
+    for i in range(len(found)):
+        found[i, 0], found[i, 1] = table[0, i], table[0, i + 1]
+        found[i, 2], found[i, 3], found[i, 4], found[i, 5] = reach_between(table, i)
+    return found
 
 
 @njit_called

@@ -11,9 +11,11 @@ from collections import deque
 
 import numpy as np
 
+from flightstack.barrier.margins import Ledger
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.search import Axis, Ledger, Worth
-from flightstack.barrier.shapes import Barrier, values_at
+from flightstack.barrier.search import Axis, Worth
+from flightstack.barrier.shapes import Barrier, piece_at
+from flightstack.jit import njit_called
 from flightstack.region import Region
 from flightstack.types import F64, Measurement
 
@@ -49,12 +51,12 @@ class FlownPath:
         barrier needs; where nothing is, its area."""
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         states = np.array(list(self._kept)[::2]).reshape(-1, 6)
-        e, v = states[:, i] - origin_m - centre_m, states[:, 3 + i]
+        e, v = states[:, i] - origin_m - centre_m, np.ascontiguousarray(states[:, 3 + i])
 
         def worth(barrier: Barrier) -> float:
             if not len(e):
                 return barrier.area_m2ps
-            return _least_h(barrier.rows, e, v, ahead, needs(barrier)[0].off_mps)
+            return _least_h(barrier.rows, e, v, ahead, needs.setting(barrier).off_mps)
 
         return worth
 
@@ -70,12 +72,20 @@ def least_h(certificate: Certificate, states: F64, origin_ned_m: F64 | None) -> 
     for axis in certificate.axes:
         i, ahead = axis.axis, axis.response.c1_s + axis.response.delay_s
         start = certificate.centre_ned_m[i] + (0.0 if origin_ned_m is None else float(origin_ned_m[i]))
-        e, v = states[:, i] - start, states[:, 3 + i]
+        e, v = states[:, i] - start, np.ascontiguousarray(states[:, 3 + i])
         least = min(least, _least_h(axis.barrier.rows, e, v, ahead, axis.setting.off_mps))
     return least
 
 
+@njit_called
 def _least_h(rows: F64, e: F64, v: F64, ahead_s: float, off_mps: float) -> float:
-    there = e + ahead_s * v
-    points = [np.stack(each, axis=1) for each in ((e, v), (there, v + off_mps), (there, v - off_mps))]
-    return float(values_at(rows, np.concatenate(points)).min())
+    least = np.inf
+    for i in range(len(e)):
+        there = e[i] + ahead_s * v[i]
+        if math.isnan(there + off_mps):
+            return np.nan
+        for j in range(rows.shape[0]):
+            least = min(least, piece_at(rows[j], e[i], v[i])[0])
+            for off in (off_mps, -off_mps):
+                least = min(least, piece_at(rows[j], there, v[i] + off)[0])
+    return least

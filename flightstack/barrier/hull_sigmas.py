@@ -21,6 +21,8 @@ LEAST = 2.0
 _HALVINGS = 12
 _SHARE = 0.999
 """Of the chance, what is spent: who checks it computes in another way."""
+_ROUNDED_MPS2 = 1e-9
+"""Where a hull ends at what is sure, its shift there and back leaves it some 1e-16 beside: that is no failure."""
 
 
 class Sides(NamedTuple):
@@ -52,8 +54,8 @@ class Sides(NamedTuple):
         low, high = self.at(k)
         least = (low + self.below).min(axis=1, keepdims=True) - self.below
         most = (high + self.above).max(axis=1, keepdims=True) - self.above
-        under = np.where(self.sure_low >= least, 0.0, ndtr((least - self.low) / self.sigma))
-        over = np.where(self.sure_high <= most, 0.0, ndtr((self.high - most) / self.sigma))
+        under = np.where(self.sure_low >= least - _ROUNDED_MPS2, 0.0, ndtr((least - self.low) / self.sigma))
+        over = np.where(self.sure_high <= most + _ROUNDED_MPS2, 0.0, ndtr((self.high - most) / self.sigma))
         return float(under.sum() + over.sum())
 
 

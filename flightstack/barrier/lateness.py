@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit
-from flightstack.types import F64, Measurement, Tuple3
+from flightstack.types import Measurement, Tuple3
 
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""
@@ -37,9 +37,9 @@ class Lateness:
 
     def __init__(self) -> None:
         self._seen_us, self._longest_s, self._quickest_s = -1, 0.0, math.inf
-        self._ages = np.zeros(_OLDEST)
+        self._ages = [0] * _OLDEST
         """Ticks by the age of the newest sample; over the last nothing is carried."""
-        self._late = np.zeros(_STEPS)
+        self._late = [0] * _STEPS
         """Ticks by how late the latest stream was; the last holds all that is beyond."""
 
     def take(self, measurement: Measurement) -> None:
@@ -50,9 +50,9 @@ class Lateness:
         ages_s = ages_of(measurement)
         newest_s = min(ages_s)
         self._quickest_s = min(self._quickest_s, newest_s)
-        late_s = lateness_s(ages_s) - always_s(self._quickest_s)
-        for ticks, of_s in ((self._late, late_s), (self._ages, newest_s)):
-            ticks[min(max(math.ceil(of_s / _STEP_S - 1e-6), 0), len(ticks) - 1)] += 1.0
+        late_s = _lateness_s(ages_s) - _always_s(self._quickest_s)
+        self._late[min(max(math.ceil(late_s / _STEP_S - 1e-6), 0), _STEPS - 1)] += 1
+        self._ages[min(max(math.ceil(newest_s / _STEP_S - 1e-6), 0), _OLDEST - 1)] += 1
 
     def interval_s(self, period_s: float) -> float:
         """For how long a command may be held: a loop's own period, or some of them where it was late."""
@@ -69,9 +69,9 @@ class Lateness:
         return _mostly_s(self._ages)
 
 
-def _mostly_s(ticks: F64) -> float:
+def _mostly_s(ticks: list[int]) -> float:
     """What all but few ticks keep within; 0 while there are too few to say."""
-    count = float(ticks.sum())
+    count = float(sum(ticks))
     return _STEP_S * int(np.searchsorted(np.cumsum(ticks), (1.0 - _RARELY) * count)) if count >= _LEAST_TICKS else 0.0
 
 
@@ -80,16 +80,16 @@ def ages_of(measurement: Measurement) -> Tuple3:
     return measurement.position_age_us * 1e-6, measurement.attitude_age_us * 1e-6, measurement.imu_age_us * 1e-6
 
 
-@njit
-def always_s(quickest_s: float) -> float:
+def _always_s(quickest_s: float) -> float:
     """What the link always takes, of a newest sample that old when it came quickest."""
     return max(quickest_s - _PERIODS_S[2], 0.0)
 
 
-@njit
-def lateness_s(ages_s: Tuple3) -> float:
+def _lateness_s(ages_s: Tuple3) -> float:
     """By how much the stream that is latest is older than one and a half of its periods; ages as `ages_of`."""
-    most = -np.inf
-    for i in range(3):
-        most = max(most, ages_s[i] - _LATE * _PERIODS_S[i])
-    return most
+    position, attitude, imu = _PERIODS_S
+    return max(ages_s[0] - _LATE * position, ages_s[1] - _LATE * attitude, ages_s[2] - _LATE * imu)
+
+
+always_s, lateness_s = njit(_always_s), njit(_lateness_s)
+"""The same for compiled code."""

@@ -44,7 +44,6 @@ Between z and (p, v).  p + c1 v is z_e and v + c1 v' is z_v + w: (p, v) follows 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +51,24 @@ import numpy as np
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.records import MARGINS, Authority, Certificate, Margin, Response
-from flightstack.barrier.shapes import BRAKE, K_EE, K_EV, K_VV, REACTION, SCALE, SIGN, Barrier, Quadratic
-from flightstack.jit import njit
+from flightstack.barrier.shapes import (
+    BRAKE,
+    CENTRE_V,
+    K_EE,
+    K_EV,
+    K_VV,
+    KIND,
+    P11,
+    P12,
+    P22,
+    REACTION,
+    SCALE,
+    SIGN,
+    STOPPING,
+    Barrier,
+    Quadratic,
+)
+from flightstack.jit import njit, njit_called
 from flightstack.types import F64
 
 
@@ -84,8 +99,6 @@ class Doubts(NamedTuple):
 
 
 USUAL = Doubts()
-_Edge = tuple[F64, F64, F64]
-"""Speeds and slopes of one piece of h, as `_steepest` has them."""
 KNOWN = Accuracy(0.0, 0.0, 0.0)
 """The state is the truth itself."""
 
@@ -129,41 +142,85 @@ def slopes(
     barrier: Barrier, low_mps2: float, high_mps2: float, error_mps2: float, dt_s: float, eta: float = 0.0
 ) -> Slopes:
     """For commands and accelerations from low to high and errors up to `error`."""
-    ends = (low_mps2, high_mps2)
-    return _slopes(barrier.rows, _edges(barrier, eta), ends, error_mps2, dt_s)
+    given = _ENDS_ONLY.copy()
+    given[:4] = low_mps2, high_mps2, error_mps2, dt_s
+    return Slopes(*_slopes(barrier.rows, _fastest(barrier), given, eta, _CIRCLE)[:5])
 
 
-def _slopes(rows: F64, edges: list[_Edge], ends: tuple[float, float], error: float, dt: float) -> Slopes:
-    pieces = [_piece_slopes(row.tolist(), edge, ends, error, dt) for row, edge in zip(rows, edges, strict=True)]
-    return Slopes(*(max(values) for values in zip(*pieces, strict=True)))
+def _fastest(barrier: Barrier) -> tuple[float, float]:
+    """Least and greatest speed; of an ellipse nobody asks."""
+    return (0.0, 0.0) if isinstance(barrier, Quadratic) else barrier.box[2:]
 
 
-def _piece_slopes(row: list[float], edge: _Edge, ends: tuple[float, float], error: float, dt: float) -> Slopes:
-    kee, kev, kvv, half = row[K_EE], abs(row[K_EV]), row[K_VV], 0.5 * dt
-    command = max(abs(end) for end in ends)
-    speed, steep_e, steep_v, flow_h, _ = _greatest(*edge, ends, (0.0, 0.0, 0.0))
-    kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
-    kappa += half * (kvv + kev * dt + kee * half * half) * error
-    hold = steep_e * half * command + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
-    hold += half * (kvv + kev * dt + kee * half * half) * command**2 + (steep_e * half + kappa) * error
-    return Slopes(steep_e, steep_v, speed, hold, flow_h)
+@njit_called
+def _constants(rows: F64, fastest: tuple[float, float], given: F64, circle: F64) -> tuple[float, tuple[float, ...]]:
+    """eta, and `_slopes` with the eta before it.
+
+    `given`: ends of the command, error, time, and by how much all sources together are off: of e, v, along the motion.
+    """
+    eta, at = 0.0, _slopes(rows, fastest, given, 0.0, circle)
+    for k in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
+        if k > 0:
+            at = _slopes(rows, fastest, given, eta, circle)
+        eta = max(0.0, at[5])
+    return eta, at
+
+
+@njit_called
+def _slopes(
+    rows: F64, fastest: tuple[float, float], given: F64, eta: float, circle: F64
+) -> tuple[float, float, float, float, float, float]:
+    """`Slopes` over all pieces, and what h loses at most by the offsets; NaN where one is."""
+    dt, error, half = given[_TIME], given[_ERROR], 0.5 * given[_TIME]
+    command = max(abs(given[_LOW]), abs(given[_HIGH]))
+    most_e = most_v = most_speed = most_hold = most_flow = most_lost = -np.inf
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        kee, kev, kvv = row[K_EE], abs(row[K_EV]), row[K_VV]
+        speed, steep_e, steep_v, flow_h, lost = _greatest(row, fastest, given, eta, circle)
+        kappa = dt * ((kee * half + kev) * (speed + command * half) + (kev * half + kvv) * command)
+        kappa += half * (kvv + kev * dt + kee * half * half) * error
+        hold = steep_e * half * command + half * kee * speed * (speed + dt * command) + dt * kev * speed * command
+        hold += half * (kvv + kev * dt + kee * half * half) * command**2 + (steep_e * half + kappa) * error
+        if math.isnan(hold + lost):
+            return np.nan, np.nan, np.nan, np.nan, np.nan, np.nan
+        most_e, most_v, most_speed = max(most_e, steep_e), max(most_v, steep_v), max(most_speed, speed)
+        most_hold, most_flow, most_lost = max(most_hold, hold), max(most_flow, flow_h), max(most_lost, lost)
+    return most_e, most_v, most_speed, most_hold, most_flow, most_lost
 
 
 @njit
 def _greatest(
-    v: F64, h_e: F64, h_v: F64, ends: tuple[float, float], off: tuple[float, float, float]
+    row: F64, fastest: tuple[float, float], given: F64, eta: float, circle: F64
 ) -> tuple[float, float, float, float, float]:
-    """Of points with speeds v and slopes, (n,), what is greatest: |v|, |dh/de|, |dh/dv|, the flow of h for
-    accelerations at both ends, and what h loses by offsets `off` (of e, of v, along the motion); NaN where one is."""
+    """Of a piece on the edge of {h >= -eta}, where slopes are greatest, what is greatest: |v|, |dh/de|, |dh/dv|, the
+    flow of h for accelerations at both ends, and what h loses by the offsets; NaN where one is."""
     speed = steep_e = steep_v = flow = lost = -np.inf
-    for i in range(len(v)):
-        e, s = abs(h_e[i]), abs(h_v[i])
-        along = h_e[i] * v[i]
-        here = max(abs(along + h_v[i] * ends[0]), abs(along + h_v[i] * ends[1]))
-        less = e * off[0] + s * off[1] + off[2] * here
+    ellipse = row[KIND] != STOPPING
+    r11 = r12 = r22 = scale = fast = 0.0
+    if ellipse:  # points on it, grown by 1e-4 for what lies between them: R z = circle, R' R = P
+        r11 = math.sqrt(row[P11])
+        r12 = row[P12] / r11
+        r22 = math.sqrt(row[P22] - r12 * r12)
+        scale = math.sqrt(1.0 + eta) * (1.0 + 1e-4)
+    else:  # on the way to stop, of which eta takes its share of the scale
+        fast = max(-fastest[0], fastest[1]) + eta * row[SCALE] / row[REACTION]
+    for k in range(circle.shape[1] if ellipse else 2):
+        if ellipse:
+            dv = scale * circle[1, k] / r22
+            de = (scale * circle[0, k] - r12 * dv) / r11
+            v = dv + row[CENTRE_V]
+            h_e, h_v = -row[K_EE] * de - row[K_EV] * dv, -row[K_EV] * de - row[K_VV] * dv
+        else:
+            v = fast if k else -fast
+            slow = max(row[SIGN] * v, -row[BRAKE] * row[REACTION])
+            h_e, h_v = -row[SIGN] / row[SCALE], -row[SIGN] / row[SCALE] * (row[REACTION] + slow / row[BRAKE])
+        along, e, s = h_e * v, abs(h_e), abs(h_v)
+        here = max(abs(along + h_v * given[_LOW]), abs(along + h_v * given[_HIGH]))
+        less = e * given[_OFF_E] + s * given[_OFF_V] + given[_OFF_LATE] * here
         if math.isnan(less):
             return np.nan, np.nan, np.nan, np.nan, np.nan
-        speed, steep_e, steep_v = max(speed, abs(v[i])), max(steep_e, e), max(steep_v, s)
+        speed, steep_e, steep_v = max(speed, abs(v)), max(steep_e, e), max(steep_v, s)
         flow, lost = max(flow, here), max(lost, less)
     return speed, steep_e, steep_v, flow, lost
 
@@ -192,47 +249,10 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
     return float(lost[0]), float(lost[1]), float(lost[2])
 
 
-def _eta_together(edges: list[_Edge], ends: tuple[float, float], sources: tuple[_Source, ...]) -> float:
-    """By how much h may be less at the true state, for all sources at once: where their sum is greatest."""
-    off = sum(each.eps_e for each in sources), sum(each.eps_v for each in sources), sum(each.late_s for each in sources)
-    return max(0.0, *(_greatest(*edge, ends, off)[-1] for edge in edges))
-
-
-def _edges(barrier: Barrier, eta: float) -> list[_Edge]:
-    """`_steepest` of each piece of h."""
-    return [_steepest(barrier, row, eta) for row in barrier.rows]
-
-
-def _steepest(barrier: Barrier, row: F64, eta: float) -> _Edge:
-    """Speeds and slopes of one piece of h at points on the edge of {h >= -eta}, where slopes are greatest."""
-    if isinstance(barrier, Quadratic):
-        e, v = _edge(barrier, eta)
-        h_e = -row[K_EE] * (e - barrier.centre_m) - row[K_EV] * (v - barrier.centre_mps)
-        h_v = -row[K_EV] * (e - barrier.centre_m) - row[K_VV] * (v - barrier.centre_mps)
-        return v, h_e, h_v
-    low, high = barrier.box[2:]
-    sign, reaction, brake, scale = row[SIGN], row[REACTION], row[BRAKE], row[SCALE]
-    speed = max(-low, high) + eta * scale / reaction  # on the way to stop, of which eta takes its share of the scale
-    v = np.array([-speed, speed])
-    h_v = -sign / scale * (reaction + np.maximum(sign * v, -brake * reaction) / brake)
-    return v, np.full(2, -sign / scale), h_v
-
-
-def _edge(barrier: Quadratic, eta: float) -> tuple[F64, F64]:
-    """Points on the edge of {h >= -eta}, an ellipse grown by 1e-4 for what lies between them."""
-    circle = _CIRCLE * math.sqrt(1.0 + eta) * (1.0 + 1e-4)
-    e, v = np.linalg.solve(_root(barrier.p11, barrier.p12, barrier.p22), circle)
-    return e + barrier.centre_m, v + barrier.centre_mps
-
-
-@lru_cache(maxsize=16)
-def _root(p11: float, p12: float, p22: float) -> F64:
-    """(2, 2) R with R^T R = P."""
-    return np.linalg.cholesky(np.array([[p11, p12], [p12, p22]])).T
-
-
 _ANGLE = np.linspace(0.0, 2.0 * math.pi, 361)
 _CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)])
+_LOW, _HIGH, _ERROR, _TIME, _OFF_E, _OFF_V, _OFF_LATE = range(7)
+_ENDS_ONLY = np.zeros(7)
 
 
 class _Source(NamedTuple):
@@ -246,63 +266,98 @@ class _Source(NamedTuple):
     because: str
 
 
-def ledger(
-    axis: int,
-    barrier: Barrier,
-    authority: Authority,
-    response: Response,
-    *,
-    gamma_ps: float,
-    dt_s: float,
-    accuracy: Accuracy = KNOWN,
-    doubts: Doubts = USUAL,
-    gain_part_mps2: float = 0.0,
-    torque_part_mps2: float = 0.0,
-    coupling_mps: float = 0.0,
-    inside_ps: float = 0.0,
-) -> tuple[Setting, tuple[Margin, ...]]:
-    """The condition's constants for one axis, and every margin in m/s^2.
+class Ledger:
+    """What a barrier of one axis needs, whichever it is: the condition's constants, and every margin; final."""
 
-    `gain_part_mps2`, `torque_part_mps2`: how much of the error is the thrust gain's, and torque's; `coupling_mps`: see
-    above.
-    """
-    least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
-    error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
-    span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
-    hardest = max(abs(least), abs(most))
-    sources = _sources(axis, response, span, hardest, error - accuracy.acc_mps2, accuracy, doubts, coupling_mps)
-    eta, at, rows = 0.0, Slopes(0.0, 0.0, 0.0, 0.0, 0.0), barrier.rows
-    for _ in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
-        edges = _edges(barrier, eta)
-        at = _slopes(rows, edges, (least, most), error, dt_s)
-        eta = _eta_together(edges, (least, most), sources)
-    offsets = [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in sources]
-    per_m, per_mps, steep = brakes(barrier, least, most)
-    priced = {
-        s.name: (
-            per_m * off_m + per_mps * off_mps + gamma_ps * _eta(at, s) / steep,
-            s.because,
+    __slots__ = ("_authority", "_given", "_known", "_parts", "_sources", "accuracy", "dt_s", "gamma_ps", "inside_ps")
+
+    def __init__(
+        self,
+        axis: int,
+        authority: Authority,
+        response: Response,
+        *,
+        gamma_ps: float,
+        dt_s: float,
+        accuracy: Accuracy = KNOWN,
+        doubts: Doubts = USUAL,
+        gain_part_mps2: float = 0.0,
+        torque_part_mps2: float = 0.0,
+        coupling_mps: float = 0.0,
+        inside_ps: float = 0.0,
+    ) -> None:
+        """`gain_part_mps2`, `torque_part_mps2`: how much of the error is the thrust gain's, and torque's;
+        `coupling_mps`: see above."""
+        self.gamma_ps, self.dt_s, self.accuracy, self.inside_ps = gamma_ps, dt_s, accuracy, inside_ps
+        self._authority, self._parts = authority, (gain_part_mps2, torque_part_mps2)
+        least, most = float(authority.u_low_mps2.min()), float(authority.u_high_mps2.max())
+        error = float(max(authority.error_low_mps2.max(), authority.error_high_mps2.max()))
+        span = float((authority.u_high_mps2 - authority.u_low_mps2).max())
+        hardest = max(abs(least), abs(most))
+        self._sources = _sources(
+            axis, response, span, hardest, error - accuracy.acc_mps2, accuracy, doubts, coupling_mps
         )
-        for s, (off_m, off_mps) in zip(sources, offsets, strict=True)
-        if s.name
-    }
-    low = float(authority.error_low_mps2.max())
-    lines = {
-        "gp_error": (
-            low - gain_part_mps2 - torque_part_mps2 - accuracy.acc_mps2,
-            "bound of the acceleration's error at the braking end, less the gain's, torque's and the attitude's parts",
-        ),
-        "torque": (torque_part_mps2, "thrust that torque adds through the rotors' curve, within the governor's limits"),
-        "thrust_gain": (gain_part_mps2, "bound of the thrust gain's error times the thrust beyond hover"),
-        "discretisation": (0.0, "cells are covered with bounds that hold in all of each"),
-        "zero_order_hold": (at.hold / at.h_v, f"a command holds {1e3 * dt_s:.3g} ms at most: part of the condition"),
-        **priced,
-    }
-    worth, because = lines["estimate_error"]
-    lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
-    margins = tuple(Margin(name, *lines[name]) for name in MARGINS)
-    off_m, off_mps = (sum(each[i] for each in offsets) for i in range(2))
-    return Setting(gamma_ps, eta, 0.0, dt_s, off_m, 0.0, inside_ps, off_mps), margins
+        off = [sum(getattr(each, part) for each in self._sources) for part in ("eps_e", "eps_v", "late_s")]
+        self._given = np.array([least, most, error, dt_s, *off])
+        self._known: dict[Barrier, tuple[Setting, Slopes]] = {}
+        """A search asks for the same barrier again and again."""
+
+    def __call__(self, barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
+        """The condition's constants, and every margin in m/s^2."""
+        return self.setting(barrier), self.margins(barrier)
+
+    def setting(self, barrier: Barrier) -> Setting:
+        """The condition's constants."""
+        return self._at(barrier)[0]
+
+    def _at(self, barrier: Barrier) -> tuple[Setting, Slopes]:
+        found = self._known.get(barrier)
+        if found is None:
+            eta, (*parts, _) = _constants(barrier.rows, _fastest(barrier), self._given, _CIRCLE)
+            at = Slopes(*parts)
+            off_m, off_mps = (sum(each[i] for each in self._offsets(at)) for i in range(2))
+            setting = Setting(self.gamma_ps, eta, 0.0, self.dt_s, off_m, 0.0, self.inside_ps, off_mps)
+            found = self._known[barrier] = setting, at
+        return found
+
+    def _offsets(self, at: Slopes) -> list[tuple[float, float]]:
+        hardest = max(abs(self._given[_LOW]), abs(self._given[_HIGH]))
+        return [(s.eps_e + s.late_s * at.speed, s.eps_v + s.late_s * hardest) for s in self._sources]
+
+    def margins(self, barrier: Barrier) -> tuple[Margin, ...]:
+        """Every margin in m/s^2."""
+        _, at = self._at(barrier)
+        least, most, *_ = self._given.tolist()
+        (gain_part_mps2, torque_part_mps2), accuracy = self._parts, self.accuracy
+        per_m, per_mps, steep = brakes(barrier, least, most)
+        priced = {
+            s.name: (
+                per_m * off_m + per_mps * off_mps + self.gamma_ps * _eta(at, s) / steep,
+                s.because,
+            )
+            for s, (off_m, off_mps) in zip(self._sources, self._offsets(at), strict=True)
+            if s.name
+        }
+        low = float(self._authority.error_low_mps2.max())
+        lines = {
+            "gp_error": (
+                low - gain_part_mps2 - torque_part_mps2 - accuracy.acc_mps2,
+                "bound of the acceleration's error at the braking end, less the gain's, torque's and the attitude's "
+                "parts",
+            ),
+            "torque": (
+                torque_part_mps2, "thrust that torque adds through the rotors' curve, within the governor's limits"
+            ),
+            "thrust_gain": (gain_part_mps2, "bound of the thrust gain's error times the thrust beyond hover"),
+            "discretisation": (0.0, "cells are covered with bounds that hold in all of each"),
+            "zero_order_hold": (
+                at.hold / at.h_v, f"a command holds {1e3 * self.dt_s:.3g} ms at most: part of the condition"
+            ),
+            **priced,
+        }  # fmt: skip
+        worth, because = lines["estimate_error"]
+        lines["estimate_error"] = (worth + accuracy.acc_mps2, because)
+        return tuple(Margin(name, *lines[name]) for name in MARGINS)
 
 
 def _sources(

@@ -33,7 +33,8 @@ from scipy.linalg import lapack
 
 from flightstack.barrier.confidence import ALLOWANCE, Colour, colour
 from flightstack.barrier.initial import DOWN
-from flightstack.gp import Kernel, Matern, SquaredExponential
+from flightstack.barrier.sizes import SmoothSizes
+from flightstack.gp import Kernel, Matern, SquaredExponential, program
 from flightstack.gp.kernels import Product, Sum
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
@@ -132,16 +133,18 @@ class Process:
 class Posterior:
     """A process factorised; final, holds only constants."""
 
-    __slots__ = ("_factor", "_weights", "process")
+    __slots__ = ("_factor", "_gram", "_program", "_together", "_weights", "process")
 
     def __init__(self, process: Process, gram: F64 | None = None, together: F64 | None = None) -> None:
         """`gram` (N, N): the kernel of the points, `together` (N, N): the drift's correlations, where known already."""
-        self.process = process
+        self.process, self._program = process, process.kernel.program(process.x.shape[1])
         gram = np.asfortranarray(process.kernel.matrix(process.x) if gram is None else gram)  # as LAPACK takes it
         noisy = gram.copy(order="K")
         if process.drift.variance > 0.0:
-            noisy = np.multiply(process.correlations if together is None else together, process.drift.variance, noisy)
+            together = process.correlations if together is None else together
+            noisy = np.multiply(together, process.drift.variance, noisy)
             noisy += gram
+        self._gram, self._together = gram, together
         diagonal = noisy.ravel(order="K")[:: len(noisy) + 1]
         diagonal[:] = np.diagonal(gram) + process.noise_var + process.drift.variance
         self._factor, failed = lapack.dpotrf(noisy, lower=1)
@@ -164,14 +167,20 @@ class Posterior:
         beyond = INFLATION**2 * (np.einsum("ij,ij->j", error, error) / len(x) - self.process.noise_var)
         return self._with(replace(self.process, excess=np.maximum(self.process.excess, beyond)))
 
-    def coloured_steps(self, evidence: Evidence) -> Iterator[Posterior]:
-        """The same with the colour that the newest windows' residuals show; valid after the last piece of work."""
+    def coloured_steps(self, evidence: Evidence, crosses: list[F64]) -> Iterator[Posterior]:
+        """The same with the colour that the newest windows' residuals show; valid after the last piece of work.
+
+        `crosses`: the kernel between points and windows, a piece each; worked out where it is not there yet.
+        """
         x, y = evidence.pooled(_COLOURED)
         off: list[F64] = []
-        for start in range(0, len(x), _CHUNK):
+        for k, start in enumerate(range(0, len(x), _CHUNK)):
             yield self
             part = slice(start, start + _CHUNK)
-            off.append(y[part] - self.mean(x[part]) - self._drifted(evidence.spans_us[-_COLOURED:][part]))
+            if k == len(crosses):
+                crosses.append(self._cross(x[part]))
+            mean = crosses[k].T @ self._weights
+            off.append(y[part] - mean - self._drifted(evidence.spans_us[-_COLOURED:][part]))
         if off:
             found = colour(np.concatenate(off), evidence.spans_us[-_COLOURED:], self.process.noise_var)
             yield self._with(replace(self.process, colour=found))
@@ -186,7 +195,8 @@ class Posterior:
         share = float(self.process.colour.inflation.max()) ** 2 / ALLOWANCE
         if share <= 1.0:
             return self
-        return Posterior(replace(self.process, noise_var=share * self.process.noise_var))
+        noisier = replace(self.process, noise_var=share * self.process.noise_var)
+        return Posterior(noisier, self._gram, self._together)
 
     def _drifted(self, spans_us: NDArray[np.int64]) -> F64:
         """(M, P) what noise has most likely wandered to in windows with these stamps (M, 2)."""
@@ -198,56 +208,67 @@ class Posterior:
 
     def _with(self, process: Process) -> Posterior:
         other = object.__new__(Posterior)
-        other.process = process
+        other.process, other._program = process, self._program
         other._factor, other._weights = self._factor, self._weights
+        other._gram, other._together = self._gram, self._together
         return other
+
+    def _cross(self, x: F64) -> F64:
+        """(N, M) covariances of the points with x (M, D)."""
+        return program.matrix(self._program, self.process.x, np.ascontiguousarray(x))
 
     def weight_sums(self, x: F64) -> F64:
         """(M,) sum of the absolute weights that a mean gives to the points."""
-        cross = self.process.kernel.matrix(self.process.x, x)
+        cross = self._cross(x)
         weights, _ = lapack.dpotrs(self._factor, cross, lower=1)
         found: F64 = np.abs(weights).sum(axis=0)
         return found
 
     def mean(self, x: F64) -> F64:
         """(M, P) at x (M, D): the same as of `at`, at a third of its cost."""
-        mean: F64 = self.process.kernel.matrix(self.process.x, x).T @ self._weights
+        mean: F64 = self._cross(x).T @ self._weights
         return mean
 
     def at(self, x: F64) -> tuple[F64, F64]:
         """Means (M, P) and latent variance (M,) at x (M, D)."""
-        cross = self.process.kernel.matrix(self.process.x, x)
+        cross = self._cross(x)
         mean: F64 = cross.T @ self._weights
         solved, _ = lapack.dtrtrs(self._factor, cross, lower=1)
-        prior = self.process.kernel.diagonal(x)
+        prior = program.diagonal(self._program, np.ascontiguousarray(x))
         return mean, np.maximum(prior - np.einsum("ij,ij->j", solved, solved), 0.0)
 
 
-def sized_steps(process: Process) -> Iterator[Posterior]:
-    """The process with its smooth part as large as its points leave likely; valid after the last piece of work.
+def sized_steps(process: Process) -> Iterator[Posterior | None]:
+    """The process with its smooth part as large as its points leave likely: None after each piece of work, then it.
 
     Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; see `knowledge`.
     """
     whole = np.asfortranarray(process.kernel.matrix(process.x))
-    smooth = whole - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
-    noises = _NOISES if len(process.spans_us) else _NOISES[:1]
-    together = process.correlations if len(process.spans_us) else None
-    likeliest: list[tuple[float, Process, F64]] = []
+    named = _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
+    smooth = whole - named
+    dated = len(process.spans_us) > 0
+    together = process.correlations if dated else None
+    times_s = np.asarray(1e-6 * process.spans_us[:, 1] if dated else np.zeros(len(process.x)), np.float64)
+    sizes = SmoothSizes(named, smooth, process.y, process.noise_var, times_s, _DRIFT_S)
+    likeliest: list[tuple[float, Process, float]] = []
     for i in range(_SIZES):
-        share = 4.0**-i
+        share, tried = 4.0**-i, []
         kernel = _scaled(process.kernel, share) if i else process.kernel
-        gram, tried = smooth * (share - 1.0), []
-        gram += whole
-        for white, drift in noises:
+        for white, drift in _NOISES if dated else _NOISES[:1]:
             noise_var = white * process.noise_var
             one = replace(process, kernel=kernel, noise_var=noise_var, drift=Drift(drift * noise_var))
-            found = Posterior(one, gram, together)
-            tried.append((found.log_likelihood, one, gram))
-            yield found
+            if sizes.worth_it:
+                found = sizes.log_likelihood(share, noise_var, one.drift.variance)
+            else:
+                found = Posterior(one, smooth * (share - 1.0) + whole, together).log_likelihood
+            tried.append((found, one, share))
+            yield None
         likeliest.append(max(tried, key=lambda each: each[0]))
     best = max(each[0] for each in likeliest)
-    _, sized, gram = next(each for each in likeliest if each[0] >= best - _LIKELY)
+    _, sized, share = next(each for each in likeliest if each[0] >= best - _LIKELY)
     beyond = INFLATION**2 * sized.drift.variance
+    gram = smooth * (share - 1.0)
+    gram += whole
     yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)), gram, together)
 
 
@@ -303,15 +324,17 @@ class Accelerations:
         for store in (state.lateral, state.vertical):
             copy = Process.resting_on(store.evidence())
             yield None
-            for posterior in sized_steps(copy):
-                sized = posterior
+            sized: Posterior | None = None
+            for piece in sized_steps(copy):
+                sized = piece
                 yield None
-            evidence = store.evidence()
-            for posterior in sized.coloured_steps(evidence):
+            assert sized is not None
+            evidence, crosses = store.evidence(), list[F64]()
+            for posterior in sized.coloured_steps(evidence, crosses):
                 sized = posterior
                 yield None
             sized = sized.widened(*evidence.pooled(_NEWEST)).raised()
-            for posterior in sized.coloured_steps(evidence):
+            for posterior in sized.coloured_steps(evidence, crosses):
                 sized = posterior
                 yield None
             found.append(sized)

@@ -16,6 +16,7 @@ from flightstack.barrier.premises import Premises
 from flightstack.barrier.provenance import Provenance
 from flightstack.barrier.shapes import Barrier
 from flightstack.barrier.torque import GovernorTerms
+from flightstack.jit import njit_called
 from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
@@ -69,15 +70,7 @@ class Authority:
         the chord there.
         """
         i = min(max(int(np.searchsorted(self.v_mps, v_mps)) - 1, 0), len(self.v_mps) - 2)
-        lows, highs = self.u_low_mps2[i : i + 2], self.u_high_mps2[i : i + 2]
-        low, high = float(max(lows)), float(min(highs))
-        at_low, at_high = float(max(self.error_low_mps2[i : i + 2])), float(max(self.error_high_mps2[i : i + 2]))
-        rise, inward_low, inward_high = at_high - at_low, low - float(min(lows)), float(max(highs)) - high
-        if rise > 0.0 and inward_low > 0.0:
-            at_low += rise * inward_low / (high - low + inward_low) if high > low else rise
-        elif rise < 0.0 and inward_high > 0.0:
-            at_high -= rise * inward_high / (high - low + inward_high) if high > low else rise
-        return Reach(low, high, at_low, at_high)
+        return Reach(*reach_between(self.table, i))
 
     @property
     def table(self) -> F64:
@@ -92,6 +85,22 @@ class Authority:
 
 N_LOW, N_HIGH, N_ERROR_LOW, N_ERROR_HIGH = 3, 4, 5, 6
 """Rows of `Authority.table`."""
+
+
+@njit_called
+def reach_between(table: F64, i: int) -> tuple[float, float, float, float]:
+    """What `Authority.reach` says between a node and the next."""
+    low, high = max(table[N_LOW, i], table[N_LOW, i + 1]), min(table[N_HIGH, i], table[N_HIGH, i + 1])
+    at_low = max(table[N_ERROR_LOW, i], table[N_ERROR_LOW, i + 1])
+    at_high = max(table[N_ERROR_HIGH, i], table[N_ERROR_HIGH, i + 1])
+    inward_low = low - min(table[N_LOW, i], table[N_LOW, i + 1])
+    inward_high = max(table[N_HIGH, i], table[N_HIGH, i + 1]) - high
+    rise = at_high - at_low
+    if rise > 0.0 and inward_low > 0.0:
+        at_low += rise * inward_low / (high - low + inward_low) if high > low else rise
+    elif rise < 0.0 and inward_high > 0.0:
+        at_high -= rise * inward_high / (high - low + inward_high) if high > low else rise
+    return low, high, at_low, at_high
 
 
 @dataclass(frozen=True, slots=True)

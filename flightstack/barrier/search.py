@@ -17,12 +17,11 @@ import numpy as np
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, at_level, grow
 from flightstack.barrier.design_search import farthest
-from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
+from flightstack.barrier.margins import Ledger
+from flightstack.barrier.records import Authority, AxisCertificate, Response
 from flightstack.barrier.shapes import Barrier, Quadratic
 
 _T = TypeVar("_T")
-Ledger = Callable[[Barrier], tuple[Setting, tuple[Margin, ...]]]
-"""The condition's constants and margins that a barrier needs."""
 _SLANTS, _SPEEDS = (0.2, 0.35, 0.5), (0.7, 0.85, 1.0)
 _STEPS = ((0.12, 0.12), (0.06, 0.06))
 _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
@@ -124,7 +123,7 @@ def _grown(
 
     `before`: a setting that did for a shape like it.
     """
-    setting, _ = ledger(shape)
+    setting = ledger.setting(shape)
     if before is not None:
         setting = setting._replace(**{part: max(getattr(setting, part), getattr(before, part)) for part in GROWING})
     for _ in range(_ROUNDS):
@@ -132,10 +131,11 @@ def _grown(
         yield
         if design.barrier is None or design.cover is None:
             return None
-        own, margins = ledger(design.barrier)
+        own = ledger.setting(design.barrier)
         if all(getattr(own, part) <= getattr(setting, part) for part in GROWING):
             return AxisCertificate(
-                axis.axis, design.barrier, setting, axis.response, axis.authority, margins, design.cover.cells
-            )
+                axis.axis, design.barrier, setting, axis.response, axis.authority, ledger.margins(design.barrier),
+                design.cover.cells,
+            )  # fmt: skip
         setting = setting._replace(**{part: 1.02 * max(getattr(own, part), getattr(setting, part)) for part in GROWING})
     return None

@@ -16,9 +16,10 @@ from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.design import SafeSet, largest, worst_slice_area
 from flightstack.barrier.knowledge import Knowledge
+from flightstack.barrier.margins import Ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.records import AxisCertificate, Certificate
-from flightstack.barrier.search import GROWING, Axis, Ledger
+from flightstack.barrier.search import GROWING, Axis
 from flightstack.barrier.shapes import Quadratic
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.types import F64, Learned
@@ -73,7 +74,7 @@ def designed(axis: Axis, needs: Ledger, family: str) -> AxisCertificate | None:
     Larger barriers mostly need less of it, so that a ledger that was too large is tried again at what it gave.
     """
     fast = float(axis.authority.v_mps.max())
-    setting, _ = needs(Quadratic(0.0, 0.0, axis.safe.limit_m**-2, 0.2 / (axis.safe.limit_m * fast), fast**-2))
+    setting = needs.setting(Quadratic(0.0, 0.0, axis.safe.limit_m**-2, 0.2 / (axis.safe.limit_m * fast), fast**-2))
     best: AxisCertificate | None = None
     for _ in range(_ROUNDS):
         design = largest(axis.safe, setting, axis.authority, axis.response, family=family)

@@ -18,6 +18,8 @@ from .reading import Refused
 
 _tail = np.vectorize(lambda t: 0.5 * math.erfc(t / math.sqrt(2.0)), otypes=[np.float64])
 _ROUNDED = 5e-4
+_TIE_MPS2 = 1e-9
+"""An interval that ends at what is known without data ends there but for rounding."""
 
 
 @dataclass
@@ -51,6 +53,6 @@ def check_together(asked: list[Asked], lateral: bool, k_queries: float, k: float
 def _outside(asked: Asked) -> float:
     least, most = asked.low.min(axis=1)[:, None], asked.high.max(axis=1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        below = np.where(asked.sure_low >= least, 0.0, _tail((asked.mean_low - least) / asked.deviation))
-        above = np.where(asked.sure_high <= most, 0.0, _tail((most - asked.mean_high) / asked.deviation))
+        below = np.where(asked.sure_low >= least - _TIE_MPS2, 0.0, _tail((asked.mean_low - least) / asked.deviation))
+        above = np.where(asked.sure_high <= most + _TIE_MPS2, 0.0, _tail((most - asked.mean_high) / asked.deviation))
     return float(below.sum() + above.sum())

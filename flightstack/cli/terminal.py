@@ -1,10 +1,14 @@
-"""Where words go: as wide as the terminal where there is one; else plain lines, neither wrapped nor padded."""
+"""Where words go: as wide as the terminal where there is one; else plain lines, neither wrapped nor padded.
+
+Where nobody takes them (a closed pipe, a full disk) they stop, and nothing else does: a flight goes on.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from rich.console import Console, Group
@@ -12,8 +16,27 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
-output = Console(highlight=False)
+
+class _Words(Console):
+    """A console that falls silent where it can't write; rich's own ends the program."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        try:
+            super().print(*objects, **options)
+        except OSError:
+            self.on_broken_pipe()
+
+    def on_broken_pipe(self) -> None:
+        """Silent from now on; what is still in the file's buffer must not fail at the program's end."""
+        self.quiet = True
+        with suppress(OSError, ValueError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.file.fileno())
+            os.close(nowhere)
+
+
+errors = _Words(stderr=True, highlight=False, soft_wrap=True)
+output = _Words(highlight=False)
 _EVERY_S = 10.0
 """Without a terminal progress is told when the phase changes, and so often."""
 

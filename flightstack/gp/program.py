@@ -90,7 +90,7 @@ def matrix(kernel: Program, x: F64, y: F64) -> F64:
     rows, columns = (y, x) if turned else (x, y)
     out = np.empty((len(rows), len(columns)))
     _matrix(kernel.ints, kernel.floats, rows, np.ascontiguousarray(columns.T), turned, out)
-    return np.ascontiguousarray(out.T) if turned else out
+    return out.T if turned else out
 
 
 def diagonal(kernel: Program, x: F64) -> F64:

@@ -14,7 +14,7 @@ from certificates import MODEL, resealed
 from flightstack.barrier.confidence import Colour
 from flightstack.barrier.file import parse_certificate
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
-from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
@@ -229,12 +229,12 @@ def supported(data: dict[str, Any]) -> bool:
         )
     )  # fmt: skip
     doubts = known["doubts"]
-    _, margins = ledger(
-        2, axis.barrier, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
+    _, margins = Ledger(
+        2, axis.authority, axis.response, gamma_ps=axis.setting.gamma_ps, dt_s=axis.setting.dt_s,
         accuracy=Accuracy(*(data["premises"]["estimate"][key][2] for key in Accuracy._fields[:3])),
         doubts=Doubts(*(doubts[key] for key in Doubts._fields)), gain_part_mps2=axis.margins[1].mps2,
         torque_part_mps2=axis.margins[-1].mps2,
-    )  # fmt: skip
+    )(axis.barrier)  # fmt: skip
     same = np.abs(remade.authorities[2].table - axis.authority.table).max() < 2e-6
     near = [abs(a.mps2 - b.mps2) <= 1.5e-3 * b.mps2 + 2e-6 for a, b in zip(axis.margins, margins, strict=True)]
     return bool(same and all(near) and remade.k_sigma <= certified.k_sigma + 1e-9)

@@ -16,7 +16,7 @@ from shipped import load_vehicle
 from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request, budget
-from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.premises import Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response
@@ -116,9 +116,8 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
     """Of the vertical axis."""
     known = knowledge(points)
     table = known.authorities[2]
-    setting, margins = ledger(
+    setting, margins = Ledger(
         2,
-        barrier,
         table,
         RESPONSE,
         gamma_ps=2.0,
@@ -128,7 +127,7 @@ def certificate(barrier: Barrier = ELLIPSE, points: int = 60, across: int = 20) 
         gain_part_mps2=known.gain_part_mps2[2],
         torque_part_mps2=known.torque_part_mps2[2],
         inside_ps=8.0,
-    )
+    )(barrier)
     axis = AxisCertificate(
         2, barrier, setting, RESPONSE, table, margins, uniform_cells(barrier, setting, table, across)
     )

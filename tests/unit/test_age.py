@@ -7,7 +7,7 @@ import numpy as np
 from lagging_plant import G, Plant, authority, certificate, crossed
 from shipped import load_vehicle
 
-from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.packed import P_BOUNDS, P_CHAIN
 from flightstack.barrier.records import Budget, Certificate, Response
 from flightstack.barrier.response import lead
@@ -33,7 +33,7 @@ def certified(age_s: float) -> Certificate:
         reach = authority(-1.5, 1.5, ERROR) if i < 2 else authority(G - GAIN * HIGH, G - GAIN * LOW, ERROR, G, GAIN)
         shape = crossed(0.6, 0.7, 0.742)
         doubts = Doubts(0.0, 0.0, 0.0, 0.0, age_s)
-        setting, _ = ledger(i, shape, reach, response, gamma_ps=0.5, dt_s=0.004, accuracy=ACCURACY, doubts=doubts)
+        setting, _ = Ledger(i, reach, response, gamma_ps=0.5, dt_s=0.004, accuracy=ACCURACY, doubts=doubts)(shape)
         rows[i] = (shape, setting, response, reach)
     return certificate(rows, Budget(2.0, LOW, HIGH, HIGH, 0.5))
 

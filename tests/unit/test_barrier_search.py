@@ -7,13 +7,12 @@ import pytest
 from barriers import h
 from measured import measured
 
-from flightstack.barrier.condition import Setting, interval
+from flightstack.barrier.condition import interval
 from flightstack.barrier.design import SafeSet
 from flightstack.barrier.flown import FlownPath
-from flightstack.barrier.margins import Accuracy, ledger
-from flightstack.barrier.records import Authority, AxisCertificate, Margin, Response
-from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
-from flightstack.barrier.shapes import Barrier
+from flightstack.barrier.margins import Accuracy, Ledger
+from flightstack.barrier.records import Authority, AxisCertificate, Response
+from flightstack.barrier.search import Axis, again, largest_steps, whole
 from flightstack.region import Region
 from flightstack.types import Measurement
 
@@ -25,9 +24,7 @@ def asked(error: float, low: float = -3.2, high: float = 2.8) -> tuple[Axis, Led
     v, one = np.linspace(-1.4, 1.4, 8), np.ones(8)
     authority = Authority(v, high * one, one, low * one, high * one, error * one, error * one)
 
-    def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
-        return ledger(2, barrier, authority, SLOW, gamma_ps=0.5, dt_s=0.012, inside_ps=20.0)
-
+    needs = Ledger(2, authority, SLOW, gamma_ps=0.5, dt_s=0.012, inside_ps=20.0)
     return Axis(2, SafeSet(0.6, 1.4), authority, SLOW), needs
 
 
@@ -104,12 +101,10 @@ def to_north() -> tuple[Axis, Ledger]:
     authority = Authority(v, 0.0 * v, 0.0 * v, -2.0 * one, 2.0 * one, 0.6 * one, 0.6 * one)
     response = Response(0.154, 0.007, 0.005)
 
-    def needs(barrier: Barrier) -> tuple[Setting, tuple[Margin, ...]]:
-        return ledger(
-            0, barrier, authority, response, gamma_ps=0.5, dt_s=0.004, inside_ps=20.0,
-            accuracy=Accuracy(0.022, 0.045, 0.13), coupling_mps=0.02,
-        )  # fmt: skip
-
+    needs = Ledger(
+        0, authority, response, gamma_ps=0.5, dt_s=0.004, inside_ps=20.0,
+        accuracy=Accuracy(0.022, 0.045, 0.13), coupling_mps=0.02,
+    )  # fmt: skip
     return Axis(0, NORTH, authority, response), needs
 
 

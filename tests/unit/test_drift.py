@@ -63,8 +63,8 @@ def known(evidence: Evidence, dated: bool = True) -> Posterior:
     """What a certificate makes of it; not dated: noise is taken for white."""
     process = Process.resting_on(evidence)
     *_, sized = sized_steps(process if dated else replace(process, spans_us=np.zeros((0, 2), np.int64)))
-    *_, coloured = sized.coloured_steps(evidence)
-    *_, raised = coloured.widened(*evidence.pooled(100)).raised().coloured_steps(evidence)
+    *_, coloured = sized.coloured_steps(evidence, [])
+    *_, raised = coloured.widened(*evidence.pooled(100)).raised().coloured_steps(evidence, [])
     return raised
 
 

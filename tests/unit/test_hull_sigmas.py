@@ -18,6 +18,7 @@ from flightstack.barrier.queries import queries
 from flightstack.barrier.response import C_LEAD_THRUST, CHAIN, STATE, lead
 from flightstack.certificate_check.knowledge import Box, read, tables
 from flightstack.certificate_check.reading import Refused
+from flightstack.certificate_check.together import Asked, check_together
 from flightstack.frames import quat_from_rotation_vector
 from flightstack.model import Limits
 from flightstack.types import F64
@@ -131,3 +132,13 @@ def test_z_is_off_by_the_attitudes_error_at_the_thrust_it_is_built_with() -> Non
     at_lead = 0.9 * 12.0 * math.sin(0.003)
     assert abs(seen[1] - true[1]) == pytest.approx(0.1 * at_lead, rel=1e-9)
     assert abs(seen[0] - true[0]) == pytest.approx(0.004 * at_lead, rel=1e-9)
+
+
+def test_a_hull_that_ends_at_what_is_sure_does_not_fail_by_rounding() -> None:
+    """Each query's interval is what is sure of it alone, shifted by numbers that no double holds exactly."""
+    rng, none = np.random.default_rng(5), np.zeros((1000, 1))
+    sure, shift = rng.uniform(-5.0, 5.0, (1000, 1)), rng.uniform(-5.0, 5.0, (1000, 1))
+    tied = Sides(sure, sure, none + 1.0, sure, sure, shift, shift)
+    assert tied.outside(2.5) == 0.0
+    again = Asked(*(each + shift - shift for each in (sure, sure)), sure, sure, none + 1.0, sure, sure)
+    check_together([again], False, 2.5, 3.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flightstack.barrier.condition import Reach, Setting, coefficients, margin_at
-from flightstack.barrier.margins import USUAL, Accuracy, Doubts, _sources, ledger, slopes
+from flightstack.barrier.margins import USUAL, Accuracy, Doubts, Ledger, _sources, slopes
 from flightstack.barrier.records import MARGINS, Authority, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, piece_at
 
@@ -59,9 +59,9 @@ def test_no_error_within_the_stated_doubts_costs_more_than_the_condition_takes(b
     """Known states and true ones, each doubt at one of its ends: q and h as known are never above what is true."""
     response = Response(0.03, 0.0, 0.02) if axis == 2 else Response(0.15, 0.15 * 0.03, 0.02)
     accuracy, doubts = Accuracy(0.002, 0.01, 0.03), Doubts(0.004, 0.2, 0.2, 0.03, 0.0)
-    setting, _ = ledger(
-        axis, barrier, authority(), response, gamma_ps=2.0, dt_s=DT, accuracy=accuracy, doubts=doubts
-    )  # fmt: skip
+    setting, _ = Ledger(
+        axis, authority(), response, gamma_ps=2.0, dt_s=DT, accuracy=accuracy, doubts=doubts
+    )(barrier)  # fmt: skip
     rng, worst_h, tightest = np.random.default_rng(4), 0.0, 0.0
     for row in barrier.rows:
         es, vs = inside(barrier, row)
@@ -97,7 +97,7 @@ def test_a_lag_and_the_delay_that_was_fitted_with_it_put_the_state_off_by_no_mor
     true, model = (np.where(x > d, 1.0 - np.exp(-(x - d) / t), 0.0) for t, d in ((true_lag, true_delay), (lag, delay)))
     speed = true - model  # weight of a command of that age in what z's speed is off by; z's own is the same for both
     place = np.cumsum(speed) * dt
-    _, margins = ledger(2, SHAPES[1], authority(), Response(lag, 0.0, delay), gamma_ps=2.0, dt_s=DT)
+    _, margins = Ledger(2, authority(), Response(lag, 0.0, delay), gamma_ps=2.0, dt_s=DT)(SHAPES[1])
     assert any(each.name == "rotor_lag" for each in margins)
     worst_v = 0.5 * (HIGH - LOW) * float(np.abs(speed).sum()) * dt
     worst_e = max(-LOW, HIGH) * float(np.abs(place).sum()) * dt
@@ -112,7 +112,7 @@ def test_every_margin_is_named_once_and_grows_with_its_own_doubt() -> None:
 
     def lines(**changes: object) -> dict[str, float]:
         given = {"gamma_ps": 2.0, "dt_s": DT, "gain_part_mps2": 0.1, "accuracy": FINE, **changes}
-        _, margins = ledger(2, barrier, authority(), response, **given)  # type: ignore[arg-type]
+        _, margins = Ledger(2, authority(), response, **given)(barrier)  # type: ignore[arg-type]
         assert tuple(each.name for each in margins) == MARGINS
         assert all(each.because for each in margins)
         return {each.name: each.mps2 for each in margins}
@@ -132,10 +132,10 @@ def test_every_margin_is_named_once_and_grows_with_its_own_doubt() -> None:
 def test_a_perfect_vehicle_costs_nothing() -> None:
     v, one = np.array([-4.0, 4.0]), np.ones(2)
     exact = Authority(v, 9.8 * one, one, LOW * one, HIGH * one, 0.0 * one, 0.0 * one)
-    setting, margins = ledger(
-        2, SHAPES[1], exact, Response(0.0, 0.0, 0.0), gamma_ps=2.0, dt_s=0.0, accuracy=Accuracy(0.0, 0.0, 0.0),
+    setting, margins = Ledger(
+        2, exact, Response(0.0, 0.0, 0.0), gamma_ps=2.0, dt_s=0.0, accuracy=Accuracy(0.0, 0.0, 0.0),
         doubts=Doubts(0.0, 0.0, 0.0, age_s=0.0),
-    )  # fmt: skip
+    )(SHAPES[1])  # fmt: skip
     assert setting == (2.0, *(7 * [0.0]))
     assert all(each.mps2 == 0.0 for each in margins)
 
@@ -174,10 +174,10 @@ C1, DELAY, FASTEST, HARDEST, SPAN = 0.1, 0.02, 1.0 / np.sqrt(0.6), 4.0, 6.5
 def test_by_how_much_the_state_may_be_off_is_the_sum_worked_out_by_hand(
     axis: int, c2_s2: float, accuracy: tuple[float, ...], doubts: Doubts, coupling: float, off_m: float, off_mps: float
 ) -> None:
-    setting, _ = ledger(
-        axis, SHAPES[0], authority(), Response(C1, c2_s2, DELAY), gamma_ps=2.0, dt_s=DT,
+    setting, _ = Ledger(
+        axis, authority(), Response(C1, c2_s2, DELAY), gamma_ps=2.0, dt_s=DT,
         accuracy=Accuracy(*accuracy), doubts=doubts, coupling_mps=coupling,
-    )  # fmt: skip
+    )(SHAPES[0])  # fmt: skip
     late = doubts.delay_s + (doubts.lag_share * doubts.rotor_lag_s if axis != 2 else 0.0)
     grown = late * FASTEST * (np.sqrt(1.0 + setting.eta) - 1.0)  # at the edge of the region with its eta, nearly
     assert setting.off_m == pytest.approx(off_m + grown, rel=1e-3 if late else 1e-9)

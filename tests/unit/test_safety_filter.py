@@ -16,7 +16,7 @@ from measured import measured
 from shipped import load_scenario, load_vehicle
 
 from flightstack.barrier.condition import Setting
-from flightstack.barrier.margins import Accuracy, Doubts, ledger
+from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.records import Authority, Budget, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Stopping, value
 from flightstack.control.feedback import FlatnessController
@@ -56,10 +56,10 @@ def priced(
     lead = max(hover, 0.5 * (budget.low_mps2 + budget.high_mps2))
     apart = max(budget.high_mps2 - lead, lead - budget.low_mps2) / lead
     span = float((reach.u_high_mps2 - reach.u_low_mps2).max())
-    setting, _ = ledger(
-        axis, shape, reach, response, gamma_ps=gamma_ps, dt_s=dt_s, accuracy=accuracy, inside_ps=20.0,
+    setting, _ = Ledger(
+        axis, reach, response, gamma_ps=gamma_ps, dt_s=dt_s, accuracy=accuracy, inside_ps=20.0,
         doubts=Doubts(0.0, 0.0, 0.0, age_s=0.0), coupling_mps=0.0 if axis == 2 else response.c1_s * 0.5 * span * apart,
-    )  # fmt: skip
+    )(shape)  # fmt: skip
     return setting._replace(rate_ps=setting.rate_ps + 0.05)  # what the chain's integration may be off by
 
 

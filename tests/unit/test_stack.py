@@ -18,7 +18,7 @@ from flightstack.predictor import Streams, predict
 from flightstack.seams import NoFilter, NoLearner
 from flightstack.stack import Stack
 from flightstack.trajectory import figure8, hover
-from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, changed
+from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, changed
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack.warmup import warm_up
 from tests.closed_loop import ClosedLoopFlight, fly
@@ -322,6 +322,48 @@ def test_what_a_certificate_says_stays_with_its_flight() -> None:
     record = watched.tick(watched.init(measurement(0)), measurement(), SETPOINT, 4000)[2]
     assert (record.filtered.premise, record.filtered.ended_by) == (0.0, 0.0)
     assert alone.tick(alone.init(measurement(0)), measurement(), SETPOINT, 4000)[2].digest == before
+
+
+class _PushesUp:
+    """Full thrust, whatever the reference; its state is its own."""
+
+    def init(self, now_us: int) -> list[int]:
+        return [now_us]
+
+    def healthy(self, state: list[int]) -> bool:
+        return len(state) == 1
+
+    def step(
+        self, state: list[int], seen: Measurement, reference: FlatOutput, learned: Learned, sent: Command, now_us: int
+    ) -> tuple[list[int], Proposal]:
+        return [state[0] + 1], Proposal(1.8 * MODEL.weight_n, np.zeros(20))
+
+
+class _CertifiesOnce(_Certifies):
+    def step(
+        self, state: object, learner: object, seen: Measurement, learned: Learned, filtered: Filtered
+    ) -> tuple[object, object]:
+        return 1, (certificate_with_premises() if state == 0 else None)
+
+
+def test_where_a_certificate_is_over_whoever_flew_no_longer_does() -> None:
+    """Rate gains told, then a lost second of somebody else's: the stack's own controller brings it to rest."""
+    stack = Stack(MODEL, controller=_PushesUp(), certifier=_CertifiesOnce())
+    state, command, record = stack.tick(stack.init(measurement(0)), measurement(), SETPOINT, 4000)
+    assert command.thrust_n == pytest.approx(1.8 * MODEL.weight_n)
+    state = stack.gains_changed(state)
+    for t_us in (8000, 12_000):
+        state, command, record = stack.tick(state, measurement(t_us), SETPOINT, t_us)
+        assert command.thrust_n == pytest.approx(MODEL.weight_n, rel=0.02)
+        assert record.filtered.ended_by > 0.0
+    again = stack.resume(state, measurement(1_000_000))
+    _, command, _ = stack.tick(again, measurement(1_004_000), SETPOINT, 1_004_000)
+    assert command.thrust_n == pytest.approx(MODEL.weight_n, rel=0.02)
+
+
+def test_the_stacks_own_controller_goes_on_as_it_was() -> None:
+    own = FlatnessController(MODEL, FeedbackGains(thrust_p_ps2=1.0))
+    assert Stack(MODEL, controller=own).braking is own
 
 
 def test_known_lag_is_led() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,24 @@ def test_without_a_terminal_progress_is_one_line_for_each_phase_on_stdout(capsys
     said = capsys.readouterr()
     assert said.out.splitlines() == ["flying hover: takeoff, 0 %", "flying hover: track, 20 %"]
     assert said.err == ""
+
+
+@pytest.mark.parametrize("where", ["a pipe that nobody reads", "a full disk"])
+def test_words_that_nobody_takes_end_nothing(tmp_path: Path, where: str) -> None:
+    """A flight on a real PX4 ended in Hold when the program that read its words did."""
+    lines = (
+        "from flightstack.cli import terminal",
+        "with terminal.progress('flying') as show:",
+        "    for phase in 'abc': show(0.5, phase)",
+        "terminal.show('done')",
+        f"open({str(tmp_path / 'after')!r}, 'w').close()",
+    )
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with open("/dev/full" if where == "a full disk" else write_end, "wb") as out:
+        done = subprocess.run([sys.executable, "-c", "\n".join(lines)], stdout=out, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (tmp_path / "after").exists()
 
 
 @pytest.mark.parametrize(

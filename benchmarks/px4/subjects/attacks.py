@@ -120,15 +120,16 @@ def _dead_man(number: int) -> Callable[[Scene], None]:
         scene.begin()
         scene.began_s = time.monotonic()
         assert scene.process is not None
-        for child in _children(scene.process.pid):
-            if "dead_man" in Path(f"/proc/{child}/cmdline").read_text().replace("\0", " "):
-                os.kill(child, number)
+        for child in dead_men(scene.process.pid):
+            os.kill(child, number)
 
     return deed
 
 
-def _children(pid: int) -> list[int]:
-    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+def dead_men(pid: int) -> list[int]:
+    """The processes that answer this companion's silence."""
+    children = [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [child for child in children if "dead_man" in Path(f"/proc/{child}/cmdline").read_text()]
 
 
 def _gcs_lost(scene: Scene) -> None:
