@@ -246,7 +246,8 @@ class Entry:
         return self.call(*arguments)
 
     def _checked(self, entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
-        given = tuple(numba.typeof(argument) for argument in arguments)
+        # An int of any size: numba has no type for one beyond 64 bits, a float takes it all the same.
+        given = tuple(types.int64 if type(argument) is int else numba.typeof(argument) for argument in arguments)
         for kind, other in zip(kinds, given, strict=True):
             same = kind == other if isinstance(kind, types.Array) else self._fits(kind, other)
             assert same or (isinstance(other, types.Array) and other.copy(readonly=False) == kind), (
