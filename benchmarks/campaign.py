@@ -56,7 +56,7 @@ def about(entries: Sequence[Entry], command: str, counted: str) -> str:
     )
 
 
-def put(text: str, begin: str, end: str, page: Path = ROOT / "docs" / "gap.md") -> None:
+def put(text: str, begin: str, end: str, page: Path = ROOT / "docs" / "gap-measured.md") -> None:
     """Put a text between the two marks of a page."""
     old = page.read_text(encoding="utf-8")
     before, after = old.split(begin)[0], old.split(end)[1]

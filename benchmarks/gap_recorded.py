@@ -1,6 +1,6 @@
 """The gap workflow on recorded flights whose answer is known: what it says beside what it must, as a table.
 
-    python -m benchmarks.gap_recorded            all rows (make gap-recorded): the table in docs/gap.md
+    python -m benchmarks.gap_recorded            all rows (make gap-recorded): the table in docs/gap-measured.md
     python -m benchmarks.gap_recorded --row iris  one row, printed only
 
 The flights lie where FLIGHTSTACK_TEST_DATA says.
@@ -169,7 +169,7 @@ def line(row: Row, data: Path) -> str:
 
 
 def main() -> int:
-    """Print the table and put it into docs/gap.md."""
+    """Print the table and put it into docs/gap-measured.md."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--row", action="append", help="only this row, printed (may be repeated)")
     options = parser.parse_args()

@@ -1,6 +1,6 @@
 """The gap workflow on flights of somebody else's simulator: RotorPy (Folk, Paulos, Kumar 2023), its own controller.
 
-    python -m benchmarks.gap_rotorpy               all rows, into docs/gap.md (make gap-rotorpy)
+    python -m benchmarks.gap_rotorpy               all rows, into docs/gap-measured.md (make gap-rotorpy)
     python -m benchmarks.gap_rotorpy --row NAME    one row, printed only
 
 RotorPy integrates its own equations (SciPy's Runge-Kutta), its SE(3) controller flies and its IMU measures; nothing of
@@ -274,7 +274,7 @@ def line(row: Row) -> tuple[bool, str]:
 
 
 def main() -> int:
-    """Fly, name, print the table and put it into docs/gap.md; 1 where a row is not as it must be."""
+    """Fly, name, print the table and put it into docs/gap-measured.md; 1 where a row is not as it must be."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--row", action="append", help="only rows of this name, printed (may be repeated)")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)

@@ -1,6 +1,6 @@
 """Blind cases with a rough vehicle file: numbers off by up to what nobody measures, alone and together, effects beside.
 
-    python -m benchmarks.gap_rough FOLDER...       the table in docs/gap.md, of campaigns by campaigns/gap-rough.toml
+    python -m benchmarks.gap_rough FOLDER...       docs/gap-measured.md, of campaigns/gap-rough.toml
 
 The flights are those of `benchmarks.gap_cases`; only the file that the workflow is given is spoilt: mass and greatest
 thrust by up to 30 %, inertia by a factor of up to 1.5, motor lag by up to 3, the thrust curve anywhere from 0 to 1.

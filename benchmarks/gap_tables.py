@@ -1,4 +1,4 @@
-"""The tables of the blind campaign, as Markdown between two marks of docs/gap.md; 1 where a bar is missed.
+"""The tables of the blind campaign, as Markdown between two marks of docs/gap-measured.md; 1 where a bar is missed.
 
 python -m benchmarks.gap_tables FOLDER...      of campaigns by campaigns/gap-blind.toml; cases of the present rules
 """

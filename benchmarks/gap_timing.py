@@ -1,6 +1,6 @@
 """How long `flightstack gap` takes, and how much memory: whole commands, one after the other, on files.
 
-    python -m benchmarks.gap_timing              all rows, into docs/gap.md (make bench-gap)
+    python -m benchmarks.gap_timing              all rows, into docs/gap-measured.md (make bench-gap)
     python -m benchmarks.gap_timing --row clean  one row, printed only
 
 60 s at 125 Hz: blind flights (benchmarks.gap_cases) cut to a minute, a CSV and a vehicle file each, with every effect
@@ -92,7 +92,7 @@ def row(name: str, folder: Path) -> str:
 
 
 def main() -> int:
-    """Print the table and put it into docs/gap.md."""
+    """Print the table and put it into docs/gap-measured.md."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--row", action="append", choices=[*MINUTES, *LONG_S], help="only this, printed")
     options = parser.parse_args()

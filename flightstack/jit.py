@@ -12,15 +12,18 @@ compiled callers, without.  Most have callers of one kind only, and a wrapper ta
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.util
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
@@ -108,15 +111,7 @@ class _ContentLocator(caching._CacheLocator):  # type: ignore[misc]
         if source is None or source != Path(py_file).resolve():
             return None
         locator = cls(py_func)
-        try:
-            fresh = not locator._folder.is_dir()
-            locator.ensure_cache_path()
-            os.utime(locator._folder)
-        except OSError:
-            return None
-        if fresh:
-            _drop_unused_folders(cache_folder())
-        return locator
+        return locator if _is_ready(locator._folder) else None
 
     def get_cache_path(self) -> str:
         return str(self._folder)
@@ -126,6 +121,22 @@ class _ContentLocator(caching._CacheLocator):  # type: ignore[misc]
 
     def get_disambiguator(self) -> str:
         return str(self._line)
+
+
+@cache
+def _is_ready(folder: Path) -> bool:
+    """Whether a module's folder is there and can be written to; it counts as used from now on."""
+    try:
+        fresh = not folder.is_dir()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        os.utime(folder)
+    except OSError:
+        return False
+    if fresh:
+        _drop_unused_folders(cache_folder())
+    return True
 
 
 @cache
@@ -173,6 +184,23 @@ def _drop_unused_folders(base: Path) -> None:
         return
 
 
+def _import_blas() -> None:
+    """Import what numba looks for of `scipy.linalg` without that package's own imports: 0.15 s at every start."""
+    spec = importlib.util.find_spec("scipy")
+    if spec is None or spec.origin is None or "scipy.linalg" in sys.modules:
+        return
+    shell = ModuleType("scipy.linalg")
+    shell.__path__ = [str(Path(spec.origin).parent / "linalg")]
+    sys.modules["scipy.linalg"] = shell
+    try:
+        importlib.import_module("scipy.linalg.cython_blas")
+    except ImportError:  # another SciPy: numba imports the whole package
+        return
+    finally:
+        del sys.modules["scipy.linalg"]
+
+
+_import_blas()
 caching.CacheImpl._locator_classes.insert(0, _ContentLocator)
 
 
@@ -205,16 +233,19 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     fastmath = {"reassoc", "contract", "nsz"} if relaxed else False
     options = {"error_model": "numpy", "forceinline": inline, "fastmath": fastmath, "nogil": nogil}
     compiled: Any = numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
-    # Not cached: the code is part of every caller's, and numba's cache can't tell it from the one with the wrapper.
-    called: Any = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True, **options)(function)
+
+    @cache
+    def called() -> Any:
+        # Not cached: the code is part of every caller's, and numba's cache can't tell it from the one with the wrapper.
+        return numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True, **options)(function)
 
     def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
         # Once for all constants that are passed: LLVM puts them in when it inlines.
         plain = {name: unliteral(kind) for name, kind in kws.items()}
-        return called.get_call_template(tuple(unliteral(kind) for kind in args), plain)
+        return called().get_call_template(tuple(unliteral(kind) for kind in args), plain)
 
     compiled.get_call_template = get_call_template
-    compiled.get_overload = called.get_overload
+    compiled.get_overload = lambda signature: called().get_overload(signature)
     return compiled  # type: ignore[no-any-return]
 
 

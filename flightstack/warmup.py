@@ -32,7 +32,9 @@ _FAR_M = 30.0
 _STATISTICS = ErrorStatistics("mocap", (0.005,) * 3, 0.2, (0.0,) * 3, (0.02,) * 3, 0.2, (0.03,) * 3, 1.0, (0.01,) * 3)
 
 _WIDE = (-100.0, 100.0)
-_PREMISES = Premises("", "", BENCH, (_WIDE,) * 3, 1.0, _WIDE, _WIDE, _WIDE, _WIDE, 1.0, 1.0, 1.0, ANY_BATTERY_V)
+_PREMISES = Premises(
+    "", "", BENCH, (_WIDE,) * 3, (_WIDE, _WIDE), _WIDE, _WIDE, _WIDE, _WIDE, 1.0, 1.0, 1.0, ANY_BATTERY_V
+)
 """Nothing breaks them, so that the watch looks at all of them in every tick."""
 
 
@@ -98,4 +100,4 @@ def _certificate(centre_ned_m: F64) -> Certificate:
         for i, authority in enumerate((lateral, lateral, down))
     )
     north, east, down = centre_ned_m.tolist()
-    return Certificate("sound", (north, east, down), axes, Budget(2.0, 6.0, 15.0, 17.0, 0.5), 1.0, 0.0)
+    return Certificate("sound", (north, east, down), axes, Budget.square(6.0, 15.0, 17.0, 0.5), 1.0, 0.0)

@@ -42,7 +42,7 @@ def certificate(semi_m: float = 1.0, semi_mps: float = 0.5, **changes: Any) -> C
     """Upright ellipses on all three axes."""
     axes = tuple(axis_certificate(i, Quadratic(0.0, 0.0, semi_m**-2, 0.0, semi_mps**-2)) for i in range(3))
     given: dict[str, Any] = {
-        "mode": "sound", "centre_ned_m": CENTRE, "axes": axes, "budget": Budget(2.0, 5.0, 15.0, 17.0, 0.6),
+        "mode": "sound", "centre_ned_m": CENTRE, "axes": axes, "budget": Budget.square(5.0, 15.0, 17.0, 0.6),
         "delta": 0.01, "k_sigma": 4.3, "knowledge": {}, "version": 0,
     }  # fmt: skip
     return Certificate(**(given | changes))
@@ -75,7 +75,7 @@ def for_the_papers_path(scale: float = 1.0, version: int = 5) -> Certificate:
         setting = Setting(2.0, 0.02, 0.1, 0.004)
         made = axis_certificate(axis, shape)
         axes.append(replace(made, authority=table, response=response, setting=setting))
-    box = Budget(2.8, 8.0, 16.5, 17.6, 0.6)
+    box = Budget.square(8.0, 16.5, 17.6, 0.6)
     return Certificate("sound", (0.0, 0.0, -1.5), tuple(axes), box, 0.05, 4.5, {}, version)
 
 

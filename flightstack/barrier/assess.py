@@ -16,6 +16,8 @@ from flightstack.barrier.packed import (
     P_CENTRE,
     P_CERTIFIED,
     P_CHAIN,
+    P_LEANS,
+    P_RATES,
     P_RESPONSE,
     P_TURNING,
     pieces_of,
@@ -259,28 +261,29 @@ def _limit_rows(
         rows[3 + k, k] = 1.0
         still_u = wanted[k] + force * chain[C_STEER] * (rate[1] * r[k, 0] - rate[0] * r[k, 1])
         upright = still_u + force * r[k, 2]  # u whose n is upright
-        low[3 + k] = upright - force * _steered(flat, r[k, 2])
-        high[3 + k] = upright + force * _steered(flat, -r[k, 2])
+        least, most = flat[P_LEANS + 2 * k], flat[P_LEANS + 2 * k + 1]
+        low[3 + k] = upright - force * _steered(flat, r[k, 2], least, most)
+        high[3 + k] = upright + force * _steered(flat, -r[k, 2], -most, -least)
         low[k], high[k] = min(low[k], high[3 + k]), max(high[k], low[3 + k])
     turn = force * chain[C_STEER] * max(r[2, 2], 0.1)
     for k in range(2):  # roll and pitch rate as `command_for` has them
         size = max(math.sqrt(r[1, k] * r[1, k] + r[0, k] * r[0, k]), 1e-9)
         rows[5 + k, 0], rows[5 + k, 1] = -r[1, k] / size, r[0, k] / size
         at = rows[5 + k, 0] * wanted[0] + rows[5 + k, 1] * wanted[1]
-        low[5 + k] = at - turn / size * (flat[P_BOUNDS + 3 + k] + rate[k])
-        high[5 + k] = at + turn / size * (flat[P_BOUNDS + 3 + k] - rate[k])
+        low[5 + k] = at - turn / size * (flat[P_RATES + k] + rate[k])
+        high[5 + k] = at + turn / size * (flat[P_RATES + k] - rate[k])
 
 
 @njit
-def _steered(flat: F64, lean: float) -> float:
+def _steered(flat: F64, lean: float, least: float, most: float) -> float:
     """The greatest lean to one side that may be steered to from this one: turned back as the governor does (`turning`),
-    it comes to rest within the certificate's."""
-    most, turn, wait = flat[P_BOUNDS + 2], flat[P_TURNING], flat[P_TURNING + 1]
+    it comes to rest within the certificate's, least to most."""
+    turn, wait = flat[P_TURNING], flat[P_TURNING + 1]
     room = max(most - lean, 0.0)
     if turn <= 0.0:
-        return float(most)
+        return most
     rate = math.sqrt(turn * turn * wait * wait + 2.0 * turn * room) - turn * wait
-    return max(min(most, lean + flat[P_CHAIN + C_STEER] * rate), -most)  # type: ignore[no-any-return]
+    return max(min(most, lean + flat[P_CHAIN + C_STEER] * rate), least)  # type: ignore[no-any-return]
 
 
 @njit

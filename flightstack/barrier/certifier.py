@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flightstack.barrier.budgets import budget_for
+from flightstack.barrier.budgets import HOVER_OFF, budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.falsify import doubt, marked, prepare
@@ -35,14 +35,15 @@ from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
-from flightstack.barrier.queries import Envelope, lean
-from flightstack.barrier.records import Authority, AxisCertificate, Certificate, Response, area_of
+from flightstack.barrier.queries import Envelope
+from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response, area_of
 from flightstack.barrier.search import Axis, Ratios, Worth, largest_steps
 from flightstack.barrier.torque import within
+from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
-from flightstack.types import F64, Filtered, Learned, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
 
 _VALID = 2
 _SPARED_MORE = 0.03
@@ -51,8 +52,6 @@ _PATIENCE, _EAGER = 16.0, 1.0
 """Longest wait in periods, with a certificate in force and without."""
 _IN_VAIN_US = 1_500_000
 """Who works elsewhere has so long to replace a certificate that was falsified: here it takes a second of ticks."""
-_HOVER_OFF = 1.05
-"""The thrust of hover, by which that of other commands is counted, may do so much more than the weight."""
 _T = TypeVar("_T")
 
 
@@ -174,7 +173,7 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and self._pays(ready, area, state):
+        elif holds and _leans_within(ready, measurement) and self._pays(ready, area, state):
             issued = ready
         else:
             return None
@@ -245,9 +244,9 @@ class OnlineCertifier:
         self, known: Accelerations, version: int, widen_mps2: F64, thrust: Thrust, last: bool = False
     ) -> Iterator[Knowledge | None]:
         """What is known of this region: None after each piece of the work, then it; `last`: none is issued after it."""
-        box, hover_mps2 = budget_for(self.model, self.limits, known, thrust)
+        box, hover_mps2 = self._budget(known, thrust)
         yield None
-        over = _HOVER_OFF * box.thrust_max_mps2 / hover_mps2
+        over = HOVER_OFF * box.thrust_max_mps2 / hover_mps2
         yield from Knowledge.steps(
             Request(
                 known, self.model, self._envelope(), box, self.initial, self.config.delta, version, last,
@@ -258,7 +257,7 @@ class OnlineCertifier:
     def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
         """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
         live = Accelerations.live(learner, self.model)
-        box, _ = budget_for(self.model, self.limits, live, self.config.thrusts[turn])
+        box, _ = self._budget(live, self.config.thrusts[turn])
         delta, torque = self.config.delta, self.torque_mps2
         return Knowledge.of(
             Request(live, self.model, self._envelope(), box, self.initial, delta, version, torque_mps2=torque)
@@ -283,7 +282,7 @@ class OnlineCertifier:
             vehicle_hash="",
             estimate=replace(config.estimate, acc_mps2=(north, east, down)),
             speeds_mps=speeds_of(self._envelope().speeds_mps, [each.axis for each in axes], config.estimate.vel_mps),
-            lean=lean(knowledge.budget),
+            leans=knowledge.budget.leans,
             thrust_mps2=(knowledge.budget.low_mps2, knowledge.budget.thrust_max_mps2),
             applied_share=APPLIED_AS_SENT,
             thrust_gain=gain_of(
@@ -320,6 +319,10 @@ class OnlineCertifier:
             self.config.slice_only,
             self.config.axes,
         )
+
+    def _budget(self, learned: Accelerations, asked: Thrust) -> tuple[Budget, float]:
+        tilt_off = max(self.config.estimate.acc_mps2[:2]) / STANDARD_GRAVITY_MPS2
+        return budget_for(self.model, self.limits, learned, asked, tilt_off)
 
     def axis_of(self, axis: int, knowledge: Knowledge, learned: Learned) -> tuple[Axis, Ledger]:
         """One axis to be designed, and what a barrier on it needs."""
@@ -359,6 +362,13 @@ def compile_all() -> None:
     for _ in largest_steps(axis, needs, Ratios(0.3, 1.0)):
         pass
     prepare()
+
+
+def _leans_within(certificate: Certificate, measurement: Measurement) -> bool:
+    """Whether the vehicle leans as the certificate lets it: taken in the midst of a wider lean, it ends at once."""
+    assert certificate.premises is not None
+    axis = quat_to_matrix(measurement.q_ned_frd)[:2, 2]
+    return all(least <= lean <= most for lean, (least, most) in zip(axis, certificate.premises.leans, strict=True))
 
 
 def _lateness(certificate: Certificate) -> float:

@@ -1,4 +1,4 @@
-"""A certificate as a file: JSON text with schema "flightstack.certificate/5", every number exact, sealed.
+"""A certificate as a file: JSON text with schema "flightstack.certificate/6", every number exact, sealed.
 
     schema, mode, version, centre_ned_m, delta, k_sigma
     budget      as `records.Budget`
@@ -34,7 +34,7 @@ from flightstack.barrier.torque import parse_governor
 from flightstack.checked import number, only, vector, words
 from flightstack.types import InputError
 
-SCHEMA = "flightstack.certificate/5"
+SCHEMA = "flightstack.certificate/6"
 MODES = ("sound", "as-published")
 _LARGEST = 1e12
 _DEPTH = 32

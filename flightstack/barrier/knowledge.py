@@ -4,22 +4,23 @@ Two sources, both intervals of true acceleration: the knowledge before take-off 
 the learner's Gaussian processes (`posterior`), mean +- k sigma.  Where both speak, both are true, and the narrower
 counts; where they contradict each other, their hull does.
 
-**The thrust.**  Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with
-|b_n|, |b_e| <= beta and a down part from low to high (`queries.budget`).  All that is certified holds for them.
+**The thrust.**  Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b whose
+parts along north and east each lie in a range of their own, [l_n, m_n] and [l_e, m_e], and a down part from low to high
+(`budgets.budget`).  All that is certified holds for them.
 
 **The queries.**  Along axis i the speeds v_i are the nodes; the other inputs vary over their ranges.  With signs
 s1..s4 in {-1, 1} (outermost first), V_j(s) the least or greatest speed of axis j, b_d = sqrt(1 - b_n^2 - b_e^2) and
 f = b F / b_d:
 
-    down     b = (s1 beta, s2 beta),      v = (V_n(s3), V_e(s4), node)     end low: F = high, end high: F = low
-    north    b = (+-beta, s1 beta),       v = (node, V_e(s3), V_d(s4))     end low: +beta, end high: -beta;
-    east     b = (s1 beta, +-beta),       v = (V_n(s3), node, V_d(s4))         F = high where s2 = 1, else low
+    down     b = (B_n(s1), B_e(s2)),      v = (V_n(s3), V_e(s4), node)     end low: F = high, end high: F = low
+    north    b = (m_n or l_n, B_e(s1)),   v = (node, V_e(s3), V_d(s4))     end low: m, end high: l;
+    east     b = (B_n(s1), m_e or l_e),   v = (V_n(s3), node, V_d(s4))         F = high where s2 = 1, else low
 
-To these comes first the *centre* query with the signs' b and speeds 0 (or the range's nearest), F of a lateral one the
-thrust of hover.  On the `slice` there is only this.  near is that of the greatest height in all: what the ground does
-below is not extrapolated from the data but bounded, as it only ever adds thrust, by at most g = 2 near(least height) F
-(twice Cheeseman and Bennett's): lo - g along down, lo - g beta and hi + g beta across.  Corners are
-representative: between them the processes are taken to be no further off than there.
+B_j(s) the least or greatest lean along axis j.  To these comes first the *centre* query with the signs' b and speeds 0
+(or the range's nearest), F of a lateral one the thrust of hover.  On the `slice` there is only this.  near is that of
+the greatest height in all: what the ground does below is not extrapolated from the data but bounded, as it only ever
+adds thrust, by at most g = 2 near(least height) F (twice Cheeseman and Bennett's): lo - g along down, lo - g max(m, 0)
+and hi + g max(-l, 0) across.  Corners are representative: between them nothing is taken to be further off.
 
 A `last` certificate asks along down at the least height as well, where its prior lets the ground do half of Cheeseman
 and Bennett's or more: lo is mean - k sigma there, less what is not linear in near, g near / (1 - near).  What is
@@ -32,7 +33,8 @@ linear between the vertical nodes.  The node's interval is the hull over its que
 Half its width and its middle give
 
     down     u_low, u_high: the middles; gain = (u_high - u_low) / (high - low), offset = u_high + gain low
-    lateral  offset: the middle; u_low, u_high = -+(W - |offset|), what either lean gives, W = min(gain_d) beta F0,
+    lateral  offset: the middle; u_low = offset - F0 min(gain_d (m - spare)), u_high = offset - F0 max(gain_d (l +
+             spare)), over the nodes' gains: what either end of the leans that the filter keeps (`Budget.kept`) gives,
              F0 = max(hover, (low + high) / 2) the thrust that the filter steers with: where thrust differs from it,
              the filter leans further or less
 
@@ -80,10 +82,10 @@ from flightstack.barrier.posterior import Accelerations, proximity
 from flightstack.barrier.queries import (
     Envelope,
     Steering,
-    budget,
+    furthest,
     ground_mps2,
     ground_rest_mps2,
-    lean,
+    lifted,
     queries,
     statements,
 )  # fmt: skip
@@ -93,7 +95,7 @@ from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 __all__ = [
-    "Envelope", "InitialKnowledge", "Knowledge", "budget", "confidence", "require_authority",
+    "Envelope", "InitialKnowledge", "Knowledge", "confidence", "require_authority",
     "vertical_authority_weights",
 ]  # fmt: skip
 
@@ -151,7 +153,7 @@ class Request(NamedTuple):
     model: Model
     envelope: Envelope
     box: Budget
-    """`queries.budget`; its lateral part is 0 where the vertical axis is meant alone."""
+    """`budgets.budget`; it does not lean where the vertical axis is meant alone."""
     initial: InitialKnowledge | None = None
     delta: float = 0.05
     version: int = 1
@@ -185,7 +187,7 @@ class _Hull(NamedTuple):
     """(n, 2) least true acceleration; columns: end low, end high."""
     high: F64
     bend: float
-    wanted: float
+    wanted: tuple[float, float]
     """W of a lateral axis."""
     k: float
     """Sigmas of its queries (`hull_sigmas`)."""
@@ -236,11 +238,12 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
             learned[:, part] = request.learned.at(axis, speed[part], thrust[part], near[part])
         yield None
     ground = ground_mps2(request.envelope, request.model.rotor_radius_m, thrust)
-    share, explained = 0.0 if axis == DOWN else lean(request.box), asked.explained_mps2.reshape(-1)
+    explained = asked.explained_mps2.reshape(-1)
+    against, along = lifted(request.box, axis)
     sides = Sides(
         *_learned_and_sure(request, axis, (speed, thrust), learned),
-        explained - ground * (share or 1.0),
-        explained + ground * share,
+        explained - ground * against,
+        explained + ground * along,
     )
     k = request.k
     if request.learned is not None and not (request.last or request.envelope.slice_only):
@@ -303,7 +306,8 @@ def _finish(request: Request, hulls: Mapping[int, _Hull]) -> Knowledge:
     authorities = {axis: _authority(request, axis, hull, torque[axis]) for axis, hull in hulls.items()}
     doubt, hover = _gain_doubt(request), _steering(hulls[DOWN], request.box).hover_mps2
     parts = {
-        axis: doubt * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * lean(request.box))
+        axis: doubt
+        * (request.box.high_mps2 - hover if axis == DOWN else request.box.high_mps2 * furthest(request.box, axis))
         for axis in hulls
     }
     parts = {
@@ -334,7 +338,7 @@ def _authority(request: Request, axis: int, hull: _Hull, torque_mps2: float) -> 
     else:
         least, most = hull.low.min(axis=1), hull.high.max(axis=1)
         offset, gain = 0.5 * (least + most), np.zeros(len(hull.v))
-        ends = (hull.wanted - np.abs(offset))[:, None] * np.array([-1.0, 1.0])
+        ends = offset[:, None] + np.array(hull.wanted)
         half = np.repeat(0.5 * (most - least)[:, None], 2, axis=1)
         middle = np.repeat(offset[:, None], 2, axis=1)
     more = request.k * hull.bend + float(request.widen[axis]) + torque_mps2

@@ -11,7 +11,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.cover import bands
-from flightstack.barrier.records import Certificate
+from flightstack.barrier.records import Certificate, Leans, spared
 from flightstack.barrier.response import CHAIN
 from flightstack.barrier.shapes import ROW
 from flightstack.barrier.turning import turning
@@ -25,13 +25,15 @@ P_NUMBERS = len(Setting._fields)
 P_RESPONSE = P_SETTING + 3 * P_NUMBERS
 P_CHAIN = P_RESPONSE + 9
 P_BOUNDS = P_CHAIN + CHAIN
-P_TURNING = P_BOUNDS + 5
+P_LEANS = P_BOUNDS + 2
+P_RATES = P_LEANS + 4
+P_TURNING = P_RATES + 2
 P_SIZES = P_TURNING + 2
 P_HEAD = P_SIZES + 2
 """Places in a packed certificate: certified (3), centre (3), numbers of pieces and nodes (3 each), settings (3, 8),
-response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, greatest lean, roll and pitch
-rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room for; pieces and
-tables (`table_of`)."""
+response (3, 3), chain, bounds (least and greatest normalised thrust of the budget, leans to north and to east, greatest
+roll and pitch rates), `turning` (2, 0 where nothing governs rates), and how many pieces and nodes each axis has room
+for; pieces and tables (`table_of`)."""
 
 
 def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude_p_ps: float) -> F64:
@@ -65,7 +67,7 @@ def pack(certificate: Certificate | None, model: Model, limits: Limits, attitude
 def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model: Model, limits: Limits) -> None:
     """The vehicle's answer and its limits; `vertical` (7, n): the authority's table.
 
-    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more, as `queries.budget`
+    The thrust that leads the lateral axes is that of hover, or the budget's middle if that is more, as `budgets.budget`
     has it: then no thrust in the budget takes away what lateral authority the budget grants.
     """
     low_n, high_n = model.thrust_range_n(limits)
@@ -86,17 +88,19 @@ def _fill_chain(flat: F64, vertical: F64, certificate: Certificate | None, model
     if certificate and certificate.governor is not None:
         flat[P_TURNING:P_SIZES] = turning(certificate.governor, model, max(least, low))
     asked = (model.norm_of(min(max(each, low), high) * model.mass_kg) for each in (least, longest))
-    flat[P_BOUNDS:P_TURNING] = *asked, _lean(certificate, tilt), *limits.rate_max_radps[:2]
+    north, east = _leans(certificate, tilt)
+    flat[P_BOUNDS:P_TURNING] = *asked, *north, *east, *limits.rate_max_radps[:2]
 
 
-def _lean(certificate: Certificate | None, tilt_rad: float) -> float:
-    """Greatest lean to north and to east that is steered to: the estimate must keep within the certificate's, which
-    what the attitude may be off by and what the governor lets it run over take up."""
-    square = math.sin(tilt_rad) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
-    if certificate is None or certificate.premises is None:
-        return square
-    off = max(certificate.premises.estimate.acc_mps2[:2]) / STANDARD_GRAVITY_MPS2
-    return max(certificate.premises.lean - off, 0.5 * square)
+def _leans(certificate: Certificate | None, tilt_rad: float) -> Leans:
+    """Leans to north and to east that are steered to: the estimate must keep within the certificate's, which what the
+    attitude may be off by and what the governor lets it run over take up."""
+    if certificate is None:
+        most = math.sin(tilt_rad) * math.sqrt(0.5)
+        return (-most, most), (-most, most)
+    if certificate.premises is None:
+        return certificate.budget.kept
+    return spared(certificate.premises.leans, certificate.budget.lean_spare)
 
 
 @njit

@@ -55,7 +55,7 @@ _GAP_MAX_S = 0.1
 _VALID = 2.0
 _AHEAD_S = 0.3
 """Where a vehicle at this speed is brought to rest: so far on its way."""
-_NUMBERS = 24
+_NUMBERS = 26
 _NO_TABLE = np.empty((7, 0))
 _LEAST_UP = 0.5
 """Of the thrust axis' part along down: beyond it, where no certificate holds, the slope alone is compared."""
@@ -95,7 +95,7 @@ class Seen(NamedTuple):
     """At the tick before the filter found the vehicle inside with the h that it engages at."""
 
 
-_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 7, 15, 16, 17, 19, 22
+_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 10, 18, 19, 20, 22, 25
 """Of a watch's numbers, after the speeds: what has a range takes two."""
 
 
@@ -114,8 +114,8 @@ def watched(
     """
     low, high = zip(*premises.speeds_mps, strict=True)
     numbers = [
-        *low, *high, premises.lean, *premises.thrust_mps2, *premises.applied_share, *premises.thrust_gain,
-        *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
+        *low, *high, *premises.leans[0], *premises.leans[1], *premises.thrust_mps2, *premises.applied_share,
+        *premises.thrust_gain, *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
         *drag_per_s, premises.age_s,
     ]  # fmt: skip
     return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), np.ascontiguousarray(down))
@@ -213,7 +213,7 @@ def _broken(
             return 1 + i
     r = quat_to_matrix(row[6:10])
     for i in range(2):
-        if not abs(r[i, 2]) <= p[_LEAN]:
+        if not p[_LEAN + 2 * i] <= r[i, 2] <= p[_LEAN + 2 * i + 1]:
             return 4 + i
     for i, value in enumerate(ranged):
         if value < p[_THRUST + 2 * i] - 1e-9 or value > p[_THRUST + 1 + 2 * i] + 1e-9:

@@ -45,8 +45,8 @@ class Premises:
     estimate: EstimateBounds
     speeds_mps: tuple[Range, Range, Range]
     """Along north, east, down, of the estimate."""
-    lean: float
-    """Greatest part of the thrust axis along north and along east, as a part of its length."""
+    leans: tuple[Range, Range]
+    """Of the thrust axis' parts along north and along east, as parts of its length."""
     thrust_mps2: Range
     """Believed newton per believed kilogram."""
     applied_share: Range
@@ -94,6 +94,10 @@ def parse_premises(value: object, where: str) -> Premises:
     if not isinstance(speeds, list) or len(speeds) != 3:
         raise InputError(f"{where}.speeds_mps must be a list of three ranges: north, east, down")
     north, east, down = (_range(each, f"{where}.speeds_mps[{i}]") for i, each in enumerate(speeds))
+    leans = table["leans"]
+    if not isinstance(leans, list) or len(leans) != 2:
+        raise InputError(f"{where}.leans must be a list of two ranges: north, east")
+    north_lean, east_lean = (_range(each, f"{where}.leans[{i}]") for i, each in enumerate(leans))
     ranges = {key: _range(table[key], f"{where}.{key}") for key in _RANGES}
     pos, vel, acc = (vector(estimate[key], f"{where}.estimate.{key}", 0.0, _LARGEST) for key in _BOUNDS)
     k_sigma = number(estimate["k_sigma"], f"{where}.estimate.k_sigma", 0.0, _LARGEST)
@@ -102,7 +106,7 @@ def parse_premises(value: object, where: str) -> Premises:
         vehicle_hash=_word(table["vehicle_hash"], f"{where}.vehicle_hash"),
         estimate=EstimateBounds(pos, vel, acc, k_sigma),
         speeds_mps=(north, east, down),
-        lean=number(table["lean"], f"{where}.lean", 0.0, 1.0),
+        leans=(north_lean, east_lean),
         thrust_mps2=ranges["thrust_mps2"],
         applied_share=ranges["applied_share"],
         thrust_gain=ranges["thrust_gain"],

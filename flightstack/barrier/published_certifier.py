@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.barrier.knowledge import budget
+from flightstack.barrier.budgets import budget
 from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.published import Basis, certificate, learned, least_mu, with_mu
 from flightstack.barrier.records import Authority, Certificate

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +12,9 @@ import numpy as np
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.posterior import proximity
 from flightstack.barrier.records import Budget
-from flightstack.model import Limits, Model
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64
 
 _SIGNS = np.array([[a, b, c, d] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1) for d in (-1, 1)], np.float64)
-_EIGHT_SIDES = math.cos(math.pi / 8.0)
-"""An eight-sided pyramid in a cone is this much narrower where it is narrowest."""
 
 
 class Envelope(NamedTuple):
@@ -54,6 +50,20 @@ def ground_rest_mps2(envelope: Envelope, rotor_radius_m: float, thrust_mps2: F64
     return rest
 
 
+def lifted(box: Budget, axis: int) -> tuple[float, float]:
+    """How much of what is added to thrust acts against an axis and along it."""
+    if axis == DOWN:
+        return 1.0, 0.0
+    least, most = box.leans[axis]
+    return max(most, 0.0), max(-least, 0.0)
+
+
+def furthest(box: Budget, axis: int) -> float:
+    """Greatest lean along a lateral axis."""
+    least, most = box.leans[axis]
+    return max(-least, most)
+
+
 class Steering(NamedTuple):
     """What lateral queries need of the vertical axis."""
 
@@ -78,41 +88,8 @@ class Queries(NamedTuple):
     """(q,)."""
     explained_mps2: F64
     """(n, 2, q) what thrust does by the vertical gain, which a lateral offset leaves out."""
-    wanted_mps2: float
+    wanted_mps2: tuple[float, float]
     """W of a lateral axis."""
-
-
-def budget(
-    model: Model, limits: Limits, *, lateral_mps2: float = 0.0, low_mps2: float = 0.0, high_mps2: float = math.inf,
-    hover_mps2: float | None = None,
-) -> Budget:  # fmt: skip
-    """Thrust of any length from `low` to the greatest, leaning as far as the lateral specific thrust asks for at F0.
-
-    F0 = max(hover, (low + high) / 2) is the thrust that the filter steers with (`response`).  |b_n|, |b_e| <= beta =
-    lateral / F0 is a square within the eight-sided pyramid in the tilt cone, sin(tilt) cos(pi/8) = sqrt(2) beta, and
-    whatever the lean in the cone, thrust reaches down to `low` and up to high = greatest cos(tilt) along down; the
-    greatest is the vehicle's, or what reaches up to `high_mps2`.  All is specific thrust as commanded, so it fits
-    whatever the gain is.  Tilt is cut at the limit, lateral with it.
-    """
-    least, greatest = (n / model.mass_kg for n in model.thrust_range_n(limits))
-    hover = max(hover_mps2 or STANDARD_GRAVITY_MPS2, least)  # a vehicle out of hand may teach that it needs none
-    low = min(max(low_mps2, least), greatest)
-    most = math.sin(limits.tilt_max_rad)
-    lean, lead = 0.0, max(hover, 0.5 * (low + greatest))
-    for _ in range(20):  # high and with it F0 fall a little with the lean: a contraction
-        lean = min(math.sqrt(2.0) * lateral_mps2 / (lead * _EIGHT_SIDES), most)
-        lead = max(hover, 0.5 * (low + min(greatest * math.sqrt(1.0 - lean * lean), high_mps2)))
-    high = max(min(greatest * math.sqrt(1.0 - lean * lean), high_mps2), low)
-    return Budget(lead * _square(lean), low, high, high / math.sqrt(1.0 - lean * lean), math.asin(lean))
-
-
-def lean(box: Budget) -> float:
-    """beta: how far the thrust axis may lean to north and to east at once, as a part of its length."""
-    return _square(math.sin(box.tilt_max_rad))
-
-
-def _square(lean: float) -> float:
-    return lean * _EIGHT_SIDES / math.sqrt(2.0)
 
 
 def statements(envelope: Envelope, ground: bool = False) -> int:
@@ -139,21 +116,24 @@ def queries(envelope: Envelope, box: Budget, rotor_radius_m: float, axis: int, s
         speed[..., :1, i] = calm[i]
         speed[..., 1:, i] = ranges[i][(signs[:, column] > 0.0).astype(int)]
     speed[..., axis] = nodes[:, None, None]
-    beta = lean(box)
     axes = np.zeros((envelope.nodes, 2, count, 3))
     ends = np.full((envelope.nodes, 2, count), box.high_mps2)
+    for i, (least, most) in enumerate(box.leans):
+        axes[..., i] = min(max(0.0, least), most)
+        if i != axis:
+            axes[..., 1:, i] = np.where(signs[:, i if steering is None else 0] > 0.0, most, least)
     if steering is None:
-        axes[..., 1:, :2] = beta * signs[:, :2]
         ends[:, 1] = box.low_mps2
     else:
-        axes[:, 0, :, axis], axes[:, 1, :, axis] = beta, -beta
-        axes[..., 1:, others[0]] = beta * signs[:, 0]
+        axes[:, 1, :, axis], axes[:, 0, :, axis] = (each for each in box.leans[axis])
         ends[..., :1] = steering.hover_mps2
         ends[..., 1:] = np.where(signs[:, 1] > 0.0, box.high_mps2, box.low_mps2)
     axes[..., DOWN] = np.sqrt(1.0 - axes[..., 0] ** 2 - axes[..., 1] ** 2)
     thrust = axes * (ends / axes[..., DOWN])[..., None]
     if steering is None:
-        return Queries(nodes, speed, thrust, near, np.zeros(ends.shape), 0.0)
+        return Queries(nodes, speed, thrust, near, np.zeros(ends.shape), (0.0, 0.0))
     explained = np.interp(speed[..., DOWN], steering.v_mps, steering.gain) * thrust[..., axis]
-    lead = max(steering.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2))
-    return Queries(nodes, speed, thrust, near, explained, float(steering.gain.min()) * beta * lead)
+    lead, (least, most) = max(steering.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2)), box.kept[axis]
+    gains = lead * float(steering.gain.min()), lead * float(steering.gain.max())
+    wanted = -min(gain * most for gain in gains), -max(gain * least for gain in gains)
+    return Queries(nodes, speed, thrust, near, explained, wanted)

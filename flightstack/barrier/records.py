@@ -20,6 +20,8 @@ from flightstack.jit import njit_called
 from flightstack.types import F64, Tuple3
 
 AXES = ("north", "east", "down")
+Leans = tuple[tuple[float, float], tuple[float, float]]
+"""Least and greatest part of the thrust axis along north and along east."""
 MARGINS = (
     "gp_error", "thrust_gain", "discretisation", "zero_order_hold", "delay", "age", "rotor_lag",
     "attitude_lag", "estimate_error", "torque",
@@ -119,16 +121,47 @@ class Margin:
 class Budget:
     """The thrust that all axes share: what the filter may ask for, as specific thrust (believed newton per kilogram).
 
-    The box |north|, |east| <= lateral_mps2, down in [low, high] (upward thrust counted positive) lies in the set of
-    thrust vectors that the limits of thrust and tilt allow at every learned gain within its bound.
+    The thrust axis b leans within a range to north and within one to east, and thrust's down part lies in [low, high]
+    (upward thrust counted positive): all within the limits of thrust and tilt, at every learned gain within its bound.
     """
 
-    lateral_mps2: float
+    north_least: float
+    """b's part along north."""
+    north_most: float
+    east_least: float
+    east_most: float
     low_mps2: float
     high_mps2: float
     thrust_max_mps2: float
     """Greatest length of the thrust vector."""
     tilt_max_rad: float
+    """Of the corner that leans furthest."""
+    lean_spare: float = 0.0
+    """What the filter keeps from either end of a range: what the attitude may be off by, and what it runs over."""
+
+    @classmethod
+    def square(cls, low_mps2: float, high_mps2: float, thrust_max_mps2: float, tilt_max_rad: float) -> Budget:
+        """As far to all sides, with nothing to spare."""
+        most = math.sin(tilt_max_rad) * math.sqrt(0.5)
+        return cls(-most, most, -most, most, low_mps2, high_mps2, thrust_max_mps2, tilt_max_rad)
+
+    @property
+    def leans(self) -> Leans:
+        """Of north and of east."""
+        return (self.north_least, self.north_most), (self.east_least, self.east_most)
+
+    @property
+    def kept(self) -> Leans:
+        """The same less what is spared."""
+        return spared(self.leans, self.lean_spare)
+
+
+def spared(leans: Leans, spare: float) -> Leans:
+    """So much narrower at either end, down to nothing in the middle."""
+    north, east = (
+        (min(least + spare, 0.5 * (least + most)), max(most - spare, 0.5 * (least + most))) for least, most in leans
+    )
+    return north, east
 
 
 @dataclass(frozen=True, slots=True)

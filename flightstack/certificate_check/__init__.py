@@ -10,7 +10,7 @@ A number that is changed under a new seal is refused, unless nothing that is cla
         region; another command that does as well
     eta, b, b_u larger, gamma, dt, the barrier another, where all cells still hold and the margins still follow
     knowledge that no bound rests on: of axes that are not certified, of bounds that others cut, an effect below 1e-6
-    centre_ned_m: where the region lies (but for its height above the ground); budget.lateral_mps2, which the tilt says
+    centre_ned_m: where the region lies (but for its height above the ground)
 
 Slack: 1e-9 in q, h and commands, 1e-6 m/s^2 in what the knowledge gives, 0.1 % in the ledger.
 """
@@ -25,6 +25,7 @@ import numpy as np
 
 from . import floors, knowledge
 from .autopilot import check_gyro
+from .box import Box
 from .cells import check_cells
 from .condition import Condition, Piece
 from .confidence import check_confidence
@@ -43,8 +44,12 @@ _TOP = (
 )  # fmt: skip
 _AXIS = ("axis", "barrier", "setting", "response", "authority", "margins", "cells")
 _AXES = ("north", "east", "down")
-_BUDGET = ("lateral_mps2", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad")
+_BUDGET = (
+    "north_least", "north_most", "east_least", "east_most", "low_mps2", "high_mps2", "thrust_max_mps2", "tilt_max_rad",
+    "lean_spare",
+)  # fmt: skip
 _AUTHORITY = ("v_mps", "offset_mps2", "gain", "u_low_mps2", "u_high_mps2", "error_low_mps2", "error_high_mps2")
+_CORNER = 1e-7
 _SETTING = ("gamma_ps", "eta", "rate_ps", "dt_s", "off_m", "inner", "inside_ps", "off_mps")
 _KINDS = {
     "quadratic": ("centre_m", "centre_mps", "p11", "p12", "p22"),
@@ -138,21 +143,23 @@ def _check(text: str, lines: list[str], log: BinaryIO | FlightRecording | None, 
         lines += check_flight(data, known, log, vehicle, seal_of(text))
 
 
-def _budget(value: Any, lines: list[str]) -> knowledge.Box:
-    """The tilt cone holds the square of leans, and full thrust reaches `high` wherever it leans."""
-    across, low, high, most, tilt = numbers(value, _BUDGET, "budget")
-    if not (across >= 0.0 and 0.0 <= low < high and 0.0 <= tilt < 0.5 * math.pi):
-        raise Refused("budget: lateral and low must be at least 0, high above low, tilt in 0 to pi / 2")
+def _budget(value: Any, lines: list[str]) -> Box:
+    """The tilt cone holds the furthest of the leans, and full thrust reaches `high` wherever it leans."""
+    *ends, low, high, most, tilt, spare = numbers(value, _BUDGET, "budget")
+    leans = np.array(ends).reshape(2, 2)
+    if not (np.all(leans[:, 0] <= leans[:, 1]) and 0.0 <= low < high and 0.0 <= tilt < 0.5 * math.pi and spare >= 0.0):
+        raise Refused(
+            "budget: leans must be ranges in order, low and spare at least 0, high above low, tilt in 0 to pi / 2"
+        )
     if not abs(high - most * math.cos(tilt)) <= knowledge.NEAR:
         raise Refused(
             f"budget: high_mps2 = {high:.9g} is not thrust_max_mps2 at full tilt, {most * math.cos(tilt):.9g}"
         )
-    lean = math.sin(tilt) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
+    box = Box(leans, spare, low, high)
+    if not abs(box.corner - math.sin(tilt)) <= _CORNER:
+        raise Refused(f"budget: tilt_max_rad = {tilt:.9g} is not that of the furthest lean, {box.corner:.9g}")
     lines.append(f"budget: thrust up to {most:.4g} m/s^2, leaning up to {tilt:.4g} rad")
-    steered = across / lean if lean > 0.0 else 0.5 * (low + high)
-    if not steered >= 0.5 * (low + high) - knowledge.NEAR:
-        raise Refused(f"budget: lateral_mps2 = {across:.9g} belongs to {steered:.9g} m/s^2 of thrust, below the middle")
-    return knowledge.Box(lean, low, high)
+    return box
 
 
 def _check_heights(condition: Condition, centre_m: float, known: knowledge.StatedKnowledge) -> None:

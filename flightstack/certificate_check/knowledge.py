@@ -1,7 +1,8 @@
 """What each axis can count on, worked out anew from the points, kernels and limits that the certificate carries.
 
-Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with |b_n|, |b_e| <= beta
-and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of down onto b, is
+Thrust vectors f (believed newton per believed kilogram, NED, thrust is -f) have a direction b with b_n and b_e each in
+a range of its own and a down part F from low to high.  The true acceleration at velocity v, R(b) the shortest turn of
+down onto b, is
 
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),    x = (R(b)' v, b_n, b_e, |f| / g, near |f| / g)
 
@@ -14,10 +15,10 @@ a = g e_d - (f + drag v) / r + w.
 At each node of speed and at both ends of the command the intervals (mean -+ k_a
 sigma, k_a the axis' `k_queries`, cut with what mass and force allow; their hull where they are apart) of 17 queries are
 joined: the other speeds and thrust at the corners of their ranges, and one in the middle, all at the greatest height.
-What the ground adds below it lies between nothing and g = 2 near(least height) |f| along b.  In the last certificate of
-a flight, if the prior knows the ground, it is no more along down than what was learned says at the least height: mean -
-k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a + gain f, over both
-ends.
+What the ground adds below it lies between nothing and g = 2 near(least height) |f| along any b.  In the last
+certificate of a flight, if the prior knows the ground, it is no more along down than what was learned says at the least
+height: mean - k sigma there, less g near / (1 - near).  Lateral intervals are those of what thrust does not do, a +
+gain f, over both ends.
 The middle and half width of the joint interval give the mean and the error; the error of a node holds for its
 neighbours' intervals too, and is made larger by k times the prior's deviation half-way between two nodes, and by what
 falsified bounds have added.
@@ -35,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import floors
+from .box import Box
 from .gaussian import factor, kernel, posterior, wandering
 from .intervals import F64
 from .reading import Refused, number, numbers, rows, stamps, table_of
@@ -57,20 +59,6 @@ _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
 
 _THRUST, _GROUND = 5, 6
 """Of an input of a store, after velocity and axis."""
-
-
-@dataclass
-class Box:
-    """The thrust that may be asked for: beta, down part (low, high), m/s^2."""
-
-    lean: float
-    low: float
-    high: float
-
-    @property
-    def greatest(self) -> float:
-        """Thrust whose down part is `high` at the greatest tilt."""
-        return self.high / math.sqrt(1.0 - 2.0 * (self.lean / math.cos(math.pi / 8.0)) ** 2)
 
 
 @dataclass
@@ -159,7 +147,10 @@ class StatedKnowledge:
             sides = self._interval(axis, v, f)
             near = self._near(self.heights[0])
             ground = 2.0 * near * np.linalg.norm(f, axis=1)
-            below, above = (ground, 0.0) if axis == DOWN else (self.box.lean * ground, self.box.lean * ground)
+            below, above = ground, 0.0 * ground
+            if axis != DOWN:
+                least_lean, most_lean = self.box.leans[axis]
+                below, above = max(most_lean, 0.0) * ground, max(-least_lean, 0.0) * ground
             if (
                 axis == DOWN and self.last and self._knows_ground(near)
             ):  # learned at the least height: no more than that
@@ -200,11 +191,12 @@ class StatedKnowledge:
             v[1:, other] = np.where(corners[:, column] > 0.0, self.speeds[other, 1], self.speeds[other, 0])
         v[:, axis] = speed
         down = np.full(self.queries, self.box.low if end else self.box.high)
-        b[1:, others[0]] = self.box.lean * corners[:, 0]
-        if gain is None:
-            b[1:, 1] = self.box.lean * corners[:, 1]
-        else:
-            b[:, axis] = -self.box.lean if end else self.box.lean
+        for other in (0, 1) if axis == DOWN else others[:1]:
+            least, most = self.box.leans[other]
+            b[0, other] = np.clip(0.0, least, most)
+            b[1:, other] = np.where(corners[:, other if axis == DOWN else 0] > 0.0, most, least)
+        if gain is not None:
+            b[:, axis] = self.box.leans[axis, 0] if end else self.box.leans[axis, 1]
             down = np.array([gain[1], *np.where(corners[:, 1] > 0.0, self.box.high, self.box.low)])
         b[:, DOWN] = np.sqrt(1.0 - b[:, 0] ** 2 - b[:, 1] ** 2)
         f = b * (down / b[:, DOWN])[:, None]
@@ -264,7 +256,7 @@ def _turns(b: F64) -> F64:
 
 def torque_of(known: StatedKnowledge, axis: int) -> float:
     """Of the error of an axis, what torque does: along the thrust, sideways by the sine of the greatest lean."""
-    return known.torque if axis == DOWN else known.torque * known.box.lean * math.sqrt(2.0) / math.cos(math.pi / 8.0)
+    return known.torque if axis == DOWN else known.torque * known.box.corner
 
 
 def tables(known: StatedKnowledge) -> dict[int, F64]:
@@ -275,7 +267,7 @@ def tables(known: StatedKnowledge) -> dict[int, F64]:
     floored, still = np.maximum(gain, 1e-3), int(np.argmin(np.abs(known.at(DOWN))))
     hover = min(max(float(middle[1, still] / floored[still]) + box.low, box.low), box.high)
     known.lead = max(hover, 0.5 * (box.low + box.high))
-    wanted = float(floored.min()) * box.lean * known.lead
+    gains = known.lead * np.array([floored.min(), floored.max()])
     hulls |= {axis: known.hull(axis, (floored, hover)) for axis in known.data["axes"] if axis != DOWN}
     known.torque = number(known.data["torque_mps2"], "knowledge.torque_mps2") * float(floored.max())
     out = {}
@@ -286,7 +278,8 @@ def tables(known: StatedKnowledge) -> dict[int, F64]:
         if axis != DOWN:
             least, most = hull[0].min(axis=0), hull[1].max(axis=0)
             columns = [0.5 * (least + most), np.zeros(known.nodes)]
-            ends = (wanted - np.abs(columns[0])) * np.array([[-1.0], [1.0]])
+            kept = box.kept(axis)  # what the weakest gain gives at one end, and the strongest leaves at the other
+            ends = columns[0] - np.array([[(gains * kept[1]).min()], [(gains * kept[0]).max()]])
             half, middle = np.stack([0.5 * (most - least)] * 2), np.stack([columns[0]] * 2)
         errors = []
         for end in range(2):

@@ -4,7 +4,7 @@ estimate            the same bounds as in knowledge.doubts; of a grade that is k
                     its standard deviations
 speeds_mps          of the estimate: with an axis that is certified, whose region holds the true speed, the velocity's
                     bound beyond what was asked for; with another so much within it
-lean                within what was asked for: sin(tilt) cos(pi / 8) / sqrt(2)
+leans               within what was asked for; what is spared of them is at least what the attitude may be off by
 thrust_mps2         within the budget
 thrust_gain         the gain at the nodes of down, widened by its error over the greatest thrust
 delay_s             the response's delay and the ledger's doubt about it
@@ -26,7 +26,7 @@ from .knowledge import NEAR, StatedKnowledge
 from .reading import Refused, number, rows, table_of
 
 _KEYS = (
-    "sensors", "vehicle_hash", "estimate", "speeds_mps", "lean", "thrust_mps2", "applied_share", "thrust_gain",
+    "sensors", "vehicle_hash", "estimate", "speeds_mps", "leans", "thrust_mps2", "applied_share", "thrust_gain",
     "delay_s", "jitter_s", "age_s", "command_interval_s", "battery_v",
 )  # fmt: skip
 _SLACK = 1e-9
@@ -61,6 +61,8 @@ def check_premises(value: Any, axes: list[dict[str, Any]], budget: Any, known: S
     pos, vel, acc = estimate_of(table).T
     if not np.all(acc <= known.widen + _SLACK):
         raise Refused("knowledge.widen_mps2 does not hold premises.estimate.acc_mps2")
+    if not known.box.spare >= float(acc[:2].max()) / float(known.data["gravity_mps2"]) - _SLACK:
+        raise Refused(f"budget.lean_spare = {known.box.spare:.6g} is less than what the attitude may be off by")
     _check_ranges(table, axes, budget, known, vel)
     stated, found = _range(table["thrust_gain"], "premises.thrust_gain"), _gain(down, known.box.high)
     if not max(abs(stated[i] - found[i]) for i in range(2)) <= NEAR:
@@ -112,7 +114,12 @@ def _check_ranges(
         spare = float(-vel[i] if _AXES[i] in certified else vel[i])
         _least(float(known.speeds[i, 0]), least - spare, f"premises.speeds_mps[{i}]", "the speeds asked for")
         _most(greatest + spare, float(known.speeds[i, 1]), f"premises.speeds_mps[{i}]", "the speeds asked for")
-    _most(number(table["lean"], "premises.lean"), known.box.lean, "premises.lean", "the lean asked for")
+    if not isinstance(table["leans"], list) or len(table["leans"]) != len(known.box.leans):
+        raise Refused("premises.leans must be two ranges")
+    for i, asked in enumerate(known.box.leans):
+        least, greatest = _range(table["leans"][i], f"premises.leans[{i}]")
+        _least(float(asked[0]), least, f"premises.leans[{i}]", "the leans asked for")
+        _most(greatest, float(asked[1]), f"premises.leans[{i}]", "the leans asked for")
     low, high = _range(table["thrust_mps2"], "premises.thrust_mps2")
     _least(known.box.low, low, "premises.thrust_mps2", "the budget")
     _most(high, number(budget["thrust_max_mps2"], "budget.thrust_max_mps2"), "premises.thrust_mps2", "the budget")

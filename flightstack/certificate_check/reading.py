@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import bounds
 from .intervals import F64
 
-SCHEMA = "flightstack.certificate/5"
+SCHEMA = "flightstack.certificate/6"
 
 
 class Refused(Exception):

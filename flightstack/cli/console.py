@@ -13,12 +13,10 @@ from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
 from flightstack.cli.verdict import HELD, LEFT, NONE, OFF
+from flightstack.errors import one_line
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from flightstack.cli.certify import CertifyResult
-    from flightstack.gap.result import GapResult
 
 _PROTECTION_STYLES = {HELD: "[green]", LEFT: "[red]", NONE: "[red]", OFF: "[dim]"}
 
@@ -30,7 +28,7 @@ def say(text: str) -> None:
 
 def say_error(text: str) -> None:
     """One line on stderr that begins `error:`."""
-    errors.print(f"error: {' '.join(text.split())}", markup=False)
+    errors.print(f"error: {one_line(text)}", markup=False)
 
 
 def show_result(result: FlightResult) -> None:
@@ -99,38 +97,6 @@ def show_certified(result: CertifyResult) -> None:
     for name, path in (("certificate", result.certificate), ("log", result.flight.log), ("report", result.report)):
         if path:
             output.print(f" {name:<12}{path}", soft_wrap=True, markup=False)
-
-
-def show_gap(result: GapResult, out: Path) -> None:
-    """The sentence, what was named, and where the files lie."""
-    from flightstack.gap.report import words
-
-    output.print(escape(result.sentence), style="bold", soft_wrap=True)
-    table = Table(show_header=False, box=None)
-    table.add_column(style="dim")
-    table.add_column()
-    for log in result.report.logs:
-        for finding in log.findings:
-            if finding.level != "ok":
-                table.add_row("data", escape(f"{log.name}: {finding.text}"))
-    for found in result.found:
-        shown = ", ".join(words.parameter(found, name) for name in found.parameters)
-        table.add_row("effect", escape(f"{found.name}: {shown}"))
-        if found.indistinguishable_from:
-            table.add_row("", escape(f"or {', '.join(found.indistinguishable_from)}; to split: {found.manoeuvre}"))
-    for label, name, unit in (
-        ("force, one step", "one_step_mps2", "m/s²"),
-        ("turning, one step", "one_step_radps2", "rad/s²"),
-        ("path after 1 s", "rollout_1s_m", "m"),
-    ):
-        before, after, floor = (
-            words.figure(getattr(part, name), unit)
-            for part in (result.gap.before, result.gap.after, result.gap.noise_floor)
-        )
-        table.add_row(label, f"{before} before, {after} after, {floor} of noise")
-    show(table)
-    for name in ("gap.json", "vehicle.toml", "report.html"):
-        output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
 
 
 def show_checked(path: str, verdict: Verdict) -> None:

@@ -105,7 +105,8 @@ def write_text(path: Path, text: str) -> None:
 def write_flight_report(log_path: Path, report_path: Path, result: FlightResult) -> None:
     """Turn the log into the flight's page; `result.report` says where, or `result.log_problem` why not."""
     from flightstack_logs.reader import read
-    from flightstack_logs.report import from_log, write_report
+    from flightstack_logs.report.log_input import from_log
+    from flightstack_logs.report.page import write_report
 
     try:
         result.report = str(report_path)

@@ -67,7 +67,8 @@ def report(
 ) -> None:
     """Make the page of a flight from its log, whoever recorded it."""
     from flightstack.cli import files, terminal
-    from flightstack_logs.report import from_log, render_report
+    from flightstack_logs.report.log_input import from_log
+    from flightstack_logs.report.page import render_report
     from flightstack_logs.standard import with_vehicle_topics
 
     flown = with_vehicle_topics(_read(log, columns))

@@ -23,7 +23,7 @@ from flightstack.cli.shield_verb import shield
 from flightstack.cli.shipped import shipped_names
 from flightstack.cli.sim_verb import sim, warmup
 from flightstack.cli.vehicle import vehicle_app
-from flightstack.errors import InputError
+from flightstack.errors import InputError, one_line
 from flightstack_paper.verb import reproduce
 
 _LIVE_PORT = 8765
@@ -118,8 +118,8 @@ def gap(
     json: JsonOption = None,
 ) -> None:
     """Find, name, add and verify what the model of a vehicle lacks in logs of its flights."""
-    from flightstack.cli import console, files, terminal
-    from flightstack.cli.gap import GapOptions, find_gap
+    from flightstack.cli import files, terminal
+    from flightstack.cli.gap import GapOptions, find_gap, show_gap
     from flightstack.gap.result import as_json
 
     options = GapOptions(
@@ -133,7 +133,7 @@ def gap(
     )
     with terminal.progress("gap") as show:
         result = find_gap(options, on_progress=show)
-    console.show_gap(result, out)
+    show_gap(result, out)
     if json is not None:
         files.write_json(json, as_json(result))
 
@@ -165,10 +165,10 @@ def main(arguments: list[str] | None = None) -> None:
     except typer.Abort:
         code = INTERRUPTED
     except _USAGE_ERRORS as error:
-        print(f"error: {' '.join(error.format_message().split())} (see --help)", file=sys.stderr)
+        print(f"error: {one_line(error.format_message())} (see --help)", file=sys.stderr)
         code = BAD_INPUT
     except InputError as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"error: {one_line(str(error))}", file=sys.stderr)
         code = BAD_INPUT
     except KeyboardInterrupt:
         print("error: interrupted", file=sys.stderr)

@@ -193,12 +193,13 @@ SOUND = "sound"
 _SPARED_H = 0.02
 """Where a path keeps so much h whatever its speed may be off by, few of its commands are changed."""
 _THRUSTS = (
-    Thrust(), Thrust(most_hovers=1.6, lateral_mps2=2.0), Thrust(lateral_mps2=2.0), Thrust(0.75, 1.3),
-    Thrust(most_hovers=1.2, lateral_mps2=2.25),
+    Thrust(most_hovers=1.2, lateral_mps2=2.0), Thrust(most_hovers=1.2, lateral_mps2=2.25), Thrust(),
+    Thrust(most_hovers=1.2), Thrust(0.75, 1.3),
 )  # fmt: skip
-"""All thrust that there is or no more than 1.6 hovers: for a light vehicle lag and delay of all of it cost more than it
-gives, and nothing would ever close.  More to either side bends a path less; where bounds are wide upwards only less of
-it closes.  Of 0.75 to 1.3 hovers both ways have as much: with long delays or holds, 0.85 leaves too little down."""
+"""No more than 1.2 hovers, or all thrust that there is: for a light vehicle lag and delay of all of it cost more
+than it gives, and nothing would ever close.  More to either side bends a path less; where bounds are wide upwards only
+less of it closes.  Of 0.75 to 1.3 hovers both ways have as much: with long delays or holds, 0.85 leaves too little
+down."""
 FULL, STATE_ONLY, NONE = "full", "state-only", "none"
 """What a flight's learner knows: state and thrust, the state alone, nothing that can be certified with."""
 _NO_FILTER = "off: --no-filter"

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
+from flightstack.gap.chances import chi2_tail
 from flightstack.gap.classes import splitting_manoeuvre, together
 from flightstack.gap.decisions import CHANCE_P, MOSTLY, NOT_WORSE, RARE_P
 from flightstack.gap.gusts import Gusts, as_found, gusts
@@ -118,7 +118,7 @@ def _chance(
     count, statistic = _wald(vehicle, at, found, turned, blown)
     if not count:
         return 0.0 if found.name != _WIND else 1.0  # no force shows it: it is not gusts that it may be
-    return float(chdtrc(count, statistic))
+    return chi2_tail(count, statistic)
 
 
 def _wald(
@@ -151,7 +151,7 @@ def _by_gusts(
     own = replace(found, parameters=parameters)
     if not found.delta_bic:  # it was not the search that found it
         count, statistic = _wald(vehicle, naming.vehicle, found, turned, blown)
-        own = replace(own, delta_bic=-statistic, p_value=float(chdtrc(count, statistic)) if count else 1.0)
+        own = replace(own, delta_bic=-statistic, p_value=chi2_tail(count, statistic) if count else 1.0)
     names = tuple(own if f.name == found.name else f for f in naming.found)
     return replace(naming, found=names, vehicle=moved)
 

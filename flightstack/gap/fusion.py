@@ -13,8 +13,8 @@ the two does not, it is the velocity's, and the position is taken instead.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
 
+from flightstack.gap.chances import chi2_limit
 from flightstack.gap.decisions import CHANCE_P, CLEAR_SHARE, SLOW_ERROR_S
 from flightstack.gap.filters import spectrum
 from flightstack.types import F64
@@ -63,7 +63,7 @@ def crossovers(velocity: F64, position: F64, acceleration: F64, dt_s: float) -> 
 
 def _white_share(means: int) -> float:
     """Of the shorter means' power, what so many of the longer hold of white noise at most, but for chance."""
-    return max(1.0 / 3.0, _SLOW_S / SLOW_ERROR_S * float(chdtri(means, CHANCE_P)) / means)
+    return max(1.0 / 3.0, _SLOW_S / SLOW_ERROR_S * chi2_limit(means, CHANCE_P) / means)
 
 
 def _mean_power(x: F64, block: int) -> float:

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
+from flightstack.gap.chances import chi2_tail
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
 from flightstack.gap.naming.drivers import quantities
@@ -252,7 +252,7 @@ def as_found(blown: Gusts, gap_power: float) -> IdentifiedEffect:
         {"sigma_mps": blown.sigma_mps, "length_m": blown.length_m},
         -2.0 * blown.evidence,
         share,
-        float(chdtrc(2, 2.0 * blown.evidence)),
+        chi2_tail(2, 2.0 * blown.evidence),
     )
 
 

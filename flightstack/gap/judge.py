@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.chances import chi2_tail
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
 from flightstack.gap.decisions import CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE, NAME_P
 from flightstack.gap.naming.candidates import negligible, plausible, trifle
@@ -134,7 +134,7 @@ def judge(state: SelectionState, best: Fit) -> Judged:
 def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
     """Likelihood ratio of the effect against trifles of all others."""
     fall = _chi2_decrease(state, best.effects, effect)
-    return float(chdtrc(max(len(best.effects[effect]), 1), max(fall, 0.0)))
+    return chi2_tail(max(len(best.effects[effect]), 1), fall)
 
 
 def parameters_of(state: SelectionState, made: Estimates, effect: str) -> dict[str, Estimate]:

@@ -31,6 +31,7 @@ from flightstack.gap.judge import Judged, evidence, judge, parameters_of, prefer
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import plausible
+from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.joining import forward_selection_step
@@ -261,10 +262,11 @@ def name(
     if not any(m.any() for m in bench.fit):
         return Selection((), (), vehicle, Unexplained(False), where, {})
     apart = () if has_gyro(flights) else POORLY_TOLD
-    state = search(bench, vehicle, apart, steady=closely)
+    raw = design(bench, vehicle, vehicle)
+    state = search(bench, raw, apart, steady=closely)
     best = pruned(state)
     if not (closely or best.effects) and any(each.rms >= GAP_FROM * each.expected_noise for each in where):
-        state = search(bench, vehicle, apart, steady=True)
+        state = search(bench, raw, apart, steady=True)
         best = pruned(state)
     judged = judge(state, best)
     rests = residual_tests(bench, vehicle, judged.estimates)

@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular, toeplitz
-from scipy.special import stdtrit
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.airspeed import offset
+from flightstack.gap.chances import t_limit
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS, TIMING_SHARE
 from flightstack.gap.naming.candidates import plausible
@@ -101,7 +100,7 @@ def refine(
     theta, covariance = problem.solve()
     # A sum over neighbours has this many degrees of freedom (Bartlett's kernel: 3/2 of the windows over its reach).
     freedom = 1.5 * problem.count / max(1.5, max(_reach(len(w.starts)) for w in problem.windows))
-    half = STATE_ERRORS * stdtrit(max(freedom, 2.0), 0.975) * np.sqrt(np.diag(covariance))
+    half = STATE_ERRORS * t_limit(max(freedom, 2.0)) * np.sqrt(np.diag(covariance))
     found: dict[str, dict[str, Estimate]] = {}
     for k, (effect, parameter) in enumerate(unknowns):
         found.setdefault(effect, {})[parameter] = bounded(believed, effect, parameter, float(theta[k]), float(half[k]))
@@ -351,9 +350,9 @@ def _whitened(y: F64, x: F64) -> tuple[F64, F64]:
         if not np.isfinite(y[:, :, c]).all():
             continue
         factor = _factor(rest[:, :, c])
-        white_y[:, :, c] = solve_triangular(factor, y[:, :, c].T, lower=True).T
+        white_y[:, :, c] = np.linalg.solve(factor, y[:, :, c].T).T
         columns = np.moveaxis(x[:, :, c], 1, 0).reshape(y.shape[1], -1)
-        solved = solve_triangular(factor, columns, lower=True).reshape(y.shape[1], y.shape[0], -1)
+        solved = np.linalg.solve(factor, columns).reshape(y.shape[1], y.shape[0], -1)
         white_x[:, :, c] = np.moveaxis(solved, 0, 1)
     return white_y, white_x
 
@@ -363,7 +362,7 @@ def _factor(rest: F64) -> F64:
     n = rest.shape[1]
     covariance = np.array([np.mean(rest[:, : n - j] * rest[:, j:]) for j in range(n)]) * (1.0 - np.arange(n) / n)
     covariance[0] = max(covariance[0], 1e-18)
-    matrix = toeplitz(covariance) + 1e-3 * covariance[0] * np.eye(n)
+    matrix = covariance[np.abs(np.subtract.outer(np.arange(n), np.arange(n)))] + 1e-3 * covariance[0] * np.eye(n)
     least = float(np.linalg.eigvalsh(matrix)[0])
     if least < 1e-3 * covariance[0]:
         matrix += (1e-3 * covariance[0] - least) * np.eye(n)

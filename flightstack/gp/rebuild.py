@@ -40,7 +40,7 @@ def rebuild(squares: F64, rows: F64, state: I64, real: F64) -> None:
         )
     state[store.REBUILT] += 1
     state[store.STEPS], state[store.ALARM], state[store.KNOWN] = 0, 0, 0
-    real[store.DRIFT] = 0.0
+    real[store.DRIFT], real[store.LATEST] = 0.0, np.inf
 
 
 @njit_called

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -60,14 +61,16 @@ class RecursiveGP:
         capacity: int = 300,
         drift_limit: float = 0.1,
         rebuild_steps: int = 5000,
+        tolerance: float = 0.0,
     ) -> None:
         """Raises InputError on what is out of range.
 
         `noise_var` is the variance of the noise on each value; `capacity` the most points held: one more, and the
         oldest goes.  The inverse is computed anew where a residual exceeds `drift_limit`, and every `rebuild_steps`
-        points that entered.
+        points that entered.  Where the noise is small every answer is bettered by its residual, for half as much again;
+        `tolerance`: a residual, in shares of the variance, up to which only every 16th is.
         """
-        self.kernel, self.noise_var = kernel, number(noise_var, "noise_var", 1e-50, 1e50)
+        self.kernel = kernel
         self.input_dim = int(number(input_dim, "input_dim", 1, 4096))
         self.output_dim = int(number(output_dim, "output_dim", 1, 4096))
         self.capacity = int(number(capacity, "capacity", 1, _CAPACITY_MAX))
@@ -79,13 +82,14 @@ class RecursiveGP:
         self._state[[store.CAPACITY, store.INPUTS, store.OUTPUTS]] = self.capacity, d, p
         self._state[store.PERIOD] = int(number(rebuild_steps, "rebuild_steps", 1, 1e12))
         self._state[store.ORDER + 2 * self.capacity :] = program.ints
-        self._real[[store.NOISE, store.LIMIT]] = self.noise_var, number(drift_limit, "drift_limit", 0.0, 1e9)
+        self._real[store.LIMIT] = number(drift_limit, "drift_limit", 0.0, 1e9)
+        self._real[store.TOLERANCE] = number(tolerance, "tolerance", 0.0, 1e9)
         self._real[store.reals_needed(d, p) :] = program.floats
         self._arrays = (aligned(2, triangle(size)), self._rows, self._state, self._real)
         parts = np.split(self._real[store.QUERY : store.reals_needed(d, p)], np.cumsum([d, d, d, p]))
         self._query, self._rate, _, self._value, self._answer = parts
         self._x_shape, self._y_shape = (d,), (p,)
-        self.clear()
+        self.restart(noise_var)
 
     def __len__(self) -> int:
         return self._count
@@ -109,13 +113,19 @@ class RecursiveGP:
             int(s[store.CLIPPED]), float(r[store.JITTER]),
         )  # fmt: skip
 
+    def restart(self, noise_var: float) -> None:
+        """Forget all points and go on with another noise; the counters stay."""
+        self.noise_var = self._real[store.NOISE] = number(noise_var, "noise_var", 1e-50, 1e50)
+        self.clear()
+
     def clear(self) -> None:
         """Forget all points; the counters stay."""
         self._count, self._leaving = 0, -1
-        self._state[[store.COUNT, store.HIGH, store.PENDING, store.KNOWN, store.STEPS, store.ALARM]] = 0
+        self._state[
+            [store.COUNT, store.HIGH, store.PENDING, store.KNOWN, store.UNCHECKED, store.STEPS, store.ALARM]
+        ] = 0
         self._state[store.ORDER : store.ORDER + self.capacity] = np.arange(self.capacity)
-        self._real[store.DRIFT] = 0.0
-        self._arrays[0][:] = 0.0
+        self._real[[store.DRIFT, store.LATEST]] = 0.0, math.inf
         self._rows[:] = 0.0
 
     def add(self, x: F64 | Sequence[float], y: F64 | Sequence[float] | float) -> int:

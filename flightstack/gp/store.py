@@ -37,9 +37,10 @@ ORDER = 16
 """From here on: places by index (capacity; free ones last), time of entry by place (capacity), the kernel's ints."""
 
 # real
-NOISE, LIMIT, DRIFT, WORST, JITTER, PRIOR_HERE, VARIANCE = 0, 1, 2, 3, 4, 5, 6
-"""VARIANCE: at the query whose product is known; the points that have left since are accounted for."""
-QUERY = 8
+NOISE, LIMIT, DRIFT, WORST, JITTER, PRIOR_HERE, VARIANCE, LATEST, TOLERANCE = 0, 1, 2, 3, 4, 5, 6, 7, 8
+"""VARIANCE: at the query whose product is known; the points that have left since are accounted for.  LATEST: residual
+when it was looked at last; up to TOLERANCE it is looked at rarely."""
+QUERY = 10
 """From here on: query (D), its rate (D), the query whose product is known (D), value (P), mean (P), variance or the
 mean's rate (P), the kernel's floats."""
 
@@ -74,7 +75,11 @@ def put(squares: F64, rows: F64, state: I64, real: F64, place: int) -> None:
         rows[POINTS + i, place] = real[QUERY + i]
     for p in range(outputs):
         rows[POINTS + d + p, place] = real[QUERY + 3 * d + p]
-    state[HIGH] = max(state[HIGH], place + 1)
+    if place >= state[HIGH]:
+        if place % BLOCK == 0:
+            first = triangle_of(place // BLOCK)
+            squares[:, first : triangle_of(place // BLOCK + 1)] = 0.0
+        state[HIGH] = place + 1
     state[COUNT] += 1
     state[CLOCK] += 1
     state[ORDER + state[CAPACITY] + place] = state[CLOCK]
@@ -86,6 +91,12 @@ def put(squares: F64, rows: F64, state: I64, real: F64, place: int) -> None:
     rows[PRIOR, place] = real[PRIOR_HERE]
     for row in range(W, C + 2):
         rows[row, place] = 0.0
+
+
+@njit
+def triangle_of(blocks: int) -> int:
+    """Elements of the first so many rows of tiles."""
+    return BLOCK * BLOCK * blocks * (blocks + 1) // 2
 
 
 @njit

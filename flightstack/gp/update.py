@@ -31,7 +31,8 @@ from flightstack.types import F64
 _LEAST_PIVOT = 0.5
 """An entering point's s and a leaving one's 1 / a_j are at least the noise; below this share of it, A is lost."""
 _SMALL_NOISE = 1e-3
-"""Where the noise is below this share of the prior variance, every product is bettered by its residual."""
+"""Where the noise is below this share of the prior variance, every product is bettered by its residual, unless the
+latest was below what is tolerated."""
 _CHECK_STEPS = 16
 """And otherwise every so many, to watch the drift."""
 _REST_STEPS = 100
@@ -44,7 +45,7 @@ def predict(squares: F64, rows: F64, state: I64, real: F64) -> bool:
     if not _admissible(rows, state, real):
         _answer_nothing(state, real)
         return False
-    _solve(squares, rows, state, real)
+    _solve(squares, rows, state, real, True)
     d, outputs, size = state[store.INPUTS], state[store.OUTPUTS], state[store.HIGH]
     first, mean = store.POINTS + d, store.QUERY + 3 * d + outputs
     for p in range(outputs):
@@ -87,7 +88,7 @@ def enter(squares: F64, rows: F64, state: I64, real: F64, leaving: int) -> bool:
     if leaving >= 0:
         leave(squares, rows, state, real, leaving)
     if fit:
-        _solve(squares, rows, state, real)
+        _solve(squares, rows, state, real, False)
         _insert(squares, rows, state, real)
     else:
         state[store.REJECTED] += 1
@@ -167,8 +168,10 @@ def _admissible(rows: F64, state: I64, real: F64) -> bool:
 
 
 @njit_called
-def _solve(squares: F64, rows: F64, state: I64, real: F64) -> None:
-    """The query's covariances into K, their product with A into PRODUCT, its variance; unless all are known already.
+def _solve(squares: F64, rows: F64, state: I64, real: F64, asked: bool) -> None:
+    """The query's covariances into K, their product with A into PRODUCT; unless all are known already.
+
+    Its variance, too, where it is `asked` for; a point that enters needs none.
 
     Where A is found spoilt, or is due, it is rebuilt first.
     """
@@ -184,6 +187,10 @@ def _solve(squares: F64, rows: F64, state: I64, real: F64) -> None:
         if state[store.ALARM] or state[store.STEPS] >= state[store.PERIOD]:
             rebuild(squares, rows, state, real)
         _multiply_query(squares, rows, state, real)
+        if asked:
+            real[store.VARIANCE] = _variance(squares[store.GRAM], rows, state, real)
+        else:
+            state[store.UNCHECKED] += 1
         if not state[store.ALARM]:
             break
     state[store.KNOWN] = 1
@@ -191,7 +198,7 @@ def _solve(squares: F64, rows: F64, state: I64, real: F64) -> None:
 
 @njit_called
 def _multiply_query(squares: F64, rows: F64, state: I64, real: F64) -> None:
-    """The query's covariances, their product with A, its variance; ALARM where A is found spoilt."""
+    """The query's covariances and their product with A."""
     d = state[store.INPUTS]
     ints, floats, points = store.kernel_of(rows, state, real)
     query, size = real[store.QUERY : store.QUERY + d], store.whole_blocks(state[store.HIGH])
@@ -203,7 +210,6 @@ def _multiply_query(squares: F64, rows: F64, state: I64, real: F64) -> None:
         state[store.PENDING] = 0
     else:
         multiply(squares[store.INVERSE], size, rows[store.K], rows[store.PRODUCT])
-    real[store.VARIANCE] = _variance(squares[store.GRAM], rows, state, real)
 
 
 @njit_called
@@ -223,7 +229,8 @@ def _variance(gram: F64, rows: F64, state: I64, real: F64) -> float:
     least = prior * real[store.NOISE] / (real[store.NOISE] + store.total(rows[store.PRIOR], size))
     variance = prior - store.dot(k, v, size)
     state[store.UNCHECKED] += 1
-    doubtful = real[store.NOISE] < _SMALL_NOISE * prior or not variance >= least
+    small = real[store.NOISE] < _SMALL_NOISE * prior and real[store.LATEST] >= real[store.TOLERANCE]
+    doubtful = small or not variance >= least
     if doubtful or state[store.UNCHECKED] >= _CHECK_STEPS:
         state[store.UNCHECKED] = 0
         multiply(gram, store.whole_blocks(size), v, residual)
@@ -232,7 +239,7 @@ def _variance(gram: F64, rows: F64, state: I64, real: F64) -> float:
         error = store.dot(v, residual, size)
         variance -= error
         drift = abs(error) / max(variance, least)
-        real[store.DRIFT] = max(real[store.DRIFT], drift)
+        real[store.LATEST], real[store.DRIFT] = drift, max(real[store.DRIFT], drift)
         real[store.WORST] = max(real[store.WORST], drift)
         if not drift <= real[store.LIMIT] and state[store.STEPS] >= _REST_STEPS:
             state[store.ALARM] = 1

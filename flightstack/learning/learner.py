@@ -115,8 +115,8 @@ class LearnerState:
     __slots__ = (
         "began_us", "calm_variance", "carried", "changed_us", "changes", "expected", "fed", "fed_forward", "fit_us",
         "forward", "forward_us", "gain_variance", "lateral", "memory", "noise_quiet", "posterior", "query", "rate_mean",
-        "rate_sigma", "rates", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance", "vertical",
-        "watch", "window",
+        "rate_sigma", "rates", "rates_due", "refused", "sample", "steps", "usual_thrust", "valid_us", "variance",
+        "vertical", "watch", "window",
     )  # fmt: skip
 
     def __init__(self, config: LearnerConfig, memory: F64) -> None:
@@ -160,8 +160,16 @@ class LearnerState:
         self.carried = np.zeros((2, 4))
         """What was worked out last, and the same carried on to this step."""
         self.forward_us = 0
+        self.rates_due = False
+        """The rate store took a point since its last prediction."""
         self.rate_mean = np.zeros(3)
         self.rate_sigma = np.full(3, math.nan)
+
+    def expect_rates(self) -> None:
+        """Prediction of the body rates' residual; once a window, in a tick of its own."""
+        self.rates_due = False
+        self.rate_mean, spread = self.rates.expect(self.sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3])
+        self.rate_sigma = np.sqrt([self.rates.bound(spread, i) for i in range(3)])
 
     def evidence(self) -> Learnt:
         """What a certificate rests on, as of now; learning on does not change it."""
@@ -213,6 +221,8 @@ class GpLearner:
         due = [turn for turn in turns if window is not None and turn in window.left]
         if window is not None and due:
             _take_turn(state, window, due[0])
+        elif state.rates_due and turns:
+            state.expect_rates()
         elif turns:
             (state.vertical if turns[0] == _VERTICAL else state.lateral).carry_on()
         self._expect(state, both=state.steps == 0)
@@ -277,6 +287,8 @@ class GpLearner:
         if watch.full:
             while state.window is not None:  # windows so short that there are too few ticks between them
                 _take_turn(state, state.window, state.window.left[0])
+            if state.rates_due:
+                state.expect_rates()
             state.window = FullWindow(watch.take(), watch.noise_var, (state.began_us, t_us))
         return False
 
@@ -321,8 +333,7 @@ def _take_turn(state: LearnerState, window: FullWindow, turn: int) -> None:
         state.vertical.take(*_as_asked(state, mean, noise[2]), span_us)
     else:
         state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
-        state.rate_mean, spread = state.rates.expect(state.sample[s.S_RATE_INPUT : s.S_RATE_INPUT + 3])
-        state.rate_sigma = np.sqrt([state.rates.bound(spread, i) for i in range(3)])
+        state.rates_due = True
     left = tuple(other for other in left if other != turn)
     state.window = window._replace(left=left) if left else None
 

@@ -21,6 +21,7 @@ are thinned to a third that reaches as far as all of them: what was seen once, f
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -53,11 +54,13 @@ _OUTLIER_KEPT = 1.0 - 1.0 / 200.0
 """Share of an outlier's variance that is left a window later."""
 _NOISE_FACTOR = 1.5
 _NOISE_EVERY = 50
-_CARRIED = 4
+_CARRIED = 3
 """Points that a tick takes over."""
 _FEW = 30
 """Points with which rebuilding costs nothing."""
 _NOISE_LEAST = 1e-4
+_TOLERANCE = 1e-3
+"""Of a variance, by which a prediction may be off for being worked out in half the time."""
 _POOL = 2000
 """Two minutes of windows."""
 _THINNED, _KEPT = 1500, 500
@@ -105,13 +108,11 @@ class _Successor:
 
     __slots__ = ("_done", "_moves", "_x", "_y", "gp")
 
-    def __init__(self, before: RecursiveGP, noise_var: float) -> None:
-        self.gp = RecursiveGP(
-            before.kernel, noise_var, input_dim=before.input_dim, output_dim=before.output_dim,
-            capacity=before.capacity,
-        )  # fmt: skip
-        self._x, self._y, self._done = before.x, before.y, 0
-        self._moves: list[tuple[int, F64, F64, bool]] = []
+    def __init__(self, before: RecursiveGP, gp: RecursiveGP, noise_var: float) -> None:
+        """`gp`: a process of the same kind, whose points are forgotten."""
+        gp.restart(noise_var)
+        self.gp, self._x, self._y, self._done = gp, before.x, before.y, 0
+        self._moves: deque[tuple[int, F64, F64, bool]] = deque()
 
     def note(self, dropped: int, x: F64, y: F64, taken: bool) -> None:
         """The store let a point go (-1: none), and took another or refused it."""
@@ -119,25 +120,27 @@ class _Successor:
 
     def carry_on(self) -> bool:
         """Some points more; whether all are here, at the store's own indices."""
-        end = min(self._done + _CARRIED, len(self._x))
-        for i in range(self._done, end):
-            self.gp.add(self._x[i], self._y[i])
-        self._done = end
-        while end == len(self._x) and self._moves:  # a window brings one, and there are ticks enough between two
-            dropped, x, y, taken = self._moves.pop(0)
+        done, held = self._done, len(self._x)
+        if done < held:
+            self._done = min(done + _CARRIED, held)
+            for i in range(done, self._done):
+                self.gp.add(self._x[i], self._y[i])
+        elif self._moves:  # a window brings one, and there are ticks enough between two
+            dropped, x, y, taken = self._moves.popleft()
             if dropped >= 0:
                 self.gp.remove(dropped)
             if taken:
                 self.gp.add(x, y)
-        return end == len(self._x)
+        return self._done == held and not self._moves
 
 
 class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_choice", "_fresh", "_heard", "_levels", "_next", "_places", "_pooled", "_spans",
-        "_successor", "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs", "relevance",
+        "_age", "_block", "_choice", "_fresh", "_heard", "_least_noise_var", "_levels", "_next", "_places", "_pooled",
+        "_spans", "_spare", "_successor", "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs",
+        "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -151,7 +154,14 @@ class Store:
         relevance: Relevance = "oldest",
     ) -> None:
         self.outputs, self.relevance = outputs, relevance
-        self.gp = RecursiveGP(prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity)
+        self.gp, self._spare = (
+            RecursiveGP(
+                prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity,
+                tolerance=_TOLERANCE,
+            )
+            for _ in range(2)
+        )  # fmt: skip
+        self._least_noise_var = _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[:inputs])
         self.floor = floor * floor
         self._levels = np.zeros((_LEVELS, outputs))
         self.excess, self.calm_excess = self._levels[_EXCESS], self._levels[_CALM]
@@ -200,14 +210,14 @@ class Store:
         Never below 1e-4 of the prior's variance, where the recursion would lose digits.  That costs a factorisation, so
         a store with many points does it rarely, and some points at a time (`carry_on`).
         """
-        noise_var = max(noise_var, _NOISE_LEAST * self.gp.prior_variance(_ORIGIN[: self.gp.input_dim]))
+        noise_var = max(noise_var, self._least_noise_var)
         ratio = noise_var / self.gp.noise_var
         few = len(self.gp) < _FEW
         known = 1.0 / _NOISE_FACTOR < ratio < _NOISE_FACTOR or self._successor is not None
         if known or (not few and self._next < self._heard + _NOISE_EVERY):
             return
         self._heard = self._next
-        self._successor = _Successor(self.gp, noise_var)
+        self._successor = _Successor(self.gp, self._spare, noise_var)
         if few:
             while self._successor is not None:
                 self.carry_on()
@@ -216,7 +226,7 @@ class Store:
         """A few points more with the noise as measured; once all have it, it counts."""
         successor = self._successor
         if successor is not None and successor.carry_on():
-            self.gp, self._successor = successor.gp, None
+            self.gp, self._spare, self._successor = successor.gp, self.gp, None
 
     def take(self, x: F64, y: F64, span_us: Span = (0, 0)) -> None:
         """A new point of a window between two stamps: test the prediction with it, then learn it."""

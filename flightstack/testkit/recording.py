@@ -61,6 +61,7 @@ class Recording:
     def report(self, log: Path, page: Path) -> Path:
         """The page of a log that was written."""
         from flightstack_logs.reader import read
-        from flightstack_logs.report import from_log, write_report
+        from flightstack_logs.report.log_input import from_log
+        from flightstack_logs.report.page import write_report
 
         return write_report(from_log(read(log)), page)

@@ -33,7 +33,7 @@ _MODEL = Model(1.4, 60.0, 0.0, 0.02, 0.05, 0.0, (0.0, 0.0, 0.0), 0.1, ())
 """The true vehicle, known exactly, without lags."""
 _LIMITS = Limits(thrust_max_weights=THRUST_WEIGHTS / MASS_RATIO, thrust_min_weights=0.0)
 _NOTHING = Authority(*(np.zeros(2) for _ in range(7)))
-_BASIS = Basis(GAMMA_PS, 2.0, 0.05, (_NOTHING,) * 3, Budget(0.0, 0.0, 0.0, 0.0, 0.0))
+_BASIS = Basis(GAMMA_PS, 2.0, 0.05, (_NOTHING,) * 3, Budget.square(0.0, 0.0, 0.0, 0.0))
 
 
 def measure() -> dict[str, Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from certified import for_the_papers_path, write
+from forging import resealed
 
 from flightstack.cli.files import load_vehicle
 
@@ -35,6 +36,17 @@ def test_a_module_in_the_working_folder_does_not_answer_for_the_checker(tmp_path
     ran = _run(tmp_path, "certify", "--check", "c.json")
     assert ran.returncode == 2, ran.stdout
     assert "not a certificate" in _one_line(ran)
+
+
+def test_a_files_own_words_move_no_cursor_and_hide_nothing(tmp_path: Path) -> None:
+    """A key that goes up a line, wipes it and says "valid" there."""
+    file = tmp_path / "c.json"
+    made = json.loads(write(tmp_path / "honest.json", for_the_papers_path(), load_vehicle(None)[0]).read_text())
+    file.write_text(resealed(made | {"\x1b[1A\x1b[2Kvalid\n\ud800": 1}))
+    ran = _run(tmp_path, "certify", "--check", "c.json")
+    assert ran.returncode == 2, ran.stdout
+    assert all(each.isprintable() for each in _one_line(ran)), _one_line(ran)
+    assert "valid" not in ran.stdout
 
 
 def test_what_the_checker_refuses_is_not_flown(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from certified import certificate
 
 from flightstack.region import Region as SafeRegion
-from flightstack_logs.report import (
+from flightstack_logs.report.flight import (
     Barrier,
     FlightEvent,
     FlightReport,

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from report_flight import circle_flight
 
-from flightstack_logs.report import FlightReport, Outcome, ReportSamples, write_report
+from flightstack_logs.report.flight import FlightReport, Outcome, ReportSamples
+from flightstack_logs.report.page import write_report
 
 CHROMIUM = Path("/usr/bin/chromium")
 PANELS = 24

@@ -183,9 +183,9 @@ def test_a_link_slower_than_a_certificate_holds_for_is_refused_before_take_off(
 ) -> None:
     """15 ms more each way, where the certificate counts commands as late as 10 ms; without the delay it flies."""
     given = for_the_papers_path()
-    any_speed, anything = ((-9.0, 9.0),) * 3, (0.0, 99.0)
+    any_speed, any_lean, anything = ((-9.0, 9.0),) * 3, ((-1.0, 1.0),) * 2, (0.0, 99.0)
     premises = Premises(
-        "mocap", "", EstimateBounds((0.02,) * 3, (0.1,) * 3, (0.2,) * 3, 4.3), any_speed, 1.0,
+        "mocap", "", EstimateBounds((0.02,) * 3, (0.1,) * 3, (0.2,) * 3, 4.3), any_speed, any_lean,
         anything, anything, anything, (0.004, 0.008), 0.002, 0.002, 0.004, anything,
     )  # fmt: skip
     path = write(folder / "late.json", replace(given, premises=premises), load_vehicle(None)[0])

@@ -130,7 +130,7 @@ def test_what_contradicts_a_site_is_named(tmp_path: Path, more: dict[str, object
 
 
 def test_a_certificate_of_something_else_is_refused(tmp_path: Path) -> None:
-    for text in ('{"schema": "flightstack.certificate/5"}', "nonsense", "[]"):
+    for text in ('{"schema": "flightstack.certificate/6"}', "nonsense", "[]"):
         with pytest.raises(InputError, match=r"JSON|certify --site"):
             prepare(
                 FlyOptions(scenario="figure8", site=_site(tmp_path, BOX), certificate=_site(tmp_path, text, "c.json"))

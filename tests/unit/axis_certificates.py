@@ -28,5 +28,5 @@ def axis_of(
 
 def certificate_of(*axes: AxisCertificate, version: int = 1, **knowledge: object) -> Certificate:
     """A certificate of some axes."""
-    budget = Budget(2.0, 2.0, 15.0, 17.0, 0.6)
+    budget = Budget.square(2.0, 15.0, 17.0, 0.6)
     return Certificate("sound", (0.0, 0.0, -0.8), axes, budget, 0.05, 4.3, dict(knowledge), version)

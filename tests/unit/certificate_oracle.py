@@ -19,7 +19,7 @@ from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.records import AxisCertificate
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.gp.kernels import kernel_from_dict
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 CHANGES = {
     "+1 %": lambda x: 1.01 * x,
@@ -34,7 +34,6 @@ CHANGES = {
 
 NO_CONSEQUENCE = {
     "centre_ned_m": "where the region lies; heights above the ground are looked at",
-    "lateral_mps2": "the tilt limit says the same",
 }
 """Numbers on which nothing that is proven depends."""
 
@@ -47,9 +46,9 @@ def narrower(before: dict[str, Any], data: dict[str, Any]) -> bool:
     """Whether premises hold for no more than those before."""
     old, new = before["premises"], data["premises"]
     ranges = [(a, b) for key in ("thrust_mps2", "delay_s") for a, b in [(old[key], new[key])]]
-    ranges += list(zip(old["speeds_mps"], new["speeds_mps"], strict=True))
+    ranges += list(zip(old["speeds_mps"] + old["leans"], new["speeds_mps"] + new["leans"], strict=True))
     inside = all(a[0] - 1e-8 <= b[0] <= b[1] <= a[1] + 1e-8 for a, b in ranges)
-    single = all(new[key] <= old[key] + 1e-8 for key in ("lean", "jitter_s", "age_s", "command_interval_s"))
+    single = all(new[key] <= old[key] + 1e-8 for key in ("jitter_s", "age_s", "command_interval_s"))
     down = all(new["estimate"][key][2] == old["estimate"][key][2] for key in Accuracy._fields[:3])  # alone is certified
     return inside and single and down and new["thrust_gain"] == old["thrust_gain"]
 
@@ -180,6 +179,9 @@ def still_true(before: dict[str, Any], path: tuple[Any, ...], text: str) -> bool
         return True
     if path[0] == "premises":  # they are made as wide as they may be
         return path[1] in ONLY_MEASURED or path[2:] == ("k_sigma",) or narrower(before, data)
+    if path[0] == "budget":  # what the tilt may be off by is kept from leans that no certified axis needs
+        acc = max(before["premises"]["estimate"]["acc_mps2"][:2])
+        return path[1] == "lean_spare" and data["budget"][path[1]] >= acc / STANDARD_GRAVITY_MPS2 - 1e-8
     if path[0] == "governor":
         return bounded(before, data, path)
     if path[0] == "knowledge":

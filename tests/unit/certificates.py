@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from shipped import load_vehicle
 
+from flightstack.barrier.budgets import budget
 from flightstack.barrier.condition import Reach, Setting, coefficients
 from flightstack.barrier.estimate_bounds import EstimateBounds
-from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request, budget
+from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, Ledger
 from flightstack.barrier.posterior import Accelerations, Posterior, Process
 from flightstack.barrier.premises import Premises
@@ -34,6 +35,7 @@ STOPPING = Stopping(-0.5, 0.5, 0.4, 1.1, 1.5)
 RESPONSE = Response(0.02, 0.0, 0.005)
 DOUBTS, ACCURACY = Doubts(0.0005, 0.02, 0.02), Accuracy(0.0005, 0.002, 0.01)
 ESTIMATE = EstimateBounds((0.0005,) * 3, (0.002,) * 3, (0.01,) * 3, 4.3)
+TILT_OFF = 0.01 / STANDARD_GRAVITY_MPS2
 
 
 def uniform_cells(barrier: Barrier, setting: Setting, table: Authority, across: int = 40) -> F64:
@@ -102,7 +104,7 @@ def known_vehicle(points: int, *, seed: int = 1) -> Accelerations:
 def knowledge(points: int = 60, axes: tuple[int, ...] = (2,), version: int = 1, last: bool = False) -> Knowledge:
     """What these points say of some axes round 2 m of height, with some thrust across."""
     envelope = Envelope(((-0.2, 0.2), (-0.2, 0.2), (-1.6, 1.6)), (1.2, 2.8), nodes=9, axes=axes)
-    box = budget(MODEL, Limits(), lateral_mps2=0.5, low_mps2=3.0)
+    box = budget(MODEL, Limits(), sideways_mps2=((-0.5, 0.5), (-0.5, 0.5)), low_mps2=3.0, tilt_off=TILT_OFF)
     return Knowledge.of(
         Request(
             known_vehicle(points), MODEL, envelope, box, InitialKnowledge(), version=version, last=last,
@@ -152,9 +154,8 @@ def premises_for(known: Knowledge) -> Premises:
     spare = (-ACCURACY.vel_mps, -ACCURACY.vel_mps, ACCURACY.vel_mps)
     north, east, down = ((low - s, high + s) for (low, high), s in zip(ranges, spare, strict=True))
     off = max(table.error_low_mps2.max(), table.error_high_mps2.max()) / box.high_mps2
-    lean = np.sin(box.tilt_max_rad) * np.cos(np.pi / 8.0) / np.sqrt(2.0)
     return Premises(
-        "made up", "", ESTIMATE, (north, east, down), float(lean),
+        "made up", "", ESTIMATE, (north, east, down), box.leans,
         (box.low_mps2, box.thrust_max_mps2),
         (0.97, 1.03), (float(table.gain.min() - off), float(table.gain.max() + off)),
         (RESPONSE.delay_s - DOUBTS.delay_s, RESPONSE.delay_s + DOUBTS.delay_s), DOUBTS.delay_s, DOUBTS.age_s, 0.004,

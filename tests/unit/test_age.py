@@ -35,7 +35,7 @@ def certified(age_s: float) -> Certificate:
         doubts = Doubts(0.0, 0.0, 0.0, 0.0, age_s)
         setting, _ = Ledger(i, reach, response, gamma_ps=0.5, dt_s=0.004, accuracy=ACCURACY, doubts=doubts)(shape)
         rows[i] = (shape, setting, response, reach)
-    return certificate(rows, Budget(2.0, LOW, HIGH, HIGH, 0.5))
+    return certificate(rows, Budget.square(LOW, HIGH, HIGH, 0.5))
 
 
 def apart(seed: int) -> F64:

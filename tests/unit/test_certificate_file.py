@@ -64,7 +64,7 @@ def test_the_text_is_plain_json_with_one_row_a_line() -> None:
     text = certificate_to_json(small())
     data = json.loads(text)
     assert next(iter(data)) == "schema"
-    assert data["schema"] == "flightstack.certificate/5"
+    assert data["schema"] == "flightstack.certificate/6"
     assert list(data)[-1] == "seal"
     row = data["axes"][0]["cells"][3]
     assert any(line.strip().rstrip(",") == json.dumps(row) for line in text.splitlines())
@@ -146,7 +146,7 @@ def test_a_change_without_the_seal_is_found() -> None:
 NOT_FILES = [
     "", "7", "null", "[]", "{", '"x"', "NaN", '{"schema": NaN}', '{"schema": Infinity}', '{"a": 1e999}',
     "[" * 100_000, '{"a":' * 100_000, '{"a": ' + "9" * 5000 + "}", '{"a": 1, "a": 2}', "\x00", "\ud800", "{}",
-    '{"schema": "flightstack.certificate/5"}', '{"x": ' + "[" * 60 + "]" * 60 + "}",
+    '{"schema": "flightstack.certificate/6"}', '{"x": ' + "[" * 60 + "]" * 60 + "}",
 ]  # fmt: skip
 
 

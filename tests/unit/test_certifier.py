@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import os
 import select
 import signal
@@ -20,6 +21,7 @@ from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
 from flightstack.cli.workshop import Workshop
+from flightstack.frames import quat_from_euler
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -123,6 +125,20 @@ def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[ClosedLoopFligh
     assert issued is not None
     assert "down: acceleration off by" in str(issued.knowledge["falsified"])
     assert state.widen_mps2[2] > 0.5
+
+
+def test_a_certificate_is_not_taken_in_the_midst_of_a_lean_that_it_does_not_allow(
+    calm: tuple[ClosedLoopFlight, Kept],
+) -> None:
+    _, kept = calm
+    before, (_, measurement, _, _) = kept.last
+    assert isinstance(measurement, Measurement)
+    ready = kept.issued[-1][1]
+    assert ready.premises is not None
+    for lean, is_taken in ((0.0, True), (ready.premises.leans[0][1] + 0.01, False)):
+        state = CertifierState(origin_ned_m=before.origin_ned_m)
+        leaning = changed(measurement, q_ned_frd=quat_from_euler(0.0, math.asin(lean), 0.0))
+        assert (OnlineCertifier._judge(kept, state, ready, leaning) is ready) == is_taken
 
 
 # ---------------------------------------------------------------- in a process of its own

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lagging_plant import authority
 from shipped import load_vehicle
-from test_safety_filter import LIMITS, MODEL, QUAD, TILT, Hand, at, certified
+from test_safety_filter import HOVER_N, LIMITS, MODEL, QUAD, TILT, Hand, at, certified, command
 
 from flightstack.barrier.torque import governor_terms
 from flightstack.barrier.turning import turning
@@ -26,7 +26,11 @@ GOVERNED = dataclasses.replace(
     ),
     governor=TERMS,
 )
-MOST = math.sin(TILT) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
+MOST = math.sin(TILT) * math.sqrt(0.5)
+INTO_THE_WIND = dataclasses.replace(
+    GOVERNED,
+    budget=dataclasses.replace(GOVERNED.budget, north_least=-0.05, east_least=-0.05, north_most=0.3, east_most=0.3),
+)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -51,3 +55,23 @@ def test_a_barrier_in_need_turns_the_lean_no_faster_than_can_be_stopped(
     assert filtered.high_ned_mps2[axis] < -1.5  # of 2.4 that the barrier may want
     assert w > 0.2
     assert lean + w * t0 + w * w / (2.0 * s) <= MOST + 1e-3
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("lean", [0.0, 0.15])
+def test_a_lean_keeps_within_its_own_axis_range_whatever_the_controller_wants(
+    axis: int, way: float, lean: float
+) -> None:
+    hand = Hand(INTO_THE_WIND).engaged()
+    turn, rate = np.zeros(3), np.zeros(3)
+    turn[1 - axis] = math.asin(lean) * (1.0 if axis == 0 else -1.0)
+    seen = changed(at(), q_ned_frd=quat_from_rotation_vector(turn))
+    rate[1 - axis] = 6.0 * way * (1.0 if axis == 0 else -1.0)
+    sent, _ = hand.step(seen, command(hand.t_us, HOVER_N, rate))
+    r = quat_to_matrix(seen.q_ned_frd)
+    w = float(sent.rate_frd_radps[1] * r[axis, 0] - sent.rate_frd_radps[0] * r[axis, 1])
+    s, t0 = turning(TERMS, MODEL, INTO_THE_WIND.budget.low_mps2)
+    end = lean + w * t0 + way * w * w / (2.0 * s)
+    assert -0.05 - 1e-3 <= end <= 0.3 + 1e-3
+    assert way * w > 0.1, "as far as the range reaches it is let through"

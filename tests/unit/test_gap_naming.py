@@ -17,10 +17,11 @@ from scipy.signal import lfilter
 from flightstack.gap.decisions import NAME_EVIDENCE
 from flightstack.gap.naming import whitening
 from flightstack.gap.naming.candidates import candidates, negligible
+from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import estimate
 from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
 from flightstack.gap.naming.metric import bounded_step
-from flightstack.gap.naming.search import members, search
+from flightstack.gap.naming.search import SelectionState, members, search
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
@@ -56,9 +57,10 @@ def test_whitened_least_squares_is_generalised_least_squares() -> None:
     y = x @ [2.0, -1.0] + e
     ok = np.ones(n, dtype=bool)
     exact = whitening.Whitener(np.concatenate([[1.0, -phi], np.zeros(whitening.ORDER - 1)]), 1.0)
-    use = whitening.whole_windows(ok, whitening.ORDER)
-    xw, yw = whitening.apply(exact, x, ok)[use], whitening.apply(exact, y, ok)[use]
-    mine = np.linalg.lstsq(xw, yw, rcond=None)[0]
+    use = np.flatnonzero(whitening.whole_windows(ok, whitening.ORDER))
+    both, white = np.column_stack([x, y])[:, None, :], np.empty((len(use), 3))
+    whitening.whiten(exact.taps, both, 0, use, white)
+    mine = np.linalg.lstsq(white[:, :2], white[:, 2], rcond=None)[0]
     k = whitening.ORDER - 1  # rows before enter through the filter only
     inverse = np.linalg.inv(toeplitz(phi ** np.arange(n - k)) / (1.0 - phi**2))
     closed = np.linalg.solve(x[k:].T @ inverse @ x[k:], x[k:].T @ inverse @ y[k:])
@@ -202,9 +204,13 @@ class MadeUp:
         return [np.arange(self.rows) >= 900]
 
 
+def searched(bench: MadeUp, start: Vehicle) -> SelectionState:
+    return search(bench, design(bench, start, start))
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_of_noise_alone_nothing_is_the_best_subset(quad: Vehicle, seed: int) -> None:
-    state = search(MadeUp(seed, {}, quad), quad)
+    state = searched(MadeUp(seed, {}, quad), quad)
     assert dict(state.best.effects) == {}
 
 
@@ -215,7 +221,7 @@ def test_two_hidden_effects_are_the_best_subset_and_estimated(quad: Vehicle, see
         ("payload", "mass_kg"): 40.0 * negligible(quad, "payload", "mass_kg"),
         ("rotor_drag", "k_d_kg_per_rad"): 30.0 * negligible(quad, "rotor_drag", "k_d_kg_per_rad"),
     }
-    state = search(MadeUp(seed, hidden, quad), quad)
+    state = searched(MadeUp(seed, hidden, quad), quad)
     assert set(state.best.effects) == {"payload", "rotor_drag"}
     made = estimate(state, state.best.effects)
     for slot, now, variance in zip(made.slots, made.values, np.diag(made.covariance), strict=True):
@@ -224,7 +230,7 @@ def test_two_hidden_effects_are_the_best_subset_and_estimated(quad: Vehicle, see
 
 def test_what_adds_less_than_a_name_needs_is_not_followed(quad: Vehicle) -> None:
     """The simpler fit stays the best until something on top of it gains as much as a name must."""
-    state = search(MadeUp(1, {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}, quad), quad)
+    state = searched(MadeUp(1, {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}, quad), quad)
     simple, key = state.best, state.best_key
     assert set(simple.effects) == {"payload"}
     more = {**simple.effects, "rotor_drag": {"k_d_kg_per_rad": negligible(quad, "rotor_drag", "k_d_kg_per_rad")}}
@@ -253,7 +259,7 @@ def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
     size = negligible(quad, "payload", "mass_kg")
     hidden = {("payload", "mass_kg"): 60.0 * size}
     held = 0
-    state = search(MadeUp(0, hidden, quad), quad)
+    state = searched(MadeUp(0, hidden, quad), quad)
     for seed in range(60):
         state.bench = MadeUp(1000 + seed, hidden, quad)
         made = estimate(state, {"payload": {"mass_kg": 0.0}})
@@ -263,7 +269,7 @@ def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
 
 def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:
     hidden = {("payload", "mass_kg"): 60.0 * negligible(quad, "payload", "mass_kg")}
-    state = search(MadeUp(3, hidden, quad), quad)
+    state = searched(MadeUp(3, hidden, quad), quad)
     assert estimate(state, state.best.effects).spread.min() > 1e-3
 
 

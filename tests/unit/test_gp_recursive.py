@@ -78,6 +78,32 @@ def test_with_hardly_any_noise_it_stays_well_defined() -> None:
     np.testing.assert_allclose(variance, true_variance, rtol=1e-3)
 
 
+def test_a_residual_that_is_tolerated_puts_no_variance_off_by_more() -> None:
+    x, y = path(4_002)
+    gp = RecursiveGP(SMOOTH, 1e-5, input_dim=9, output_dim=6, capacity=150, tolerance=1e-3)
+    for i in range(4_000):
+        gp.add(x[i], y[i])
+        mean, variance = gp.predict(x[i + 1])
+        if i % 211 == 210:
+            true_mean, true_variance = exact(gp, x[i + 1])
+            np.testing.assert_allclose(mean, true_mean, rtol=0.0, atol=1e-5)
+            np.testing.assert_allclose(variance, true_variance, rtol=1.1e-3)
+    assert 1e-9 < gp.health.worst_drift < 1e-3
+
+
+def test_begun_anew_with_another_noise_nothing_of_before_is_left() -> None:
+    x, y = path(400)
+    used, fresh = (RecursiveGP(SMOOTH, noise, input_dim=9, output_dim=6, capacity=100) for noise in (1e-2, 1e-3))
+    used.add(x[:250], y[:250])
+    used.remove([3, 50, 98])
+    used.restart(1e-3)
+    for i in range(130):
+        for gp in (used, fresh):
+            gp.add(x[i], y[i])
+        np.testing.assert_array_equal(used.predict(x[i + 1]), fresh.predict(x[i + 1]))
+    assert used.noise_var == 1e-3
+
+
 def test_an_inverse_that_is_spoilt_is_noticed_and_mended() -> None:
     x, y = path(3_000)
     gp = RecursiveGP(SMOOTH, 1e-2, input_dim=9, output_dim=6, capacity=100)

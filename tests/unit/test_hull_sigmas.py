@@ -11,8 +11,9 @@ import pytest
 from certificates import ESTIMATE, MODEL, known_vehicle
 from scipy.stats import binom, multivariate_normal, norm, wishart
 
+from flightstack.barrier.budgets import budget
 from flightstack.barrier.hull_sigmas import Sides, sigmas
-from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request, budget
+from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.posterior import Posterior, inputs, turns
 from flightstack.barrier.queries import queries
 from flightstack.barrier.response import C_LEAD_THRUST, CHAIN, STATE, lead
@@ -63,7 +64,10 @@ def test_single_bounds_keep_the_unions_deviations_and_what_is_sure_does_not_fail
 
 
 def three_axes() -> Knowledge:
-    envelope, box = Envelope(AXES, (0.5, 2.5), nodes=6), budget(MODEL, Limits(), lateral_mps2=1.5, low_mps2=4.0)
+    envelope, box = (
+        Envelope(AXES, (0.5, 2.5), nodes=6),
+        budget(MODEL, Limits(), sideways_mps2=((-1.0, 2.0), (-1.5, 1.5)), low_mps2=4.0),
+    )
     return Knowledge.of(
         Request(known_vehicle(80), MODEL, envelope, box, InitialKnowledge(), attitude_mps2=np.array(ESTIMATE.acc_mps2))
     )
@@ -108,11 +112,8 @@ def test_draws_of_the_posterior_stay_within_the_vertical_table() -> None:
 
 def test_the_checker_refuses_fewer_deviations_than_the_queries_need() -> None:
     known = three_axes()
-    box = Box(
-        known.request.box.lateral_mps2 / max(known.hover_mps2, 1.0), known.budget.low_mps2, known.budget.high_mps2
-    )
-    lean = math.sin(known.budget.tilt_max_rad) * math.cos(math.pi / 8.0) / math.sqrt(2.0)
-    box.lean = lean
+    made = known.budget
+    box = Box(np.array(made.leans), made.lean_spare, made.low_mps2, made.high_mps2)
     for axis in range(3):
         data = copy.deepcopy(known.as_json())
         tables(read(data, box, known.delta, known.k_sigma, 1))

@@ -34,8 +34,8 @@ from flightstack_sim.grade import load_grade
 
 MASS_KG = 1.2
 PREMISES = Premises(
-    "mocap", "", BENCH, ((-0.5, 0.5), (-0.4, 0.4), (-1.5, 1.5)), 0.2, (5.0, 15.0), (0.97, 1.03), (0.6, 0.8),
-    (0.0, 0.01), 0.002, 0.004, 0.004, (14.0, 16.8),
+    "mocap", "", BENCH, ((-0.5, 0.5), (-0.4, 0.4), (-1.5, 1.5)), ((-0.1, 0.2), (-0.2, 0.1)), (5.0, 15.0), (0.97, 1.03),
+    (0.6, 0.8), (0.0, 0.01), 0.002, 0.004, 0.004, (14.0, 16.8),
 )  # fmt: skip
 
 
@@ -78,7 +78,9 @@ BREACHES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("speed east", {"vel_ned_mps": np.array([0.0, -0.41, 0.0])}, {}),
     ("speed down", {"vel_ned_mps": np.array([0.0, 0.0, -1.6])}, {}),
     ("lean north", {"q_ned_frd": quat_from_euler(0.0, 0.22, 0.0)}, {}),
-    ("lean east", {"q_ned_frd": quat_from_euler(-0.22, 0.0, 0.0)}, {}),
+    ("lean east", {"q_ned_frd": quat_from_euler(-0.12, 0.0, 0.0)}, {}),
+    ("lean north", {"q_ned_frd": quat_from_euler(0.0, -0.12, 0.0)}, {}),
+    ("lean east", {"q_ned_frd": quat_from_euler(0.22, 0.0, 0.0)}, {}),
     ("thrust", {}, {"thrust_mps2": 4.9}),
     ("thrust", {}, {"thrust_mps2": 15.2}),
     ("applied thrust", {}, {"applied_ratio": 0.93}),
@@ -184,7 +186,7 @@ def test_what_is_not_known_breaks_nothing() -> None:
 
 
 def test_a_narrower_premise_is_broken_by_what_the_wider_one_allows() -> None:
-    lax = replace(PREMISES, lean=0.3)
+    lax = replace(PREMISES, leans=((-0.3, 0.3), (-0.3, 0.3)))
     leaning = measured(q_ned_frd=quat_from_euler(0.0, 0.25, 0.0))
     assert not run(50, watched(1, lax), leaning, seen()).ended
     assert run(50, watched(1, PREMISES), leaning, seen()).ended

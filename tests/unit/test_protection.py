@@ -282,8 +282,8 @@ def test_a_certificate_of_the_other_mode_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("budget", "words"),
     [
-        (Budget(2.0, 5.0, 15.0, 17.66, 0.6), "17.66 m/s^2 of thrust"),  # 1.8 weights are 17.652
-        (Budget(2.0, 5.0, 15.0, 17.65, 1.0), "1.00 rad of tilt"),  # 55 degrees are 0.96
+        (Budget.square(5.0, 15.0, 17.66, 0.6), "17.66 m/s^2 of thrust"),  # 1.8 weights are 17.652
+        (Budget.square(5.0, 15.0, 17.65, 1.0), "1.00 rad of tilt"),  # 55 degrees are 0.96
     ],
 )
 def test_a_certificate_that_counts_on_more_than_the_flight_allows_is_refused(

@@ -241,7 +241,7 @@ def test_bounds_of_an_authority_hold_between_its_nodes() -> None:
 
 def test_the_certificate_says_the_ellipsoid_and_that_it_is_not_robust() -> None:
     region = with_mu(REGION, 0.6)
-    basis = Basis(2.0, 2.0, 0.05, (NOTHING_KNOWN,) * 3, Budget(0.0, 0.0, 0.0, 0.0, 0.0), {"kernel": "none"})
+    basis = Basis(2.0, 2.0, 0.05, (NOTHING_KNOWN,) * 3, Budget.square(0.0, 0.0, 0.0, 0.0), {"kernel": "none"})
     made = certificate(region, basis, 3)
     assert (made.mode, made.version, made.centre_ned_m) == ("as-published", 3, (0.0, 0.0, -0.8))
     assert "not robustly certified" in str(made.knowledge["note"])

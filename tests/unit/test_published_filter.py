@@ -23,7 +23,7 @@ MODEL = Model(1.4, 60.0, 0.0, 0.02, 0.05, 0.0, (0.0, 0.0, 0.0), 0.1, ())
 LIMITS = Limits(thrust_max_weights=1.8 / 1.4, thrust_min_weights=0.0)
 BRAKING = (1.8 / 1.4 - 1.0) * G
 UNKNOWN = Authority(*(np.zeros(2) for _ in range(7)))
-BASIS = Basis(2.0, 2.0, 0.05, (UNKNOWN,) * 3, Budget(0.0, 0.0, 0.0, 0.0, 0.0))
+BASIS = Basis(2.0, 2.0, 0.05, (UNKNOWN,) * 3, Budget.square(0.0, 0.0, 0.0, 0.0))
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ORIGIN = np.array([1.0, 2.0, 3.0])
 

@@ -18,9 +18,12 @@ from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.cli.result import NO_BARRIER, NO_QP
 from flightstack.types import Filtered
 from flightstack_logs.reader import Log, read
-from flightstack_logs.report import FlightReport, Outcome, barrier, from_log, outcome_from_result
+from flightstack_logs.report import barrier
+from flightstack_logs.report.flight import FlightReport, Outcome
+from flightstack_logs.report.log_input import from_log
 from flightstack_logs.report.page import render_report
 from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg, ticks
+from flightstack_logs.report.result import outcome_from_result
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, TOPICS, Attachment
 from flightstack_logs.writer import FlightLog
 

@@ -17,19 +17,12 @@ from flightstack.model import Model
 from flightstack.types import STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import parse_vehicle
 from flightstack_logs.reader import Log, read
-from flightstack_logs.report import (
-    FlightEvent,
-    FlightReport,
-    Outcome,
-    ReportSamples,
-    from_log,
-    learning,
-    outcome_from_result,
-    signals,
-)
-from flightstack_logs.report.flight import LearnerOutcome, Learning
+from flightstack_logs.report import learning, signals
+from flightstack_logs.report.flight import FlightEvent, FlightReport, LearnerOutcome, Learning, Outcome, ReportSamples
+from flightstack_logs.report.log_input import from_log
 from flightstack_logs.report.page import render_report
 from flightstack_logs.report.panel import Panel
+from flightstack_logs.report.result import outcome_from_result
 from flightstack_logs.topics import TOPICS, Attachment
 from flightstack_logs.writer import FlightLog
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from flightstack_logs.report import ReportSamples, samples, signals
+from flightstack_logs.report import signals
+from flightstack_logs.report.flight import ReportSamples, samples
 from flightstack_logs.report.histogram import counts, edges_us, lateness_svg
 from flightstack_logs.report.page import safe_json
 

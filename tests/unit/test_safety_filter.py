@@ -71,7 +71,7 @@ def certified(
     lateral = 0 in axes
     high = 1.8 * weight * (math.cos(TILT) if lateral else 1.0)
     low = (0.9 if lateral else 0.2) * weight
-    budget = Budget(1.5 / GAIN, low, high, 1.8 * weight, TILT)
+    budget = Budget.square(low, high, 1.8 * weight, TILT)
     response = Response(STEER, STEER * RATE_LAG, DELAY_US * 1e-6)
     rows: dict[int, Any] = {}
     for i in axes:
@@ -192,14 +192,16 @@ def test_leaning_outwards_under_a_steady_push_within_the_bound_ends_inside(error
 
 @pytest.mark.parametrize("yaw_rate", [-2.0, 0.0, 1.0, 2.0])
 def test_tilt_stays_within_the_budget_whatever_is_asked(yaw_rate):
-    """But for what a rate that is held for a tick adds: 0.03 degrees."""
-    tilts = []
+    """But for what a rate that is held for a tick adds: 0.03 degrees.  Without a governor a lean runs over by up to
+    0.014: so much is to spare."""
+    tilts, cert = [], certified(4000, (2,))
+    cert = dataclasses.replace(cert, budget=dataclasses.replace(cert.budget, lean_spare=0.015))
 
     def tumbling(plant: Plant, t: float) -> tuple[float, F64]:
         tilts.append(math.acos(quat_to_matrix(plant.q)[2, 2]))
         return HOVER_N, np.array([6.0 * math.sin(t), 6.0 * math.cos(0.7 * t), yaw_rate])
 
-    rows, _ = closed_loop(tumbling, 4000, axes=(2,), seconds=4.0)
+    rows, _ = closed_loop(tumbling, 4000, axes=(2,), seconds=4.0, cert=cert)
     assert set(rows[rows[:, 2] > WAITING, 2]) <= {PASSED, CHANGED}
     assert 0.5 * TILT < max(tilts) < TILT + math.radians(0.03)
 
@@ -215,7 +217,7 @@ def test_the_published_form_ratchets_out_and_the_cross_term_does_not(dt_us, prin
         reach = authority(G - GAIN * high, G, 0.0, G, GAIN)
         shape = crossed(0.6, 0.6, c)
         row = (shape, Setting(2.0, 0.0, 0.0, dt_us * 1e-6 if c else 0.0), Response(0.0, 0.0, 0.0), reach)
-        cert = certificate({2: row}, Budget(0.0, 0.0, high, high, TILT))
+        cert = certificate({2: row}, Budget.square(0.0, high, high, TILT))
         safety = BarrierFilter(model, limits)
         state = safety.adopt(safety.init(np.zeros(3)), cert)
         low_n, high_n = model.thrust_range_n(limits)
@@ -462,7 +464,7 @@ def test_the_simulated_vehicle_stays_inside_against_an_adversary(kind):
     low, high = 0.7 * weight, 1.8 * weight * math.cos(TILT)
     lateral, vertical = authority(-1.7, 1.7, 0.4), authority(weight - high, weight - low, 0.4, weight, 1.0)
     sideways, upright = Response(steer, steer * model.rate_lag_s, 0.004), Response(model.motor_lag_s, 0.0, 0.004)
-    budget = Budget(1.7, low, high, 1.8 * weight, TILT)
+    budget = Budget.square(low, high, 1.8 * weight, TILT)
     if kind == "quadratic":
         shapes = (crossed(0.4, 1.3, 1.1, 0.9), crossed(0.6, 0.6, 0.617, 0.9))
     else:

@@ -164,7 +164,7 @@ def test_for_whom_it_holds(made: StoppingCertificate, text: str) -> None:
         with pytest.raises(InputError, match="made for"):
             prior_of(text, "a.json", *other)
     with pytest.raises(InputError, match="certify --site"):
-        prior_of('{"schema": "flightstack.certificate/5"}', "a.json", "hash", "mocap")
+        prior_of('{"schema": "flightstack.certificate/6"}', "a.json", "hash", "mocap")
     table = json.loads(text)
     table["across"]["acc_ps"] *= 1.1
     with pytest.raises(InputError, match="does not follow"):

@@ -232,8 +232,8 @@ def test_a_rate_gain_that_is_changed_in_flight_ends_the_certificate(told: float,
     companion._now.config = replace(companion._now.config, counted=counted)
     assert companion._stack_state is not None
     in_force = watched(1, Premises(
-        "mocap", "", BENCH, ((-9.0, 9.0),) * 3, 0.9, (0.0, 99.0), (0.1, 9.0), (0.1, 9.0), (0.0, 1.0), 1.0, 1.0, 1.0,
-        (0.0, 99.0),
+        "mocap", "", BENCH, ((-9.0, 9.0),) * 3, ((-0.9, 0.9),) * 2, (0.0, 99.0), (0.1, 9.0), (0.1, 9.0), (0.0, 1.0),
+        1.0, 1.0, 1.0, (0.0, 99.0),
     ))  # fmt: skip
     companion._stack_state = companion._stack_state._replace(watch=in_force)
     _tell(vehicle, "MC_ROLLRATE_P", told)

@@ -13,7 +13,8 @@ from flightstack.cli import console
 from flightstack.cli.barrier_score import FilterScore
 from flightstack.cli.result import NO_BARRIER, NO_GP, NO_LOOP, FlightResult
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of, spans_words
-from flightstack_logs.report import FlightReport, outcome_from_result
+from flightstack_logs.report.flight import FlightReport
+from flightstack_logs.report.result import outcome_from_result
 from flightstack_logs.report.words import figures, headline, verdict
 
 GRAVITY_MPS2 = 9.80665

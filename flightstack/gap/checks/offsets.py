@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
+from flightstack.gap.chances import t_limit
 from flightstack.gap.checks.conventions import correlation
 from flightstack.gap.checks.motion import G_NED, Motion, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.records import Offset, Signal
@@ -48,7 +48,7 @@ class _Fit:
     blocks: int
 
     def half_width(self, which: int) -> float:
-        return float(self.error[which] * stdtrit(max(1, self.blocks - 1), 0.975))
+        return float(self.error[which] * t_limit(max(1, self.blocks - 1)))
 
 
 def _unknown(name: str) -> Offset:

@@ -7,15 +7,15 @@ channel of one flight at one time; the noise of every channel of every flight ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.naming.candidates import Candidate, candidates, trifle
 from flightstack.gap.naming.evidence import Gram, robust
-from flightstack.gap.naming.whitening import Mask, Whitener, apply, fit, plain, whole_windows
+from flightstack.gap.naming.whitening import Mask, Whitener, fit, plain, whiten, whole_windows
 from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
@@ -66,8 +66,8 @@ class Layout:
     """(N, channels) for each flight: measured and in use."""
     whiteners: list[list[Whitener]]
     """By flight and channel."""
-    windows: list[list[Mask]]
-    """By flight and channel: rows that the filters reach whole."""
+    rows: list[list[NDArray[np.int64]]]
+    """By flight and channel: numbers of the samples that the filters reach whole."""
     flight: NDArray[np.int64]
     """(R,) of each row."""
     channel: NDArray[np.int64]
@@ -80,20 +80,15 @@ class Layout:
 
     def stack(self, values: Sequence[F64]) -> F64:
         """Whitened rows (R,) of (N, channels) in each flight, or (R, K) of (N, channels, K)."""
-        parts = []
-        for f, flight in enumerate(values):
-            moving = np.any(flight, axis=0)
-            for c, whitener in enumerate(self.whiteners[f]):
-                if not whitener.usable:
-                    continue
-                rows, seen = flight[:, c], moving[c]
-                white = np.zeros(rows.shape)
-                if rows.ndim == 1 or seen.all():
-                    white = apply(whitener, rows, self.ok[f][:, c])
-                elif seen.any():  # most columns are nothing in most channels
-                    white[:, seen] = apply(whitener, rows[:, seen], self.ok[f][:, c])
-                parts.append(white[self.windows[f][c]])
-        return np.concatenate(parts) if parts else np.empty(0)
+        stacked = np.empty((len(self.at), *values[0].shape[2:]))
+        flat, begin = stacked.reshape(len(stacked), -1), 0
+        for flight, whiteners, rows_of in zip(values, self.whiteners, self.rows, strict=True):
+            each = np.ascontiguousarray(flight).reshape(*flight.shape[:2], -1)
+            for c, (whitener, rows) in enumerate(zip(whiteners, rows_of, strict=True)):
+                if whitener.usable:
+                    whiten(whitener.taps / whitener.sigma, each, c, rows, flat[begin : begin + len(rows)])
+                    begin += len(rows)
+        return stacked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +126,8 @@ class Linearised:
     """(R,) as if every named effect were at its origin, to first order."""
     rest: F64
     """(R,) the residual at the vehicle itself."""
+    _known: dict[str, Any] = field(default_factory=dict, repr=False)
+    """What was asked for once."""
 
     @property
     def columns(self) -> list[NDArray[np.int64]]:
@@ -159,19 +156,46 @@ class Linearised:
         """(R,) rows to learn from."""
         return self.layout.keep & ~self.layout.held
 
-    def gram(self, rows: Mask | None = None) -> Gram:
-        """Robust normal equations over these rows (default: all to learn from)."""
-        chosen = self.fit_rows() if rows is None else rows
-        x, y = np.hstack([self.x[chosen], self.nuisance[chosen]]), self.y[chosen]
-        sizes = np.concatenate([self.negligible, self.nuisance_size])
-        whole = robust(x.T @ x, x.T @ y, float(y @ y), float(len(y)), sizes)
-        n = len(self.slots)
-        return Gram(whole.k[:n, :n], whole.b[:n], whole.c, whole.rows)
+    def gram(self) -> Gram:
+        """Robust normal equations over the rows to learn from."""
+        if "gram" not in self._known:
+            x, xx = self.learned()
+            y = self.y[self.fit_rows()]
+            whole = robust(xx, x.T @ y, float(y @ y), float(len(y)), self.sizes)
+            n = len(self.slots)
+            self._known["gram"] = Gram(whole.k[:n, :n], whole.b[:n], whole.c, whole.rows)
+        gram: Gram = self._known["gram"]
+        return gram
+
+    def learned(self) -> tuple[F64, F64]:
+        """Columns of effects and nuisance in the rows to learn from, and their products with one another."""
+        if "learned" not in self._known:
+            chosen = self.fit_rows()
+            x = np.hstack([self.x[chosen], self.nuisance[chosen]])
+            self._known["learned"] = x, x.T @ x
+        x, xx = self._known["learned"]
+        return x, xx
+
+    @property
+    def sizes(self) -> F64:
+        """(n + k,) the negligible sizes and those of the nuisance."""
+        return np.concatenate([self.negligible, self.nuisance_size])
 
 
-def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout | None = None) -> Linearised:
-    """All candidates' columns at `vehicle`; `start` is the vehicle in which nothing has been named yet."""
-    raw_y = bench.residual(vehicle)
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """All candidates at one vehicle before any whitening: (N, channels), with a last axis where there are columns."""
+
+    vehicle: Vehicle
+    candidates: tuple[Candidate, ...]
+    slots: tuple[Slot, ...]
+    residual: list[F64]
+    columns: list[F64]
+    nuisance: tuple[list[F64], F64, Mask]
+
+
+def design(bench: Bench, vehicle: Vehicle, start: Vehicle) -> Design:
+    """All candidates at `vehicle`; `start` is the vehicle in which nothing has been named yet."""
     group = candidates(vehicle)
     slots = tuple(
         _slot(m, candidate, parameter, trifle(candidate.effect, bench.trifles) * size, vehicle, start)
@@ -179,15 +203,26 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
         for parameter, size in zip(candidate.parameters, candidate.negligible, strict=True)
     )
     knobs = [FreeParameter(group[s.candidate].effect, s.parameter, group[s.candidate].variant) for s in slots]
-    raw_x = [np.nan_to_num(x) for x in bench.columns(vehicle, knobs)]
+    columns = [np.nan_to_num(x, copy=False) for x in bench.columns(vehicle, knobs)]
+    return Design(vehicle, group, slots, bench.residual(vehicle), columns, bench.nuisance(vehicle))
+
+
+def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout | None = None) -> Linearised:
+    """All candidates' columns at `vehicle`; `start` is the vehicle in which nothing has been named yet."""
+    return whitened(bench, design(bench, vehicle, start), at_start=vehicle is start, layout=layout)
+
+
+def whitened(bench: Bench, raw: Design, *, at_start: bool, layout: Layout | None = None) -> Linearised:
+    """A design in rows of unit noise; `at_start`: the noise's colour may hold means (`_learn_layout`)."""
     if layout is None:
-        layout = _learn_layout(bench, raw_y, raw_x, np.array([slot.negligible for slot in slots]), vehicle is start)
-    x = layout.stack(raw_x)
-    raw_nuisance, sizes, told = bench.nuisance(vehicle)
-    nuisance = layout.stack([np.nan_to_num(columns) for columns in raw_nuisance])
-    rest = layout.stack(raw_y)
-    moved = np.array([slot.value - slot.origin for slot in slots])
-    return Linearised(vehicle, group, slots, layout, x, nuisance, sizes, told, rest + x @ moved, rest)
+        sizes = np.array([slot.negligible for slot in raw.slots])
+        layout = _learn_layout(bench, raw.residual, raw.columns, sizes, at_start)
+    x = layout.stack(raw.columns)
+    unknown, sizes, told = raw.nuisance
+    nuisance = layout.stack([np.nan_to_num(columns) for columns in unknown])
+    rest = layout.stack(raw.residual)
+    moved = np.array([slot.value - slot.origin for slot in raw.slots])
+    return Linearised(raw.vehicle, raw.candidates, raw.slots, layout, x, nuisance, sizes, told, rest + x @ moved, rest)
 
 
 def _slot(m: int, candidate: Candidate, parameter: str, size: float, vehicle: Vehicle, start: Vehicle) -> Slot:
@@ -255,11 +290,12 @@ def _layout(bench: Bench, errors: list[F64], ok: list[Mask], coloured: range) ->
     """Noise models of these errors; channels not in `coloured` have white noise."""
     channels = errors[0].shape[1]
     whiteners: list[list[Whitener]] = []
-    windows: list[list[Mask]] = []
+    rows: list[list[NDArray[np.int64]]] = []
     flight, channel, at, held, keep = [], [], [], [], []
-    learned = [f for f, rows in enumerate(bench.fit) if rows.any()]
+    learned = [f for f, mask in enumerate(bench.fit) if mask.any()]
     for f, e in enumerate(errors):
-        row_whiteners, row_windows = [], []
+        row_whiteners, row_numbers = [], []
+        each = np.ascontiguousarray(e)[:, :, None]
         source = [f] if f in learned else learned  # a flight that was kept is whitened as the others are
         for c in range(channels):
             good = ok[f][:, c]
@@ -268,23 +304,25 @@ def _layout(bench: Bench, errors: list[F64], ok: list[Mask], coloured: range) ->
             )
             fit_window = whole_windows(good & bench.fit[f], whitener.order)
             window = fit_window | whole_windows(good & bench.holdout[f], whitener.order)
+            number = np.flatnonzero(window)
             row_whiteners.append(whitener)
-            row_windows.append(window)
+            row_numbers.append(number)
             if not whitener.usable:
                 continue
-            number = np.flatnonzero(window)
+            white = np.empty((len(number), 1))
+            whiten(whitener.taps / whitener.sigma, each, c, number, white)
             flight.append(np.full(len(number), f))
             channel.append(np.full(len(number), c))
             at.append(number)
             held.append(~fit_window[number])
-            keep.append(np.abs(apply(whitener, e[:, c], good)[window]) <= _OUTLIER)
+            keep.append(np.abs(white[:, 0]) <= _OUTLIER)
         whiteners.append(row_whiteners)
-        windows.append(row_windows)
+        rows.append(row_numbers)
     none = [np.empty(0, dtype=np.int64)]
     return Layout(
         ok,
         whiteners,
-        windows,
+        rows,
         np.concatenate(flight or none),
         np.concatenate(channel or none),
         np.concatenate(at or none),

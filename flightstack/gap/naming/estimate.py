@@ -15,8 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
+from flightstack.gap.chances import chi2_tails
 from flightstack.gap.decisions import STEADY_MPS2, TENTH
 from flightstack.gap.filters import through
 from flightstack.gap.naming.candidates import fitted, negligible, plausible
@@ -293,7 +293,7 @@ def same(theta: F64, variance: F64, allowed: F64) -> tuple[F64, F64]:
     plain, weight = _heterogeneity(theta, np.maximum(variance, 1e-300))
     total = weight.sum(axis=0)
     between = (plain - freedom) / np.maximum(total - (weight**2).sum(axis=0) / total, 1e-300)
-    return np.asarray(chdtrc(freedom, q)), np.maximum(between, 0.0)
+    return chi2_tails(freedom, q), np.maximum(between, 0.0)
 
 
 def _heterogeneity(theta: F64, variance: F64) -> tuple[F64, F64]:

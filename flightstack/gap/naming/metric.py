@@ -56,11 +56,10 @@ class Columns:
 
 def metric_of(point: Linearised) -> Metric:
     """The metric at a point."""
-    rows = point.fit_rows()
-    x = np.hstack([point.x[rows], point.nuisance[rows]])
-    t = 1.0 / np.concatenate([point.negligible, point.nuisance_size])
-    inner = np.linalg.inv((x.T @ x) / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
-    return Metric(rows, x, inner)
+    x, xx = point.learned()
+    t = 1.0 / point.sizes
+    inner = np.linalg.inv(xx / np.outer(t, t) + np.eye(len(t))) / np.outer(t, t)
+    return Metric(point.fit_rows(), x, inner)
 
 
 def bounded_step(k: F64, b: F64, low: F64, high: F64) -> tuple[F64, int]:

@@ -9,7 +9,7 @@ search would take a proxy first and never let go of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flightstack.effects import EFFECTS
 from flightstack.gap.decisions import ALIKE_EVIDENCE, LINE_ERROR, LINE_ERROR_SHARE, NAME_EVIDENCE
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
-from flightstack.gap.naming.design import Bench, Linearised, linearise
+from flightstack.gap.naming.design import Bench, Design, Linearised, linearise, whitened
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
 from flightstack.gap.simulate import FreeParameter, value, with_value
@@ -111,14 +111,12 @@ def _exclude_at_bound(state: SelectionState) -> bool:
     return bool(at_ends)
 
 
-def search(
-    bench: Bench, start: Vehicle, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False
-) -> SelectionState:
-    """The subsets worth a look, fitted; `start` is the vehicle as its file has it; `apart`: never together.
+def search(bench: Bench, raw: Design, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False) -> SelectionState:
+    """The subsets worth a look, fitted; `raw` is of the vehicle as its file has it; `apart`: never together.
 
     `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
     """
-    point = linearise(bench, replace(start) if steady else start, start)  # only `start` itself is linearised as such
+    start, point = raw.vehicle, whitened(bench, raw, at_start=not steady)
     state = SelectionState(bench, start, point, metric_of(point), apart=apart)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.gap.filters import through
+from flightstack.jit import njit
 from flightstack.types import F64
 
 Mask = NDArray[np.bool_]
@@ -82,10 +82,21 @@ def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
     return Whitener(np.ones(1), float(np.sqrt(np.mean(rows**2))) if usable else np.nan)
 
 
-def apply(whitener: Whitener, values: F64, ok: Mask) -> F64:
-    """Filtered and scaled to unit noise: (N,) or (N, k); rows whose window is not whole are for the caller to leave."""
-    clean = np.where(ok.reshape((-1,) + (1,) * (values.ndim - 1)), values, 0.0)
-    return through(whitener.taps / whitener.sigma, np.ones(1), clean)
+@njit
+def whiten(taps: F64, values: F64, channel: int, rows: NDArray[np.int64], out: F64) -> None:
+    """One channel of `values` (N, channels, K) filtered by `taps` at these rows, into `out` (rows, K)."""
+    if out.shape[1] == 1:
+        for r in range(len(rows)):
+            total = 0.0
+            for k in range(len(taps)):
+                total += taps[k] * values[rows[r] - k, channel, 0]
+            out[r, 0] = total
+        return
+    out[:] = 0.0
+    for r in range(len(rows)):
+        for k in range(len(taps)):
+            for j in range(out.shape[1]):
+                out[r, j] += taps[k] * values[rows[r] - k, channel, j]
 
 
 def whole_windows(ok: Mask, order: int) -> Mask:

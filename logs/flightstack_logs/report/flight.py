@@ -7,13 +7,16 @@ on one axis whose zero is the start of the take-off; frames are NED and FRD, qua
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flightstack.barrier.records import Certificate
-from flightstack.calibration import Conformal
-from flightstack.region import Region as SafeRegion
 from flightstack.types import F64, Tuple3
+
+if TYPE_CHECKING:
+    from flightstack.barrier.records import Certificate
+    from flightstack.calibration import Conformal
+    from flightstack.region import Region as SafeRegion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
