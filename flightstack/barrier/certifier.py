@@ -37,7 +37,8 @@ from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.premises import ANY_BATTERY_V, APPLIED_AS_SENT, Premises, gain_of, speeds_of
 from flightstack.barrier.queries import Envelope
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response, area_of
-from flightstack.barrier.search import Axis, Ratios, Worth, largest_steps
+from flightstack.barrier.search import Axis, Ratios, Worth, ellipse, largest_steps
+from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import within
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
@@ -361,6 +362,8 @@ def compile_all() -> None:
     needs = Ledger(DOWN, authority, axis.response, gamma_ps=0.5, dt_s=0.004, inside_ps=20.0)
     for _ in largest_steps(axis, needs, Ratios(0.3, 1.0)):
         pass
+    value(ellipse(axis, Ratios(0.3, 1.0)), 0.0, 0.0)
+    quat_to_matrix(np.array([1.0, 0.0, 0.0, 0.0]))
     prepare()
 
 

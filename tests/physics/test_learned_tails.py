@@ -18,9 +18,10 @@ from tests.closed_loop import fly
 
 VALID = 2.0
 MOST = np.full(3, 0.003)
-LIFT = np.array([0.003, 0.003, 0.01])
+LIFT = np.array([0.003, 0.003, 0.009])
 """A fifth of the thrust as translational lift is more than the vertical prior expects (0.12 m/s^2 and what is linear):
-the first fast laps miss more, 0.96 % over these seeds; a prior as wide would cost certificates (docs/limits.md)."""
+the first fast laps miss more, 0.81 % over these seeds (0.4 to 1.0 by seed); a prior as wide would cost certificates
+(docs/limits.md)."""
 
 
 def misses(task: str, seed: int) -> F64:
@@ -45,7 +46,7 @@ def misses(task: str, seed: int) -> F64:
         ("hover", range(200, 208), MOST),
         ("figure8", range(200, 203), MOST),
         ("steady-wind", range(200, 203), MOST),
-        ("rotor-drag", range(200, 203), LIFT),
+        ("rotor-drag", range(200, 206), LIFT),
     ],
 )
 def test_the_truth_lies_beyond_three_sigma_in_no_more_than_a_normal_distributions_share(

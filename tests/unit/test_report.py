@@ -15,7 +15,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flightstack_logs.reader import Log, read
-from flightstack_logs.report import (
+from flightstack_logs.report import words
+from flightstack_logs.report.flight import (
     CheckResult,
     FlightEvent,
     FlightReport,
@@ -24,14 +25,11 @@ from flightstack_logs.report import (
     ReportRegion,
     ReportSamples,
     Timing,
-    from_log,
-    outcome_from_result,
-    render_report,
     samples,
-    timing_from_result,
-    words,
-    write_report,
 )
+from flightstack_logs.report.log_input import from_log
+from flightstack_logs.report.page import render_report, write_report
+from flightstack_logs.report.result import outcome_from_result, timing_from_result
 from flightstack_logs.topics import TOPICS, Attachment, Field
 from flightstack_logs.writer import FlightLog
 
@@ -422,7 +420,8 @@ def test_real_time_shows_lateness_and_lockstep_says_that_there_is_none() -> None
 def test_a_log_of_others_shows_what_it_holds_and_says_once_what_it_does_not(tmp_path: Path) -> None:
     """The circle of the DataFlash log is known in closed form: 1 m, one turn in 2 pi s."""
     from flightstack_logs.readers.dataflash import read_dataflash
-    from flightstack_logs.report import from_log, render_report
+    from flightstack_logs.report.log_input import from_log
+    from flightstack_logs.report.page import render_report
     from flightstack_logs.standard import with_vehicle_topics
     from tests.unit.test_log_formats import circle, dataflash
 
