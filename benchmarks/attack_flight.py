@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.attack_adversary import Adversary, Seen, Strategy
 from benchmarks.attack_certifier import Held, suited, told
 from benchmarks.attack_worlds import TICK_MS, World
-from flightstack.barrier.margins import carried_off
+from flightstack.barrier.lateness import carried_off
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import piece_at
 from flightstack.cli import files

@@ -15,8 +15,9 @@ import math
 
 import numpy as np
 
+from flightstack.barrier.records import Certificate
 from flightstack.jit import njit
-from flightstack.types import Measurement, Tuple3
+from flightstack.types import F64, Measurement, Tuple3
 
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""
@@ -93,3 +94,23 @@ def _lateness_s(ages_s: Tuple3) -> float:
 
 always_s, lateness_s = njit(_always_s), njit(_lateness_s)
 """The same for compiled code."""
+
+
+def carried_off(certificate: Certificate) -> tuple[F64, F64]:
+    """(3,), (3,): how far position and velocity may be off at a tick, of a sample as old as the certificate allows.
+
+    Beyond the estimate's bounds along each certified axis: the model's error E over the age A, and commands that act
+    by d later or sooner than believed: A E + min(A, d) S of velocity, and what that and the velocity's bound give.
+    """
+    premises = certificate.premises
+    assert premises is not None
+    pos, vel = np.array(premises.estimate.pos_m), np.array(premises.estimate.vel_mps)
+    old, (soonest, latest) = premises.age_s, premises.delay_s
+    late = min(old, 0.5 * (latest - soonest))
+    for each in certificate.axes:
+        table, i = each.authority, each.axis
+        error = max(table.error_low_mps2.max(), table.error_high_mps2.max())
+        more = old * error + late * (table.u_high_mps2 - table.u_low_mps2).max()
+        pos[i] += old * (vel[i] + more)
+        vel[i] += more
+    return pos, vel

@@ -50,7 +50,7 @@ import numpy as np
 
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.records import MARGINS, Authority, Certificate, Margin, Response
+from flightstack.barrier.records import MARGINS, Authority, Margin, Response
 from flightstack.barrier.shapes import (
     BRAKE,
     CENTRE_V,
@@ -101,26 +101,6 @@ class Doubts(NamedTuple):
 USUAL = Doubts()
 KNOWN = Accuracy(0.0, 0.0, 0.0)
 """The state is the truth itself."""
-
-
-def carried_off(certificate: Certificate) -> tuple[F64, F64]:
-    """(3,), (3,): how far position and velocity may be off at a tick, of a sample as old as the certificate allows.
-
-    Beyond the estimate's bounds along each certified axis: the model's error E over the age A, and commands that act
-    by d later or sooner than believed: A E + min(A, d) S of velocity, and what that and the velocity's bound give.
-    """
-    premises = certificate.premises
-    assert premises is not None
-    pos, vel = np.array(premises.estimate.pos_m), np.array(premises.estimate.vel_mps)
-    old, (soonest, latest) = premises.age_s, premises.delay_s
-    late = min(old, 0.5 * (latest - soonest))
-    for each in certificate.axes:
-        table, i = each.authority, each.axis
-        error = max(table.error_low_mps2.max(), table.error_high_mps2.max())
-        more = old * error + late * (table.u_high_mps2 - table.u_low_mps2).max()
-        pos[i] += old * (vel[i] + more)
-        vel[i] += more
-    return pos, vel
 
 
 class Slopes(NamedTuple):

@@ -1,8 +1,7 @@
 """What the learned processes say of the true acceleration: exact posteriors, frozen, for many queries at once.
 
-A learner's store is copied once (`Process`) and factorised once (`Posterior`); then every query costs one triangular
-solve.  That is the textbook form (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm
-2.1): K + noise I = L L', mean = k' (L L')^-1 y, variance = k(x, x) - |L^-1 k|^2.
+A learner's store is copied once (`Process`) and factorised once (`Posterior`); then a query costs one triangular solve
+(Rasmussen, Williams 2006, algorithm 2.1): K + noise I = L L', mean = k' (L L')^-1 y, variance k(x, x) - |L^-1 k|^2.
 
 From residuals to accelerations.  A store's outputs are the specific force (m/s^2) that the model does not explain, in
 tilt axes (`learning.sampler`): for a thrust vector f (believed newton per believed kilogram, NED, thrust is -f), its

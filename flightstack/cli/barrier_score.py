@@ -19,7 +19,7 @@ import numpy as np
 from flightstack.barrier.certifier_config import Elsewhere
 from flightstack.barrier.falsify import Witness, marked, prepare
 from flightstack.barrier.growing import GrowthState
-from flightstack.barrier.margins import carried_off
+from flightstack.barrier.lateness import carried_off
 from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import values_at
