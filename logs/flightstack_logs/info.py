@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from flightstack_logs.reader import Log
+from flightstack_logs.standard import with_vehicle_topics
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "flightstack.loginfo/1"
 _EVENTS_SHOWN = 40
+_NAMES_SHOWN = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ def info(log: Log) -> LogInfo:
         topics=topics,
         metadata=log.metadata,
         attachments={item.name: len(item.data) for item in log.attachments},
-        events=_events(log, start_us),
+        events=_events(with_vehicle_topics(log)),
     )
 
 
@@ -121,9 +123,9 @@ def _topic(log: Log, name: str) -> TopicInfo:
     )
 
 
-def _events(log: Log, start_us: int) -> tuple[EventInfo, ...]:
+def _events(log: Log) -> tuple[EventInfo, ...]:
     """The lines of both text topics, by time."""
-    events = []
+    events, start_us = [], log.span_us[0]
     for topic, source in (("/events", "companion"), ("/vehicle/statustext", "vehicle")):
         table = log.tables.get(topic)
         if table is None or not {"level", "name", "text"} <= table.columns.keys():
@@ -147,7 +149,8 @@ def render(summary: LogInfo) -> Group:
         state.append(f"\n  {note}")
     parts: list[Text | RichTable] = [head, state, _topic_table(summary)]
     for name, entries in sorted(summary.metadata.items()):
-        parts.append(Text(f"{name}: " + ", ".join(f"{key} {value}" for key, value in sorted(entries.items()))))
+        said = [f"{key} {value}" for key, value in sorted(entries.items())]
+        parts.append(Text(f"{name}: " + _listed(said, "; --json lists all")))
     if summary.attachments:
         files = ", ".join(f"{name} ({size} bytes)" for name, size in summary.attachments.items())
         parts.append(Text(f"attachments: {files}"))
@@ -167,12 +170,18 @@ def _topic_table(summary: LogInfo) -> RichTable:
     table.add_column("what")
     for topic in summary.topics:
         rate = f"{topic.rate_hz:.1f}" if topic.rate_hz is not None else "-"
-        columns = ", ".join(_column(field) for field in topic.fields)
+        columns = _listed([_column(field) for field in topic.fields])
         what = Text(topic.description or topic.schema)
         if columns:
             what.append(f"\n{columns}", style="dim")
         table.add_row(Text(topic.name), str(topic.messages), rate, what)
     return table
+
+
+def _listed(names: list[str], where: str = "") -> str:
+    """In one line; of very many the first."""
+    more = len(names) - _NAMES_SHOWN
+    return ", ".join(names) if more <= 0 else ", ".join(names[:_NAMES_SHOWN]) + f" and {more} more{where}"
 
 
 def _column(field: FieldInfo) -> str:

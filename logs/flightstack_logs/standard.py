@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs import ardupilot
 from flightstack_logs.readers.csv_file import TABLE as CSV_TABLE
+from flightstack_logs.readers.ulog import SAID
 from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import TOPICS, severity_names
 from flightstack_logs.turn import euler_to_quaternion
@@ -144,7 +145,12 @@ def _mavlink_status(tables: Found, found: Found) -> None:
             state = _at(heart.t_us, landed, landed["landed_state"])
         modes, armed = np.array([f"{mode:#x}" for mode in heart["custom_mode"]]), (heart["base_mode"] & _ARMED) != 0
         _put(found, "/vehicle/status", heart.t_us, modes, armed, ~np.isin(state, _IN_AIR))
-    if said is not None:
+    _put_said(found, said)
+
+
+def _put_said(found: Found, said: Table | None) -> None:
+    """Lines with a severity and a text."""
+    if said is not None and len(said):
         levels = [severity_names(int(number)) for number in said["severity"]]
         level, name = (np.array([pair[i] for pair in levels]) for i in (0, 1))
         _put(found, "/vehicle/statustext", said.t_us, level, name, said["text"])
@@ -198,6 +204,7 @@ def _ulog_status(tables: Found, found: Found) -> None:
             ground = _at(status.t_us, landed, landed["landed"].astype(np.float64))
         modes = np.array([f"nav_state {n}" for n in status["nav_state"]])
         _put(found, "/vehicle/status", status.t_us, modes, status["arming_state"] == 2, ground > 0.5)
+    _put_said(found, tables.get(SAID))
 
 
 def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:
