@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flightstack_logs.reader import Log
 from flightstack_logs.standard import with_vehicle_topics
 
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 SCHEMA = "flightstack.loginfo/1"
 _EVENTS_SHOWN = 40
 _NAMES_SHOWN = 24
+PARAMETERS = "parameters"
+"""Of a log's metadata: an autopilot's."""
+_EXACT = 1 << 24
+"""Whole numbers up to here are exact in single precision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +143,25 @@ def _events(log: Log) -> tuple[EventInfo, ...]:
     return tuple(sorted(events, key=lambda event: event.t_s))
 
 
+def parameters(log: Log) -> list[tuple[str, str]]:
+    """An autopilot's parameters by name, for readers."""
+    return _plain(log.metadata.get(PARAMETERS, {}))
+
+
+def _plain(entries: dict[str, str]) -> list[tuple[str, str]]:
+    """Sorted; numbers as short as they are on board, in single precision: 0.05, not 0.05000000074505806."""
+    shown = []
+    for name, text in sorted(entries.items()):
+        try:
+            value = float(text)
+        except ValueError:
+            shown.append((name, text))
+        else:
+            whole = text.lstrip("-").isdecimal() or (value.is_integer() and abs(value) < _EXACT)
+            shown.append((name, str(int(value)) if whole else str(np.float32(value))))
+    return shown
+
+
 def render(summary: LogInfo) -> Group:
     """The summary for a terminal (a rich renderable)."""
     from rich.console import Group
@@ -149,7 +174,8 @@ def render(summary: LogInfo) -> Group:
         state.append(f"\n  {note}")
     parts: list[Text | RichTable] = [head, state, _topic_table(summary)]
     for name, entries in sorted(summary.metadata.items()):
-        said = [f"{key} {value}" for key, value in sorted(entries.items())]
+        pairs = _plain(entries) if name == PARAMETERS else sorted(entries.items())
+        said = [f"{key} {value}" for key, value in pairs]
         parts.append(Text(f"{name}: " + _listed(said, "; --json lists all")))
     if summary.attachments:
         files = ", ".join(f"{name} ({size} bytes)" for name, size in summary.attachments.items())

@@ -1,7 +1,8 @@
 """The vehicle's own words under this project's topics, whoever logged them: `/vehicle/attitude`, `/vehicle/imu`, ...
 
 SI units, NED and FRD, quaternions w x y z body to world; times from 0 at the log's first message, sample stamps on the
-same line.  What a log lacks is left out.  Logs of this project have these topics as they are.
+same line.  What a log lacks is left out; one that never says whether it has landed has while it is disarmed.  Logs of
+this project have these topics as they are.
 """
 
 from __future__ import annotations
@@ -144,7 +145,14 @@ def _mavlink_status(tables: Found, found: Found) -> None:
         if landed is not None:
             state = _at(heart.t_us, landed, landed["landed_state"])
         modes, armed = np.array([f"{mode:#x}" for mode in heart["custom_mode"]]), (heart["base_mode"] & _ARMED) != 0
-        _put(found, "/vehicle/status", heart.t_us, modes, armed, ~np.isin(state, _IN_AIR))
+        _put(
+            found,
+            "/vehicle/status",
+            heart.t_us,
+            modes,
+            armed,
+            np.where(np.isnan(state), ~armed, ~np.isin(state, _IN_AIR)),
+        )
     _put_said(found, said)
 
 
@@ -203,7 +211,8 @@ def _ulog_status(tables: Found, found: Found) -> None:
         if landed is not None and _has(landed, ("landed",)):
             ground = _at(status.t_us, landed, landed["landed"].astype(np.float64))
         modes = np.array([f"nav_state {n}" for n in status["nav_state"]])
-        _put(found, "/vehicle/status", status.t_us, modes, status["arming_state"] == 2, ground > 0.5)
+        armed = status["arming_state"] == 2
+        _put(found, "/vehicle/status", status.t_us, modes, armed, np.where(np.isnan(ground), ~armed, ground > 0.5))
     _put_said(found, tables.get(SAID))
 
 

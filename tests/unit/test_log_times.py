@@ -11,7 +11,7 @@ import pytest
 from pymavlink.DFReader import DFReader_binary
 from pyulog import ULog
 
-from flightstack_logs.info import info
+from flightstack_logs.info import info, parameters
 from flightstack_logs.reader import read
 from flightstack_logs.standard import with_vehicle_topics
 from tests.ulog_bytes import ulog
@@ -144,3 +144,22 @@ def test_a_log_without_any_time_is_a_log_without_data(tmp_path: Path) -> None:
     (path := tmp_path / "a.BIN").write_bytes(whole[: begins + 23])
     with pytest.raises(ValueError, match="without data"):
         read(path)
+
+
+def test_parameters_are_shown_as_they_are_on_board(tmp_path: Path) -> None:
+    """PX4 and ArduPilot keep them in single precision, where 0.05 is 0.0500000007..."""
+    path = tmp_path / "a.ulg"
+    path.write_bytes(ulog({"sensor_combined": stamped(1_000, 5_000)}, {"BAT_LOW_THR": 0.05, "MPC_XY_CRUISE": 5.0}))
+    log = read(path)
+    assert parameters(log) == [("BAT_LOW_THR", "0.05"), ("MPC_XY_CRUISE", "5")]
+    assert float(log.metadata["parameters"]["BAT_LOW_THR"]) == float(np.float32(0.05))
+
+
+def test_a_log_that_never_says_whether_it_landed_has_while_disarmed(tmp_path: Path) -> None:
+    rows = np.array([[1e6, 0, 1], [2e6, 0, 2], [3e6, 0, 1]])
+    (path := tmp_path / "a.ulg").write_bytes(
+        ulog({"vehicle_status": ({"nav_state": ("B", 1), "arming_state": ("B", 1)}, rows)}, {})
+    )
+    status = with_vehicle_topics(read(path)).tables["/vehicle/status"]
+    assert status["armed"].tolist() == [False, True, False]
+    assert status["landed"].tolist() == [True, False, True]
