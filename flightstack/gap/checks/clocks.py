@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ
+from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ, SMALL_SHARE
 from flightstack.gap.records import Finding, Signal, how_to_record, refused, warning
 from flightstack.types import F64
 
@@ -41,16 +41,26 @@ def _time_unit(signals: Mapping[str, Signal], kind: str, findings: list[Finding]
 
 def _fresh(name: str, each: Signal, findings: list[Finding]) -> Signal:
     """Without the rows that only repeat the one before: a slower topic held in the rows of a faster log."""
-    if name in SLOW or name == "motor" or len(each.t_s) < 50:
+    if name in SLOW or len(each.t_s) < 50:
         return each
     value = each.value.reshape(len(each.t_s), -1)
     fresh = np.concatenate([[True], np.any(value[1:] != value[:-1], axis=1)])
     share = 1.0 - float(np.mean(fresh))
     still = _longest_run(~fresh) / len(fresh)
-    if share - still < _HELD or fresh.sum() < 20:
+    if share - still < _HELD or fresh.sum() < 20 or (name == "motor" and not _steady(np.flatnonzero(fresh))):
         return each
     findings.append(warning("rate", f"{name}: {100 * share:.0f} % of its rows only repeat the row before; left out"))
     return Signal(each.t_s[fresh], each.value[fresh], each.source)
+
+
+def _steady(at: np.ndarray) -> bool:
+    """Whether rows with something new come by a clock of their own: less than two rows sooner or later than usual.
+
+    Commands that merely stay the same for a while, as rounded ones do, come at random.
+    """
+    apart = np.diff(at)
+    usual = float(np.mean(apart[apart <= 3.0 * np.median(apart)]))
+    return float(np.mean(np.abs(apart - usual) < 2.0)) > 1.0 - SMALL_SHARE
 
 
 def _longest_run(flags: np.ndarray) -> int:
