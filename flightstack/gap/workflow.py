@@ -89,8 +89,8 @@ def _concluded(
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
     taken, (naming, of, gap) = of, _judged(vehicle, naming, of, on_progress)
-    early = instruments.early_s(naming.vehicle, taken.flights, taken.fit)
-    if any(early):
+    doubted = naming.found or naming.unexplained.significant or gap.closed is not None
+    if doubted and any(early := instruments.early_s(naming.vehicle, taken.flights, taken.fit)):
         taken = replace(taken, flights=instruments.moved(taken.flights, early))
         naming = name(vehicle, taken.flights, taken.fit, taken.holdout, closely=closely)
         naming, of, gap = _judged(vehicle, naming, taken, on_progress)
