@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.chances import chi2_tail
-from flightstack.gap.decisions import LEAST_SIZES, RARE_P, SURE_ERRORS
+from flightstack.gap.decisions import CLEARLY, LEAST_SIZES, RARE_P, SURE_ERRORS
 from flightstack.gap.naming.candidates import negligible, plausible
 from flightstack.gap.naming.estimate import CI, inverse
 from flightstack.gap.records import SIGNALS, Estimate, IdentifiedEffect, Samples
@@ -153,7 +153,10 @@ def is_trifling(vehicle: Vehicle, found: IdentifiedEffect) -> bool:
 
 
 def early_s(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[Mask]) -> list[float]:
-    """By how much the commands of each flight acted before their stamps, s (0 or less), where that is beyond doubt."""
+    """By how much the commands of each flight acted before their stamps, s (0 or less), where that is beyond doubt.
+
+    It must clearly lower what is left of roll and pitch.
+    """
     out = []
     for samples, mask in zip(flights, masks, strict=True):
         told = None
@@ -162,9 +165,20 @@ def early_s(vehicle: Vehicle, flights: Sequence[Samples], masks: Sequence[Mask])
         late = sigma = 0.0
         if told is not None:
             late, sigma = float(told.change[-1]), float(np.sqrt(told.covariance[-1, -1]))
+        early = max(late, -samples.dt_s)
         sure = late + SURE_ERRORS * sigma < -timing_s(samples.dt_s)
-        out.append(max(late, -samples.dt_s) if sure else 0.0)
+        if sure:
+            (other,) = moved([samples], [early])
+            sure = _turning(vehicle, samples, mask) > (1.0 + CLEARLY) * _turning(vehicle, other, mask)
+        out.append(early if sure else 0.0)
     return out
+
+
+def _turning(vehicle: Vehicle, samples: Samples, mask: Mask) -> float:
+    """Mean square of what is left of roll and pitch."""
+    return float(
+        np.nanmean(prediction_error(vehicle, samples)[0][mask & track(samples).usable][:, list(_TORQUES)] ** 2)
+    )
 
 
 def _told(
