@@ -12,6 +12,7 @@ effect does, and which passes for a short lag, damping or flapping.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -138,8 +139,8 @@ def _by(
         elif abs(change) > SURE_ERRORS * sigma:
             out[p] = replace(
                 e,
-                low=min(e.low, max(e.estimate - np.hypot(e.estimate - e.low, change), low)),
-                high=max(e.high, min(e.estimate + np.hypot(e.high - e.estimate, change), high)),
+                low=min(e.low, max(e.estimate - math.hypot(e.estimate - e.low, change), low)),
+                high=max(e.high, min(e.estimate + math.hypot(e.high - e.estimate, change), high)),
             )
     return out
 
