@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,10 +15,17 @@ def _message(kind: str, body: bytes) -> bytes:
 
 
 def ulog(
-    topics: Mapping[str, tuple[Mapping[str, tuple[str, int]], np.ndarray]], parameters: Mapping[str, float]
+    topics: Mapping[str, tuple[Mapping[str, tuple[str, int]], np.ndarray]],
+    parameters: Mapping[str, float],
+    *,
+    begins_us: int = 0,
+    lines: Sequence[tuple[int, int, str]] = (),
 ) -> bytes:
-    """topics: name -> (field -> (code, length), rows (N, k) with the time in us first, fields in order)."""
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + _message("B", bytes(40))
+    """topics: name -> (field -> (code, length), rows (N, k) with the time in us first, fields in order).
+
+    `begins_us`: what the header says; `lines`: time, severity and text of what PX4 prints.
+    """
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", begins_us) + _message("B", bytes(40))
     for name, value in parameters.items():
         key = f"float {name}".encode()
         out += _message("P", bytes([len(key)]) + key + struct.pack("<f", value))
@@ -35,6 +42,8 @@ def ulog(
         for row in rows.tolist():
             values = [int(value) if whole else value for value, whole in zip(row[1:], integer, strict=True)]
             out += _message("D", struct.pack(code, number, int(row[0]), *values))
+    for t_us, severity, text in lines:
+        out += _message("L", struct.pack("<BQ", ord("0") + severity, t_us) + text.encode())
     return out
 
 

@@ -11,6 +11,7 @@ import typer
 from flightstack.cli.exits import FAILED, INTERRUPTED, OK
 from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import (
+    HomeOption,
     JsonOption,
     LiveOption,
     LogWireOption,
@@ -42,6 +43,7 @@ class _Certify:
     truth: TruthOption = None
     sensors: SensorsOption = None
     site: SiteOption = None
+    home: HomeOption = None
     seed: SeedOption = 0
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None
     out: OutOption = None
@@ -60,6 +62,7 @@ class _Certify:
 def certify(given: SimpleNamespace) -> None:
     """Learn the largest certified region in flight, or check a certificate."""
     from flightstack.cli.flight import FlyOptions
+    from flightstack.cli.home import parse_home
 
     asked = dict(vars(given))
     check, log, json, asked["duration_s"] = (asked.pop(name) for name in ("check", "log", "json", "duration"))
@@ -69,7 +72,7 @@ def certify(given: SimpleNamespace) -> None:
         raise InputError("--log belongs to --check: the log of a new flight lies in --out")
     if given.site is not None and given.scenario == "paper-barrier":
         asked["scenario"] = "figure8"
-    (_explore if given.site is None else _certify_site)(FlyOptions(**asked), json)
+    (_explore if given.site is None else _certify_site)(FlyOptions(**asked | {"home": parse_home(given.home)}), json)
 
 
 def _check(file: Path, log: Path | None, vehicle: str | None, json: Path | None) -> NoReturn:

@@ -15,6 +15,7 @@ from flightstack.autopilot import autopilot_of
 from flightstack.cli import files
 from flightstack.cli.compiled import FLIGHT, JSBSIM, ensure_compiled
 from flightstack.cli.filed import with_filed
+from flightstack.cli.home import HOME, Home
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.preparation import FlightOptions, Prepared, prepare_flight
 from flightstack.cli.result import FlightResult, LoopTiming
@@ -22,7 +23,6 @@ from flightstack.cli.score import FlightScore
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.vehicle_gains import counted_on, tuned
 from flightstack.dotted import changed_vehicle
-from flightstack.geodesy import PX4_SIH
 from flightstack.scenario import Scenario
 from flightstack.vehicle import Vehicle, vehicle_to_toml
 from flightstack_logs.log_clock import LogClock, clock_metadata
@@ -64,6 +64,7 @@ class FlyOptions(FlightOptions):
     realtime: bool = False
     fault: str | None = None
     """As on the command line; see sim.faults."""
+    home: Home = HOME
     hil_port: int = 4560
     """Of `--px4-hil`."""
     log_kept: bool = True
@@ -81,8 +82,8 @@ class FlyOptions(FlightOptions):
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Where PX4's internal simulator puts its vehicle."""
-        return PX4_SIH.latitude_deg, PX4_SIH.longitude_deg
+        """Where the simulator puts its vehicle."""
+        return self.home.frame.latitude_deg, self.home.frame.longitude_deg
 
     def grade(self, scenario: Scenario) -> str:
         """Grade of the sensors that fly."""
@@ -172,10 +173,11 @@ class SimulatedFlight:
         self.scenario = prepared.scenario
         self._log = log
         self.vehicle: SimulatedVehicle = simulated_vehicle(
-            prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant
-        )
+            prepared.believed, setup.truth, setup.grade, seed=options.seed, plant=setup.plant,
+            heading_rad=options.home.heading_rad,
+        )  # fmt: skip
         self._ours, self._theirs = connected_pair()
-        server = Server(self.vehicle, links=(LinkKind.ONBOARD,), faults=setup.faults)
+        server = Server(self.vehicle, links=(LinkKind.ONBOARD,), frame=options.home.frame, faults=setup.faults)
         self.shell = Shell(server, (self._theirs,), options.seed)
         self.score = FlightScore(prepared, of="truth")
         observer = prepared.observer(log, self._clock, truth=True)

@@ -20,6 +20,7 @@ from flightstack.cli.options import (
     DurationOption,
     FaultOption,
     HilPortOption,
+    HomeOption,
     JsonOption,
     LearnedOption,
     LiveOption,
@@ -116,6 +117,7 @@ class _Fly:
     truth: TruthOption = None
     seed: SeedOption = 0
     fault: FaultOption = None
+    home: HomeOption = None
     px4_hil: PhysicsForPx4Option = False
     hil_port: HilPortOption = 4_560
 
@@ -128,10 +130,11 @@ def fly(given: SimpleNamespace) -> None:
     from flightstack.cli.flight import FlyOptions
     from flightstack.cli.flight import fly as run
     from flightstack.cli.hil_flight import fly_behind_px4
+    from flightstack.cli.home import parse_home
 
     asked = _asked(given)
     hil = asked.pop("px4_hil")
-    options = FlyOptions(**asked | {"realtime": given.realtime or hil})
+    options = FlyOptions(**asked | {"realtime": given.realtime or hil, "home": parse_home(given.home)})
     _finish_flight(fly_behind_px4 if hil else run, options, given.json)
 
 

@@ -85,6 +85,12 @@ SiteOption = Annotated[
     Path | None,
     typer.Option("--site", help="Keep the vehicle in this site (.toml, .plan, .geojson; vehicle: the stored fence)."),
 ]
+HomeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--home", help="Where the vehicle stands: degrees, metres above the sea.", metavar="LAT,LON,ALT,HEADING"
+    ),
+]
 UnprotectedOption = Annotated[
     bool, typer.Option("--unprotected-ok", help="Exit 0 even where protection was asked for and not had, or left.")
 ]

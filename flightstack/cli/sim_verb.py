@@ -17,6 +17,7 @@ from flightstack.cli.interrupts import Interrupts
 from flightstack.cli.options import (
     FaultOption,
     HilPortOption,
+    HomeOption,
     JsonOption,
     LiveOption,
     LogWireOption,
@@ -54,10 +55,7 @@ class _Sim:
     bind: Annotated[
         str, typer.Option(help="Address of this machine that the links are bound to; 0.0.0.0: all.", metavar="ADDR")
     ] = "127.0.0.1"
-    home: Annotated[
-        str | None,
-        typer.Option(help="Where the vehicle stands: degrees, metres above the sea.", metavar="LAT,LON,ALT,HEADING"),
-    ] = None
+    home: HomeOption = None
     instances: Annotated[
         int, typer.Option(min=1, max=100, help="So many vehicles, with PX4's ports and system ids.")
     ] = 1
@@ -81,7 +79,8 @@ def sim(given: SimpleNamespace) -> None:
     """Simulate a PX4 quadrotor on MAVLink/UDP until Ctrl-C, or be the physics behind a real PX4."""
     interrupts = Interrupts(always=(signal.SIGINT,))  # nothing flies that would have to land: also in the background
     interrupts.at_once = True
-    from flightstack.cli.simulate import SimOptions, parse_home
+    from flightstack.cli.home import parse_home
+    from flightstack.cli.simulate import SimOptions
 
     asked = dict(vars(given))
     px4_hil, json, asked["duration_s"] = (asked.pop(name) for name in ("px4_hil", "json", "duration"))

@@ -7,7 +7,6 @@ all send to `port` + 9), a ground station's link from 18570 + i to `gcs_port`.  
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from flightstack.cli import files
 from flightstack.cli.compiled import JSBSIM, SIMULATOR, ensure_compiled
+from flightstack.cli.home import HOME, Home
 from flightstack.cli.live_view import shown_live
-from flightstack.geodesy import PX4_SIH, LocalFrame
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.recorder import Recorder
@@ -48,16 +47,6 @@ MOST_SYSTEM = 255
 TICK_MS = 4
 PATIENCE_US = 200_000
 """So far behind real time the simulator catches up; beyond, its clock stands still instead."""
-_HIGHEST_M, _LOWEST_M = 9_000.0, -500.0
-_NEAREST_POLE_DEG = 89.0
-
-
-@dataclass(frozen=True, slots=True)
-class Home:
-    """Where the vehicle stands at first and which way it looks."""
-
-    frame: LocalFrame = PX4_SIH
-    heading_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +70,7 @@ class SimOptions:
     """Where the truth is recorded."""
     bind: str = HOST
     """The address of this machine that the links are bound to."""
-    home: Home = field(default_factory=Home)
+    home: Home = HOME
     instances: int = 1
     sysid: int = 1
     """Of the first instance."""
@@ -89,25 +78,6 @@ class SimOptions:
     """Whether what goes over the wire is recorded too (not with `--px4-hil`)."""
     live: int | None = None
     """Port of the live view of the first instance; None: there is none."""
-
-
-def parse_home(text: str | None) -> Home:
-    """LAT,LON,ALT,HEADING in degrees and metres above the sea; None: PX4's internal simulator's place, north."""
-    if text is None:
-        return Home()
-    try:
-        latitude, longitude, altitude, heading = (float(word) for word in text.split(","))
-    except ValueError:
-        raise InputError(f"--home {text}: write LAT,LON,ALT,HEADING, as 47.3977,8.5456,488,0") from None
-    for name, value, low, high in (
-        ("latitude", latitude, -_NEAREST_POLE_DEG, _NEAREST_POLE_DEG),
-        ("longitude", longitude, -180.0, 180.0),
-        ("altitude", altitude, _LOWEST_M, _HIGHEST_M),
-        ("heading", heading, -360.0, 360.0),
-    ):
-        if not low <= value <= high:
-            raise InputError(f"--home {text}: the {name} must lie in {low:g}..{high:g}")
-    return Home(LocalFrame(latitude, longitude, altitude), heading)
 
 
 def log_of(path: Path, instance: int, instances: int) -> Path:
@@ -190,7 +160,7 @@ def _start(options: SimOptions, number: int, truth: Vehicle, grade: Grade, vehic
     try:
         vehicle = simulated_vehicle(
             replace(truth, effects={}), truth, grade, seed=options.seed + number, plant=options.plant,
-            heading_rad=math.radians(options.home.heading_deg),
+            heading_rad=options.home.heading_rad,
         )  # fmt: skip
         server = Server(
             vehicle, system=options.sysid + number, frame=options.home.frame, faults=parse_faults(options.fault)

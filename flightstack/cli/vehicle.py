@@ -18,7 +18,8 @@ _ADDRESSES = ("udpin:", "udpout:", "serial:")
 _ULOG, _GZIP, _DATAFLASH = b"ULog", b"\x1f\x8b", b"\xa3\x95"
 _LARGEST_TEXT = 4_000_000
 _WAIT_S, _ANSWERS_S = 10.0, 20.0
-FromOption = Annotated[str, typer.Option("--from", help="A PX4's address, a ULog, or a file of its parameters.")]
+_SOURCE = "A PX4's address, a log (.ulg, .tlog, .BIN), or a file of its parameters."
+FromOption = Annotated[str, typer.Option("--from", help=_SOURCE)]
 
 
 @vehicle_app.command("new")
@@ -49,7 +50,7 @@ def new(
 @vehicle_app.command("check")
 def check(
     file: Annotated[str, typer.Argument(help="The vehicle file: a name or a .toml file.")],
-    against: Annotated[str | None, typer.Option(help="A PX4's address, a ULog, or a file of its parameters.")] = None,
+    against: Annotated[str | None, typer.Option(help=_SOURCE)] = None,
     json: JsonOption = None,
 ) -> None:
     """Say what is wrong with a vehicle file, one line each; exit 1 where anything is."""
@@ -98,7 +99,7 @@ def fit(
 
 
 def parameters(source: str) -> dict[str, float]:
-    """PX4's parameters of a vehicle at an address, of a ULog, or of a file; InputError, one line."""
+    """PX4's parameters of a vehicle at an address, of a log, or of a file; InputError, one line."""
     if source.startswith(_ADDRESSES):
         return _from_vehicle(source)
     path = Path(source)
@@ -107,7 +108,7 @@ def parameters(source: str) -> dict[str, float]:
             head = file.read(4)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
-    if head == _ULOG or head[:2] in (_GZIP, _DATAFLASH):
+    if head == _ULOG or head[:2] in (_GZIP, _DATAFLASH) or path.suffix.lower() == ".tlog":
         return _from_log(path)
     from flightstack.cli.files import read_text
     from mavlink_bridge.param_file import listed_params
@@ -125,7 +126,8 @@ def _from_log(path: Path) -> dict[str, float]:
     told = {name: float(value) for name, value in log.metadata.get("parameters", {}).items()}
     if not told:
         raise InputError(f"log {path}: holds no parameters; a ULog of a PX4 does")
-    return as_px4(told, str(path)) if log.kind == "dataflash" else told
+    is_px4 = "SYS_AUTOSTART" in told or log.kind == "ulog"
+    return told if is_px4 else as_px4(told, str(path))
 
 
 def _from_vehicle(source: str) -> dict[str, float]:

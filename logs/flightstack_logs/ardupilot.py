@@ -65,7 +65,7 @@ def as_px4(said: dict[str, float], source: str) -> dict[str, float]:
     """
     kind = said.get("FRAME_CLASS")
     if kind != _QUAD:
-        what = "is not told: this is no ArduCopter" if kind is None else f"= {kind:g}"
+        what = "is not told: no ArduCopter, or one before 3.5" if kind is None else f"= {kind:g}"
         raise InputError(f"{source}: FRAME_CLASS {what}; only quadrotors can be described")
     frame = said.get("FRAME_TYPE", 1.0)
     if frame not in (*_X_FRAMES, *_IN_PX4_ORDER):

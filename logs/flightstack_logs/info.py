@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flightstack_logs.reader import Log
+from flightstack_logs.standard import with_vehicle_topics
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -13,6 +16,11 @@ if TYPE_CHECKING:
 
 SCHEMA = "flightstack.loginfo/1"
 _EVENTS_SHOWN = 40
+_NAMES_SHOWN = 24
+PARAMETERS = "parameters"
+"""Of a log's metadata: an autopilot's."""
+_EXACT = 1 << 24
+"""Whole numbers up to here are exact in single precision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +101,7 @@ def info(log: Log) -> LogInfo:
         topics=topics,
         metadata=log.metadata,
         attachments={item.name: len(item.data) for item in log.attachments},
-        events=_events(log, start_us),
+        events=_events(with_vehicle_topics(log)),
     )
 
 
@@ -121,9 +129,9 @@ def _topic(log: Log, name: str) -> TopicInfo:
     )
 
 
-def _events(log: Log, start_us: int) -> tuple[EventInfo, ...]:
+def _events(log: Log) -> tuple[EventInfo, ...]:
     """The lines of both text topics, by time."""
-    events = []
+    events, start_us = [], log.span_us[0]
     for topic, source in (("/events", "companion"), ("/vehicle/statustext", "vehicle")):
         table = log.tables.get(topic)
         if table is None or not {"level", "name", "text"} <= table.columns.keys():
@@ -133,6 +141,25 @@ def _events(log: Log, start_us: int) -> tuple[EventInfo, ...]:
         ):
             events.append(EventInfo((t_us - start_us) * 1e-6, level, source, name, text))
     return tuple(sorted(events, key=lambda event: event.t_s))
+
+
+def parameters(log: Log) -> list[tuple[str, str]]:
+    """An autopilot's parameters by name, for readers."""
+    return _plain(log.metadata.get(PARAMETERS, {}))
+
+
+def _plain(entries: dict[str, str]) -> list[tuple[str, str]]:
+    """Sorted; numbers as short as they are on board, in single precision: 0.05, not 0.05000000074505806."""
+    shown = []
+    for name, text in sorted(entries.items()):
+        try:
+            value = float(text)
+        except ValueError:
+            shown.append((name, text))
+        else:
+            whole = text.lstrip("-").isdecimal() or (value.is_integer() and abs(value) < _EXACT)
+            shown.append((name, str(int(value)) if whole else str(np.float32(value))))
+    return shown
 
 
 def render(summary: LogInfo) -> Group:
@@ -147,7 +174,9 @@ def render(summary: LogInfo) -> Group:
         state.append(f"\n  {note}")
     parts: list[Text | RichTable] = [head, state, _topic_table(summary)]
     for name, entries in sorted(summary.metadata.items()):
-        parts.append(Text(f"{name}: " + ", ".join(f"{key} {value}" for key, value in sorted(entries.items()))))
+        pairs = _plain(entries) if name == PARAMETERS else sorted(entries.items())
+        said = [f"{key} {value}" for key, value in pairs]
+        parts.append(Text(f"{name}: " + _listed(said, "; --json lists all")))
     if summary.attachments:
         files = ", ".join(f"{name} ({size} bytes)" for name, size in summary.attachments.items())
         parts.append(Text(f"attachments: {files}"))
@@ -167,12 +196,18 @@ def _topic_table(summary: LogInfo) -> RichTable:
     table.add_column("what")
     for topic in summary.topics:
         rate = f"{topic.rate_hz:.1f}" if topic.rate_hz is not None else "-"
-        columns = ", ".join(_column(field) for field in topic.fields)
+        columns = _listed([_column(field) for field in topic.fields])
         what = Text(topic.description or topic.schema)
         if columns:
             what.append(f"\n{columns}", style="dim")
         table.add_row(Text(topic.name), str(topic.messages), rate, what)
     return table
+
+
+def _listed(names: list[str], where: str = "") -> str:
+    """In one line; of very many the first."""
+    more = len(names) - _NAMES_SHOWN
+    return ", ".join(names) if more <= 0 else ", ".join(names[:_NAMES_SHOWN]) + f" and {more} more{where}"
 
 
 def _column(field: FieldInfo) -> str:

@@ -1,7 +1,8 @@
 """The vehicle's own words under this project's topics, whoever logged them: `/vehicle/attitude`, `/vehicle/imu`, ...
 
 SI units, NED and FRD, quaternions w x y z body to world; times from 0 at the log's first message, sample stamps on the
-same line.  What a log lacks is left out.  Logs of this project have these topics as they are.
+same line.  What a log lacks is left out; one that never says whether it has landed has while it is disarmed.  Logs of
+this project have these topics as they are.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs import ardupilot
 from flightstack_logs.readers.csv_file import TABLE as CSV_TABLE
+from flightstack_logs.readers.ulog import SAID
 from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import TOPICS, severity_names
 from flightstack_logs.turn import euler_to_quaternion
@@ -143,8 +145,20 @@ def _mavlink_status(tables: Found, found: Found) -> None:
         if landed is not None:
             state = _at(heart.t_us, landed, landed["landed_state"])
         modes, armed = np.array([f"{mode:#x}" for mode in heart["custom_mode"]]), (heart["base_mode"] & _ARMED) != 0
-        _put(found, "/vehicle/status", heart.t_us, modes, armed, ~np.isin(state, _IN_AIR))
-    if said is not None:
+        _put(
+            found,
+            "/vehicle/status",
+            heart.t_us,
+            modes,
+            armed,
+            np.where(np.isnan(state), ~armed, ~np.isin(state, _IN_AIR)),
+        )
+    _put_said(found, said)
+
+
+def _put_said(found: Found, said: Table | None) -> None:
+    """Lines with a severity and a text."""
+    if said is not None and len(said):
         levels = [severity_names(int(number)) for number in said["severity"]]
         level, name = (np.array([pair[i] for pair in levels]) for i in (0, 1))
         _put(found, "/vehicle/statustext", said.t_us, level, name, said["text"])
@@ -197,7 +211,9 @@ def _ulog_status(tables: Found, found: Found) -> None:
         if landed is not None and _has(landed, ("landed",)):
             ground = _at(status.t_us, landed, landed["landed"].astype(np.float64))
         modes = np.array([f"nav_state {n}" for n in status["nav_state"]])
-        _put(found, "/vehicle/status", status.t_us, modes, status["arming_state"] == 2, ground > 0.5)
+        armed = status["arming_state"] == 2
+        _put(found, "/vehicle/status", status.t_us, modes, armed, np.where(np.isnan(ground), ~armed, ground > 0.5))
+    _put_said(found, tables.get(SAID))
 
 
 def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
 from log_samples import proto_class
 
 from flightstack.cli.flight import FlyOptions, fly, prepare
+from flightstack.cli.home import parse_home
 from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
 from flightstack.types import InputError
@@ -121,6 +124,41 @@ def test_refused_before_take_off(tmp_path: Path, text: str, said: str, capsys: p
     assert error[0].startswith("error: ")
     assert said in error[0]
     assert not (tmp_path / "out").exists()
+
+
+FIELD = (-33.8568, 151.2153)
+
+
+def _plan(folder: Path) -> Path:
+    """A field of 50 x 40 m in Sydney as QGroundControl saves it, with a shed in it."""
+
+    def corners(*places_m: tuple[float, float]) -> list[list[float]]:
+        lat, lon = FIELD
+        per_deg = math.radians(6_371_000.0)  # a sphere's, as PX4's
+        return [[lat + n / per_deg, lon + e / (per_deg * math.cos(math.radians(lat)))] for n, e in places_m]
+
+    field = corners((-25.0, -20.0), (25.0, -20.0), (25.0, 20.0), (-25.0, 20.0))
+    shed = corners((8.0, 8.0), (14.0, 8.0), (14.0, 14.0), (8.0, 14.0))
+    polygons = [{"inclusion": kept, "polygon": each, "version": 1} for kept, each in ((True, field), (False, shed))]
+    fence = {"circles": [], "polygons": polygons, "version": 2}
+    return _site(folder, json.dumps({"fileType": "Plan", "geoFence": fence, "version": 1}), "field.plan")
+
+
+def test_ones_own_field_is_flown_where_it_lies(tmp_path: Path) -> None:
+    """Its fence is laid out about where the vehicle begins: refused from the simulator's own place, flown from home."""
+    options = FlyOptions(scenario="hover", out=tmp_path, site=_plan(tmp_path), duration_s=2.0)
+    with pytest.raises(InputError, match="km from the vehicle"):
+        prepare(options)
+    home = parse_home(f"{FIELD[0]},{FIELD[1]},40,90")
+    result = fly(replace(options, home=home), report_wanted=lambda result: False)
+    assert result.passed, result.failure()
+    assert (result.protection, result.as_json()["barrier"]["exits"]) == ("held", 0)
+    truth = read(tmp_path / "flight.mcap").tables["/truth"]
+    assert truth["pos_ned_m"][:, 2].min() < -0.5  # it did fly
+    w, x, y, z = truth["q_ned_frd"][0]
+    assert math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) == pytest.approx(math.pi / 2.0, abs=0.02)
+    with pytest.raises(InputError, match="fence polygon 1"):  # 11 m north-east of there stands the shed
+        fly(replace(options, home=parse_home(f"{FIELD[0] + 1e-4},{FIELD[1] + 1.17e-4},40,0")))
 
 
 @pytest.mark.parametrize("more", [{"filtering": False}, {"as_published": True}])

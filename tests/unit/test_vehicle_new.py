@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink import mavutil
 
 from flightstack.cli.main import main
 from flightstack.model import Model
@@ -178,3 +179,21 @@ def _run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     return int(ended.value.code or 0)
+
+
+def test_from_a_telemetry_log_of_a_px4(recorded: Path, tmp_path: Path) -> None:
+    """The hover thrust that pymavlink reads from the same recording is where the made vehicle hovers."""
+    source = recorded / "px4_sih_offboard.tlog"
+    out = tmp_path / "mine.toml"
+    with pytest.raises(SystemExit) as ended:
+        main(["vehicle", "new", "--from", str(source), "--mass", "1.0", "--out", str(out)])
+    assert ended.value.code == 0
+    log = mavutil.mavlink_connection(str(source))
+    hover = 0.0
+    while (message := log.recv_match(type="PARAM_VALUE")) is not None:
+        if message.param_id == "MPC_THR_HOVER":
+            hover = message.param_value
+    log.close()
+    made = parse_vehicle(out.read_text(), "mine")
+    assert hover > 0.0
+    assert 4.0 * made.rotors.max_thrust_n * hover == pytest.approx(9.80665, rel=1e-4)

@@ -3,11 +3,15 @@
 A file is messages of A3 95 and a type; FMT messages (type 128) say name, length, format and columns of each type.  The
 meaning of the format's letters, and what they are scaled by, is pymavlink's (`DFReader.FORMAT_TO_STRUCT`).  Damage is
 left out and counted, and the walk goes on at the next message that is followed by another.
+
+Times are since boot.  In logs of 2014 GPS messages have the week's time in TimeMS and the board's in T, and PARM, MODE,
+EV and some others have none: these get that of the message before them, as in pymavlink.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,14 +42,14 @@ class _Kind:
 def read_dataflash(path: Path, data: bytes) -> Log:
     """The log in `data`, a damaged or cut-off one as far as it goes; InputError where there is no row in it."""
     kinds, lost = _walk(data)
+    clock = _clock(kinds.values(), data)
     tables: dict[str, Table] = {}
     for kind in kinds.values():
-        tables |= _tables(kind, data)
+        tables |= _tables(kind, data, clock)
     if not tables:
         raise InputError(f"log {path}: is a DataFlash log without data; set LOG_DISARMED or record a flight")
     notes = [f"damaged or cut off: {lost} bytes are no whole message"] if lost else []
-    first = min(int(table.t_us[0]) for table in tables.values() if len(table))
-    metadata = {"boot": {"first_us": str(first)}}
+    metadata: dict[str, dict[str, str]] = {}
     said = ardupilot.parameters(tables)
     if said:
         metadata["parameters"] = {name: repr(value) for name, value in said.items()}
@@ -129,20 +133,56 @@ def _learn(message: bytes, kinds: dict[int, _Kind], sizes: dict[int, int]) -> No
         kinds[number] = _Kind(said[0], row, scales)
 
 
-def _tables(kind: _Kind, data: bytes) -> dict[str, Table]:
-    """The messages of a type as tables, one for each instance; those without a time have none."""
-    if not kind.at:
-        return {}
+def _rows(kind: _Kind, data: bytes) -> np.ndarray:
+    """The messages of a type, in the order of the file."""
     raw = np.frombuffer(data, np.uint8)
-    size = kind.row.itemsize
-    rows = raw[np.array(kind.at)[:, None] + np.arange(size)].copy().view(kind.row)[:, 0]
-    names = [name for name in kind.row.names or () if name != "_head"]
-    stamp = next((n for n in ("TimeUS", "TimeMS") if n in names and kind.row[n].kind in "iuf"), None)
-    if stamp is None:
+    rows: np.ndarray = raw[np.array(kind.at, np.int64)[:, None] + np.arange(kind.row.itemsize)].copy().view(kind.row)
+    return rows[:, 0]
+
+
+def _stamp(kind: _Kind) -> tuple[str, float] | None:
+    """The column that holds the board's time, and what turns it into microseconds."""
+    names = kind.row.names or ()
+    of_gps = (("T", 1e3),) if "Week" in names else ()
+    for name, times in (("TimeUS", 1.0), *of_gps, ("TimeMS", 1e3)):
+        if name in names and kind.row[name].kind in "iuf":
+            return name, times
+    return None
+
+
+def _times(rows: np.ndarray, stamp: tuple[str, float]) -> NDArray[np.int64]:
+    """Microseconds since boot; -1 where that is no time."""
+    t_us = stamp[1] * _double(rows[stamp[0]])
+    good = (t_us >= 0.0) & (t_us < _LATEST_US)
+    return np.where(good, t_us, -1.0).astype(np.int64)
+
+
+def _clock(kinds: Iterable[_Kind], data: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places in the file where a time stands, in order, and these times."""
+    places, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for kind in kinds:
+        stamp = _stamp(kind)
+        if stamp is not None and kind.at:
+            places.append(np.array(kind.at, np.int64))
+            times.append(_times(_rows(kind, data), stamp))
+    at, t_us = np.concatenate(places), np.concatenate(times)
+    order = np.argsort(at)
+    order = order[t_us[order] >= 0]
+    return at[order], t_us[order]
+
+
+def _tables(kind: _Kind, data: bytes, clock: tuple[NDArray[np.int64], NDArray[np.int64]]) -> dict[str, Table]:
+    """The messages of a type as tables, one for each instance; one that says no time has the time of the one before."""
+    if not kind.at or not len(clock[0]):
         return {}
-    t_us = (1.0 if stamp == "TimeUS" else 1e3) * _double(rows[stamp])
-    good = np.flatnonzero((t_us >= 0.0) & (t_us < _LATEST_US))
-    rows, stamps = rows[good], t_us[good].astype(np.int64)
+    rows, stamp = _rows(kind, data), _stamp(kind)
+    names = [name for name in kind.row.names or () if name != "_head"]
+    if stamp is not None:
+        t_us = _times(rows, stamp)
+    else:
+        t_us = clock[1][np.maximum(np.searchsorted(clock[0], kind.at) - 1, 0)]
+    good = np.flatnonzero(t_us >= 0)
+    rows, stamps = rows[good], t_us[good]
     instance = next((name for name in ("I", "C", "Instance") if name in names and rows[name].dtype.kind in "iu"), None)
     if instance is None or kind.name == "PARM":
         return {kind.name: _table(kind.name, kind, rows, stamps)} if len(rows) else {}
@@ -156,7 +196,8 @@ def _tables(kind: _Kind, data: bytes) -> dict[str, Table]:
 
 def _table(name: str, kind: _Kind, rows: np.ndarray, stamps: NDArray[np.int64]) -> Table:
     order = np.argsort(stamps, kind="stable")
-    wanted = [column for column in kind.row.names or () if column not in ("_head", "TimeUS", "TimeMS")]
+    stamp = _stamp(kind)
+    wanted = [column for column in kind.row.names or () if column not in ("_head", stamp and stamp[0])]
     columns = {column: _typed(rows[column][order], kind.scales.get(column)) for column in wanted}
     return Table(name, stamps[order], columns, {})
 

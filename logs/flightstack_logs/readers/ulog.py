@@ -1,12 +1,16 @@
 """PX4 ULog in (through pyulog): one table for each topic, `NAME` or `NAME_1`, `NAME_2` ... for its further instances.
 
 Elements `q[0]`, `q[1]`, ... become one column `q`.  Parameters as they stood at the start are in `metadata`.
+
+A log begins when its header says.  What was published before stands in it with its old stamp (or none, or that of an
+earlier boot): such rows have the time at which the log begins.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,9 @@ from flightstack_logs.readers.ulog_frames import mended
 from flightstack_logs.tables import About, Log, Table
 
 MAGIC = b"ULog\x01\x12\x35"
+SAID = "logged_messages"
+"""The table of what PX4 printed: severity as in MAVLink, text."""
+_LATEST_US = 2.0**52
 
 
 def read_ulog(path: Path, data: bytes) -> Log:
@@ -29,13 +36,15 @@ def read_ulog(path: Path, data: bytes) -> Log:
             log = ULog(io.BytesIO(frames.data), disable_str_exceptions=True)
     except Exception as error:  # a parser on damaged bytes: whatever it raises means the same
         raise InputError(f"log {path}: is a ULog too damaged to read ({_line(error)}); copy it again") from None
+    topics = [topic for topic in log.data_list if "timestamp" in topic.data and len(topic.data["timestamp"])]
+    span = _span(log.start_timestamp, [topic.data["timestamp"] for topic in topics])
     tables = {}
-    for topic in log.data_list:
+    for topic in topics:
         name = topic.name if topic.multi_id == 0 else f"{topic.name}_{topic.multi_id}"
-        if "timestamp" in topic.data and len(topic.data["timestamp"]):
-            tables[name] = _table(name, topic.data)
+        tables[name] = _table(name, topic.data, span)
     if not tables:
         raise InputError(f"log {path}: is a ULog without data; record a flight with SDLOG_MODE 0 and SDLOG_PROFILE 1")
+    tables |= _said(log, span, tables.keys())
     notes = [*frames.damage, *_notes(log)]
     return Log(
         path=path,
@@ -69,10 +78,37 @@ def _notes(log: Any) -> list[str]:
     return notes
 
 
-def _table(name: str, data: dict[str, Any]) -> Table:
+def _said(log: Any, span: tuple[float, float], taken: Collection[str]) -> dict[str, Table]:
+    """What PX4 printed while it logged."""
+    lines = [line for line in log.logged_messages if line.timestamp < _LATEST_US]
+    if not lines or SAID in taken:
+        return {}
+    data = {
+        "timestamp": np.array([line.timestamp for line in lines], np.uint64),
+        "severity": np.array([min(max(line.log_level - ord("0"), 0), 7) for line in lines]),
+        "text": np.array([line.message for line in lines], np.str_),
+    }
+    return {SAID: _table(SAID, data, span)}
+
+
+def _span(said_us: int, stamps: list[np.ndarray]) -> tuple[float, float]:
+    """When the log begins and ends: from what its header says, if half of the rows agree, to its last row.
+
+    Topics whose rows all have one stamp say nothing of it.
+    """
+    times = [t[(t > 0) & (t < _LATEST_US)].astype(np.float64) for t in stamps]
+    moving = [t for t in times if len(t) and t.min() < t.max()] or [t for t in times if len(t)]
+    if not moving:
+        return 0.0, _LATEST_US
+    every = np.concatenate(moving)
+    return (float(said_us) if said_us <= np.median(every) else float(every.min())), float(every.max())
+
+
+def _table(name: str, data: dict[str, Any], span: tuple[float, float]) -> Table:
     """Rows in order of time, without those whose stamp is no time."""
     stamps = data["timestamp"].astype(np.float64)
-    keep = np.flatnonzero((stamps > 0.0) & (stamps < 2.0**52))
+    keep = np.flatnonzero(stamps < _LATEST_US)
+    stamps = np.where((stamps < span[0]) | (stamps > span[1]), span[0], stamps)
     order = keep[np.argsort(stamps[keep], kind="stable")]
     grouped: dict[str, list[np.ndarray]] = {}
     for column, values in data.items():
@@ -85,6 +121,6 @@ def _table(name: str, data: dict[str, Any]) -> Table:
 
 
 def _typed(values: np.ndarray) -> np.ndarray:
-    if values.dtype.kind == "b":
+    if values.dtype.kind in "bU":
         return values
     return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)

@@ -21,6 +21,7 @@ from flightstack.model import Model
 from flightstack.scenario import Scenario, parse_scenario
 from flightstack.types import F64, InputError
 from flightstack.vehicle import parse_vehicle
+from flightstack_logs.info import PARAMETERS, parameters
 from flightstack_logs.reader import Log
 from flightstack_logs.report import signals
 from flightstack_logs.report.flight import (
@@ -324,7 +325,8 @@ def _outcome(log: Log, result: Mapping[str, object] | None, timing: Timing | Non
 def _settings(log: Log) -> tuple[tuple[str, str], ...]:
     """Settings first, versions next, then whatever else the log's metadata holds; what is wrong with the log leads."""
     names: list[str] = [name for name in ("settings", "versions") if name in log.metadata]
-    names += sorted(name for name in log.metadata if name not in (*names, "log"))
+    names += sorted(name for name in log.metadata if name not in (*names, "log", PARAMETERS))
     rows = [("log", f"not whole: {note}") for note in log.notes]
     rows += [(key.replace("_", " "), value) for name in names for key, value in log.metadata[name].items() if value]
+    rows += parameters(log)
     return tuple(rows)
