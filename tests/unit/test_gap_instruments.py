@@ -86,11 +86,14 @@ def rows(commands: F64, rate_hz: float) -> Signal:
 def test_commands_of_a_slower_clock_are_taken_where_they_are_new() -> None:
     rng = np.random.default_rng(1)
     sent = rng.uniform(0.3, 0.6, (1000, 4))
-    stands = np.zeros((200, 4))  # before take-off: each of its rows stays, or the first command would grow from there
-    held = np.concatenate([stands, sent[np.floor(np.arange(2500) / 2.5).astype(int)]])
+    held = np.concatenate([np.zeros((2500, 4)), sent[np.floor(np.arange(2500) / 2.5).astype(int)]])
     out, findings = settle_clocks({"motor": rows(held, 250.0)}, "csv")
-    np.testing.assert_array_equal(out["motor"].value, np.concatenate([stands, sent]))
-    assert len(settle_clocks({"motor": rows(held, 250.0)}, "ulog")[0]["motor"].t_s) == 2700
+    motor = out["motor"]
+    np.testing.assert_array_equal(motor.value[-1000:], sent)
+    still = motor.t_s[:-1000]  # before take-off rows stay, or the first command would grow from there
+    assert np.allclose(np.diff(still), 0.008)
+    assert still[-1] > 9.98
+    assert len(settle_clocks({"motor": rows(held, 250.0)}, "ulog")[0]["motor"].t_s) == 5000
     assert any("motor" in f.text and "repeat" in f.text for f in findings)
 
 

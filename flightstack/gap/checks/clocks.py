@@ -61,16 +61,17 @@ def _fresh(name: str, each: Signal, kind: str, findings: list[Finding]) -> Signa
 def _of_its_clock(fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,) rows that count, where what is new comes by a clock of its own: less than two rows beside its usual one.
 
-    Commands that merely stay the same for a while, as rounded ones do, come at random: then all rows count, as do those
-    of a vehicle that stands.
+    Commands that merely stay the same for a while, as rounded ones do, come at random: then all rows count.  While a
+    vehicle stands rows count as often as they do in flight.
     """
     at = np.flatnonzero(fresh)
     apart = np.diff(at, append=len(fresh))
     usual = float(np.mean(apart[apart <= 3.0 * np.median(apart)]))
     if float(np.mean(np.abs(apart - usual) < 2.0)) <= 1.0 - SMALL_SHARE:
         return np.ones_like(fresh)
+    since = np.arange(len(fresh)) - np.repeat(at, apart)
     stands = np.repeat(apart >= usual + 2.0, apart)
-    return np.asarray(fresh | np.concatenate([fresh[: at[0]], stands]))
+    return np.asarray(fresh | (stands & (since % round(usual) == 0)))
 
 
 def _longest_run(flags: np.ndarray) -> int:
