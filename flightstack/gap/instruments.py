@@ -60,11 +60,11 @@ def compared(
     flights: Sequence[Samples],
     masks: Sequence[Mask],
     centre_s: Sequence[float],
-) -> tuple[tuple[IdentifiedEffect, ...], Vehicle, bool]:
-    """The names and `vehicle`, which holds them, by instruments where these differ by more than chance; whether so.
+) -> tuple[tuple[IdentifiedEffect, ...], tuple[IdentifiedEffect, ...] | None]:
+    """The names (`vehicle` holds them) with intervals that reach to what instruments say, and the names by these alone.
 
-    A single parameter that differs by more than two standard errors has an interval that reaches as far.
-    `centre_s`: how late each flight's commands are taken to act before anything is fitted.
+    The former where a parameter differs by more than two standard errors; the latter where all together differ by more
+    than chance, else None.  `centre_s`: how late each flight's commands are taken to act before anything is fitted.
     """
     slots = [
         (f.name, p)
@@ -78,27 +78,24 @@ def compared(
     sampling_s = float(np.mean([s.dt_s for s in flights]))
     off = float(np.mean([c - s.command_late_s for c, s in zip(centre_s, flights, strict=True)]))
     prior = (0.0, 1e-6) if known else (off, sampling_s / np.sqrt(12.0))
-    out, now, differs = tuple(found), vehicle, False
-    for _ in range(_STEPS if slots else 0):
+    wide, alone, now = tuple(found), None, vehicle
+    for step in range(_STEPS if slots else 0):
         told = _told(now, flights, masks, slots, prior)
         if told is None:
             break
-        differs = differs or _differs(told, len(slots))
         sigma = np.sqrt(np.diag(told.covariance))
         if known:
             sigma[slots.index(delay)] = np.hypot(sigma[slots.index(delay)], sampling_s / np.sqrt(12.0))
-        out = _with(
-            believed,
-            out,
-            {slot: (float(told.change[k]), float(sigma[k])) for k, slot in enumerate(slots)},
-            differs=differs,
-        )
-        if not differs:
-            break
+        said = {slot: (float(told.change[k]), float(sigma[k])) for k, slot in enumerate(slots)}
+        if step == 0:
+            wide = _with(believed, found, said, alone=False)
+            if not _differs(told, len(slots)):
+                break
+        alone = _with(believed, alone or found, said, alone=True)
         for e, p in slots:
-            (each,) = (f for f in out if f.name == e)
+            (each,) = (f for f in alone if f.name == e)
             now = with_value(now, e, {p: each.parameters[p].estimate})
-    return out, now, differs
+    return wide, alone
 
 
 def _differs(told: _Told, count: int) -> bool:
@@ -113,24 +110,24 @@ def _with(
     found: Sequence[IdentifiedEffect],
     by_slot: Mapping[Slot, tuple[float, float]],
     *,
-    differs: bool,
+    alone: bool,
 ) -> tuple[IdentifiedEffect, ...]:
     """The effects with what instruments say of each parameter: change and deviation."""
     out = []
     for each in found:
         own = {p: by_slot[each.name, p] for p in each.parameters if (each.name, p) in by_slot}
-        out.append(replace(each, parameters={**each.parameters, **_by(believed, each, own, differs=differs)}))
+        out.append(replace(each, parameters={**each.parameters, **_by(believed, each, own, alone=alone)}))
     return tuple(out)
 
 
 def _by(
-    believed: Vehicle, found: IdentifiedEffect, own: Mapping[str, tuple[float, float]], *, differs: bool
+    believed: Vehicle, found: IdentifiedEffect, own: Mapping[str, tuple[float, float]], *, alone: bool
 ) -> dict[str, Estimate]:
     out = {}
     for p, (change, sigma) in own.items():
         e = found.parameters[p]
         low, high = plausible(believed, found.name, p)
-        if differs:
+        if alone:
             now = float(np.clip(e.estimate + change, low, high))
             reach = max(CI * sigma, 0.5 * (e.high - e.low))  # of what no row shows, too
             out[p] = replace(

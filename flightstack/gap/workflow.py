@@ -129,22 +129,16 @@ def _concluded(
 def _without_loop_noise(
     vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, centre_s: Sequence[float]
 ) -> tuple[Selection, FitHoldoutSplit, Gap]:
-    """The names by instruments that a loop's noise does not reach, less those of which then nothing is left.
+    """The names less those of which nothing is left by instruments that a loop's noise does not reach.
 
-    Beside something unexplained instruments are bent by it as well: there estimates stay what they are.
+    Beside something unexplained instruments are bent by it as well.
     """
     while naming.found and not naming.unexplained.significant and not far_from_noise(gap):
-        found, corrected, differs = instruments.compared(
-            vehicle, naming.vehicle, naming.found, of.flights, of.fit, centre_s
-        )
-        naming = replace(naming, found=found, vehicle=corrected)
-        if not differs:
-            break
-        gone = interval_contains_nominal(naming.found) or tuple(
-            f.name for f in naming.found if instruments.is_trifling(vehicle, f)
-        )
+        wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, of.flights, of.fit, centre_s)
+        gone = interval_contains_nominal(alone or ())
+        gone = gone or tuple(f.name for f in alone or () if instruments.is_trifling(vehicle, f))
         if not gone:
-            gap = _verdict(vehicle, naming, of)
+            naming = replace(naming, found=wide)
             break
         left = naming.without(gone[-1:], "nothing of it is left without the noise that the loop feeds back")
         naming, of = _refined(vehicle, replace(left, unexplained=naming.unexplained), of)

@@ -39,29 +39,21 @@ def lag_of(told_s: float) -> tuple[IdentifiedEffect, Vehicle]:
 
 
 def test_a_lag_that_the_loops_noise_has_bent_is_put_right(shaky: Samples) -> None:
-    """12 ms too short: the planted one is in the interval."""
+    """12 ms too short: the planted one is in the interval, by instruments alone and beside the estimate."""
     found, vehicle = lag_of(TRUE_LAG_S - 0.012)
-    (lag,), corrected, differs = instruments.compared(quad(), vehicle, [found], [shaky], [shaky.valid], [0.0])
-    told = lag.parameters["time_constant_s"]
-    assert differs
-    assert told.low < TRUE_LAG_S < told.high
-    assert corrected.effects["motor_lag"]["time_constant_s"] == told.estimate
+    wide, alone = instruments.compared(quad(), vehicle, [found], [shaky], [shaky.valid], [0.0])
+    assert alone is not None
+    for (lag,) in (wide, alone):
+        told = lag.parameters["time_constant_s"]
+        assert told.low < TRUE_LAG_S < told.high
+    assert wide[0].parameters["time_constant_s"].estimate == TRUE_LAG_S - 0.012
 
 
 def test_the_truth_is_left_alone(shaky: Samples) -> None:
     found, vehicle = lag_of(TRUE_LAG_S)
-    (lag,), same, differs = instruments.compared(quad(), vehicle, [found], [shaky], [shaky.valid], [0.0])
-    assert not differs
-    assert same is vehicle
+    (lag,), alone = instruments.compared(quad(), vehicle, [found], [shaky], [shaky.valid], [0.0])
+    assert alone is None
     assert lag.parameters["time_constant_s"].estimate == TRUE_LAG_S
-
-
-def test_a_lag_that_is_no_more_than_another_time_of_acting_is_none(shaky: Samples) -> None:
-    """Nobody knows to half a sample when commands acted: a lag off by less is not sure to differ from the file's."""
-    found, vehicle = lag_of(TRUE_LAG_S)
-    known = replace(found, parameters={"time_constant_s": Estimate(0.02, TRUE_LAG_S, 0.041, 0.043)})
-    (lag,), _, _ = instruments.compared(quad(), vehicle, [known], [shaky], [shaky.valid], [0.004])
-    assert lag.parameters["time_constant_s"].low <= TRUE_LAG_S <= lag.parameters["time_constant_s"].high
 
 
 def test_commands_that_rows_hold_are_seen_to_have_acted_before_their_stamps() -> None:
