@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import Model, thrust_to_norm
 from flightstack.types import F64, Command, Tuple3
 
@@ -43,7 +43,7 @@ class Applied(NamedTuple):
     def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
         """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
         curve = model.max_thrust_n, model.thrust_model_factor
-        return Applied(*_followed(*self, sent.thrust_norm, motor_command, *curve, float(dt_us)))
+        return Applied(*_FOLLOWED.call(*self, sent.thrust_norm, motor_command, *curve, dt_us))
 
     def of(self, sent: Command) -> Command:
         """The command as it was applied; the very same one where nothing was changed."""
@@ -75,3 +75,6 @@ def _followed(
 def _share(value: float) -> float:
     """Within 0..1."""
     return 0.0 if value < 0.0 else 1.0 if value > 1.0 else value
+
+
+_FOLLOWED = Entry(_followed, "f8, f8, f8, f8, f8[::1], f8, f8, f8")

@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3, Tuple4
 
 FROZEN_US = 100_000
@@ -41,7 +41,6 @@ _JERK_MPS3 = 60.0
 default of 220 deg/s at 1 g makes 38."""
 _JUDGED_MAX_S = 0.5
 """Over a longer gap a step of position says nothing."""
-_ZERO = (0.0, 0.0, 0.0)
 
 # The row: samples as they came last, what is worked out from them, then stamps (us; -1 before the first).
 _POS, _VEL, _FORCE, _RATE, _ATTITUDE_RATE, _Q = 0, 3, 6, 9, 12, 15
@@ -51,7 +50,9 @@ _VELOCITY_ERROR, _POSITION_ERROR, _TILT_ERROR = 22, 25, 28
 _POSITION_US, _IMU_US, _ATTITUDE_US = 29, 30, 31
 _POSITION_CHANGED_US, _VELOCITY_CHANGED_US, _IMU_CHANGED_US, _ATTITUDE_CHANGED_US = 32, 33, 34, 35
 """When a stream had another value than before; what it repeats it has held since."""
-_ROW = 36
+_STEP = 36
+"""What the newest position moved beyond what velocity explains."""
+_ROW = 39
 
 _TROUBLES = (
     "", "frozen-attitude", "frozen-imu", "frozen-position", "attitude-against-gyro", "velocity-against-imu",
@@ -63,53 +64,57 @@ class EstimateWatch:
     """Watches position, velocity, attitude and IMU of one vehicle; `trouble` names the first contradiction.
 
     Steps of position are not judged here: `step_ned_m` holds the newest one, and who knows the estimator's counter of
-    resets decides what it was.
+    resets decides what it was.  `row` is for compiled code that feeds it (`watch_imu` and the other two).
     """
 
-    __slots__ = ("_row", "step_ned_m")
+    __slots__ = ("row",)
 
     def __init__(self) -> None:
-        self._row = np.zeros(_ROW)
-        self._row[_Q] = self._row[_DOWN + 2] = 1.0
-        self._row[_POSITION_US:] = -1.0
-        self.step_ned_m: Tuple3 = _ZERO
-        """What the newest position sample moved beyond what velocity explains, m."""
+        self.row = np.zeros(_ROW)
+        self.row[_Q] = self.row[_DOWN + 2] = 1.0
+        self.row[_POSITION_US:_STEP] = -1.0
 
     def forgive(self) -> None:
         """Begin all sums anew, as after a reset of the estimator that is accounted for."""
-        _forgive(self._row)
+        _forgive(self.row)
 
     def imu(self, t_us: int, force_frd_mps2: Tuple3, rate_frd_radps: Tuple3) -> None:
         """HIGHRES_IMU: specific force and body rates."""
-        _imu(self._row, float(t_us), *force_frd_mps2, *rate_frd_radps)
+        watch_imu(self.row, float(t_us), np.array([*force_frd_mps2, *rate_frd_radps]))
 
     def attitude(self, t_us: int, q_ned_frd: Tuple4, rate_frd_radps: Tuple3) -> None:
         """ATTITUDE_QUATERNION."""
-        _attitude(self._row, float(t_us), q_ned_frd, rate_frd_radps)
+        watch_attitude(self.row, float(t_us), np.array([*q_ned_frd, *rate_frd_radps]))
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """LOCAL_POSITION_NED."""
-        self.step_ned_m = _position(self._row, float(t_us), *pos_ned_m, *vel_ned_mps)
+        watch_position(self.row, float(t_us), np.array([*pos_ned_m, *vel_ned_mps]))
+
+    @property
+    def step_ned_m(self) -> Tuple3:
+        """What the newest position sample moved beyond what velocity explains, m."""
+        north, east, down = self.row[_STEP : _STEP + 3].tolist()
+        return north, east, down
 
     @property
     def velocity_error_mps(self) -> float:
         """Velocity's lead over the IMU's of the last half second or so."""
-        return math.hypot(*self._row[_VELOCITY_ERROR : _VELOCITY_ERROR + 3].tolist())
+        return math.hypot(*self.row[_VELOCITY_ERROR : _VELOCITY_ERROR + 3].tolist())
 
     @property
     def position_error_m(self) -> float:
         """Position's lead over velocity's of the last second or so."""
-        return math.hypot(*self._row[_POSITION_ERROR : _POSITION_ERROR + 3].tolist())
+        return math.hypot(*self.row[_POSITION_ERROR : _POSITION_ERROR + 3].tolist())
 
     @property
     def tilt_error_rad(self) -> float:
         """Between the tilt reported and the one that the gyro carried on."""
-        return self._row.item(_TILT_ERROR)
+        return self.row.item(_TILT_ERROR)
 
     @property
     def trouble(self) -> str:
         """Name of the first contradiction (a row of the fault table), empty where there is none."""
-        return _TROUBLES[_trouble(self._row)]
+        return _TROUBLES[_JUDGE.call(self.row)]
 
 
 @njit
@@ -144,11 +149,13 @@ def _put(row: F64, place: int, x: float, y: float, z: float) -> bool:
 
 
 @njit
-def _imu(row: F64, t_us: float, fx: float, fy: float, fz: float, p: float, q: float, r: float) -> None:
+def watch_imu(row: F64, t_us: float, sample: F64) -> None:
+    """Specific force and body rates (6,); `row` is an EstimateWatch's."""
     dt = (t_us - row[_IMU_US]) * 1e-6
     if dt <= 0.0:
         return
     row[_IMU_US] = t_us
+    fx, fy, fz, p, q, r = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
     p0, q0, r0 = row[_RATE], row[_RATE + 1], row[_RATE + 2]
     pushed, turned = _put(row, _FORCE, fx, fy, fz), _put(row, _RATE, p, q, r)
     if pushed or turned or row[_IMU_CHANGED_US] < 0.0:
@@ -168,12 +175,13 @@ def _imu(row: F64, t_us: float, fx: float, fy: float, fz: float, p: float, q: fl
 
 
 @njit
-def _attitude(row: F64, t_us: float, q_ned_frd: Tuple4, rate: Tuple3) -> None:
+def watch_attitude(row: F64, t_us: float, sample: F64) -> None:
+    """Attitude and body rates (7,); `row` is an EstimateWatch's."""
     dt = (t_us - row[_ATTITUDE_US]) * 1e-6
     if dt <= 0.0:
         return
     row[_ATTITUDE_US] = t_us
-    (w, x, y, z), (p, q, r) = q_ned_frd, rate
+    w, x, y, z, p, q, r = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5], sample[6]
     turned, lain = _put(row, _ATTITUDE_RATE, p, q, r), _put(row, _Q + 1, x, y, z)
     if turned or lain or w != row[_Q] or row[_ATTITUDE_CHANGED_US] < 0.0:
         row[_ATTITUDE_CHANGED_US] = t_us
@@ -188,13 +196,22 @@ def _attitude(row: F64, t_us: float, q_ned_frd: Tuple4, rate: Tuple3) -> None:
 
 
 @njit
-def _position(row: F64, t_us: float, n: float, e: float, d: float, vn: float, ve: float, vd: float) -> Tuple3:
+def watch_position(row: F64, t_us: float, sample: F64) -> float:
+    """Position and velocity (6,); `row` is an EstimateWatch's.  The largest part of its unexplained step."""
+    step = _moved(row, t_us, sample)
+    row[_STEP], row[_STEP + 1], row[_STEP + 2] = step
+    return max(abs(step[0]), abs(step[1]), abs(step[2]))
+
+
+@njit
+def _moved(row: F64, t_us: float, sample: F64) -> Tuple3:
     """What the sample moved beyond what velocity explains."""
     dt = (t_us - row[_POSITION_US]) * 1e-6
     if dt <= 0.0:
         return 0.0, 0.0, 0.0
     first = row[_POSITION_US] < 0.0
     row[_POSITION_US] = t_us
+    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
     n0, e0, d0 = row[_POS], row[_POS + 1], row[_POS + 2]
     vn0, ve0, vd0 = row[_VEL], row[_VEL + 1], row[_VEL + 2]
     if _put(row, _POS, n, e, d) or row[_POSITION_CHANGED_US] < 0.0:
@@ -243,3 +260,6 @@ def _put_unit(row: F64, x: float, y: float, z: float) -> None:
     size = math.sqrt(x * x + y * y + z * z)
     size = size if size > 0.0 else 1.0
     row[_DOWN], row[_DOWN + 1], row[_DOWN + 2] = x / size, y / size, z / size
+
+
+_JUDGE = Entry(_trouble, "f8[::1]")

@@ -56,19 +56,19 @@ _ROW = 26
 class EstimateObserver:
     """The observer of one vehicle's position stream; mutable, one row of numbers."""
 
-    __slots__ = ("_row",)
+    __slots__ = ("row",)
 
     def __init__(self) -> None:
-        self._row = np.zeros(_ROW)
-        self._row[_TIME] = -1.0
+        self.row = np.zeros(_ROW)
+        self.row[_TIME] = -1.0
 
     def position(self, t_us: int, pos_ned_m: Tuple3, vel_ned_mps: Tuple3) -> None:
         """A sample of position and velocity, with the vehicle's stamp; an older one than the last changes nothing."""
-        _observe(self._row, 1e-6 * t_us, *pos_ned_m, *vel_ned_mps)
+        observe(self.row, 1e-6 * t_us, np.array([*pos_ned_m, *vel_ned_mps]))
 
     def reset(self) -> None:
         """The estimator has counted a reset: the next position is where it is, and c is what it was slowly."""
-        row = self._row
+        row = self.row
         row[_TIME] = -1.0
         row[_C : _C + 3] = row[_SLOW : _SLOW + 3]
         row[_SLOPE : _SLOPE + 3] = 0.0
@@ -76,30 +76,37 @@ class EstimateObserver:
     @property
     def disagreement_ned_mps(self) -> F64:
         """(3,) c^ now, m/s."""
-        return self._row[_C : _C + 3].copy()
+        return self.row[_C : _C + 3].copy()
 
     @property
     def rms_ned_mps(self) -> F64:
         """(3,) root mean square of c^ over the last 15 s, m/s."""
-        return np.sqrt(self._row[_SQUARE : _SQUARE + 3])
+        return np.sqrt(self.row[_SQUARE : _SQUARE + 3])
 
     @property
     def weight(self) -> F64:
         """(3,) share of c^ that is added to the velocity, 0..1."""
-        return np.array([_weight(self._row, i) for i in range(3)])
+        return np.array([_weight(self.row, i) for i in range(3)])
 
     @property
     def distrust(self) -> float:
         """0..1: how plainly the estimator contradicts itself, by its worst axis."""
-        return float(max(_weight(self._row, i) for i in range(3)))
+        return float(distrusted(self.row))
 
     def correct(self, vel_ned_mps: F64) -> None:
         """Add what is known of the disagreement to a velocity (3,), in place."""
-        _correct(self._row, vel_ned_mps)
+        correct(self.row, vel_ned_mps)
 
 
 @njit
-def _correct(row: F64, vel: F64) -> None:
+def distrusted(row: F64) -> float:
+    """As `EstimateObserver.distrust`."""
+    return max(_weight(row, 0), _weight(row, 1), _weight(row, 2))
+
+
+@njit
+def correct(row: F64, vel: F64) -> None:
+    """As `EstimateObserver.correct`."""
     for i in range(3):
         vel[i] += _weight(row, i) * row[_C + i]
 
@@ -111,8 +118,9 @@ def _weight(row: F64, i: int) -> float:
 
 
 @njit
-def _observe(row: F64, t: float, n: float, e: float, d: float, vn: float, ve: float, vd: float) -> None:
-    """One sample; what is not finite changes nothing."""
+def observe(row: F64, t: float, sample: F64) -> None:
+    """One sample (6,) of position and velocity; what is not finite changes nothing."""
+    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
     if not math.isfinite(n + e + d + vn + ve + vd):
         return
     dt = t - row[_TIME]

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.autopilot import autopilot_of
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import thrust_to_norm
 from flightstack.rate_loop import (
     A2,
@@ -162,7 +162,7 @@ class Governor:
         if limits is not None:
             most = (limits.roll_pitch_max, limits.yaw_max, *_command_range(limits, self._undone))
         ahead = (math.sin(heading_rad), math.cos(heading_rad)) if math.isfinite(heading_rad) else (0.0, 1.0)
-        norm, changed = govern(state.memory, *self._loop, *self._buffers, rate, norm, int(steps), most, ahead)
+        norm, changed = _GOVERN.call(state.memory, *self._loop, *self._buffers, rate, norm, int(steps), most, ahead)
         return GovernorState(state.memory, t_us), norm, self._buffers.out.copy() if changed else None
 
     @staticmethod
@@ -347,3 +347,6 @@ def _peak(torques: F64, steps: int, lanes: int, first: int, apart: int, change: 
 
 
 __all__ = ["Governor", "GovernorLimits", "GovernorState", "govern"]
+
+
+_GOVERN = Entry(govern, "f8[::1], " * 11 + "f8, i8, UniTuple(f8, 4), UniTuple(f8, 2)")

@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from flightstack.frames import quat_to_matrix
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import Limits, Model
 from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Measurement
@@ -95,7 +95,7 @@ class Guard:
 
         The arguments are those of `check`.
         """
-        if not _outside(measurement.pos_ned_m, origin_ned_m, self._bounds):
+        if not _OUTSIDE.call(measurement.row, origin_ned_m, self._bounds):
             return command, False
         brake, name = self.check(command, measurement, origin_ned_m, carried_n, now_us)
         return (brake, True) if name == OUTSIDE else (command, False)
@@ -115,9 +115,9 @@ class Guard:
         if measurement is None or lost == "attitude":
             code, thrust = _ATTITUDE, min(max(carried, float(self._bounds[0])), float(self._bounds[1]))
         else:
-            code, thrust = _judge(
-                (float(command.thrust_n), float(command.thrust_norm)), command.rate_frd_radps, measurement.row,
-                origin_ned_m, float(carried), self._bounds, (lost != "", turned), rate,
+            code, thrust = _JUDGE.call(
+                (command.thrust_n, command.thrust_norm), command.rate_frd_radps, measurement.row,
+                origin_ned_m, carried, self._bounds, (lost != "", turned), rate,
             )  # fmt: skip
         if code == _PASS:
             return command, OUTSIDE if turned else ""
@@ -201,3 +201,7 @@ def _lean(q: F64, vel: F64, bounds: F64, out: F64) -> float:
     out[1] = min(max(gain * x, -bounds[_RATES + 1]), bounds[_RATES + 1])
     out[2] = 0.0
     return r[2, 2]  # type: ignore[no-any-return]
+
+
+_OUTSIDE = Entry(_outside, "f8[::1], f8[::1], f8[::1]")
+_JUDGE = Entry(_judge, "UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8, f8[::1], UniTuple(b1, 2), f8[::1]")

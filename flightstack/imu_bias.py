@@ -41,31 +41,39 @@ _ROW = _BEFORE + 3 * _RING
 class ImuBias:
     """What is known of one vehicle's b; mutable, one row of numbers."""
 
-    __slots__ = ("_row",)
+    __slots__ = ("row",)
 
     def __init__(self) -> None:
-        self._row = np.zeros(_ROW)
-        self._row[_LAST_S] = -1.0
+        self.row = np.zeros(_ROW)
+        self.row[_LAST_S] = -1.0
 
     @property
     def bias_frd_mps2(self) -> F64:
         """(3,) b, body axes; zero where only one of the streams is heard."""
-        return self._row[_BIAS : _BIAS + 3].copy()
+        return self.row[_BIAS : _BIAS + 3].copy()
 
     def reported(self, accel_frd_mps2: Tuple3) -> None:
         """A sample without the bias."""
-        _keep(self._row, *accel_frd_mps2)
+        keep_reported(self.row, np.array(accel_frd_mps2))
 
     def raw(self, t_us: int, accel_frd_mps2: Tuple3) -> None:
         """A sample with it, and the vehicle's stamp; what is not finite changes nothing."""
-        _compare(self._row, 1e-6 * t_us, *accel_frd_mps2)
+        _compare(self.row, 1e-6 * t_us, *accel_frd_mps2)
 
 
 @njit
-def _keep(row: F64, x: float, y: float, z: float) -> None:
+def add_bias(row: F64, share: float, force: F64) -> None:
+    """Add a share of b to a specific force (3,), in place."""
+    for i in range(3):
+        force[i] += share * row[_BIAS + i]
+
+
+@njit
+def keep_reported(row: F64, force: F64) -> None:
+    """A sample (3,) without the bias."""
     head = int(row[_HEAD])
     place = _SAMPLES + 3 * head
-    row[place], row[place + 1], row[place + 2] = x, y, z
+    row[place : place + 3] = force
     row[_HEAD] = (head + 1) % _RING
     row[_FILLED] = min(row[_FILLED] + 1.0, float(_RING))
 

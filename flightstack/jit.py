@@ -21,13 +21,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching, registry
+from numba.core import caching, registry, sigutils, types
 from numba.core import config as _numba_config
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 
@@ -159,7 +159,7 @@ def cache_folder() -> Path:
 def sources_key() -> str:
     """Hash over every source of the installed packages that may hold compiled code."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for package in ("flightstack", "flightstack_sim"):
+    for package in ("flightstack", "flightstack_sim", "mavlink_bridge"):
         folder = _package_folder(package)
         for path in sorted(folder.rglob("*.py")) if folder else ():
             text = path.read_bytes()
@@ -247,3 +247,48 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     compiled.get_call_template = get_call_template
     compiled.get_overload = lambda signature: called().get_overload(signature)
     return compiled  # type: ignore[no-any-return]
+
+
+class Entry:
+    """A compiled function for a caller in Python who always passes the same types, which are said here.
+
+    numba looks at every argument's type at every call, which takes longer than a short function; through `call` it does
+    not.  Arrays have to be contiguous and of the type that is said: what is not an array of so many dimensions and of
+    that size of element raises, the rest is the caller's promise.  (tests/conftest.py holds every call to it.)
+    """
+
+    __slots__ = ("_function", "_types", "call")
+
+    checked = False
+    """Every call looks at its arguments: for tests."""
+
+    def __init__(self, function: Callable[..., Any], types: str) -> None:
+        """`types`: of the arguments, in numba's words (`f8[::1], i8`)."""
+        self._function: Any = function
+        self._types = types
+        self.call: Callable[..., Any] = self._first
+
+    def _first(self, *arguments: Any) -> Any:
+        """Compile, and from now on call what was compiled."""
+        kinds, _ = sigutils.normalize_signature(f"({self._types},)")
+        self._function.compile(kinds)
+        entry = self._function.overloads[kinds].entry_point
+        self.call = partial(self._checked, entry, kinds) if Entry.checked else entry
+        return self.call(*arguments)
+
+    def _checked(self, entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
+        # An int of any size: numba has no type for one beyond 64 bits, a float takes it all the same.
+        given = tuple(types.int64 if type(argument) is int else numba.typeof(argument) for argument in arguments)
+        for kind, other in zip(kinds, given, strict=True):
+            same = kind == other if isinstance(kind, types.Array) else self._fits(kind, other)
+            assert same or (isinstance(other, types.Array) and other.copy(readonly=False) == kind), (
+                f"{self._function.__name__} of {self._types} was called with {given}"
+            )
+        return entry(*arguments)
+
+    @staticmethod
+    def _fits(kind: Any, other: Any) -> bool:
+        """Whether a value that is no array is turned into the type without loss."""
+        if kind == types.float64:
+            return isinstance(other, types.Float | types.Integer | types.Boolean)
+        return isinstance(other, types.Integer | types.Boolean) if isinstance(kind, types.Integer) else kind == other

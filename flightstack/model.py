@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, InputError, Tuple3
 from flightstack.vehicle import Vehicle
 
@@ -160,7 +160,7 @@ class Limiter:
     def limit(self, thrust_n: float, rate_frd_radps: F64, now_us: int) -> tuple[Command, bool]:
         """The command within the limits, and whether thrust was cut; what is not a number stays so, for the guard."""
         rate = np.empty(3)
-        thrust, norm = limit_command(thrust_n, rate_frd_radps, self._constants, rate)
+        thrust, norm = _LIMIT.call(thrust_n, rate_frd_radps, self._constants, rate)
         return Command(now_us, thrust, norm, rate), thrust != thrust_n
 
 
@@ -197,6 +197,9 @@ def thrust_to_norm(thrust_n: float, max_thrust_n: float, thrust_model_factor: fl
     linear = 1.0 - thrust_model_factor
     denominator = linear + math.sqrt(linear * linear + 4.0 * thrust_model_factor * share)
     return 2.0 * share / denominator if denominator > 0.0 else 0.0
+
+
+_LIMIT = Entry(limit_command, "f8, f8[::1], f8[::1], f8[::1]")
 
 
 def _drag_kgps(vehicle: Vehicle, max_thrust_n: float) -> Tuple3:

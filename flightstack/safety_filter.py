@@ -45,6 +45,7 @@ from flightstack.barrier.response import M_MODE, new_memory, remember
 from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.torque import within
 from flightstack.governor import GovernorLimits
+from flightstack.jit import Entry
 from flightstack.model import Limiter, Limits, Model
 from flightstack.rows import ATTITUDE, F_INTERVENED, F_ITERATIONS, F_RESIDUAL, F_STATUS, F_THRUST, F_VERSION, F_WANTED
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
@@ -179,7 +180,7 @@ class BarrierFilter:
             row[F_STATUS], row[F_VERSION] = FALSIFIED, certificate.version
             return state, command, Filtered(row)
         times_us = (float(sent.t_us), float(measurement.t_us), float(command.t_us))
-        status = assess(
+        status = _ASSESS.call(
             state.memory, packed, measurement.row, times_us, state.origin_ned_m,
             (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
             (work, self._rows, self._low, self._high), row,
@@ -244,3 +245,10 @@ def _rests(axis: AxisCertificate, e_m: float) -> bool:
 
 def _region(certificate: Certificate) -> tuple[object, ...]:
     return certificate.centre_ned_m, tuple(axis.axis for axis in certificate.axes)
+
+
+_ASSESS = Entry(
+    assess,
+    "f8[:, ::1], f8[::1], f8[::1], UniTuple(f8, 3), f8[::1], Tuple((f8, f8[::1], f8, f8[::1])), "
+    "Tuple((f8[::1], f8[:, ::1], f8[::1], f8[::1])), f8[::1]",
+)

@@ -26,7 +26,7 @@ import numpy as np
 
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Measurement
 
 SAMPLE_S = 0.008
@@ -98,7 +98,7 @@ class StateObserver:
         span_us, new = now_us - self._last_us, sample_us > self._sample_us
         anew = self._last_us < 0 or span_us > _GAP_MAX_US or measurement.position_age_us > _GAP_MAX_US
         row = measurement.row.copy()
-        restarted = _refine(
+        restarted = _REFINE.call(
             self._state, max(1e-6 * span_us, 0.0), anew or span_us < 0, new, self._gains, self._constants, row
         )
         self.restarts += restarted and self._last_us >= 0
@@ -154,3 +154,6 @@ def _refine(state: F64, dt: float, anew: bool, new: bool, gains: F64, constants:
         for i in range(4):
             row[6 + i] = turned[i] / norm
     return False
+
+
+_REFINE = Entry(_refine, "f8[:, ::1], f8, b1, b1, f8[:, :, ::1], f8[::1], f8[::1]")

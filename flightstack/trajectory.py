@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.rows import YAW, YAW_RATE
 from flightstack.types import F64, FlatOutput, Tuple3
 
@@ -60,7 +60,7 @@ class Sinusoid:
     def at(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s`."""
         row = np.empty(_FLAT)
-        _sinusoid(t_s, self.table, self.yaw_rad, row)
+        _SINUSOID.call(t_s, self.table, self.yaw_rad, row)
         return FlatOutput(row)
 
     def moved(self, offset_ned_m: F64) -> Sinusoid:
@@ -113,7 +113,7 @@ class Polynomial:
     def at(self, t_s: float) -> FlatOutput:
         """Flat outputs at `t_s`."""
         row = np.empty(_FLAT)
-        _polynomial(t_s, self.knots_s, self.coefficients, row)
+        _POLYNOMIAL.call(t_s, self.knots_s, self.coefficients, row)
         return FlatOutput(row)
 
     def moved(self, offset_ned_m: F64) -> Polynomial:
@@ -229,6 +229,10 @@ def _polynomial(t: float, knots: F64, coefficients: F64, row: F64) -> None:
             elif order < 2:
                 row[15 + order] = value * scale
             scale /= span
+
+
+_SINUSOID = Entry(_sinusoid, "f8, f8[:, ::1], f8, f8[::1]")
+_POLYNOMIAL = Entry(_polynomial, "f8, f8[::1], f8[:, :, ::1], f8[::1]")
 
 
 @dataclass(frozen=True, slots=True)

@@ -307,7 +307,5 @@ class TickRecord(NamedTuple):
     @property
     def digest(self) -> int:
         """CRC-32 over every bit of reference, proposal, what was learned and what was filtered."""
-        found = 0
-        for part in (self.reference, self.proposal, self.learned, self.filtered):
-            found = crc32(part.row.tobytes(), found)
-        return found
+        found = crc32(self.proposal.row.data, crc32(self.reference.row.data))
+        return crc32(self.filtered.row.data, crc32(self.learned.row.data, found))

@@ -36,7 +36,7 @@ from flightstack.barrier.response import (
     thrust_of,
 )
 from flightstack.frames import quat_to_matrix
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import Model, thrust_to_norm
 from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z, VEL_D, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement
@@ -73,7 +73,7 @@ class UnderWay:
         delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s
         row = measurement.row.copy()
         times_us = (float(measurement.t_us), float(measurement.t_us + min(max(late_us, 0), _MOST_US)))
-        _carry(
+        _CARRY.call(
             memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
             (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, _NONE if in_force is None else in_force,
         )  # fmt: skip
@@ -118,5 +118,7 @@ def _carry(
     for i in range(13):
         row[i] = state[i]
 
+
+_CARRY = Entry(_carry, "f8[:, ::1], f8[::1], f8, f8, UniTuple(f8, 2), Tuple((f8, f8, f8[::1])), f8[::1], f8[::1]")
 
 __all__ = ["UnderWay"]

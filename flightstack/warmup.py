@@ -52,6 +52,7 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     measurement = predict(streams, 1000)
     assert measurement is not None  # every stream was fed
     StateObserver(_STATISTICS).refine(measurement)
+    assert streams.observer.weight.shape == (3,)  # the log asks for it
     mission = plan(scenario, np.zeros(3))
     for time_s in (0.0, mission.takeoff_end_s, mission.track_start_s, mission.track_end_s):
         setpoint = mission.reference(time_s + 0.1)

@@ -14,12 +14,14 @@ import math
 
 import numpy as np
 
+from flightstack.jit import Entry, njit
 from flightstack.types import F64, Tuple4
 
 GRID_S: F64 = np.arange(0.0, 0.0601, 0.001)
 _GRID_US = GRID_S * 1e6
-_RING, _ROOM = 64, 1024
-"""Commands that are looked at, and that there is room for before they are moved to the front."""
+_DELAYS = len(GRID_S)
+_RING = 64
+"""Commands that are looked at."""
 _WINDOW = 50
 """Reports: half a second of them."""
 _LEAST_WINDOWS = 5
@@ -37,39 +39,25 @@ class CommandLatency:
     """Fed with what is sent and what is reported; `latency_s` is the answer."""
 
     def __init__(self) -> None:
-        self._t_us = np.full(_ROOM, -math.inf)
-        self._thrust = np.full(_ROOM, math.nan)
-        self._end = _RING
-        self._square = np.zeros(len(GRID_S))
-        self._reports = 0
+        self.sent_row = np.full(1 + 2 * _RING, math.nan)
+        """Where the next command goes, then the times of the last ones and their thrusts; a ring."""
+        self.sent_row[0], self.sent_row[1 : 1 + _RING] = 0.0, -math.inf
+        self.square_row = np.zeros(1 + len(GRID_S))
+        """Reports of this window, then the square error of each delay."""
         self._found_s: list[float] = []
 
     def sent(self, t_us: int, thrust_norm: float) -> None:
         """Normalised thrust sent at a vehicle time."""
-        end = self._end
-        if end == _ROOM:
-            self._t_us[:_RING], self._thrust[:_RING] = self._t_us[-_RING:], self._thrust[-_RING:]
-            end = _RING
-        self._t_us[end], self._thrust[end] = t_us, thrust_norm
-        self._end = end + 1
+        _SENT.call(self.sent_row, t_us, thrust_norm)
 
     def reported(self, t_us: int, motors: Tuple4) -> None:
         """Normalised motor commands at a vehicle time; those that say nothing are left out."""
-        if not (min(motors) > _ENDS and max(motors) < 1.0 - _ENDS):
-            return
-        a, b, c, d = motors
-        thrust = 0.25 * (a + b + c + d)
-        kept = slice(self._end - _RING, self._end)
-        places = self._t_us[kept].searchsorted(t_us - _GRID_US, side="right") - 1
-        if places.item(-1) < 0:
-            return
-        error = self._thrust[kept].take(places) - thrust
-        error *= error
-        if not math.isfinite(error.sum()):  # nothing was sent yet so long ago
-            return
-        self._square += error
-        self._reports += 1
-        if self._reports == _WINDOW:
+        compare_report(self.sent_row, self.square_row, float(t_us), np.array(motors))
+        self.look()
+
+    def look(self) -> None:
+        """Close the window that is full."""
+        if self.square_row.item(0) >= _WINDOW:
             self._close_window()
 
     @property
@@ -81,9 +69,41 @@ class CommandLatency:
         return float(middle) if high - low <= _STEP_S else math.nan
 
     def _close_window(self) -> None:
-        square = self._square / self._reports
-        self._square, self._reports = np.zeros(len(GRID_S)), 0
+        square = self.square_row[1:] / self.square_row[0]
+        self.square_row[:] = 0.0
         alike = np.flatnonzero(square <= _ALIKE * (square.min() + _FLOOR))
         first, last = GRID_S[alike[0]], GRID_S[alike[-1]]
         if last - first <= _STEP_S + 1e-9 and last < GRID_S[-1]:
             self._found_s.append(float(0.5 * (first + last)))
+
+
+@njit
+def _send(row: F64, t_us: float, thrust_norm: float) -> None:
+    place = int(row[0])
+    row[1 + place], row[1 + _RING + place] = t_us, thrust_norm
+    row[0] = (place + 1) % _RING
+
+
+@njit
+def compare_report(sent: F64, square: F64, t_us: float, motors: F64) -> None:
+    """A report (4,) at a vehicle time, into the rows of a CommandLatency; one that says nothing is left out."""
+    if not (motors.min() > _ENDS and motors.max() < 1.0 - _ENDS):
+        return
+    thrust = 0.25 * (motors[0] + motors[1] + motors[2] + motors[3])
+    errors = np.empty(_DELAYS)
+    place = int(sent[0]) + _RING - 1  # the newest
+    oldest = place - _RING + 1
+    for k in range(_DELAYS):
+        while sent[1 + place % _RING] > t_us - _GRID_US[k]:
+            place -= 1
+            if place < oldest:
+                return
+        errors[k] = (sent[1 + _RING + place % _RING] - thrust) ** 2
+    if not math.isfinite(errors.sum()):  # nothing was sent yet so long ago
+        return
+    square[0] += 1.0
+    for k in range(_DELAYS):
+        square[1 + k] += errors[k]
+
+
+_SENT = Entry(_send, "f8[::1], f8, f8")

@@ -8,6 +8,7 @@ from typing import Any
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.decide import Situation
+from mavlink_bridge.frequent import Heard, Reader, Taking
 from mavlink_bridge.link import Link, Received
 from mavlink_bridge.onlookers import Observer
 from mavlink_bridge.voice import Voice
@@ -28,6 +29,7 @@ class Hearing:
     def __init__(self, link: Link, now: Situation, watch: Watchdogs, voice: Voice, observer: Observer) -> None:
         self._link, self._now, self._watch, self._voice, self._observer = link, now, watch, voice, observer
         self._mode_seen = -1
+        self._taking = Taking(now.view, watch)
 
     def take_all(self, t_us: int, now_us: int) -> None:
         """Everything that has arrived; vehicle and local time."""
@@ -52,10 +54,16 @@ class Hearing:
         if isinstance(message, m.Heartbeat) and received.component == px4.COMPONENT_AUTOPILOT:
             self._now.system = self._voice.system = received.system
             self._link.expect_peer(received.system)
+            self._link.read_runs(Reader(received.system, received.component))
             self._take(message, t_us, now_us)
 
     def _take(self, message: Any, t_us: int, now_us: int) -> None:
-        kind, rare, view = type(message), type(message) in _RARE, self._now.view
+        kind, view = type(message), self._now.view
+        if kind is Heard:
+            self._taking.take(message, now_us)
+            self._observer.on_message(t_us, message)
+            return
+        rare = kind in _RARE
         if rare and kind in _ANSWERS and message.target_system not in (0, self._link.system):
             return  # somebody else's answer
         before = view.params.values.get(message.param_id) if kind is m.ParamValue else None

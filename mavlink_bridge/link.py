@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 from fastcrc.crc16 import mcrf4xx
@@ -56,6 +57,16 @@ class Received(NamedTuple):
     """The `now_us` it was received with."""
     message: Any
     """One of the event classes of `mavlink_bridge.messages`."""
+
+
+class RunReader(Protocol):
+    """Reads several messages of one sender at once (`frequent`)."""
+
+    source: int
+    """system << 8 | component."""
+
+    def read(self, data: bytes, at: int, sequence: int) -> tuple[int, int, object | None]:
+        """What begins at `at`, its sequence number given: where it ends, how many messages, and what they are."""
 
 
 class Signing(Protocol):
@@ -137,6 +148,7 @@ class Link:
         self._expected: dict[int, int] = {}
         self._peer = 0
         self._lean = signing is None and isinstance(self._framing, DatagramFraming)
+        self._runs: RunReader | None = None
 
     @property
     def signing(self) -> bool:
@@ -151,6 +163,10 @@ class Link:
     def expect_peer(self, system: int) -> None:
         """From now on only this system's sequence gaps count as losses; its messages and others' come in as before."""
         self._peer = system
+
+    def read_runs(self, reader: RunReader) -> None:
+        """From now on what `reader` can read is handed out as it says, where good frames follow one another."""
+        self._runs = reader
 
     def receive_datagram(self, data: bytes, now_us: int) -> None:
         """Take what arrived at `now_us`: one datagram, or any piece of a stream."""
@@ -185,10 +201,7 @@ class Link:
 
     def queue(self, frames: bytes, ends: list[int]) -> None:
         """Queue unsigned frames of this link's own, one after the other, each numbered on from `next_sequence`."""
-        begin = 0
-        for end in ends:
-            self._outgoing.append(frames[begin:end])
-            begin = end
+        self._outgoing += [frames[begin:end] for begin, end in pairwise((0, *ends))]
         self._next_sequence[self.component] = (self.next_sequence(self.component) + len(ends)) & 0xFF
         self.stats.sent += len(ends)
 
@@ -209,8 +222,16 @@ class Link:
 
     def _take_plain(self, data: bytes, now_us: int) -> int:
         """Take good unsigned frames that follow one another (nearly always: all there is); where they end."""
-        at, have, expected = 0, len(data), self._expected
+        at, have, expected, runs = 0, len(data), self._expected, self._runs
         while at + _SHORTEST <= have:
+            if runs is not None and (sequence := expected.get(runs.source, -1)) >= 0:
+                at, count, message = runs.read(data, at, sequence)
+                if count:
+                    expected[runs.source] = (sequence + count) & 0xFF
+                    self.stats.received += count
+                    sender = runs.source >> 8, runs.source & 0xFF, sequence, now_us, message
+                    self._events.append(_new_received(Received, sender))
+                    continue
             magic, size, sequence, system, number = _header(data, at)
             known, crc_at = _KNOWN.get(number >> 8), at + HEADER_SIZE + size
             if known is None or magic != MAGIC_V2 or size > 0xFF or crc_at + 2 > have:  # the size's upper byte: flags

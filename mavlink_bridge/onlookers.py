@@ -18,7 +18,7 @@ class Observer(Protocol):
         """One tick of the stack."""
 
     def on_message(self, t_us: int, message: object) -> None:
-        """A message of the identified vehicle, at vehicle time `t_us`."""
+        """A message of the identified vehicle, at vehicle time `t_us`; or several at once (`frequent.Heard`)."""
 
 
 class MissionPlanner(Protocol):

@@ -12,9 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from flightstack.airframe import GEOMETRY, hover_setpoint, unsettled_hover
+from flightstack.jit import njit
 from flightstack.model import Model
-from flightstack.types import Tuple3, Tuple4
+from flightstack.types import F64, Tuple3, Tuple4
 from mavlink_bridge import messages as m
 from mavlink_bridge.link import Link
 
@@ -46,12 +49,27 @@ class Outputs(NamedTuple):
 
     def commands(self, pwm_us: tuple[int, ...]) -> Tuple4:
         """Normalised commands, 0..1; below the low pulse is stopped."""
-        (c1, c2, c3, c4), (low1, low2, low3, low4), (high1, high2, high3, high4) = self
-        a, b = (pwm_us[c1] - low1) / (high1 - low1), (pwm_us[c2] - low2) / (high2 - low2)
-        c, d = (pwm_us[c3] - low3) / (high3 - low3), (pwm_us[c4] - low4) / (high4 - low4)
-        if 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0 and 0.0 <= c <= 1.0 and 0.0 <= d <= 1.0:
-            return a, b, c, d
-        return min(1.0, max(0.0, a)), min(1.0, max(0.0, b)), min(1.0, max(0.0, c)), min(1.0, max(0.0, d))
+        a, b, c, d = motor_commands(np.array(pwm_us, np.float64), self.row).tolist()
+        return a, b, c, d
+
+    @property
+    def row(self) -> F64:
+        """(12,) all of it, for compiled code."""
+        return np.array([*self.channels, *self.low_us, *self.high_us], np.float64)
+
+
+@njit
+def motor_commands(pulses: F64, outputs: F64) -> F64:
+    """As `Outputs.commands`; `outputs` (12,): an Outputs' row."""
+    out, inside = np.empty(4), True
+    for i in range(4):
+        low, high = outputs[4 + i], outputs[8 + i]
+        out[i] = (pulses[int(outputs[i])] - low) / (high - low)
+        inside = inside and 0.0 <= out[i] <= 1.0
+    if not inside:
+        for i in range(4):
+            out[i] = min(1.0, max(0.0, out[i]))
+    return out
 
 
 @dataclass(slots=True)
@@ -65,8 +83,9 @@ class ParamReader:
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
+        self.outputs_row = Outputs().row
+        """`outputs_now` for compiled code, the same array for good."""
         self.outputs_now = Outputs()
-        """`outputs` as of the last parameter that came."""
         self._wanted: list[str] = []
         """Which pulse limits are wanted by then."""
         self._absent: set[str] = set()
@@ -92,6 +111,15 @@ class ParamReader:
                 self.outputs_now, self._wanted = self.outputs, self._limits_wanted()
         elif isinstance(message, m.ParamError) and message.param_id in self._asked:
             self._absent.add(message.param_id)
+
+    @property
+    def outputs_now(self) -> Outputs:
+        """`outputs` as of the last parameter that came."""
+        return self._outputs
+
+    @outputs_now.setter
+    def outputs_now(self, outputs: Outputs) -> None:
+        self._outputs, self.outputs_row[:] = outputs, outputs.row
 
     @property
     def needs_dead_man(self) -> bool:

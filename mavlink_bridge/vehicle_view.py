@@ -50,7 +50,7 @@ class VehicleView:
         self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)
         """Local microseconds from our TIMESYNC questions to their answers."""
         self.counts: Counter[type] = Counter()
-        """Messages taken, by kind."""
+        """Messages taken one by one, by kind."""
         self._partial_text = ""
 
     @property

@@ -204,13 +204,25 @@ class Watchdogs:
         """The second of the two."""
         return self.judge()[1]
 
-    def _imu(self, message: m.HighresImu) -> m.HighresImu:
+    @property
+    def is_flying(self) -> bool:
+        """The flight has begun: jumps are taken out."""
+        return self._flying
+
+    def note_stamp(self, t_us: int) -> None:
         """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
-        t_us = message.t_us
         self._behind = t_us < self._newest_us - _BACK_US
         if not self._behind and t_us > self._newest_us:
             self._newest_us = t_us
-        self.estimate.imu(t_us, message.accel_frd_mps2, message.rate_frd_radps)
+
+    def has_stepped(self, t_us: int) -> None:
+        """A position in flight was watched (`estimate`): whether it is a jump, which the estimate is forgiven for."""
+        if self.resets.position(t_us, self.estimate.step_ned_m):
+            self.estimate.forgive()
+
+    def _imu(self, message: m.HighresImu) -> m.HighresImu:
+        self.note_stamp(message.t_us)
+        self.estimate.imu(message.t_us, message.accel_frd_mps2, message.rate_frd_radps)
         return message
 
     def _attitude(self, message: m.AttitudeQuaternion) -> m.AttitudeQuaternion:
@@ -230,8 +242,7 @@ class Watchdogs:
         self.estimate.position(message.t_boot_us, message.pos_ned_m, message.vel_ned_mps)
         if not self._flying:
             return message
-        if self.resets.position(message.t_boot_us, self.estimate.step_ned_m):
-            self.estimate.forgive()
+        self.has_stepped(message.t_boot_us)
         shift = self.resets.shift_ned_m
         if shift == (0.0, 0.0, 0.0):
             return message

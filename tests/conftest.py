@@ -12,10 +12,14 @@ from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it, and before numpy: sums in one order
 
+from flightstack.jit import Entry
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     # Begun in a shell's background: every process of a test would inherit that Ctrl-C is ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+
+Entry.checked = True  # what a compiled function is promised of its arguments is held to at every call
 
 settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how soon examples are drawn is the machine's business

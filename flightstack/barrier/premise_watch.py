@@ -34,7 +34,7 @@ from flightstack.barrier.assess import CHANGED, ENGAGE_H, PASSED, column_at
 from flightstack.barrier.lateness import ROUNDED_S, ages_of, always_s, lateness_s
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.rows import L_GAIN, L_RESIDUAL, VEL_D, VEL_E, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement, Tuple3
 
@@ -118,7 +118,7 @@ def watched(
         *premises.thrust_gain, *premises.delay_s, premises.jitter_s, premises.command_interval_s, *premises.battery_v,
         *drag_per_s, premises.age_s,
     ]  # fmt: skip
-    return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), down)
+    return WatchState(version, np.array([*numbers, *([0.0] * (_NUMBERS - len(numbers)))]), np.ascontiguousarray(down))
 
 
 def interrupted(state: WatchState) -> WatchState:
@@ -141,11 +141,9 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     latency_s = learned.latency_s if learned.latency_s > 0.0 else math.nan
     gain = math.nan
     if learned.stage >= _VALID:
-        gain = _gain_at_ends(
-            state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg
-        )
+        gain = _GAIN.call(state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg)
     ranged = seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s
-    broken = _broken(state.numbers, measurement.row, ages_s, ranged, seen.interval_s, measurement.battery_v)
+    broken = _BROKEN.call(state.numbers, measurement.row, ages_s, ranged, seen.interval_s, measurement.battery_v)
     span_s = min(max(seen.interval_s, 0.0), _GAP_MAX_S)
     lapse = broken in _LAPSES
     broken_s = _summed(state.broken_s, span_s if broken and not lapse else 0.0, span_s)
@@ -226,3 +224,7 @@ def _broken(
     if interval_s > p[_INTERVAL] + ROUNDED_S:
         return _LATE_COMMAND
     return 12 if battery_v < p[_BATTERY] or battery_v > p[_BATTERY + 1] else 0
+
+
+_GAIN = Entry(_gain_at_ends, "f8[::1], f8[:, ::1], f8[::1], f8[::1], f8")
+_BROKEN = Entry(_broken, "f8[::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 4), f8, f8")

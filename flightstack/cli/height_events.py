@@ -11,12 +11,15 @@ import math
 from collections.abc import Callable
 
 from mavlink_bridge import messages as m
+from mavlink_bridge.frequent import AT, IMU, POSITION, Heard
 
 APART_M, TOGETHER_M = 1.0, 0.5
 """Told from the first on; told again only after the second."""
 _SMOOTHED_US = 1_000_000
 _PRESSURE_ALT = 0x0800
 """Of HIGHRES_IMU.fields_updated."""
+_DOWN, _ALTITUDE, _FIELDS = AT[POSITION] + 3, AT[IMU] + 12, AT[IMU] + 14
+"""Places in what is heard."""
 
 
 class HeightEvents:
@@ -37,13 +40,25 @@ class HeightEvents:
         if isinstance(message, m.LocalPositionNed):
             self._up_m = -message.pos_ned_m[2]
         elif isinstance(message, m.HighresImu) and message.fields_updated & _PRESSURE_ALT:
-            gap_m = self._up_m - message.pressure_alt_m
-            if not math.isfinite(gap_m):
-                return
-            share = min(1.0, (message.t_us - self._t_us) / _SMOOTHED_US) if math.isfinite(self._gap_m) else 1.0
-            self._t_us = message.t_us
-            self._gap_m = gap_m if share == 1.0 else self._gap_m + share * (gap_m - self._gap_m)
-            self._judge(t_us)
+            self._barometer(t_us, message.t_us, message.pressure_alt_m)
+
+    def on_heard(self, t_us: int, heard: Heard) -> None:
+        """Several messages of the vehicle at once."""
+        item = heard.row.item
+        for number in heard.numbers:
+            if number == POSITION:
+                self._up_m = -item(_DOWN)
+            elif number == IMU and int(item(_FIELDS)) & _PRESSURE_ALT:
+                self._barometer(t_us, int(item(AT[IMU])), item(_ALTITUDE))
+
+    def _barometer(self, t_us: int, stamp_us: int, altitude_m: float) -> None:
+        gap_m = self._up_m - altitude_m
+        if not math.isfinite(gap_m):
+            return
+        share = min(1.0, (stamp_us - self._t_us) / _SMOOTHED_US) if math.isfinite(self._gap_m) else 1.0
+        self._t_us = stamp_us
+        self._gap_m = gap_m if share == 1.0 else self._gap_m + share * (gap_m - self._gap_m)
+        self._judge(t_us)
 
     def _judge(self, t_us: int) -> None:
         apart_m = self._gap_m - self._zero_m

@@ -20,9 +20,10 @@ from flightstack.vehicle import Vehicle
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.recorder import NoLog, Recorder
 from flightstack_logs.scene import Scene, SceneRegion, StoppingWay
-from flightstack_logs.topics import FILTER_STATUS, MESSAGE
+from flightstack_logs.topics import FILTER_STATUS, MESSAGE, TOPICS
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
+from mavlink_bridge.frequent import AT, KINDS, Heard
 
 _TOPIC_OF: dict[type, str] = {
     m.AttitudeQuaternion: "/vehicle/attitude",
@@ -31,6 +32,15 @@ _TOPIC_OF: dict[type, str] = {
     m.ServoOutputRaw: "/vehicle/motors",
     m.SysStatus: "/vehicle/battery",
 }
+_HEARD_AS = {
+    number: (
+        _TOPIC_OF[kind],
+        AT[number],
+        AT[number] + sum(max(field.size, 1) for field in TOPICS[_TOPIC_OF[kind]].fields),
+    )
+    for number, kind in enumerate(KINDS, 1)
+}
+"""Topic of what comes in `Heard`, and where its row is."""
 DECIDING = frozenset(
     {
         m.AutopilotVersion, m.CommandAck, m.CurrentMode, m.EstimatorStatus, m.ExtendedSysState, m.Heartbeat, m.Odometry,
@@ -299,8 +309,23 @@ class LogObserver:
         row = m.BY_EVENT[type(message)]
         self._log.write(MESSAGE, t_us, row.id.to_bytes(3, "little") + row.encode(message))
 
+    def _on_heard(self, t_us: int, heard: Heard) -> None:
+        if self.message_to is not None:
+            for message in heard.messages():
+                self.message_to(t_us, message)
+        if not self._kept:
+            return
+        self._height_events.on_heard(t_us, heard)
+        write, row, t_us = self._log.write, heard.row, self._clock.t_us
+        for number in heard.numbers:
+            topic, begin, end = _HEARD_AS[number]
+            write(topic, t_us, row[begin:end])
+
     def on_message(self, t_us: int, message: object) -> None:
-        """A message of the vehicle, as a table."""
+        """A message of the vehicle, as a table; or several at once."""
+        if isinstance(message, Heard):
+            self._on_heard(t_us, message)
+            return
         if self.message_to is not None:
             self.message_to(t_us, message)
         if not self._kept:

@@ -91,13 +91,14 @@ class FlightScore:
         if record is None or companion is None or track_s is None:
             return
         place, seen = _relative(pos_ned_m, start_ned_m), record.measurement
-        flown = _relative(seen.pos_ned_m, companion.start_ned_m)
+        at_n, at_e, at_d, *velocity = seen.row[:6].tolist()
+        flown = _relative((at_n, at_e, at_d), companion.start_ned_m)
         self.ascent.height(float(start_ned_m[2]) - float(pos_ned_m[2]))
         if self.site is not None:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
             self.site.place(flight_s, record, place)
         if self._judging:
-            state = (*flown, *seen.vel_ned_mps.tolist())
+            state = (*flown, *velocity)
             true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
             self.region.add(record.t_us, state, true)
             watched = self.prepared.protection.watched
@@ -109,14 +110,15 @@ class FlightScore:
         followed = record.reference
         if self.site is not None:  # what was asked for through a wall is not what was to be flown
             followed = self.site.filter.reference or followed
-        self.tracking.add((pos_ned_m, start_ned_m), (followed.pos_ned_m, companion.start_ned_m))
+        wanted = followed.row[:3]
+        self.tracking.add((pos_ned_m, start_ned_m), (wanted, companion.start_ned_m))
         error = None
         if truth is not None:
             (n, e, d), (tn, te, td) = flown, place
             error = n - tn, e - te, d - td
         self.estimate.add(
             companion.view.streams.observer.disagreement_ned_mps,
-            math.dist(seen.pos_ned_m.tolist(), followed.pos_ned_m.tolist()), error,
+            math.dist((at_n, at_e, at_d), wanted.tolist()), error,
         )  # fmt: skip
         if self._learning:
             self._learned_rows.append(record.learned.row)

@@ -29,7 +29,7 @@ import numpy as np
 
 from flightstack.control.attitude import PROPOSAL, AttitudeGains, follow, reachable, together, vehicle_rows
 from flightstack.frames import Rows3, rotation
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import Limits, Model
 from flightstack.rows import L_CONFIDENCE, L_GAIN
 from flightstack.trajectory import NominalGains, nominal_step
@@ -106,7 +106,7 @@ class FlatnessController:
         row = np.empty(PROPOSAL)
         correction = state.correction_ned_mps2.copy()
         dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
-        thrust = control_step(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
+        thrust = _STEP.call(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
         return ControlState(correction, now_us), Proposal(thrust, row)
 
 
@@ -163,3 +163,6 @@ def _heading(r: Rows3) -> tuple[float, float]:
     if size < 1e-6:
         return 1.0, 0.0
     return r[0][0] / size, r[1][0] / size
+
+
+_STEP = Entry(control_step, "f8[:, ::1], f8[::1], f8, f8[::1], f8[::1], f8[::1], f8[::1]")

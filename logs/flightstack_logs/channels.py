@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import foxglove
 import foxglove.messages
+import numpy as np
 
 from flightstack_logs import rows
-from flightstack_logs.encoder import Encoder, make_encoder
+from flightstack_logs.encoder import Encoder, NumbersEncoder, make_encoder
 from flightstack_logs.topics import Kind, Topic
 from flightstack_logs.wire import descriptor
 
@@ -14,7 +15,7 @@ from flightstack_logs.wire import descriptor
 class Channel:
     """An open topic: where its messages go and how each type of record is encoded."""
 
-    __slots__ = ("_topic", "base", "copy_due_us", "encoders", "is_log", "is_shown", "log", "packed")
+    __slots__ = ("_topic", "base", "copy_due_us", "encoders", "is_log", "is_shown", "log", "numbers", "packed")
 
     def __init__(self, topic: Topic, context: foxglove.Context, *, packed: bool) -> None:
         schema, encoding = _schema(topic)
@@ -29,10 +30,21 @@ class Channel:
         self.copy_due_us = 0
         self.is_shown = topic.kind is Kind.TABLE
         self.encoders: dict[type, Encoder] = {}
+        self.numbers: NumbersEncoder | None = None
+        """Of rows of numbers; None before the first."""
+
+    def open_numbers(self) -> NumbersEncoder:
+        """From now on rows of numbers can be encoded."""
+        numbers = self.numbers = NumbersEncoder(self._topic)
+        self.encoders[np.ndarray] = lambda row: numbers.encode(row[np.newaxis]).tobytes()
+        return numbers
 
     def encode(self, record: object) -> bytes:
         """Encode a record that the kept encoders don't know or can't do; keep the encoder that could."""
         kind = type(record)
+        if kind is np.ndarray and self._topic.kind is Kind.TABLE:
+            self.open_numbers()
+            return self.encoders[kind](record)
         if self._topic.kind is not Kind.TABLE:
             self.encoders[kind] = bytes
             return bytes(record)  # type: ignore[call-overload, no-any-return]

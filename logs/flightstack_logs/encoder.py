@@ -12,8 +12,9 @@ from types import CodeType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flightstack.types import Element, Part
+from flightstack.types import F64, Element, Part
 from flightstack_logs.topics import Field, Topic
 from flightstack_logs.wire import BYTES, SCALARS, varint
 
@@ -225,3 +226,34 @@ def make_encoder(topic: Topic, sample: object, *, blocks: bool = True) -> Encode
         else:
             source.pack(f"{field.size}{code}", f"*{value}")
     return source.compile(tail)
+
+
+class NumbersEncoder:
+    """Many messages of a topic at once, of rows of numbers in its fields' order; none of the fields is a text."""
+
+    def __init__(self, topic: Topic) -> None:
+        names: list[str] = []
+        formats: list[tuple[str, int]] = []
+        offsets: list[int] = []
+        self._template, self._columns, at = b"", list[tuple[str, int, int]](), 0
+        for place, field in enumerate(topic.fields):
+            self._template += _prefix(place + 1, field)
+            code, count = SCALARS[field.type].code, max(field.size, 1)
+            names.append(field.name)
+            formats.append(("<" + code, count))
+            offsets.append(len(self._template))
+            self._template += bytes(count * struct.calcsize("<" + code))
+            self._columns.append((field.name, at, at + count))
+            at += count
+        self.count = at
+        """Numbers of a row."""
+        self.size = len(self._template)
+        """Bytes of a message."""
+        self._type = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
+
+    def encode(self, rows: F64) -> NDArray[np.uint8]:
+        """(n, k) numbers -> (n, size) bytes."""
+        table = np.frombuffer(bytearray(self._template * len(rows)), self._type)
+        for name, begin, end in self._columns:
+            table[name] = rows[:, begin:end]
+        return table.view(np.uint8).reshape(len(rows), self.size)

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.types import F64
+from flightstack_logs.encoder import NumbersEncoder
 from flightstack_logs.topics import Field, Kind, Topic
 from flightstack_logs.wire import BYTES, descriptor, varint, walk
 
@@ -41,6 +43,8 @@ class RowBlocks:
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, int], list[bytes]] = {}
+        self._numbers: dict[tuple[str, int], list[tuple[int, int, F64]]] = {}
+        self._encoders: dict[str, NumbersEncoder] = {}
         self._count = 0
 
     def add(self, topic: str, t_us: int, message: bytes) -> None:
@@ -53,18 +57,56 @@ class RowBlocks:
             rows = self._rows[key] = []
         rows.append(row)
 
+    def add_numbers(self, topic: str, t_us: int, numbers: F64, encoder: NumbersEncoder) -> None:
+        """One more row, encoded with all others when the chunk ends; nobody writes to `numbers` meanwhile."""
+        key = topic, encoder.size + _HEAD.size
+        rows = self._numbers.get(key)
+        if rows is None:
+            rows = self._numbers[key] = []
+            self._encoders[topic] = encoder
+            self._rows.setdefault(key, [])
+        rows.append((t_us, self._count & 0xFFFF_FFFF, numbers))
+        self._count += 1
+
     def take(self) -> list[tuple[str, bytes]]:
         """(topic, block) of all that was collected, which is forgotten."""
-        found = [(topic, pack(rows)) for (topic, _), rows in self._rows.items() if rows]
-        for rows in self._rows.values():
+        found = []
+        for key, rows in self._rows.items():
+            topic, numbers = key[0], self._numbers.get(key)
+            if numbers:
+                table = _table_of(numbers, self._encoders[topic])
+                if rows:  # of both kinds: in the order in which they came
+                    table = np.vstack([table, _table(rows)])
+                    table = table[
+                        np.argsort(np.ascontiguousarray(table[:, : _HEAD.size]).view(_HEAD_TYPE)["place"][:, 0])
+                    ]
+                found.append((topic, _packed(table)))
+                numbers.clear()
+            elif rows:
+                found.append((topic, pack(rows)))
             rows.clear()
         return found
 
 
+def _table(rows: list[bytes]) -> NDArray[np.uint8]:
+    """(n, size) bytes of rows of one size."""
+    return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, len(rows[0]))
+
+
+def _table_of(rows: list[tuple[int, int, F64]], encoder: NumbersEncoder) -> NDArray[np.uint8]:
+    """(n, size) bytes of rows of numbers, each with its log time and place."""
+    heads = np.array([(t_us, place) for t_us, place, _ in rows], _HEAD_TYPE)
+    messages = encoder.encode(np.array([numbers for _, _, numbers in rows]))
+    return np.hstack([heads.view(np.uint8).reshape(len(rows), -1), messages])
+
+
 def pack(rows: list[bytes]) -> bytes:
     """One block of rows that are all of one size."""
-    size = len(rows[0])
-    table = np.frombuffer(b"".join(rows), np.uint8).reshape(-1, size)
+    return _packed(_table(rows))
+
+
+def _packed(table: NDArray[np.uint8]) -> bytes:
+    size = table.shape[1]
     data = np.diff(table, axis=0, prepend=np.zeros((1, size), np.uint8)).T.tobytes()
     return b"".join((_SIZE_TAG, struct.pack("<i", size), _DATA_TAG, varint(len(data)), data))
 
@@ -84,7 +126,7 @@ def unpack(blocks: list[bytes]) -> Unpacked:
     """The rows of all blocks of a topic; ValueError where one is damaged."""
     by_size: dict[int, list[NDArray[np.uint8]]] = {}
     for block in blocks:
-        table = _table(block)
+        table = _unpacked(block)
         by_size.setdefault(table.shape[1], []).append(table)
     tables = [np.concatenate(parts) for parts in by_size.values()]
     heads = np.concatenate([np.ascontiguousarray(table[:, : _HEAD.size]) for table in tables]).view(_HEAD_TYPE)[:, 0]
@@ -96,7 +138,7 @@ def unpack(blocks: list[bytes]) -> Unpacked:
     return Unpacked(t_us, place, [bodies[index] for index in order.tolist()])
 
 
-def _table(block: bytes) -> NDArray[np.uint8]:
+def _unpacked(block: bytes) -> NDArray[np.uint8]:
     """(n, size) the rows of one block."""
     fields = dict(walk(block))
     packed, data = fields.get(1), fields.get(2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from flightstack.effects import turbulence
 from flightstack.effects.row import EVALUATED, S_COMMAND, S_FORCE, S_NORMALS, S_POS, S_Q, S_RATE, S_VEL
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64
 from flightstack_sim.autopilot.rate_control import RateControl, motors_of, rate_step
 from flightstack_sim.plant import NativePlant
@@ -21,12 +21,13 @@ from flightstack_sim.sensors import GYRO, Sensors, sense
 class FusedRun:
     """`run(steps)`: rate loop, plant, sensors, `steps` times."""
 
-    __slots__ = ("_plant", "_rate", "_sensors")
+    __slots__ = ("_errors", "_plant", "_rate", "_sensors")
 
     def __init__(self, plant: NativePlant, rate: RateControl, sensors: Sensors) -> None:
         self._plant = plant
         self._rate = rate
         self._sensors = sensors
+        self._errors = plant.gyro_bias_frd_radps, plant.accel_bias_frd_mps2, plant.misalignment_q
 
     def run(self, steps: int) -> None:
         """At most as many steps as the sensors have before their next estimate, that one included."""
@@ -35,9 +36,9 @@ class FusedRun:
             normals = plant.take_normals(steps)
             count = min(steps, len(normals)) if len(normals) else steps
             estimator = sensors.estimator
-            _run(
+            _RUN.call(
                 count, rate.row, plant.params_row, plant.state_row, normals,
-                (plant.gyro_bias_frd_radps, plant.accel_bias_frd_mps2, plant.misalignment_q),
+                self._errors,
                 (sensors.noise, sensors.noise_row(), sensors.imu),
                 (estimator.noise, estimator.noise_row(), estimator.model, estimator.state),
             )  # fmt: skip
@@ -66,3 +67,10 @@ def _run(
                 row[S_NORMALS + i] = normals[k, 0, i]
         step_row(params, row, work)
         sense(true, errors, (noise, noise_row + k, imu), estimator)
+
+
+_RUN = Entry(
+    _run,
+    "i8, f8[::1], f8[::1], f8[::1], f8[:, :, ::1], UniTuple(f8[::1], 3), "
+    "Tuple((f8[:, ::1], i8, f8[::1])), Tuple((f8[:, ::1], i8, f8[:, ::1], f8[::1]))",
+)

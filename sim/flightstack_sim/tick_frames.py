@@ -11,7 +11,7 @@ import numpy as np
 from fastcrc.crc16 import mcrf4xx
 from numpy.typing import NDArray
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.view import View
@@ -45,7 +45,7 @@ class TickFrames:
         vehicle, setpoint = view.vehicle, view.setpoint
         spinning = setpoint.kind is not ControlKind.OFF and abs(setpoint.thrust_norm) < np.inf
         air = (*view.mag_frd_gauss, view.pressure_hpa, view.altitude_m, vehicle.sensors.imu_degc)
-        count = _write(
+        count = _WRITE.call(
             order, view.stamp_us,
             (vehicle.sensors.state, vehicle.rate_frd_radps, vehicle.sensors.mean_imu, vehicle.motor_command), air,
             view.fields_updated, spinning, (link.next_sequence(link.component), link.system, link.component),
@@ -120,3 +120,10 @@ def _frame(kind: int, sender: tuple[int, int, int], data: NDArray[np.uint8], out
     crc = _CRC_STEPS[(crc ^ _EXTRAS[kind]) & 0xFF] ^ crc >> 8
     out[end], out[end + 1] = crc & 0xFF, crc >> 8
     return int(end + 2)
+
+
+_WRITE = Entry(
+    _write,
+    "i8, i8, UniTuple(f8[::1], 4), UniTuple(f8, 6), i8, b1, UniTuple(i8, 3), "
+    "Tuple((Tuple((i8[::1], f4[::1], u2[::1], u1[::1])), u1[::1], i8[::1]))",
+)

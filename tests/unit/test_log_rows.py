@@ -18,6 +18,7 @@ from flightstack.types import FlatOutput, changed
 from flightstack_logs import rows
 from flightstack_logs.convert import convert
 from flightstack_logs.info import info
+from flightstack_logs.mcap_file import scan
 from flightstack_logs.reader import read
 from flightstack_logs.recover import recover
 from flightstack_logs.topics import MESSAGE, TOPICS, Kind
@@ -176,3 +177,33 @@ def test_a_compact_flight_says_in_every_tick_whether_the_rest_was_the_same(tmp_p
     parts = (record.reference, record.proposal, record.learned, record.filtered)
     assert tables["/tick"]["digest"][2] == zlib.crc32(b"".join(part.row.tobytes() for part in parts))
     assert record._replace(learned=changed(record.learned, fed=0.5)).digest != record.digest
+
+
+@pytest.mark.parametrize("compact", [False, True])
+def test_rows_of_numbers_become_the_messages_that_their_records_become(tmp_path: Path, compact: bool) -> None:
+    """Alone and mixed with records, byte for byte; one of another length is refused."""
+    topics, logs = ("/vehicle/imu", "/vehicle/motors", "/vehicle/local_position"), []
+    for name in ("records", "numbers", "mixed"):
+        log, rng = FlightLog.open(tmp_path / f"{name}.mcap", metadata={}, compact=compact), random.Random(5)
+        for k in range(300):
+            for topic in topics:
+                record = tuple(
+                    tuple(_number(field.type, rng) for _ in range(field.size))
+                    if field.size
+                    else _number(field.type, rng)
+                    for field in TOPICS[topic].fields
+                )
+                numbers = np.concatenate([np.atleast_1d(np.asarray(value, np.float64)) for value in record])
+                log.write(topic, 4000 * k, record if name == "records" or (name == "mixed" and k % 3) else numbers)
+        log.write(topics[0], 4000 * k, np.zeros(3))
+        log.close()
+        assert log.rejected == 1
+        scanned = scan((tmp_path / f"{name}.mcap").read_bytes(), name).channels.values()
+        logs.append({channel.topic: (channel.messages, list(channel.times_ns)) for channel in scanned})
+    assert logs[1] == logs[0]
+    assert logs[2] == logs[0]
+
+
+def _number(kind: str, rng: random.Random) -> float | int:
+    """One that a message off the wire may hold: whole, or of 32 bits."""
+    return rng.randrange(0x10000) if kind.startswith("int") else float(np.float32(rng.gauss(0.0, 5.0)))
