@@ -12,9 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flightstack.gap.decisions import LEAST_FLIGHT_S, MOSTLY, OTHER_EACH, OTHER_LARGER, OTHER_TOGETHER
+from flightstack.gap.decisions import LEAST_FLIGHT_S, MOSTLY, OTHER_EACH, OTHER_LARGER, OTHER_TOGETHER, TENTH
 from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.simulate import value
+from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
 _LIFT, _TURN, _ANSWER = math.log(1.25), math.log(1.5), math.log(3.0)
@@ -23,18 +24,31 @@ still the file's: such a change counts one."""
 
 
 def same_flight(a: Samples, b: Samples) -> bool:
-    """Whether two logs hold the same sensors' noise at the same times of their clocks: one flight recorded twice."""
+    """Whether two logs hold the same sensors' noise at the same times of their clocks: one flight recorded twice.
+
+    A simulator may draw the same noise for each of its flights: then their velocities differ.
+    """
     if a.dt_s < b.dt_s:
         a, b = b, a
     common = (a.t_s >= b.t_s[0]) & (a.t_s <= b.t_s[-1])
     if common.sum() * a.dt_s < LEAST_FLIGHT_S:
         return False
-    own = a.accel_frd_mps2[common]
-    other = np.stack([np.interp(a.t_s[common], b.t_s, column) for column in b.accel_frd_mps2.T], axis=1)
-    x, y = (np.diff(each, axis=0) for each in (own, other))
+
+    def both(name: str) -> tuple[F64, F64]:
+        own, theirs = getattr(a, name)[common], getattr(b, name)
+        return own, np.stack([np.interp(a.t_s[common], b.t_s, column) for column in theirs.T], axis=1)
+
+    x, y = (np.diff(each, axis=0) for each in both("accel_frd_mps2"))
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
-    return bool(x @ y > MOSTLY * np.sqrt((x @ x) * (y @ y)))  # nothing known: 0 is not above 0
+    if not x @ y > MOSTLY * np.sqrt((x @ x) * (y @ y)):  # nothing known: 0 is not above 0
+        return False
+    v, w = both("vel_ned_mps")
+    seconds = max(1, round(common.sum() * a.dt_s))
+    moved, apart = (
+        np.nansum([np.nanmean(part, axis=0) ** 2 for part in np.array_split(each, seconds)]) for each in (v, v - w)
+    )
+    return bool(apart <= TENTH**2 * moved)
 
 
 def vehicle_mismatch(

@@ -35,7 +35,7 @@ from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.joining import forward_selection_step
-from flightstack.gap.naming.ranged import carried, is_touched
+from flightstack.gap.naming.ranged import as_twins_read, carried, is_touched
 from flightstack.gap.naming.search import Fit, SelectionState, members, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
@@ -150,10 +150,14 @@ class Selection:
 
     def with_guessed_numbers(self) -> Selection:
         """The verdict with what the file only guesses in its intervals, and the common scale's class."""
-        if self._behind is None or not is_touched(self._behind[1].start, self.found):
+        if self._behind is None or not self.found:
             return self
-        found, vehicle = carried(self._behind[1], self.found, self.vehicle)
-        return replace(self, found=found, vehicle=vehicle)
+        state, told = self._behind[1], self
+        if is_touched(state.start, self.found):
+            found, vehicle = carried(state, self.found, self.vehicle)
+            told = replace(self, found=found, vehicle=vehicle)
+        found = as_twins_read(state.start, told.found)
+        return told if found is told.found else replace(told, found=found)
 
     def with_classes_of_a_poor_model(self) -> Selection:
         """The verdict far from the noise, where what a poor model can't tell apart is one class (`gap.classes`)."""

@@ -28,12 +28,12 @@ from flightstack.effects import EFFECTS
 from flightstack.gap.airspeed import offset
 from flightstack.gap.chances import t_limit
 from flightstack.gap.compare import residual
-from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS, TIMING_SHARE
+from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
 from flightstack.gap.rollouts import WINDOW_S, Windows, gathered_by, rollouts, windows_of
-from flightstack.gap.sampled import open_gains
+from flightstack.gap.sampled import open_gains, timing_s
 from flightstack.gap.simulate import missing_signals, natural_scale, predict, spec_of, value, with_value
 from flightstack.gap.track import track
 from flightstack.types import F64, InputError
@@ -220,7 +220,7 @@ class _Problem:
             if effect == "transport_delay":
                 covariance[k, k] += self._sampling_s**2 / 12.0
             elif effect == "motor_lag":
-                covariance[k, k] += (TIMING_SHARE * self._sampling_s) ** 2
+                covariance[k, k] += timing_s(self._sampling_s) ** 2
             elif effect == "inertia":
                 covariance[k, k] += SAMPLED_SHARE**2
             elif effect == "slung_load" and parameter == "length_m":

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap import filters
-from flightstack.gap.fusion import crossovers
+from flightstack.gap.fusion import CROSSOVER_HZ, complementary, fused, integrated
 from flightstack.gap.records import Samples
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import conjugate, continuous, multiply, rotate, rotate_inverse, rotation_vector
@@ -28,14 +28,11 @@ from flightstack_logs.turn import conjugate, continuous, multiply, rotate, rotat
 COLUMNS = 12
 CUTOFF_HZ = 20.0
 """Of the common low-pass, where the log's bandwidth allows it: above it the gyro's derivative is mostly noise."""
-CROSSOVER_HZ = 0.4
-"""Below, velocity is the measured one; above, that of the integrated accelerometer."""
 SETTLE_S = 1.0
 """At the start of a log nobody knows what the rotors did before: never judged."""
 _SLOWEST_STEP_S = 0.004
 _HELD_SHARE = 0.3
 _SAME_MPS2 = 1e-6
-_LEAST_FUSED_S = 24.0
 _ROWS = (
     "t_s", "pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "motor", "battery_v",
     "height_m", "valid",
@@ -162,8 +159,10 @@ def _made(samples: Samples) -> ProcessedFlight:
     inertial = not differentiated and not {"q_ned_frd", "vel_ned_mps"} & missing
     smooth, velocity_std = lowpass(velocity, cutoff, dt), np.zeros(3)
     if inertial:
-        smooth, velocity_std = _fused(velocity, samples, acc, missing)
-    path = _complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
+        whole = "pos_ned_m" not in missing and not {"pos_ned_m", "vel_ned_mps"} & set(samples.derived)
+        position = _filled(samples.pos_ned_m) if whole else None
+        smooth, velocity_std = fused(velocity, position, acc, dt, (q, force, samples.valid))
+    path = complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
     measured = _measured(force, rate, dt, missing, differentiated)
     if "motor" in missing:  # no simulation without commands; from their mean it is that of the side force
         measured[:, slice(2, 6) if np.isfinite(samples.motor).any() else slice(6)] = np.nan
@@ -171,7 +170,7 @@ def _made(samples: Samples) -> ProcessedFlight:
     return ProcessedFlight(
         samples,
         _position(path, samples, missing),
-        _integrated(smooth, dt) if "pos_ned_m" in missing else path,
+        integrated(smooth, dt) if "pos_ned_m" in missing else path,
         smooth,
         velocity_std,
         q,
@@ -304,44 +303,6 @@ def _velocity(samples: Samples, missing: frozenset[str]) -> F64:
     if not np.isfinite(samples.vel_ned_mps).any() and "pos_ned_m" not in missing:
         return derivative(_filled(samples.pos_ned_m), samples.dt_s)
     return _filled(samples.vel_ned_mps)
-
-
-def _fused(velocity: F64, samples: Samples, acc: F64, missing: frozenset[str]) -> tuple[F64, F64]:
-    """Velocity out of all that measures it, and its standard deviation (0 where nothing says)."""
-    dt = samples.dt_s
-    if "pos_ned_m" in missing or {"pos_ned_m", "vel_ned_mps"} & set(samples.derived) or len(acc) * dt < _LEAST_FUSED_S:
-        return _complementary(velocity, acc, CROSSOVER_HZ, dt), np.zeros(3)
-    position = _filled(samples.pos_ned_m)
-    chosen, std = crossovers(velocity, position, acc, dt)
-    out = np.empty_like(velocity)
-    for axis, (low, high) in enumerate(chosen):
-        own = slice(axis, axis + 1)
-        slow = velocity[:, own]
-        if low > 0.0:
-            slow = slow + _slow_part(derivative(position[:, own], dt) - slow, low, dt)
-        out[:, own] = _complementary(slow, acc[:, own], high, dt)
-    return out, std
-
-
-def _integrated(rate: F64, dt_s: float) -> F64:
-    """Integral along the first axis from 0, trapezoidal."""
-    out = np.zeros_like(rate)
-    out[1:] = np.cumsum(0.5 * dt_s * (rate[1:] + rate[:-1]), axis=0)
-    return out
-
-
-def _complementary(slow: F64, rate: F64, crossover_hz: float, dt_s: float) -> F64:
-    """`slow` below the crossover, the integral of `rate` above it: no phase, no drift by a constant error."""
-    inertial = _integrated(rate, dt_s)
-    return inertial + _slow_part(slow - inertial, crossover_hz, dt_s)
-
-
-def _slow_part(x: F64, cutoff_hz: float, dt_s: float) -> F64:
-    """Zero-phase low-pass of a noisy signal that may drift: its ends' own noise must not bend what lies near them."""
-    at = np.linspace(-1.0, 1.0, len(x))[:, None]
-    trend = x.mean(axis=0) + at * (np.sum(at * x, axis=0) / np.sum(at * at))
-    pad = min(len(x) - 1, int(2.0 / (cutoff_hz * dt_s)) + 3)
-    return np.asarray(trend + filters.both_ways(filters.lowpass(cutoff_hz, dt_s), x - trend, pad, even=True))
 
 
 def _smooth_attitude(samples: Samples, cutoff_hz: float, missing: frozenset[str]) -> F64:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flightstack.effects import EFFECTS
-from flightstack.gap import airspeed, gather, pooled
+from flightstack.gap import airspeed, gather, instruments, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
@@ -88,7 +88,13 @@ def _concluded(
     """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
-    naming, of, gap = _judged(vehicle, naming, of, on_progress)
+    taken, (naming, of, gap) = of, _judged(vehicle, naming, of, on_progress)
+    doubted = naming.found or naming.unexplained.significant or gap.closed is not None
+    if doubted and any(early := instruments.early_s(naming.vehicle, taken.flights, taken.fit)):
+        taken = replace(taken, flights=instruments.moved(taken.flights, early))
+        naming = name(vehicle, taken.flights, taken.fit, taken.holdout, closely=closely)
+        naming, of, gap = _judged(vehicle, naming, taken, on_progress)
+    naming, of, gap = _without_loop_noise(vehicle, naming, of, gap, [s.command_late_s for s in taken.flights])
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < HALF)):
         gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
@@ -117,6 +123,26 @@ def _concluded(
     if naming.can_be_fitted and not naming.found and not naming.unexplained.significant:
         learned = _verdict(vehicle, naming, replace(of, fit=of.holdout, holdout=of.fit))
         naming = replace(naming, unexplained=unexplained(naming.unexplained, learned, named=False))
+    return naming, of, gap
+
+
+def _without_loop_noise(
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, centre_s: Sequence[float]
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
+    """The names less those of which nothing is left by instruments that a loop's noise does not reach.
+
+    Beside something unexplained instruments are bent by it as well.
+    """
+    while naming.found and not naming.unexplained.significant and not far_from_noise(gap):
+        wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, of.flights, of.fit, centre_s)
+        gone = interval_contains_nominal(alone or ())
+        gone = gone or tuple(f.name for f in alone or () if instruments.is_trifling(vehicle, f))
+        if not gone:
+            naming = replace(naming, found=wide)
+            break
+        left = naming.without(gone[-1:], "nothing of it is left without the noise that the loop feeds back")
+        naming, of = _refined(vehicle, replace(left, unexplained=naming.unexplained), of)
+        gap = _verdict(vehicle, naming, of)
     return naming, of, gap
 
 

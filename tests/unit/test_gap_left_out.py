@@ -99,6 +99,20 @@ def test_a_touchdown_is_left_out_where_the_origin_stands_high(flown: Samples) ->
     assert [finding.name for finding in findings] == ["ground"]
 
 
+def test_what_the_ground_carries_is_left_out_where_the_height_is_wrong(flown: Samples) -> None:
+    """PX4's height was 0.4 m off when it landed: it stood there for a second at 0.6 of the thrust."""
+    stands = flown.t_s > flown.t_s[-1] - 1.0
+    motor = np.where(stands[:, None], 0.6 * np.median(flown.motor, axis=0), flown.motor)
+    noise = 0.5 * np.random.default_rng(1).standard_normal((len(stands), 3))
+    accel = np.where(stands[:, None], noise - np.array([0.0, 0.0, 9.80665]), flown.accel_frd_mps2)
+    kept, findings = exclude_ground_contact(replace(flown, motor=motor, accel_frd_mps2=accel), quad())
+    gone = flown.t_s[~kept.valid]
+    assert kept.t_s[-1] - 1.75 < gone.min() < kept.t_s[-1] - 1.0
+    assert len(gone) == round((flown.t_s[-1] - gone.min()) / flown.dt_s) + 1
+    assert [finding.name for finding in findings] == ["ground"]
+    assert exclude_ground_contact(flown, quad()) == (flown, [])
+
+
 def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flown: Samples) -> None:
     """It is the one at which there is no side force: linear drag F = -d v would be its own null."""
     made = replace(flown, derived=("q_ned_frd",))

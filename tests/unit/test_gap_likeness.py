@@ -12,7 +12,7 @@ from benchmarks import gap_draw
 from flightstack.gap.likeness import same_flight, vehicle_mismatch
 from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.vehicle import Vehicle, with_effects
-from tests.gap_flights import as_samples, fly, quad, wander
+from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 Effects = dict[str, dict[str, float]]
 BODY = ("payload", "thrust_scale", "inertia", "motor_lag")
@@ -98,6 +98,18 @@ def test_a_flight_recorded_twice_is_told_from_another_one_of_the_same_path() -> 
     assert same_flight(one, slower)
     assert same_flight(slower, one)
     assert not same_flight(one, again)
+
+
+def test_a_simulators_noise_that_comes_again_does_not_make_another_flight_the_same() -> None:
+    """PX4's own simulator draws the same noise each time: a second flight "holds a flight that is learned from"."""
+    truth = hidden(quad(), {"payload": {"mass_kg": 0.3}})
+    one = as_samples(fly(quad(), quad(), wander(), seconds=8.0, seed=1))
+    other = as_samples(fly(truth, quad(), wander(seed=3), seconds=8.0, seed=1))
+    exact = as_samples(fly(truth, quad(), wander(seed=3), seconds=8.0, seed=1), exact=True)
+    noise = 5.0 * np.random.default_rng(2).standard_normal(one.accel_frd_mps2.shape)
+    shaken = [replace(each, accel_frd_mps2=each.accel_frd_mps2 + noise) for each in (one, other, exact)]
+    assert not same_flight(shaken[0], shaken[1])
+    assert same_flight(shaken[1], shaken[2])  # by another estimate of the velocity
 
 
 def test_a_file_that_says_that_its_body_is_guessed_is_no_other_vehicles() -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ
+from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ, SMALL_SHARE
 from flightstack.gap.records import Finding, Signal, how_to_record, refused, warning
 from flightstack.types import F64
 
@@ -22,7 +23,7 @@ def settle_clocks(signals: Mapping[str, Signal], kind: str) -> tuple[dict[str, S
     """The signals with stamps in seconds and without repeated samples; refusals where their clocks don't meet."""
     findings: list[Finding] = []
     out = _time_unit(signals, kind, findings)
-    out = {name: _fresh(name, each, findings) for name, each in out.items()}
+    out = {name: _fresh(name, each, kind, findings) for name, each in out.items()}
     _mixed(out, findings)
     return out, findings
 
@@ -39,18 +40,38 @@ def _time_unit(signals: Mapping[str, Signal], kind: str, findings: list[Finding]
     return dict(signals)
 
 
-def _fresh(name: str, each: Signal, findings: list[Finding]) -> Signal:
-    """Without the rows that only repeat the one before: a slower topic held in the rows of a faster log."""
-    if name in SLOW or name == "motor" or len(each.t_s) < 50:
+def _fresh(name: str, each: Signal, kind: str, findings: list[Finding]) -> Signal:
+    """Without the rows that only repeat the one before: a slower topic held in the rows of a faster log.
+
+    Commands of other logs than CSV have stamps of their own.
+    """
+    if name in SLOW or len(each.t_s) < 50 or (name == "motor" and kind != "csv"):
         return each
     value = each.value.reshape(len(each.t_s), -1)
     fresh = np.concatenate([[True], np.any(value[1:] != value[:-1], axis=1)])
+    fresh = _of_its_clock(fresh) if name == "motor" else fresh
     share = 1.0 - float(np.mean(fresh))
     still = _longest_run(~fresh) / len(fresh)
     if share - still < _HELD or fresh.sum() < 20:
         return each
     findings.append(warning("rate", f"{name}: {100 * share:.0f} % of its rows only repeat the row before; left out"))
     return Signal(each.t_s[fresh], each.value[fresh], each.source)
+
+
+def _of_its_clock(fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) rows that count, where what is new comes by a clock of its own: less than two rows beside its usual one.
+
+    Commands that merely stay the same for a while, as rounded ones do, come at random: then all rows count.  While a
+    vehicle stands rows count as often as they do in flight.
+    """
+    at = np.flatnonzero(fresh)
+    apart = np.diff(at, append=len(fresh))
+    usual = float(np.mean(apart[apart <= 3.0 * np.median(apart)]))
+    if float(np.mean(np.abs(apart - usual) < 2.0)) <= 1.0 - SMALL_SHARE:
+        return np.ones_like(fresh)
+    since = np.arange(len(fresh)) - np.repeat(at, apart)
+    stands = np.repeat(apart >= usual + 2.0, apart)
+    return np.asarray(fresh | (stands & (since % round(usual) == 0)))
 
 
 def _longest_run(flags: np.ndarray) -> int:

@@ -1,7 +1,8 @@
 """What is left out of a flight: ground contact and stopped rotors.
 
 What the ground does to a vehicle that touches it is no gap of its model.  A motion capture's origin of the body may lie
-above the feet: where the vehicle stands before and after its flight, the log itself shows how high.
+above the feet: where the vehicle stands before and after its flight, the log itself shows how high.  An estimator's
+height may be off by half a metre: that the ground carries, the thrust shows, which falls while the same force is felt.
 
 A driven rotor follows its command by what its motor can do, up as well as down.  Without current (or below the
 controller's least command) it runs down by its own drag, more and more slowly, and has to be caught again: no lag of
@@ -15,9 +16,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import rotor_thrust
-from flightstack.gap.decisions import AROUND_S, HALF, LAGS, LEAST_THRUST, STOPPED, TOUCHING_M
+from flightstack.gap.decisions import AROUND_S, CLEAR_SHARE, HALF, LAGS, LEAST_THRUST, STOPPED, TOUCHING_M
 from flightstack.gap.records import Finding, Samples, Signal
 from flightstack.vehicle import Vehicle
 
@@ -54,7 +56,7 @@ def exclude_ground_contact(samples: Samples, vehicle: Vehicle, stands_m: float =
     w, i, j, k = samples.q_ned_frd.T
     down_x, down_y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
     lowest = samples.height_m - np.max(np.outer(down_x, x) + np.outer(down_y, y), axis=1)
-    touching = samples.valid & (lowest < stands_m + TOUCHING_M)
+    touching = samples.valid & ((lowest < stands_m + TOUCHING_M) | _carried(samples, vehicle))
     if not touching.any():
         return samples, []
     reach = max(1, round(AROUND_S / samples.dt_s))
@@ -62,6 +64,22 @@ def exclude_ground_contact(samples: Samples, vehicle: Vehicle, stands_m: float =
     seconds = float(np.sum(samples.valid & near)) * samples.dt_s
     kept = replace(samples, valid=samples.valid & ~near)
     return kept, [Finding("ground", "ok", f"{seconds:.1f} s at the ground were left out")]
+
+
+def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
+    """(N,) at the end of the flight, as long as more is felt for the thrust than before: by a third."""
+    out = np.zeros(len(samples.t_s), np.bool_)
+    thrust, felt = rotor_thrust(vehicle, samples.motor).sum(axis=1), -samples.accel_frd_mps2[:, 2]
+    rows = np.flatnonzero(samples.valid & np.isfinite(thrust) & np.isfinite(felt))
+    window = round(_STANDING_S / samples.dt_s)
+    if len(rows) < 4 * window or {"motor", "accel_frd_mps2"} & set(samples.derived):
+        return out
+    thrust, felt = (np.convolve(each[rows], np.ones(window) / window, mode="same") for each in (thrust, felt))
+    more = CLEAR_SHARE * felt > np.median(felt / np.maximum(thrust, 1e-6)) * thrust
+    free = np.flatnonzero(~more[: len(rows) - window // 2])  # beyond, the mean is not whole
+    if len(free) and len(rows) - free[-1] > window:
+        out[rows[free[-1] + 1] :] = True
+    return out
 
 
 def exclude_stopped_rotors(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding]]:

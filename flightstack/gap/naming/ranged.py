@@ -77,6 +77,35 @@ def carried(
     return _told(found, vehicle, slots, now + shift, covariance)
 
 
+def as_twins_read(start: Vehicle, found: tuple[IdentifiedEffect, ...]) -> tuple[IdentifiedEffect, ...]:
+    """The names with intervals that hold for a mass's and a thrust's reading alike, where no log tells which it is.
+
+    A thrust scale of 0.8 in a payload's place leaves forces, moments and inertias 0.8 of what they are beside the
+    payload.
+    """
+    named = {f.name: f for f in found}
+    factor = 1.0
+    if "thrust_scale" in named and "payload" not in named and "payload" in named["thrust_scale"].indistinguishable_from:
+        factor = 1.0 / max(named["thrust_scale"].parameters["scale"].estimate, _STEP)
+    elif "payload" in named and "thrust_scale" not in named:
+        if "thrust_scale" in named["payload"].indistinguishable_from:
+            factor = start.total_mass_kg / (start.total_mass_kg + named["payload"].parameters["mass_kg"].estimate)
+    if factor == 1.0:
+        return found
+    return tuple(f if f.name in ("payload", "thrust_scale") else _also_times(f, factor) for f in found)
+
+
+def _also_times(found: IdentifiedEffect, factor: float) -> IdentifiedEffect:
+    """The effect with intervals of what goes with the common scale that hold this many times as much as well."""
+    parameters = dict(found.parameters)
+    for name, e in found.parameters.items():
+        unit = spec_of(found.name, name).unit
+        if e.told and e.low < e.high and (found.name == "inertia" or "kg" in unit or unit.startswith("N")):
+            ends = (e.low, e.high, e.low * factor, e.high * factor)
+            parameters[name] = replace(e, low=min(ends), high=max(ends))
+    return replace(found, parameters=parameters)
+
+
 def _prior(numbers: dict[str, FileNumber], effect: str, parameter: str, now: float) -> tuple[float, float]:
     """Centre and deviation of a parameter by what the file knows of its number; infinite where it knows nothing."""
     number = numbers.get(STANDS_FOR.get((effect, parameter), ""))
