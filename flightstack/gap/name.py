@@ -54,6 +54,9 @@ from flightstack.vehicle import Vehicle
 EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 
+_HEIGHT_ERROR_M = 2.0
+"""PX4's own errs by up to 1.6 m (docs/limits.md)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
@@ -267,10 +270,11 @@ def name(
         return Selection((), (), vehicle, Unexplained(False), where, {})
     apart = () if has_gyro(flights) else POORLY_TOLD
     raw = design(bench, vehicle, vehicle)
-    state = search(bench, raw, apart, steady=closely)
+    highest_m = _highest_m(flights)
+    state = search(bench, raw, apart, steady=closely, rope_most_m=highest_m)
     best = pruned(state)
     if not (closely or best.effects) and any(each.rms >= GAP_FROM * each.expected_noise for each in where):
-        state = search(bench, raw, apart, steady=True)
+        state = search(bench, raw, apart, steady=True, rope_most_m=highest_m)
         best = pruned(state)
     judged = judge(state, best)
     rests = residual_tests(bench, vehicle, judged.estimates)
@@ -288,6 +292,12 @@ def name(
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     behind = (bench, state)
     return Selection(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
+
+
+def _highest_m(flights: Sequence[Samples]) -> float:
+    """How high over the ground all flew at some time, the lowest of several; infinite where none says."""
+    heights = [s.height_m[s.valid & np.isfinite(s.height_m)] for s in flights]
+    return min((float(np.max(h)) + _HEIGHT_ERROR_M for h in heights if len(h)), default=np.inf)
 
 
 def _confounded_terms(state: SelectionState, judged: Judged, rests: Mapping[str, ResidualTest], group: str) -> set[str]:

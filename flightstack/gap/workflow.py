@@ -137,10 +137,11 @@ def _without_loop_noise(
         wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, of.flights, of.fit, centre_s)
         gone = interval_contains_nominal(alone or ())
         gone = gone or tuple(f.name for f in alone or () if instruments.is_trifling(vehicle, f))
+        gone = gone or interval_contains_nominal(wide)
         if not gone:
             naming = replace(naming, found=wide)
             break
-        left = naming.without(gone[-1:], "nothing of it is left without the noise that the loop feeds back")
+        left = naming.without(gone[-1:], "nothing of it is sure without the noise that the loop feeds back")
         naming, of = _refined(vehicle, replace(left, unexplained=naming.unexplained), of)
         gap = _verdict(vehicle, naming, of)
     return naming, of, gap

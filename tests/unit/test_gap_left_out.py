@@ -165,6 +165,14 @@ def test_where_the_true_value_may_lie_at_the_end_it_is_no_stand_in(factor: float
     assert effects_at_bound(quad(), pressed) == {"thrust_curve"}
 
 
+def test_a_rope_longer_than_the_flight_was_high_is_none() -> None:
+    """Its load would have lain on the ground all the time."""
+    hung = Fit({"slung_load": {"mass_kg": 0.06, "length_m": 5.0}}, quad(), np.empty(0), 0.0, 2, 0.0)
+    assert effects_at_bound(quad(), hung) == set()
+    assert effects_at_bound(quad(), hung, 5.5) == set()
+    assert effects_at_bound(quad(), hung, 4.0) == {"slung_load"}
+
+
 def test_a_thrust_that_is_the_command_s_square_is_found_from_a_file_that_says_half() -> None:
     """A file with 0.5 for a true 1.0 was answered with a force and a wind."""
     half = with_value(quad(), "thrust_curve", {"thrust_model_factor": 0.5})

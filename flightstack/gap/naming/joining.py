@@ -41,7 +41,7 @@ def forward_selection_step(
             break
         fit = fit_subset(fresh, found[i])
         (new,) = set(fit.effects) - set(effects)
-        if fit.score >= now.score or effects_at_bound(state.start, fit):
+        if fit.score >= now.score or effects_at_bound(state.start, fit, state.rope_most_m):
             continue
         across, held = mse_increase(fresh, estimate(fresh, fit.effects), list(fit.effects), new)
         if min(across, held) >= CLEARLY and (best is None or across > best[0]):
@@ -55,4 +55,6 @@ def forward_selection_step(
 def _searched_at(state: SelectionState, vehicle: Vehicle) -> SelectionState:
     """A search with its columns at this vehicle, and the other's model of the noise."""
     point = linearise(state.bench, vehicle, state.start, layout=state.point.layout)
-    return SelectionState(state.bench, state.start, point, metric_of(point), excluded=state.excluded)
+    return SelectionState(
+        state.bench, state.start, point, metric_of(point), excluded=state.excluded, rope_most_m=state.rope_most_m
+    )

@@ -76,6 +76,8 @@ class SelectionState:
     """Pairs of effects that these flights can't tell apart: never named together."""
     rope_m: float = 0.0
     """Length of the rope that was best with the present columns, 0 before any was looked for."""
+    rope_most_m: float = np.inf
+    """How high the vehicle flew: a load on a longer rope would have lain on the ground."""
 
     @property
     def best(self) -> Fit:
@@ -88,7 +90,7 @@ class SelectionState:
         fair = {
             key: fit.score
             for key, fit in self.fits.items()
-            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit)
+            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit, self.rope_most_m)
         }
         best = min(fair, key=lambda key: fair[key])
         as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
@@ -97,27 +99,38 @@ class SelectionState:
         return min(as_good, key=lambda key: (len(key), fair[key]))
 
 
-def effects_at_bound(start: Vehicle, fit: Fit) -> set[str]:
+def effects_at_bound(start: Vehicle, fit: Fit, rope_most_m: float = np.inf) -> set[str]:
     """Its effects that stand at an end of what is plausible, and not merely where the true value may lie."""
+    lying = {e for e, values in fit.effects.items() if e == "slung_load" and values["length_m"] > rope_most_m}
     ends = {e: [(p, x) for p, x in values.items() if at_end(start, e, p, x)] for e, values in fit.effects.items()}
-    return {e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)}
+    return lying | {
+        e for e, at in ends.items() if any(e in fit.pressed or not at_physical_end(start, e, *each) for each in at)
+    }
 
 
 def _exclude_at_bound(state: SelectionState) -> bool:
     """Bar what is strained in the fit that else were the best; whether there was any."""
     fair = [fit for fit in state.fits.values() if not state.excluded & set(fit.effects)]
-    at_ends = effects_at_bound(state.start, min(fair, key=lambda fit: fit.score))
+    at_ends = effects_at_bound(state.start, min(fair, key=lambda fit: fit.score), state.rope_most_m)
     state.excluded |= at_ends
     return bool(at_ends)
 
 
-def search(bench: Bench, raw: Design, apart: Sequence[tuple[str, str]] = (), *, steady: bool = False) -> SelectionState:
+def search(
+    bench: Bench,
+    raw: Design,
+    apart: Sequence[tuple[str, str]] = (),
+    *,
+    steady: bool = False,
+    rope_most_m: float = np.inf,
+) -> SelectionState:
     """The subsets worth a look, fitted; `raw` is of the vehicle as its file has it; `apart`: never together.
 
     `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
+    `rope_most_m`: of `SelectionState`.
     """
     start, point = raw.vehicle, whitened(bench, raw, at_start=not steady)
-    state = SelectionState(bench, start, point, metric_of(point), apart=apart)
+    state = SelectionState(bench, start, point, metric_of(point), apart=apart, rope_most_m=rope_most_m)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, [s for s in subsets if _allowed(state, s)])

@@ -23,20 +23,18 @@ def waterfall_svg(steps: tuple[Step, ...], floor: float | None, quantity: str, u
     for index, (step, value) in enumerate(known):
         y = 30.0 + index * _ROW
         if index == 0:
-            rows.append(_exclude_at_bound(0.0, value, top, y, "whole", "the model as it was", f"{value:.3g} {unit}"))
+            rows.append(_bar(0.0, value, top, y, "whole", "the model as it was", f"{value:.3g} {unit}"))
         else:
             name = words.effect(step.name)
             change = value - before
             kind = "drop" if change <= 0.0 else "rise"
             text = f"{change:+.2g} {unit}".replace("-", "−")
-            rows.append(_exclude_at_bound(min(value, before), max(value, before), top, y, kind, f"with {name}", text))
+            rows.append(_bar(min(value, before), max(value, before), top, y, kind, f"with {name}", text))
             rows.append(_link(before, top, y))
         before = value
     count = len(known)
     if count > 1:
-        rows.append(
-            _exclude_at_bound(0.0, before, top, 30.0 + count * _ROW, "left", "what is left", f"{before:.3g} {unit}")
-        )
+        rows.append(_bar(0.0, before, top, 30.0 + count * _ROW, "left", "what is left", f"{before:.3g} {unit}"))
         count += 1
     height = 30.0 + count * _ROW + (18.0 if floor is not None else 4.0)
     if floor is not None and math.isfinite(floor):
@@ -56,7 +54,7 @@ def _x(value: float, top: float) -> float:
     return _LABEL + value / top * (_WIDTH - _LABEL - _VALUE)
 
 
-def _exclude_at_bound(low: float, high: float, top: float, y: float, kind: str, label: str, text: str) -> str:
+def _bar(low: float, high: float, top: float, y: float, kind: str, label: str, text: str) -> str:
     left, right = _x(low, top), _x(high, top)
     return (
         f'<text x="{_LABEL - 8:.0f}" y="{y + 12:.1f}" text-anchor="end">{escape(label)}</text>'
