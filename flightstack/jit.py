@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import cache, partial
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -249,18 +250,22 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     return compiled  # type: ignore[no-any-return]
 
 
+_LOOK_EVERY = 32
+
+
 class Entry:
     """A compiled function for a caller in Python who always passes the same types, which are said here.
 
     numba looks at every argument's type at every call, which takes longer than a short function; through `call` it does
     not.  Arrays have to be contiguous and of the type that is said: what is not an array of so many dimensions and of
-    that size of element raises, the rest is the caller's promise.  (tests/conftest.py holds every call to it.)
+    that size of element raises, the rest is the caller's promise.  (Tests look at one call in
+    32: to look at all makes flights three times as long.)
     """
 
     __slots__ = ("_function", "_types", "call")
 
     checked = False
-    """Every call looks at its arguments: for tests."""
+    """One call in `_LOOK_EVERY` looks at its arguments: for tests."""
 
     def __init__(self, function: Callable[..., Any], types: str) -> None:
         """`types`: of the arguments, in numba's words (`f8[::1], i8`)."""
@@ -273,10 +278,12 @@ class Entry:
         kinds, _ = sigutils.normalize_signature(f"({self._types},)")
         self._function.compile(kinds)
         entry = self._function.overloads[kinds].entry_point
-        self.call = partial(self._checked, entry, kinds) if Entry.checked else entry
+        self.call = partial(self._checked, count(), entry, kinds) if Entry.checked else entry
         return self.call(*arguments)
 
-    def _checked(self, entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
+    def _checked(self, calls: count[int], entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
+        if next(calls) % _LOOK_EVERY:
+            return entry(*arguments)
         # An int of any size: numba has no type for one beyond 64 bits, a float takes it all the same.
         given = tuple(types.int64 if type(argument) is int else numba.typeof(argument) for argument in arguments)
         for kind, other in zip(kinds, given, strict=True):

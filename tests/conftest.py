@@ -19,7 +19,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-Entry.checked = True  # what a compiled function is promised of its arguments is held to at every call
+Entry.checked = True  # what a compiled function is promised of its arguments is looked at
 
 settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how soon examples are drawn is the machine's business
