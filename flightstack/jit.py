@@ -250,7 +250,7 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     return compiled  # type: ignore[no-any-return]
 
 
-_LOOK_EVERY = 32
+_LOOK_EVERY, _LOOK_UP_TO = 32, 4096
 
 
 class Entry:
@@ -259,13 +259,13 @@ class Entry:
     numba looks at every argument's type at every call, which takes longer than a short function; through `call` it does
     not.  Arrays have to be contiguous and of the type that is said: what is not an array of so many dimensions and of
     that size of element raises, the rest is the caller's promise.  (Tests look at one call in
-    32: to look at all makes flights three times as long.)
+    32 of the first 4,096: to look at all makes flights three times as long.)
     """
 
     __slots__ = ("_function", "_types", "call")
 
     checked = False
-    """One call in `_LOOK_EVERY` looks at its arguments: for tests."""
+    """One call in `_LOOK_EVERY` looks at its arguments, up to `_LOOK_UP_TO`: for tests."""
 
     def __init__(self, function: Callable[..., Any], types: str) -> None:
         """`types`: of the arguments, in numba's words (`f8[::1], i8`)."""
@@ -282,7 +282,10 @@ class Entry:
         return self.call(*arguments)
 
     def _checked(self, calls: count[int], entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
-        if next(calls) % _LOOK_EVERY:
+        call = next(calls)
+        if call >= _LOOK_UP_TO:
+            self.call = entry
+        if call % _LOOK_EVERY:
             return entry(*arguments)
         # An int of any size: numba has no type for one beyond 64 bits, a float takes it all the same.
         given = tuple(types.int64 if type(argument) is int else numba.typeof(argument) for argument in arguments)
