@@ -15,7 +15,6 @@ from itertools import permutations
 from typing import Any, Final
 
 import numpy as np
-from fastcrc.crc16 import mcrf4xx
 from numpy.typing import NDArray
 
 from flightstack.consistency import JUMP_M, watch_attitude, watch_imu, watch_position
@@ -25,6 +24,7 @@ from flightstack.types import F64, Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row, Wire
 from mavlink_bridge.command_latency import compare_report
+from mavlink_bridge.compiled_crc import crc
 from mavlink_bridge.framing import HEADER_SIZE, MAGIC_V2
 from mavlink_bridge.vehicle_params import motor_commands
 from mavlink_bridge.vehicle_view import VehicleView
@@ -71,7 +71,6 @@ for _number, _column in enumerate(_COLUMNS, 1):
 _PLACES, _SIZES = np.array(AT), np.array([0, *(row.size for row in _MESSAGES)])
 _EXTRAS = np.array([0, *(row.crc_extra for row in _MESSAGES)])
 _NUMBER_OF = np.array([NUMBERS.get(number, 0) for number in range(256)])
-_CRC_STEPS = np.array([mcrf4xx(bytes([value]), 0) for value in range(256)], np.int64)
 _LONGEST = -(-max(row.size for row in _MESSAGES) // 8) * 8
 _ORDERS: Final = {
     sum(number << 3 * place for place, number in enumerate(reversed(order))): order
@@ -170,7 +169,9 @@ def _read(data: bytes, at: int, sequence: int, source: int, row: F64) -> int:
             break
         if data[end + 8] != 0 or data[end + 9] != 0 or data[end + 4] != sequence:
             break
-        if data[end + 5] << 8 | data[end + 6] != source or not _is_good(data, end + 1, crc_at, _EXTRAS[number]):
+        if data[end + 5] << 8 | data[end + 6] != source:
+            break
+        if crc(data, end + 1, crc_at, _EXTRAS[number]) != data[crc_at] | data[crc_at + 1] << 8:
             break
         for k in range(_LONGEST):
             payload[k] = data[end + HEADER_SIZE + k] if k < size else 0
@@ -188,16 +189,6 @@ def _has(order: int, number: int) -> bool:
             return True
         order >>= 3
     return False
-
-
-@njit
-def _is_good(data: bytes, begin: int, crc_at: int, extra: int) -> bool:
-    """Whether a frame's CRC holds."""
-    crc = 0xFFFF
-    for i in range(begin, crc_at):
-        crc = _CRC_STEPS[(crc ^ data[i]) & 0xFF] ^ crc >> 8
-    crc = _CRC_STEPS[(crc ^ extra) & 0xFF] ^ crc >> 8
-    return bool(crc == data[crc_at] | data[crc_at + 1] << 8)
 
 
 @njit

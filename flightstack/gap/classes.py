@@ -104,9 +104,8 @@ def in_classes(found: tuple[IdentifiedEffect, ...], flights: Sequence[Samples]) 
     """
     if not has_gyro(flights):
         found = tuple(beside_a_poor_model(f) for f in found)
-    if not any(
-        moves(s) for s in flights
-    ):  # drag at the hubs of a vehicle that only turns, or that only rises and sinks
+    if not any(moves(s) for s in flights):
+        # Drag at the hubs of a vehicle that only turns; of one that only rises and sinks.
         turns, sinks = ("rotor_drag",), ("linear_drag", "parasitic_drag")
         twins = {"angular_damping": turns, "induced_inflow": sinks}
         found = tuple(together(f, twins.get(f.name, ())) for f in found)

@@ -54,8 +54,8 @@ from flightstack.vehicle import Vehicle
 EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 
-_HEIGHT_ERROR_M = 2.0
-"""PX4's own errs by up to 1.6 m (docs/limits.md)."""
+_HEIGHT_ERROR_M = 1.6
+"""Of PX4's own height in a flight, the worst of 69 (docs/limits.md)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from fastcrc.crc16 import mcrf4xx
 from numpy.typing import NDArray
 
 from flightstack.jit import Entry, njit
@@ -16,6 +15,7 @@ from flightstack.types import F64
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
+from mavlink_bridge.compiled_crc import crc
 from mavlink_bridge.framing import HEADER_SIZE, MAGIC_V2
 from mavlink_bridge.link import Link
 
@@ -23,7 +23,6 @@ KINDS: Final = (m.HighresImu, m.AttitudeQuaternion, m.LocalPositionNed, m.ServoO
 _IMU, _ATTITUDE, _POSITION, _MOTORS = range(1, 5)
 _ROWS = [m.BY_EVENT[kind] for kind in KINDS]
 _IDS, _EXTRAS, _SIZES = (np.array([0, *(getattr(row, name) for row in _ROWS)]) for name in ("id", "crc_extra", "size"))
-_CRC_STEPS = np.array([mcrf4xx(bytes([value]), 0) for value in range(256)], np.int64)
 _LONGEST, _HIGHEST_US = 80, 4_000_000_000_000
 _UNUSED_PWM = 900
 
@@ -114,11 +113,9 @@ def _frame(kind: int, sender: tuple[int, int, int], data: NDArray[np.uint8], out
         out[at + i] = head[i]
     for i in range(size):
         out[at + HEADER_SIZE + i] = data[i]
-    end, crc = at + HEADER_SIZE + size, 0xFFFF
-    for i in range(at + 1, end):
-        crc = _CRC_STEPS[(crc ^ out[i]) & 0xFF] ^ crc >> 8
-    crc = _CRC_STEPS[(crc ^ _EXTRAS[kind]) & 0xFF] ^ crc >> 8
-    out[end], out[end + 1] = crc & 0xFF, crc >> 8
+    end = at + HEADER_SIZE + size
+    check = crc(out, at + 1, end, _EXTRAS[kind])
+    out[end], out[end + 1] = check & 0xFF, check >> 8
     return int(end + 2)
 
 
