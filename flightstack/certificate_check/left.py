@@ -2,8 +2,8 @@
 
 North and east are one complex number.  A way and the loop beside it are integrated in steps of 10 ms; a force, what no
 sensor shows, and errors of place and velocity, each of any course within its size, are driven to where they move the
-vehicle furthest from all places of the way: by the adjoint of a run, from four first courses for each of four moments,
-all of a certificate's ways side by side.
+vehicle furthest from all places of the way: by the adjoint of a run, from some first courses for each of some moments,
+all of a certificate's ways side by side; then from what was worst a moment before and after.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from .intervals import F64
 
 _C = NDArray[np.complex128]
+_I = NDArray[np.int64]
 _STEP_S, _STILL_S, _OBSERVER_S, _LONGEST = 0.01, 2.5, 0.1, 768
 _ASKED_SHARE, _TURN_SHARE, _SEEN_SHARE, _LEAD_S = 0.5, 0.5, 0.85, 0.05
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
-_MOMENTS, _COURSES = (0.19, 0.25, 0.35, 0.5, 0.72), ((0.0, 0.0), (0.0, 0.5), (0.5, 0.35), (0.75, 0.6))
+_MOMENTS = (0.12, 0.19, 0.26, 0.33, 0.4, 0.47, 0.54, 0.64)
+_COURSES, _OFF_RAD = ((0.0, 0.0), (1.0, 0.0), (0.5, 0.3), (0.75, 0.6), (0.25, 0.5), (1.25, 0.2)), 0.2
 """Shares of a way's time; first courses: half turns of a direction, share of the time until the force turns round."""
 _STOP_SHARE = 0.75
 """Of the snap, what stops a turning that is faster than a way's own."""
-_ROUNDS, _SHARES, _SMALL = 8, (1.0, 0.4, 0.15), 1e-6
+_ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
 class Loop(NamedTuple):
@@ -53,6 +55,7 @@ class Way(NamedTuple):
     stoppable: float
     rest_radius_m: float
     most_radius_m: float
+    per_lean_s2: float
 
 
 def _cut(z: Any, most: Any) -> Any:
@@ -89,109 +92,223 @@ def _laid_out(way: Way, loop: Loop, v: complex, a: complex) -> _C:
     return np.array(rows + [(p, 0.0, 0.0, 0.0)] * round(_STILL_S / _STEP_S))
 
 
-def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _C:
-    """What the snap goes to; x (6, ...): place, velocity, lean, its rate, its snap, what is seen of the force."""
+class _Lanes(NamedTuple):
+    """Courses side by side, of which those that end last come first."""
+
+    laid: _C
+    """(n, 4, ways)."""
+    way: _I
+    last: _I
+    """Of each lane its way, and the step at which it ends."""
+    running: _I
+    """How many lanes there are at each step."""
+
+
+class _Courses(NamedTuple):
+    """Inputs (n, 4, lanes), and what is seen of the force and the errors of place and velocity at first (3, lanes)."""
+
+    inputs: _C
+    first: _C
+
+    def towards(self, share: float, bounds: _Courses) -> _Courses:
+        """A share of the way to other ones."""
+        return _Courses(*(mine + share * (theirs - mine) for mine, theirs in zip(self, bounds, strict=True)))
+
+    def where(self, better: NDArray[np.bool_], other: _Courses) -> _Courses:
+        """The other ones where they are better."""
+        return _Courses(*(np.where(better, theirs, mine) for mine, theirs in zip(self, other, strict=True)))
+
+
+def _sizes(z: Any) -> Any:
+    return np.maximum(np.abs(z), 1e-9)
+
+
+class _Snap(NamedTuple):
+    """What the snap goes to, and every vector on the way there with the share of it that is let through, and how that
+    share changes by its size, over the size."""
+
+    asked: _C
+    back: tuple[_C, F64, F64]
+    leant: tuple[_C, F64, F64]
+    short: tuple[_C, F64, F64]
+    wanted: tuple[_C, F64, F64]
+
+
+def _bounded(z: _C, most: float) -> tuple[_C, F64, F64]:
+    size = _sizes(z)
+    share = np.minimum(1.0, most / size)
+    return z, share, np.where(share < 1.0, -share / size**2, 0.0)
+
+
+def _gains(loop: Loop) -> tuple[float, float, float, float, float]:
+    """Lean by place and by velocity; what missing turning and the snap that there is ask for; how late it is."""
     late = 1.0 + _LEAD_S * loop.rotors_s / loop.lag_s**2
     late_s = loop.lag_s * late / (1.0 + _LEAD_S / loop.lag_s) + loop.rotors_s / late
-    back = (loop.vel_ps2 * (at[1] - x[1] - u[3]) + loop.pos_ps3 * (at[0] - x[0] - u[2])) / loop.acc_ps
-    speed = np.abs(back) * loop.acc_ps / loop.vel_ps2
-    back = _cut(back, _ASKED_SHARE * np.cbrt(loop.snap_mps4) * np.cbrt(speed) ** 2)
-    short = _cut(at[2] + back - _SEEN_SHARE * x[5], loop.lean_mps2) - x[2]
-    size, share = np.maximum(np.abs(short), 1e-9), _TURN_SHARE * loop.snap_mps4
-    turn = np.sqrt((share * late_s) ** 2 + 2.0 * share * size) - share * late_s
-    turn = np.minimum(np.minimum(turn, loop.acc_ps * size), loop.fastest_mps3)
-    wanted = (1.0 + _LEAD_S / loop.lag_s) * (at[3] + turn / size * short - x[3])
-    asked: _C = _cut((wanted - _LEAD_S * loop.rotors_s / loop.lag_s * x[4]) / loop.lag_s, loop.snap_mps4)
-    return asked
+    lead = (1.0 + _LEAD_S / loop.lag_s) / loop.lag_s
+    return (
+        loop.pos_ps3 / loop.acc_ps, loop.vel_ps2 / loop.acc_ps, lead, _LEAD_S * loop.rotors_s / loop.lag_s**2, late_s
+    )  # fmt: skip
 
 
-def _run(ways: _C, inputs: _C, first: _C, loop: Loop) -> _C:
-    """(n + 1, 6, lanes) states; ways (n, 4, lanes), inputs (n, 4, lanes), first (3, lanes): seen, place, velocity."""
-    x = np.zeros((len(ways) + 1, 6, ways.shape[2]), dtype=np.complex128)
-    x[0, 0], x[0, 1], x[0, 2] = ways[0, 0] + first[1], ways[0, 1] + first[2], ways[0, 2] - first[0]
+def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
+    """x (6, lanes): place, velocity, lean, its rate, its snap, what is seen of the force."""
+    by_place, by_velocity, lead, damped, late_s = _gains(loop)
+    back = by_velocity * (at[1] - x[1] - u[3]) + by_place * (at[0] - x[0] - u[2])
+    size = _sizes(back)
+    share = np.minimum(1.0, _ASKED_SHARE * np.cbrt(loop.snap_mps4 / by_velocity**2 / size))
+    backs = back, share, np.where(share < 1.0, -share / (3.0 * size**2), 0.0)
+    leant = _bounded(at[2] + share * back - _SEEN_SHARE * x[5], loop.lean_mps2)
+    short = leant[1] * leant[0] - x[2]
+    size, most = _sizes(short), _TURN_SHARE * loop.snap_mps4
+    stopped = np.sqrt((most * late_s) ** 2 + 2.0 * most * size) - most * late_s
+    turn = np.minimum(np.minimum(stopped, loop.acc_ps * size), loop.fastest_mps3)
+    grows = np.where(stopped < loop.acc_ps * size, most / (stopped + most * late_s), loop.acc_ps)
+    grows = np.where(turn < loop.fastest_mps3, grows, 0.0)
+    shorts = short, turn / size, (grows - turn / size) / size**2
+    wanted = _bounded(lead * (at[3] + shorts[1] * short - x[3]) - damped * x[4], loop.snap_mps4)
+    return _Snap(wanted[1] * wanted[0], backs, leant, shorts, wanted)
+
+
+def _felt(of: tuple[_C, F64, F64], g: _C) -> _C:
+    """A gradient by what is let through of a vector, by the vector itself."""
+    z, share, slope = of
+    felt: _C = share * g + slope * (z.real * g.real + z.imag * g.imag) * z
+    return felt
+
+
+def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
+    """(n + 1, 6, lanes) states; after a lane's end they are not worked out."""
+    x = np.zeros((len(lanes.laid) + 1, 6, len(lanes.way)), dtype=np.complex128)
+    begins, first = lanes.laid[0][:, lanes.way], courses.first
+    x[0, 0], x[0, 1], x[0, 2] = begins[0] + first[1], begins[1] + first[2], begins[2] - first[0]
     x[0, 5], follows = first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
-    for k, (u, at) in enumerate(zip(inputs, ways, strict=True)):
-        p, v, a, j, s, seen = x[k]
-        after = s + follows * (_snap(x[k], u, at, loop) - s)
-        x[k + 1] = (
-            p + _STEP_S * v, v + _STEP_S * (a + u[0] + u[1]), a + _STEP_S * j, j + _STEP_S * after, after,
-            seen + _STEP_S / _OBSERVER_S * (u[0] - seen),
-        )  # fmt: skip
+    for k in range(int(lanes.last.max())):
+        m = int(lanes.running[k])
+        u, here, after = courses.inputs[k, :, :m], x[k, :, :m], x[k + 1, :, :m]
+        after[4] = here[4] + follows * (_snap(here, u, lanes.laid[k][:, lanes.way[:m]], loop).asked - here[4])
+        after[0] = here[0] + _STEP_S * here[1]
+        after[1] = here[1] + _STEP_S * (here[2] + u[0] + u[1])
+        after[2] = here[2] + _STEP_S * here[3]
+        after[3] = here[3] + _STEP_S * after[4]
+        after[5] = here[5] + _STEP_S / _OBSERVER_S * (u[0] - here[5])
     return x
 
 
-def _uphill(ways: _C, inputs: _C, x: _C, toward: _C, last: NDArray[np.int64], loop: Loop) -> tuple[_C, _C]:
-    """By each input, and by the first state, the way in which the place at `last` grows along `toward`."""
-    g, up, follows = np.zeros_like(x[0]), np.zeros_like(inputs), 1.0 - np.exp(-_STEP_S / loop.rotors_s)
-    lanes = len(last)
-    moved = np.zeros((6, 12, 1), dtype=np.complex128)
-    moved[np.arange(12) // 2, np.arange(12), 0] = np.where(np.arange(12) % 2 == 0, _SMALL, 1j * _SMALL)
-    for k in range(len(ways) - 1, -1, -1):
-        g[0] += np.where(k + 1 == last, toward, 0.0)
-        by = follows * (g[4] + _STEP_S * g[3])
-        up[k, 0], up[k, 1] = _STEP_S * (g[1] + g[5] / _OBSERVER_S), _STEP_S * g[1]
-        g[4] = (1.0 - follows) * (g[4] + _STEP_S * g[3])
+def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: Loop) -> _Courses:
+    """By each input, and by what is so at first, the way in which the place at a lane's end grows along `toward`."""
+    g, up, follows = np.zeros_like(x[0]), np.zeros_like(courses.inputs), 1.0 - np.exp(-_STEP_S / loop.rotors_s)
+    by_place, by_velocity, lead, damped, _ = _gains(loop)
+    for k in range(int(lanes.last.max()) - 1, -1, -1):
+        m = int(lanes.running[k])
+        h, u = g[:, :m], courses.inputs[k, :, :m]
+        h[0] = np.where(lanes.last[:m] == k + 1, toward[:m], h[0])
+        snap = _snap(x[k, :, :m], u, lanes.laid[k][:, lanes.way[:m]], loop)
+        by_snap = follows * (h[4] + _STEP_S * h[3])
+        up[k, 0, :m], up[k, 1, :m] = _STEP_S * (h[1] + h[5] / _OBSERVER_S), _STEP_S * h[1]
+        h[4] = (1.0 - follows) * (h[4] + _STEP_S * h[3])
         for i in (3, 2, 1):
-            g[i] += _STEP_S * g[i - 1]
-        g[5] *= 1.0 - _STEP_S / _OBSERVER_S
-        states = np.concatenate([x[k][:, None], x[k][:, None] + moved], axis=1)
-        asked = _snap(states, inputs[k][:, None], ways[k][:, None], loop)
-        change = np.real(np.conj(by) * (asked[1:] - asked[0])) / _SMALL
-        felt = change[0::2] + 1j * change[1::2]
-        g += felt.reshape(6, lanes)
-        up[k, 2], up[k, 3] = felt[0], felt[1]
-    return up, g
+            h[i] += _STEP_S * h[i - 1]
+        h[5] *= 1.0 - _STEP_S / _OBSERVER_S
+        by_wanted = _felt(snap.wanted, by_snap)
+        by_short = _felt(snap.short, lead * by_wanted)
+        by_leant = _felt(snap.leant, by_short)
+        by_back = _felt(snap.back, by_leant)
+        up[k, 2, :m], up[k, 3, :m] = -by_place * by_back, -by_velocity * by_back
+        h[0] -= by_place * by_back
+        h[1] -= by_velocity * by_back
+        h[2] -= by_short
+        h[3] -= lead * by_wanted
+        h[4] -= damped * by_wanted
+        h[5] -= _SEEN_SHARE * by_leant
+    return _Courses(up, np.stack([g[5] - g[2], g[0], g[1]]))
 
 
-def _begun(last: NDArray[np.int64], sizes: F64, steps: int, copies: int) -> tuple[_C, _C]:
-    """First courses, and the states that they begin with, of `copies` ways at each moment."""
-    half_turns, turned = np.tile(np.array(_COURSES).T, copies)
-    along = np.exp(1j * np.pi * half_turns)
-    signs = np.where(np.arange(steps)[:, None] >= (turned * last)[None, :], 1.0, -1.0)
-    inputs = signs[:, None] * along * (sizes * np.array([1.0, 1.0, -1.0, -1.0]))[None, :, None]
-    return inputs, along * np.array([-sizes[0], sizes[2], sizes[3]])[:, None]
+def _away(lanes: _Lanes, x: _C) -> _C:
+    """From the nearest place of its way to where each lane ends."""
+    off = x[lanes.last, 0, np.arange(len(lanes.way))][None, :] - lanes.laid[:, 0][:, lanes.way]
+    found: _C = off[np.argmin(np.abs(off), axis=0), np.arange(len(lanes.way))]
+    return found
+
+
+def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F64, _Courses]:
+    """How far lanes are driven from where their courses begin, uphill, and the courses that do it."""
+    x = _run(lanes, courses, loop)
+    away = _away(lanes, x)
+    for _ in range(_ROUNDS):
+        best, begun = np.abs(away), courses
+        bounds = _uphill(lanes, courses, x, away / np.maximum(best, 1e-9), loop)
+        bounds = _Courses(
+            bounds.inputs / np.maximum(np.abs(bounds.inputs), 1e-12) * sizes[None, :, None],
+            bounds.first / np.maximum(np.abs(bounds.first), 1e-12) * sizes[[0, 2, 3], None],
+        )
+        is_more = np.zeros(len(best), dtype=bool)
+        for share in _SHARES:
+            tried = begun.towards(share, bounds)
+            run = _run(lanes, tried, loop)
+            found = _away(lanes, run)
+            better = (np.abs(found) > best) & ~is_more
+            courses, x, away = courses.where(better, tried), np.where(better, run, x), np.where(better, found, away)
+            is_more |= better
+            if is_more.mean() > _ENOUGH:
+                break
+        if not is_more.any():
+            break
+    return np.abs(away), courses
+
+
+def _lanes(laid: _C, lengths: _I, copies: int) -> _Lanes:
+    """Some for each moment of each way; a moment's lie side by side, way by way within them."""
+    last = (np.array(_MOMENTS)[:, None, None] * lengths[None, :, None]).astype(np.int64)
+    last = np.broadcast_to(last, (len(_MOMENTS), len(lengths), copies)).reshape(-1)
+    ways = np.broadcast_to(np.arange(len(lengths))[None, :, None], (len(_MOMENTS), len(lengths), copies)).reshape(-1)
+    return _Lanes(laid, ways, last, np.array([]))
+
+
+def _sorted(lanes: _Lanes) -> tuple[_Lanes, _I]:
+    """Those that end last first, and the order."""
+    order = np.argsort(-lanes.last, kind="stable")
+    last = lanes.last[order]
+    running = np.searchsorted(-last, -np.arange(len(lanes.laid)), side="left")
+    return _Lanes(lanes.laid, lanes.way[order], last, running), order
+
+
+def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
+    """Along a direction, or nearly against it until a moment; the estimate errs a little off it, as on a line no
+    gradient points away from the line."""
+    half_turns, turned = np.tile(np.array(_COURSES).T, len(lanes.last) // len(_COURSES))
+    along, off = np.exp(1j * np.pi * half_turns), np.exp(1j * (np.pi * half_turns + _OFF_RAD))
+    after = np.arange(len(lanes.laid))[:, None] >= (turned * lanes.last)[None, :]
+    force = np.where(after, along, -along * np.exp(-1j * _OFF_RAD))
+    inputs: _C = np.stack(
+        [force, force, np.broadcast_to(-off, force.shape), np.broadcast_to(-off, force.shape)], axis=1
+    )
+    first = np.stack([-sizes[0] * along, sizes[2] * off, sizes[3] * off]).astype(np.complex128)
+    return _Courses(inputs * sizes[None, :, None], first)
 
 
 def left(way: Way, loop: Loop, sizes: F64, motions: list[tuple[complex, complex]]) -> F64:
     """How far the ways from motions (velocity, lean) are left; sizes: force, what no sensor shows, place, velocity.
     0 where there is no way."""
     laid_out = [_laid_out(way, loop, *motion) for motion in motions]
-    laid = [each for each in laid_out if len(each)]
-    if not laid:
+    rows = [each for each in laid_out if len(each)]
+    if not rows:
         return np.zeros(len(motions))
-    steps, copies = max(map(len, laid)), len(_MOMENTS) * len(_COURSES)
-    whole = np.stack([np.concatenate([w, np.repeat(w[-1:], steps - len(w), axis=0)]) for w in laid], axis=2)
-    ways = np.repeat(whole, copies, axis=2)
-    last = np.concatenate([np.repeat(np.array(_MOMENTS) * len(w), len(_COURSES)) for w in laid]).astype(np.int64)
-    inputs, first = _begun(last, sizes, steps, len(last) // len(_COURSES))
-    lanes, best = np.arange(len(last)), np.full(len(last), -1.0)
-
-    def away(x: _C) -> _C:
-        off = x[last, 0, lanes][None, :] - ways[:, 0]
-        found: _C = off[np.argmin(np.abs(off), axis=0), lanes]
-        return found
-
-    x = _run(ways, inputs, first, loop)
-    for _ in range(_ROUNDS):
-        toward = away(x)
-        best = np.maximum(best, np.abs(toward))
-        up, g = _uphill(ways, inputs, x, toward / np.maximum(np.abs(toward), 1e-9), last, loop)
-        begun = np.stack([g[5] - g[2], g[0], g[1]])
-        up = up / np.maximum(np.abs(up), 1e-12) * sizes[None, :, None]
-        begun = begun / np.maximum(np.abs(begun), 1e-12) * sizes[[0, 2, 3], None]
-        is_more = np.zeros(len(last), dtype=bool)
-        kept = inputs, first, x
-        for share in _SHARES:
-            tried = kept[0] + share * (up - kept[0]), kept[1] + share * (begun - kept[1])
-            run = _run(ways, *tried, loop)
-            better = (np.abs(away(run)) > best) & ~is_more
-            inputs, first = np.where(better, tried[0], inputs), np.where(better, tried[1], first)
-            x, is_more = np.where(better, run, x), is_more | better
-            if is_more.all():
-                break
-        if not is_more.any():
-            break
-    best = np.maximum(best, np.abs(away(x)))
-    found = np.zeros(len(motions))
-    found[[len(each) > 0 for each in laid_out]] = best.reshape(len(laid), copies).max(axis=1)
-    return found
+    lengths = np.array([len(each) for each in rows])
+    laid = np.stack([np.concatenate([w, np.repeat(w[-1:], lengths.max() - len(w), axis=0)]) for w in rows], axis=2)
+    greatest, shape = np.zeros(len(rows)), (len(_MOMENTS), len(rows))
+    plain, courses = _lanes(laid, lengths, len(_COURSES)), None
+    for _ in range(1 + _PASSED_ON):
+        lanes, order = _sorted(plain)
+        if courses is None:
+            courses = _first_courses(plain, sizes)
+        found, driven = _driven(lanes, _Courses(*(each[..., order] for each in courses)), sizes, loop)
+        back = np.argsort(order)
+        found, driven = found[back].reshape(*shape, -1), _Courses(*(each[..., back] for each in driven))
+        greatest = np.maximum(greatest, found.max(axis=(0, 2)))
+        best = np.argmax(found, axis=2) + np.arange(found.size).reshape(found.shape)[:, :, 0]
+        before, after = (best[np.clip(np.arange(len(best)) + step, 0, len(best) - 1)] for step in (-1, 1))
+        taken = np.stack([before, after], axis=2).reshape(-1)  # what is worst a moment before, and after
+        plain, courses = _lanes(laid, lengths, 2), _Courses(*(each[..., taken] for each in driven))
+    result = np.zeros(len(motions))
+    result[[len(each) > 0 for each in laid_out]] = greatest
+    return result

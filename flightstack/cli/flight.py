@@ -8,7 +8,7 @@ machine, and the same seed gives the same log.  With `--realtime` the very same 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from flightstack.autopilot import autopilot_of
@@ -105,9 +105,14 @@ class Setup:
 def prepare(options: FlyOptions) -> Setup:
     """Read and check everything before anything moves; InputError with one line where something is wrong."""
     faults = parse_faults(options.fault)
-    flight = prepare_flight(options)
-    truth = _truth(options, flight)
-    gains = autopilot_of(flight.believed, truth)  # as `offboard` reads them from its vehicle
+
+    def known(scenario: Scenario, believed: Vehicle) -> Mapping[str, float]:
+        return autopilot_of(believed, _truth(options, scenario, believed))
+
+    # a site's certificate takes seconds: it is made once, for the gains that `offboard` reads from its vehicle
+    flight = prepare_flight(options) if options.site is None else prepare_flight(options, known)
+    truth = _truth(options, flight.scenario, flight.believed)
+    gains = autopilot_of(flight.believed, truth)
     if flight.protection.filter.enabled and tuned(flight.believed, gains) is not flight.believed:
         flight = prepare_flight(options, gains)
     scenario = flight.scenario
@@ -135,13 +140,13 @@ def prepare(options: FlyOptions) -> Setup:
     return Setup(flight.with_more(settings, carried), truth, flown, options.plant, faults, companion)
 
 
-def _truth(options: FlyOptions, flight: Prepared) -> Vehicle:
+def _truth(options: FlyOptions, scenario: Scenario, believed: Vehicle) -> Vehicle:
     """What really flies."""
     if options.truth is None:
-        return flight.scenario.truth_vehicle(flight.believed)
+        return scenario.truth_vehicle(believed)
     truth, _ = files.load_vehicle(options.truth)
-    if options.truth == flight.scenario.flight.get("truth"):
-        truth = changed_vehicle(truth, flight.scenario.truth.changes, flight.scenario.name)
+    if options.truth == scenario.flight.get("truth"):
+        truth = changed_vehicle(truth, scenario.truth.changes, scenario.name)
     return truth
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -122,10 +122,13 @@ class Prepared:
         )
 
 
-def prepare_flight(options: FlightOptions, gains: Mapping[str, float] = MappingProxyType({})) -> Prepared:
+Gains = Mapping[str, float] | Callable[[Scenario, Vehicle], Mapping[str, float]]
+
+
+def prepare_flight(options: FlightOptions, gains: Gains = MappingProxyType({})) -> Prepared:
     """Read and check everything before anything moves; InputError with one line where something is wrong.
 
-    gains: what the vehicle has of `[autopilot]`, in place of what its file says.
+    gains: what the vehicle has of `[autopilot]`, in place of what its file says; or what tells it of scenario and file.
     """
     scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
     if options.duration_s is not None:
@@ -134,7 +137,7 @@ def prepare_flight(options: FlightOptions, gains: Mapping[str, float] = MappingP
     if options.site is not None:
         scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
     filed, vehicle_file = files.load_vehicle(options.vehicle)
-    believed = tuned(filed, gains)
+    believed = tuned(filed, gains(scenario, filed) if callable(gains) else gains)
     if believed is not filed:
         vehicle_file = replace(vehicle_file, text=vehicle_to_toml(believed))
     learned = None if options.learned is None else files.read_text(options.learned)

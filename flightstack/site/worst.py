@@ -18,7 +18,7 @@ import numpy as np
 from flightstack.jit import njit, njit_called
 from flightstack.rows import ACC_E, ACC_N, VEL_E, VEL_N
 from flightstack.site import backup as b
-from flightstack.site.law import SEEN_SHARE, asked, led_lags, snap_asked, turn_towards
+from flightstack.site.law import LEAD_S, SEEN_SHARE, TURN_SHARE, asked, led_lags, snap_asked, turn_towards
 from flightstack.site.tube import OBSERVER_S
 from flightstack.types import F64
 
@@ -31,8 +31,9 @@ _STATE = 12
 _P, _V, _A, _J, _S, _O = range(0, _STATE, 2)
 _INPUTS = 8
 """Force, what no sensor shows, errors of place and of velocity: north and east of each."""
-_SMALL = 1e-6
-_KICKED = 2
+Spare = tuple[F64, F64, F64, F64, F64, F64]
+"""Of `_driven`: bounds and inputs that are tried, states, a direction, first states."""
+_KICKED, _OFF_RAD = 2, 0.2
 _STILL_S = 2.0
 
 
@@ -105,18 +106,68 @@ def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
 
 
 @njit
+def _through(x: tuple[float, float], share: float, slope: float, g: tuple[float, float]) -> tuple[float, float]:
+    """A gradient by share(|x|) x taken back to x; slope: share'(|x|) / |x|."""
+    along = slope * (x[0] * g[0] + x[1] * g[1])
+    return share * g[0] + along * x[0], share * g[1] + along * x[1]
+
+
+@njit
+def _cut(x: tuple[float, float], most: float) -> tuple[float, float]:
+    """What no more than `most` leaves of x, as a share, and its slope (`_through`)."""
+    size = math.sqrt(x[0] * x[0] + x[1] * x[1])
+    return (1.0, 0.0) if size <= most else (most / size, -most / size**3)
+
+
+@njit
+def _snap_climbed(x: F64, u: F64, at: F64, loop: F64, held: F64, g: tuple[float, float], out: F64) -> None:
+    """The gradient by `_snap_asked` (2,) taken back to its state, into `out` (12,): every step is along a vector."""
+    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]
+    snap, lean, fastest = held[0], held[1], held[2]
+    lin = (
+        vel_ps * (at[2] - x[_V] - u[6]) + pos_ps2 * (at[0] - x[_P] - u[4]),
+        vel_ps * (at[3] - x[_V + 1] - u[7]) + pos_ps2 * (at[1] - x[_P + 1] - u[5]),
+    )
+    size = max(math.sqrt(lin[0] * lin[0] + lin[1] * lin[1]), 1e-9)
+    share = asked(size, vel_ps, snap)
+    back = share, (-share / (3.0 * size * size) if share < 1.0 else 0.0)
+    leant = (
+        at[4] + share * lin[0] - SEEN_SHARE * x[_O],
+        at[5] + share * lin[1] - SEEN_SHARE * x[_O + 1],
+    )
+    cut = _cut(leant, lean)
+    short = cut[0] * leant[0] - x[_A], cut[0] * leant[1] - x[_A + 1]
+    size, most = max(math.sqrt(short[0] * short[0] + short[1] * short[1]), 1e-9), TURN_SHARE * snap
+    turned, steepness = turn_towards(size, turn_ps, snap, late), turn_ps
+    if turned < turn_ps * size:
+        steepness = most / (turned + most * late)
+    if turned > fastest:
+        turned, steepness = fastest, 0.0
+    turn = turned / size, (steepness - turned / size) / (size * size)
+    lead, damped = (1.0 + LEAD_S / lag) / lag, LEAD_S * rotors / (lag * lag)
+    wanted = (
+        lead * (at[6] + turn[0] * short[0] - x[_J]) - damped * x[_S],
+        lead * (at[7] + turn[0] * short[1] - x[_J + 1]) - damped * x[_S + 1],
+    )
+    g = _through(wanted, *_cut(wanted, snap), g)
+    g_short = _through(short, *turn, (lead * g[0], lead * g[1]))
+    g_leant = _through(leant, *cut, g_short)
+    g_lin = _through(lin, *back, g_leant)
+    for i in range(2):
+        out[_P + i], out[_V + i], out[_A + i] = -pos_ps2 * g_lin[i], -vel_ps * g_lin[i], -g_short[i]
+        out[_J + i], out[_S + i], out[_O + i] = -lead * g[i], -damped * g[i], -SEEN_SHARE * g_leant[i]
+
+
+@njit
 def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F64, uphill: F64) -> F64:
     """The gradient of the place along `toward` (2,) after the last row of `uphill`, by each input there into it (n, 8),
     and by the first state, returned (12,): backwards in time."""
     follows, seen = 1.0 - math.exp(-STEP_S / loop[4]), STEP_S / OBSERVER_S
-    g, here, there, at = np.zeros(_STATE), np.empty(2), np.empty(2), np.empty(_STATE)
+    g, change = np.zeros(_STATE), np.empty(_STATE)
     g[_P], g[_P + 1] = toward[0], toward[1]
-    by_snap = np.empty(2)
     for k in range(len(uphill) - 1, -1, -1):
-        x, u = states[k], inputs[k]
-        _snap_asked(x, u, way[k], loop, held, here)
+        by_snap = follows * (g[_S] + STEP_S * g[_J]), follows * (g[_S + 1] + STEP_S * g[_J + 1])
         for i in range(2):
-            by_snap[i] = follows * (g[_S + i] + STEP_S * g[_J + i])
             uphill[k, i] = STEP_S * g[_V + i] + seen * g[_O + i]
             uphill[k, 2 + i] = STEP_S * g[_V + i]
             g[_S + i] = (1.0 - follows) * (g[_S + i] + STEP_S * g[_J + i])
@@ -124,15 +175,10 @@ def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F
             g[_A + i] += STEP_S * g[_V + i]
             g[_V + i] += STEP_S * g[_P + i]
             g[_O + i] *= 1.0 - seen
-        at[:] = x
+        _snap_climbed(states[k], inputs[k], way[k], loop, held, by_snap, change)
         for i in range(_STATE):
-            at[i] = x[i] + _SMALL
-            _snap_asked(at, u, way[k], loop, held, there)
-            at[i] = x[i]
-            change = (by_snap[0] * (there[0] - here[0]) + by_snap[1] * (there[1] - here[1])) / _SMALL
-            g[i] += change
-            if i < _A:  # an error of the estimate is felt as that of the state
-                uphill[k, 4 + i] = change
+            g[i] += change[i]
+        uphill[k, 4:8] = change[:_A]  # an error of the estimate is felt as that of the state
     return g
 
 
@@ -159,16 +205,21 @@ def _begin(way: F64, first: F64, here: F64, start: F64) -> None:
 
 @njit
 def _course(kind: int, drawn: F64, steps: int, most: F64, inputs: F64, first: F64) -> None:
-    """A first course: along a direction, or against it until a moment; drawn (2,): 0 to 1."""
+    """A first course: along a direction, or nearly against it until a moment; drawn (2,): 0 to 1.
+
+    The estimate errs in a direction a little off: on one line the gradient would never leave that line.
+    """
     angle = math.pi * kind if kind < _KICKED else 0.25 * math.pi * int(8.0 * drawn[0])
     turned = 0 if kind < _KICKED else int(0.8 * steps * drawn[1])
     for i in range(2):
-        along = math.cos(angle) if i == 0 else math.sin(angle)
-        first[i], first[2 + i], first[4 + i] = -most[0] * along, most[2] * along, most[3] * along
+        back = -0.5 * math.pi * i
+        along, off = math.cos(angle + back), math.cos(angle + _OFF_RAD + back)
+        before = -math.cos(angle - _OFF_RAD + back)
+        first[i], first[2 + i], first[4 + i] = -most[0] * along, most[2] * off, most[3] * off
         for k in range(len(inputs)):
-            sign = 1.0 if k >= turned else -1.0
-            inputs[k, i], inputs[k, 2 + i] = sign * most[0] * along, sign * most[1] * along
-            inputs[k, 4 + i], inputs[k, 6 + i] = -most[2] * along, -most[3] * along
+            force = along if k >= turned else before
+            inputs[k, i], inputs[k, 2 + i] = force * most[0], force * most[1]
+            inputs[k, 4 + i], inputs[k, 6 + i] = -most[2] * off, -most[3] * off
 
 
 @njit
@@ -190,6 +241,41 @@ def _away(
     return away
 
 
+@njit
+def _driven(
+    way: F64, places: F64, loop: F64, held: F64, here: F64, rounds: int, inputs: F64, first: F64, spare: Spare
+) -> float:  # fmt: skip
+    """How far a course (inputs and first, in place) is driven from all places at its end, uphill."""
+    bounds, tried, states, toward, ends, begun = spare
+    last, most = len(inputs), held[3:7]
+    away, share = _away(way, places, inputs, first, here, loop, held, states, toward), 0.0
+    for _ in range(rounds):
+        if share < _LEAST_SHARE:  # uphill from here
+            if share > 0.0:
+                break
+            _away(way, places, inputs, first, here, loop, held, states, toward)
+            g = _climbed(way, inputs, loop, held, states, toward, bounds[:last])
+            for k in range(last):
+                for at in range(0, _INPUTS, 2):
+                    _to_bound(bounds[k, at : at + 2], most[at // 2], bounds[k, at : at + 2])
+            _to_bound(g[_O : _O + 2] - g[_A : _A + 2], most[0], ends[:2])
+            _to_bound(g[_P : _P + 2], most[2], ends[2:4])
+            _to_bound(g[_V : _V + 2], most[3], ends[4:6])
+            share = 1.0
+        tried[:last] = (1.0 - share) * inputs + share * bounds[:last]
+        begun[:] = (1.0 - share) * first + share * ends
+        found = _away(way, places, tried[:last], begun, here, loop, held, states, toward)
+        if found > away:
+            is_done = found < _GAIN * away
+            away, share = found, 0.0
+            inputs[:], first[:] = tried[:last], begun
+            if is_done:
+                break
+        else:
+            share *= _LESS
+    return away
+
+
 @njit_called
 def search(
     way: F64, places: F64, loop: F64, held: F64, here: F64, steps: F64, rounds: int, drawn: F64, out: F64, course: F64
@@ -197,48 +283,34 @@ def search(
     """The greatest distance from places (n, 2) of a way that is found at each of some steps, into `out`; drawn (steps,
     first courses, 2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
 
+    What is worst at a moment is a first course of the next one, and then, backwards, of the one before.
     way (n, 8): place, velocity, acceleration, rate of turning asked for (north and east of each)."""
-    n, most = len(way), held[3:7]
-    states, toward, best = np.zeros((n + 1, _STATE)), np.zeros(2), np.zeros(2)
-    inputs, bounds, tried = np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS))
-    first, ends, begun, begins = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
-    for m in range(len(steps)):
+    n, many = len(way), len(steps)
+    courses, begins, inputs, first = (
+        np.zeros((many, n, _INPUTS)),
+        np.zeros((many, 6)),
+        np.zeros((n, _INPUTS)),
+        np.zeros(6),
+    )
+    spare = (
+        np.zeros((n, _INPUTS)), np.zeros((n, _INPUTS)), np.zeros((n + 1, _STATE)), np.zeros(2), np.zeros(6), np.zeros(6)
+    )  # fmt: skip
+    for turn in range(2 * many - 1):
+        m = min(turn, 2 * many - 2 - turn)
+        kinds, beside = drawn.shape[1] if turn < many else 0, m - 1 if turn < many else m + 1
         last = int(steps[m])
-        for kind in range(drawn.shape[1] + min(m, 1)):
-            if kind < drawn.shape[1]:
-                _course(kind, drawn[m, kind], last, most, inputs, first)
-            else:  # what was worst a moment before
-                inputs[:], first[:] = course, begins
-            away, share = _away(way, places, inputs[:last], first, here, loop, held, states, best), 0.0
-            for _ in range(rounds):
-                if share < _LEAST_SHARE:  # uphill from here
-                    if share > 0.0:
-                        break
-                    _away(way, places, inputs[:last], first, here, loop, held, states, best)
-                    g = _climbed(way, inputs, loop, held, states, best, bounds[:last])
-                    for k in range(last):
-                        for at in range(0, _INPUTS, 2):
-                            _to_bound(bounds[k, at : at + 2], most[at // 2], bounds[k, at : at + 2])
-                    _to_bound(g[_O : _O + 2] - g[_A : _A + 2], most[0], ends[:2])
-                    _to_bound(g[_P : _P + 2], most[2], ends[2:4])
-                    _to_bound(g[_V : _V + 2], most[3], ends[4:6])
-                    share = 1.0
-                tried[:last] = (1.0 - share) * inputs[:last] + share * bounds[:last]
-                begun[:] = (1.0 - share) * first + share * ends
-                found = _away(way, places, tried[:last], begun, here, loop, held, states, toward)
-                if found > away:
-                    is_done = found < _GAIN * away
-                    away, share = found, 0.0
-                    inputs[:last], first[:] = tried[:last], begun
-                    if is_done:
-                        break
-                else:
-                    share *= _LESS
+        for kind in range(kinds + (1 if beside >= 0 else 0)):
+            if kind < kinds:
+                _course(kind, drawn[m, kind], last, held[3:7], inputs, first)
+            else:
+                inputs[:], first[:] = courses[beside], begins[beside]
+            away = _driven(way, places, loop, held, here, rounds, inputs[:last], first, spare)
             if away > out[m]:
                 out[m] = away
-                course[:last], begins[:] = inputs[:last], first
-        for k in range(last, n):
-            course[k] = course[last - 1]
+                courses[m, :last], begins[m] = inputs[:last], first
+                for k in range(last, n):
+                    courses[m, k] = inputs[last - 1]
+    course[:] = courses[-1]
 
 
 def course_of(points: F64, still_s: float = _STILL_S) -> F64:

@@ -73,12 +73,6 @@ def test_no_exit_where_the_estimate_errs_by_all_that_is_declared(site: Path, kin
     assert outcome.changed > 0
 
 
-def test_half_of_the_true_force_is_found_out(site: Path) -> None:
-    outcome = attacked(site, PUSH, 304, 1.4, (0.2, 0.2, 0.1))
-    assert outcome.exits > 0
-    assert outcome.broken > 0
-
-
 WALL = """schema = "flightstack.site/1"
 floor_m = 0.3
 ceiling_m = 8.0
@@ -86,18 +80,32 @@ inside = [[-30.0, -30.0], [12.0, -30.0], [12.0, 30.0], [-30.0, 30.0]]
 """
 
 
-@pytest.mark.parametrize(("told", "lean"), [(1.0, 0.35), (0.5, 0.35)])
-def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean: float) -> None:
-    """Leaning into a wall 12 m away, the way out alone; the force comes from ahead until that is followed, then from
-    behind, the estimate errs by all.  Told all of it, a way out that took 0.85 of the snap left the site (4 ticks)."""
-    (tmp_path / "wall.toml").write_text(WALL)
-    world = World(
-        seed=1, scenario="hover", mass_ratio=0.8, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2, down_ms=0.0
-    )
-    attack = Attack(PUSH, seed=1, turns=True, errs=True)
-    flown = FenceFlight(world, tmp_path / "wall.toml", attack, told=Told.all(told), unslid=True)
+def leaning(folder: Path, attack: Attack, lean: float, told: float, **truth: object) -> Outcome:
+    """Leaning into a wall 12 m away, the way out alone."""
+    (folder / "wall.toml").write_text(WALL)
+    world = World(**{"seed": 1, "scenario": "hover", "wind_g": (0.15, 0.0, 0.0), **truth})  # type: ignore[arg-type]
+    flown = FenceFlight(world, folder / "wall.toml", attack, told=Told.all(told), unslid=True)
     flown.adversary.until_s, flown.adversary.lean = math.inf, np.array([lean, 0.0])
-    outcome = flown.run(8.0)
+    return flown.run(8.0)
+
+
+EDGE = {"mass_ratio": 0.8, "lag_ratio": 1.2, "inertia_ratio": 1.2, "down_ms": 0.0}
+
+
+@pytest.mark.parametrize(("force_g", "leaves"), [(0.15, False), (0.3, True)])
+def test_half_of_the_true_force_is_found_out(tmp_path: Path, force_g: float, leaves: bool) -> None:
+    attack = Attack(PUSH, seed=1, turns=True)
+    outcome = leaning(tmp_path, attack, 0.35, 1.0, mass_ratio=1.4, wind_g=(force_g, 0.0, 0.0))
+    assert outcome.kept > 100
+    assert (outcome.exits > 0) is leaves
+    assert (outcome.broken > 0) is leaves
+
+
+@pytest.mark.parametrize(("told", "lean"), [(1.0, 0.35), (0.5, 0.2)])
+def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean: float) -> None:
+    """The force comes from ahead until the way out is followed, then from behind, the estimate errs by all.  Told all of
+    it, a way out that took 0.85 of the snap left the site (4 ticks).  Ways that begin leaning have more room."""
+    outcome = leaning(tmp_path, Attack(PUSH, seed=1, turns=True, errs=True), lean, told, **EDGE)
     assert outcome.kept > 100
     assert (outcome.exits > 0) is (told < 1.0)
     assert (outcome.broken > 0) is (told < 1.0)
@@ -105,13 +113,7 @@ def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean:
 
 def test_a_force_that_knows_the_loop_keeps_it_in_its_tube(tmp_path: Path) -> None:
     """Searched from the true state every 0.2 s; it left the tube of the linear loop, and the site (decision 22)."""
-    (tmp_path / "wall.toml").write_text(WALL)
-    world = World(
-        seed=1, scenario="hover", mass_ratio=0.8, wind_g=(0.15, 0.0, 0.0), lag_ratio=1.2, inertia_ratio=1.2, down_ms=0.0
-    )
-    flown = FenceFlight(world, tmp_path / "wall.toml", Attack(PUSH, seed=1, knows=True, errs=True), unslid=True)
-    flown.adversary.until_s, flown.adversary.lean = math.inf, np.array([0.35, 0.0])
-    outcome = flown.run(6.0)
+    outcome = leaning(tmp_path, Attack(PUSH, seed=1, knows=True, errs=True), 0.35, 1.0, **EDGE)
     assert outcome.kept > 100
     assert outcome.broken == 0
     assert outcome.exits == 0
