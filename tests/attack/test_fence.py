@@ -103,8 +103,8 @@ def test_half_of_the_true_force_is_found_out(tmp_path: Path, force_g: float, lea
 
 @pytest.mark.parametrize(("told", "lean"), [(1.0, 0.35), (0.5, 0.2)])
 def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean: float) -> None:
-    """The force comes from ahead until the way out is followed, then from behind, the estimate errs by all.  Told all of
-    it, a way out that took 0.85 of the snap left the site (4 ticks).  Ways that begin leaning have more room."""
+    """The force comes from ahead until the way out is followed, then from behind, the estimate errs by all.  Told all
+    of it, a way out that took 0.85 of the snap left the site (4 ticks).  Ways that begin leaning have more room."""
     outcome = leaning(tmp_path, Attack(PUSH, seed=1, turns=True, errs=True), lean, told, **EDGE)
     assert outcome.kept > 100
     assert (outcome.exits > 0) is (told < 1.0)
