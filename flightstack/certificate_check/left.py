@@ -55,7 +55,6 @@ class Way(NamedTuple):
     stoppable: float
     rest_radius_m: float
     most_radius_m: float
-    per_lean_s2: float
 
 
 def _cut(z: Any, most: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Certificates of a stop (`flightstack.stopping/4`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/3`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
 + k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j,
@@ -18,20 +18,14 @@ from .intervals import F64
 from .left import Loop, Way, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/4"
+SCHEMA = "flightstack.stopping/3"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
 _LEAD_S, _SEEN_SHARE = 0.05, 0.85
-_SLOW = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 0.7 + 0.7j), (2 + 0j, 0.7 + 0.7j), (2 + 0j, 1j))
-_FAST = ((3.5 + 0j, -0.5 + 0.8j), (4 + 0j, 0.7 + 0.7j), (5 + 0j, 0j), (6 + 0j, -0.7 + 0.7j), (6.5 + 0j, 0.9j))
-_LEANT = (
-    (0j, 6 + 0j), (2 + 0j, 2j), (6 + 0j, -1 + 1.5j), (2 + 0j, 3 + 3.5j), (4 + 0j, -3 + 3j), (3 + 0j, 6j),
-    (5 + 0j, -6 + 0j), (5 + 0j, 6j),
-)  # fmt: skip
-"""Ways out whose worst is looked for, by speed and lean: slow and fast ones with little lean, and such with more."""
-_SLOW_MPS, _FAST_MPS, _LITTLE_MPS2 = 2.0, 6.0, 1.0
-"""Speeds up to which a way is left by no more than at rest, and from which on by the most; lean that adds nothing."""
+_LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 0j), (2 + 0j, -3 + 0j))
+_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
+"""Ways out whose worst is looked for, by speed and lean: with little motion at first, and with much."""
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
 _K_SIGMA = 4.3
@@ -214,24 +208,17 @@ def _left(
         raise Refused("across: the tube at rest is the widest of both ways'")
     for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
         loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
-        motions = [*_SLOW, *_FAST, *_LEANT]
-        found = left(way, loop, sizes, motions)
-        for (speed, lean), most in zip(motions, found.tolist(), strict=True):
-            if not _claimed(way, abs(speed), abs(lean)) >= (1.0 - _ROOM) * most:
-                kind = "much lean" if abs(lean) > _LITTLE_MPS2 else "slow" if abs(speed) <= _SLOW_MPS else "fast"
+        found = left(way, loop, sizes, [*_LITTLE, *_MUCH])
+        for kind, most, radius in (
+            ("little", float(found[: len(_LITTLE)].max()), way.rest_radius_m),
+            ("much", float(found.max()), way.most_radius_m),
+        ):
+            if not radius >= (1.0 - _ROOM) * most:
                 raise Refused(
-                    f"across: ways out (gain {name}, {kind}, from {abs(speed):g} m/s and a lean of {abs(lean):.1f} "
-                    f"m/s^2) are left by {most:.4f} m, not {_claimed(way, abs(speed), abs(lean)):.4f} m"
+                    f"across: ways out (gain {name}, {kind} motion) are left by {most:.4f} m, not {radius:.4f} m"
                 )
         lines.append(f"ways out (gain {name}): left by up to {found.max():.3f} m, tube of {way.most_radius_m:.3f} m")
     return lines
-
-
-def _claimed(way: Way, speed_mps: float, lean_mps2: float) -> float:
-    """Radius of the tube of a way that begins so."""
-    share = min(max((speed_mps - _SLOW_MPS) / (_FAST_MPS - _SLOW_MPS), 0.0), 1.0)
-    flat = way.rest_radius_m + share * (way.most_radius_m - way.rest_radius_m)
-    return flat + way.per_lean_s2 * max(lean_mps2 - _LITTLE_MPS2, 0.0)
 
 
 def _braking(value: Any, prior: tuple[float, float, float]) -> None:

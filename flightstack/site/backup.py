@@ -53,8 +53,8 @@ carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
     POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST,
-    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PER_LEAN, PARAMETERS,
-) = *range(23), *range(26, 36)  # fmt: skip
+    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PARAMETERS,
+) = *range(23), *range(26, 35)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
@@ -65,9 +65,9 @@ the lead (`law`); of the turning that can be stopped, the share that is used; ra
 _ASKED_N, _ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
-LITTLE_MPS, MUCH_MPS, LITTLE_MPS2 = 2.0, 6.0, 1.0
-"""Speed of a way's beginning with which it is left by no more than one from rest, and from which on by the most; the
-lean up to which that holds: more of it, whichever way, adds to the tube by its size."""
+LITTLE_MPS, MUCH_MPS, LEANT_S = 2.0, 4.0, 0.4
+"""Motion of a way's beginning (speed, and what its lean adds in that time) with which it is left by no more than one
+from rest, and from which on by the most."""
 FASTEST, STOP_SHARE = 2.0, 0.75
 """Turning while a way is followed, by its own greatest; of the snap, what stops turning faster than the way's."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
@@ -120,12 +120,10 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
 
 @njit
 def wide(start: F64, p: F64) -> float:
-    """Radius of the tube of a way that begins so: more where it begins fast, and more where it leans."""
-    speed = math.sqrt(start[VEL_N] * start[VEL_N] + start[VEL_E] * start[VEL_E])
-    lean = math.sqrt(start[ACC_N] * start[ACC_N] + start[ACC_E] * start[ACC_E])
-    share = min(max((speed - LITTLE_MPS) / (MUCH_MPS - LITTLE_MPS), 0.0), 1.0)
-    flat = p[REST_RADIUS] + share * (p[MOST_RADIUS] - p[REST_RADIUS])
-    return flat + p[PER_LEAN] * max(lean - LITTLE_MPS2, 0.0)  # type: ignore[no-any-return]
+    """Radius of the tube of a way that begins so: more where it begins with much motion."""
+    north, east = start[VEL_N] + LEANT_S * start[ACC_N], start[VEL_E] + LEANT_S * start[ACC_E]
+    share = (math.sqrt(north * north + east * east) - LITTLE_MPS) / (MUCH_MPS - LITTLE_MPS)
+    return p[REST_RADIUS] + min(max(share, 0.0), 1.0) * (p[MOST_RADIUS] - p[REST_RADIUS])  # type: ignore[no-any-return]
 
 
 @njit

@@ -1,8 +1,7 @@
 """How wide a tube is: the furthest that a search (`worst`) finds the loop driven from rest and from ways out.
 
-The loop's pole is the one that is driven least far at rest.  Ways out from some motions are searched then: slow ones,
-fast ones, and such that begin with much lean, for which so much by lean is added as covers all of them (`backup.wide`).
-Claimed is ROOM times what is found, for a search may find too little.
+The loop's pole is the one that is driven least far at rest.  Ways out from some motions are searched then: those that
+begin with little motion, and any others.  Claimed is ROOM times what is found, for a search may find too little.
 """
 
 from __future__ import annotations
@@ -20,17 +19,12 @@ from flightstack.types import F64
 
 _POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
 _RESTING_S, ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
-_LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 0.7, 0.7), (2.0, 0.7, 0.7), (2.0, 0.0, 1.0))
-_FAST = ((3.5, -0.5, 0.8), (4.0, 0.7, 0.7), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0), (6.0, -0.7, 0.7), (8.0, 0.0, 0.0))
-_LEANT = (
-    (0.0, 6.0, 0.0), (1.0, 1.0, 1.5), (2.0, 0.0, 2.0), (4.0, 1.0, 1.5), (6.0, -1.0, 1.5), (1.0, -3.0, 3.0),
-    (2.0, 3.0, 3.5), (2.0, -4.5, 4.5), (3.0, -3.0, 3.0), (3.0, 0.0, 6.0), (4.0, -3.0, 3.0), (4.0, -6.0, 0.0),
-    (5.0, 0.0, 6.0), (5.0, -6.0, 0.0), (2.0, 5.0, 4.0),
-)  # fmt: skip
-"""Ways whose worst is searched for, slow and fast ones with little lean, and such with more: speed north, lean north,
-east."""
+_LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 1.7, 1.7), (0.0, 3.0, 0.0), (2.0, -3.0, 0.0))
+_MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.0, 4.0, 0.0), (3.0, 0.0, 4.0))
+"""Ways whose worst is searched for, with little motion at first and with more: speed north, lean north, east."""
 _MOMENTS, _STILL_S, _STARTS = tuple(0.12 + 0.07 * k for k in range(10)), 2.5, 12
-"""Shares of a way's time.  Half of the first courses find up to a third less, five times as many 4 % more."""
+"""Shares of a way's time.  Half of the first courses find up to a third less, sixteen times as many a tenth more of
+single ways."""
 
 
 @lru_cache(maxsize=64)
@@ -53,25 +47,15 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
     one, the others by the first one as well."""
     loop = Loop.of(tube.gains, lags_s)
     whole = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
-    found = np.zeros((2, 3))
+    found = np.zeros((2, 2))
     for at in [-1] if whole.all() else [-1, 0]:
-        row, ends = tuple(rows[at].tolist()), held._replace(lean_mps2=float(rows[at, b.LEAN]))
-        little, fast, leant = ([ROOM * _left(row, loop, ends, each) for each in of] for of in (_LITTLE, _FAST, _LEANT))
-        rest = max(found[-1, 0], ROOM * float(tube.radius_m[-1]), *little)
-        more = max(0.0, *((each - rest) / _share(motion[0]) for each, motion in zip(fast, _FAST, strict=True)))
-        most = max(found[-1, 1], rest + more)
-        per_lean = (
-            (each - rest - _share(motion[0]) * (most - rest)) / (math.hypot(*motion[1:]) - b.LITTLE_MPS2)
-            for each, motion in zip(leant, _LEANT, strict=True)
-        )
-        found[at] = rest, most, max(found[-1, 2], *per_lean)
+        ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
+        for i, starts in enumerate((_LITTLE, _MUCH)):
+            found[at, i] = max(found[-1, i], *(_left(tuple(rows[at].tolist()), loop, ends, start) for start in starts))
+    found[:, 0] = ROOM * np.maximum(found[:, 0], tube.radius_m[-1])
+    found[:, 1] = np.maximum(ROOM * found[:, 1], found[:, 0])
     rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
     return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
-
-
-def _share(speed_mps: float) -> float:
-    """Of the most that a way with little lean is left by, beyond one from rest (`backup.wide`)."""
-    return min(max((speed_mps - b.LITTLE_MPS) / (b.MUCH_MPS - b.LITTLE_MPS), 0.0), 1.0)
 
 
 @lru_cache(maxsize=1024)

@@ -101,11 +101,11 @@ def test_half_of_the_true_force_is_found_out(tmp_path: Path, force_g: float, lea
     assert (outcome.broken > 0) is leaves
 
 
-@pytest.mark.parametrize(("told", "lean"), [(1.0, 0.35), (0.5, 0.2)])
-def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float, lean: float) -> None:
+@pytest.mark.parametrize("told", [1.0, 0.5])
+def test_half_of_the_true_doubts_is_found_out(tmp_path: Path, told: float) -> None:
     """The force comes from ahead until the way out is followed, then from behind, the estimate errs by all.  Told all
-    of it, a way out that took 0.85 of the snap left the site (4 ticks).  Ways that begin leaning have more room."""
-    outcome = leaning(tmp_path, Attack(PUSH, seed=1, turns=True, errs=True), lean, told, **EDGE)
+    of it, a way out that took 0.85 of the snap left the site (4 ticks)."""
+    outcome = leaning(tmp_path, Attack(PUSH, seed=1, turns=True, errs=True), 0.35, told, **EDGE)
     assert outcome.kept > 100
     assert (outcome.exits > 0) is (told < 1.0)
     assert (outcome.broken > 0) is (told < 1.0)
@@ -202,11 +202,11 @@ def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> No
     assert row["changed"] > 0
 
 
-@pytest.mark.parametrize(("seed", "seconds", "times"), [(975010, 2.0, 1.5), (980007, 3.5, 2.0)])
+@pytest.mark.parametrize(("seed", "seconds", "times"), [(975010, 2.0, 1.5), (980007, 3.5, 2.5)])
 def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, seconds: float, times: float) -> None:
     """Rotors of 63 ms, for which PX4 flies a third of the default gains; 37 m/s^4 of snap: both left their sites.
 
-    In rooms as large as a true tube of such vehicles (1.3 and 2.6 m at rest) needs; as drawn they are refused."""
+    In rooms as large as a true tube of such vehicles (1.3 and 3.3 m at rest) needs; as drawn they are refused."""
     row = flight({"kind": "drawn", "seconds": seconds, "times": times}, seed, tmp_path)
     assert row["exits"] == 0
     assert row["changed"] > 0

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
-from flightstack.certificate_check import check, left
+from flightstack.certificate_check import check
 from flightstack.certificate_check import stopping as stopping_check
 from flightstack.cli import files
 from flightstack.cli.certify_site import narrowed
 from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
-from flightstack.rows import ACC_E, ACC_N, VEL_N
+from flightstack.rows import VEL_N
 from flightstack.site import backup
-from flightstack.site.certificate import _WAY, as_json, prior_of, require_same
+from flightstack.site.certificate import as_json, prior_of, require_same
 from flightstack.site.law import led_lags
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
 from flightstack.site.tube import of_gains
@@ -32,16 +32,13 @@ LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60
 """What a flight would have to show for the prior below."""
 
 
-def _of_prior(prior: Prior) -> StoppingCertificate:
+@pytest.fixture(scope="module")
+def made() -> StoppingCertificate:
     believed, _ = files.load_vehicle(None)
     model = Model.from_vehicle(believed)
     estimate = estimate_bounds(error_statistics(load_grade("mocap")))
-    return stopping(believed, model, Limits(), estimate, governor_for(believed, model, Limits(), "mocap"), prior)
-
-
-@pytest.fixture(scope="module")
-def made() -> StoppingCertificate:
-    return _of_prior(Prior(0.94, 1.08, 0.05))
+    governor = governor_for(believed, model, Limits(), "mocap")
+    return stopping(believed, model, Limits(), estimate, governor, Prior(0.94, 1.08, 0.05))
 
 
 @pytest.fixture(scope="module")
@@ -54,26 +51,6 @@ def test_an_honest_file_is_valid_and_stops_as_is_asked(made: StoppingCertificate
     assert verdict.valid, verdict.lines
     assert made.stopping_way_m(5.0, 0.0) < 4.2
     assert made.radius_m < 0.35
-
-
-@pytest.mark.parametrize("prior", [Prior(), Prior(0.94, 1.08, 0.05)])
-def test_a_way_that_begins_leaning_far_keeps_its_tube(prior: Prior) -> None:
-    """Motions that none is searched for, driven by the checker's own search: where braking harder than is certified was
-    taken for little motion, the prior's ways were left by up to 2.4 m of 1.1 m claimed."""
-    made = _of_prior(prior)
-    across, row = made.across.gains, made.rows[0]
-    way = left.Way(*(float(row[at]) for at in _WAY.values()))
-    loop = left.Loop(
-        *across, *made.lags_s[0], made.turning.sure_mps4, way.lean_mps2,
-        min(made.turning.rate_radps * STANDARD_GRAVITY_MPS2, 2.0 * way.jerk_mps3),
-    )  # fmt: skip
-    force = np.hypot(*(line.across_mps2 for line in made.ledger[:2]))
-    motions = [(4.5 + 0j, -5 + 0j), (3.5 + 0j, -3.5 + 2j), (2.5 + 0j, 4j), (1.5 + 0j, 2 + 1j), (5.5 + 0j, -5.5 + 1j)]
-    found = left.left(way, loop, np.array([force, *made.doubts[0][1:]]), motions)
-    for (speed, lean), away in zip(motions, found.tolist(), strict=True):
-        start = np.zeros(backup.ROW)
-        start[VEL_N], start[ACC_N], start[ACC_E] = speed.real, lean.real, lean.imag
-        assert away < backup.wide(start, row)
 
 
 def _set(*path: object, to: object) -> Callable[[dict[str, Any]], None]:
@@ -97,11 +74,10 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("forge", "said"),
     [
-        (_times("across", "radius_m", by=0.6), "across: the tube reaches"),
+        (_times("across", "radius_m", by=0.7), "across: the tube reaches"),
         (_times("across", "radius_m", by=0.95), "at rest is the widest"),
-        (_times("way_least", "rest_radius_m", by=0.85), "(gain least, slow, from"),
-        (_times("way_least", "most_radius_m", by=0.85), "(gain least, fast, from"),
-        (_times("way_least", "per_lean_s2", by=0.8), "(gain least, much lean, from"),
+        (_times("way_least", "rest_radius_m", by=0.88), "little motion) are left by"),
+        (_times("way_least", "most_radius_m", by=0.9), "much motion) are left by"),
         (_times("way_least", "slow_mps4", by=9.0), "no more than all of the snap"),
         (_times("way_most", "lean_mps2", by=0.9), "less than that of the least gain"),
         (_set("way_most", "ease", to=0.0), "nothing of it may be 0"),
