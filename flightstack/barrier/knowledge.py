@@ -50,7 +50,7 @@ between two nodes the deviation is a parabola with its greatest value there.
 flight shows: of the sizes (standard deviation) prior / 2^i, i = 0..5, the largest whose likelihood of the points is
 within a factor of 7 (exp 1.92) of the best one's, so an upper confidence bound of 97.5 %; the likelihood is that with
 the likeliest noise (`posterior`: as measured or half as much again, and drift over 2 s of none, a quarter or all of
-it), a profile likelihood.  With the sizes it is asked whether there is a force up or down; if likely, there is.  All
+it), a profile likelihood.  With the sizes it is asked whether there is a force up or down: the likelier counts.  All
 else keeps its prior.  Source: Capone, Lederer, Hirche, "GP uniform error bounds with unknown hyperparameters", 2022.
 
 **k_sigma.**  Each bound is two-sided and Gaussian; the union over all of them (`statements`: queries and gaps) fails

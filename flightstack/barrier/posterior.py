@@ -246,23 +246,23 @@ class Posterior:
 
 
 def sized_steps(process: Process) -> Iterator[Posterior | None]:
-    """The process with as large a smooth part, and with a force up or down, as its points leave likely: None after each
-    piece of work, then it.
+    """The process with its smooth part as large as its points leave likely: None after each piece of work, then it.
 
-    Sizes are tried from the prior's down, without and with that force, each with every noise, the likeliest of which
-    counts; see `knowledge`.
+    Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; all of it without and
+    with a force up or down, and with one if the likeliest of all has it.  See `knowledge`.
     """
     smooth = process.kernel.matrix(process.x) - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
     tried: dict[tuple[bool, float], tuple[float, Process]] = {}
     for force in dict.fromkeys((None, process.force)):
-        forced = process if force is None else replace(process, kernel=process.kernel + force)
-        for share, found in _sizes_steps(forced, smooth):
-            if found is not None:
-                tried[force is not None, share] = found
+        one = process if force is None else replace(process, kernel=process.kernel + force)
+        for share, done in _sizes_steps(one, smooth):
+            if done is not None:
+                tried[force is not None, share] = done
             yield None
-    best = max(likelihood for likelihood, _ in tried.values())
-    likely = [key for key, (likelihood, _) in tried.items() if likelihood >= best - _LIKELY]
-    _, sized = tried[any(forced for forced, _ in likely), max(share for _, share in likely)]
+    likeliest = max(tried, key=lambda key: tried[key][0])
+    least = tried[likeliest][0] - _LIKELY
+    share = max(s for (forced, s), (found, _) in tried.items() if forced == likeliest[0] and found >= least)
+    _, sized = tried[likeliest[0], share]
     beyond = INFLATION**2 * sized.drift.variance
     yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)))
 
