@@ -143,7 +143,7 @@ class Judged:
     says: str
     names: bool
     missed: tuple[str, ...]
-    """What is hidden and not named, where nothing false is named."""
+    """What is hidden and not named, where nothing false is said: a name, or that something is unexplained."""
     values: int
     """How many named values there are,"""
     hold: int
@@ -174,7 +174,7 @@ def judged(result: GapResult, flight: Drawn, *, lateral: bool) -> Judged:
                 errors.append(value.estimate / truth[parameter] - 1.0 if truth[parameter] else np.inf)
     tail = "; unexplained" if result.unexplained.significant else ""
     right = hidden <= classes and not false
-    missed = () if false else tuple(sorted(hidden - classes))
+    missed = () if false or result.unexplained.significant else tuple(sorted(hidden - classes))
     return Judged(("; ".join(words) or "nothing") + tail, right, missed, len(errors), hold, tuple(errors))
 
 
