@@ -122,18 +122,18 @@ class Case:
 
 
 def cases(out: Path, numbers: Sequence[int]) -> Iterator[Case]:
-    """Each ULog and each MCAP alone; each two of one truth pooled, and one held out."""
+    """Each ULog and each MCAP alone; each two of one kind and truth pooled, and one held out."""
     for number in numbers:
         folder = out / f"f{number:02d}"
-        second = out / f"f{number + SECOND}" / "flight.ulg"
+        other = out / f"f{number + SECOND}"
         if not (folder / "meta.json").exists():
             continue
-        one = folder / "flight.ulg"
-        yield Case(f"{number} ULog", drawn(number), (one,))
-        yield Case(f"{number} MCAP", drawn(number), (folder / "flight.mcap",))
-        if number < SECOND and second.exists():
-            yield Case(f"{number} pooled", drawn(number), (one, second))
-            yield Case(f"{number} held out", drawn(number), (one,), (second,))
+        for kind, file in (("ULog", "flight.ulg"), ("MCAP", "flight.mcap")):
+            one, second = folder / file, other / file
+            yield Case(f"{number} {kind}", drawn(number), (one,))
+            if number < SECOND and second.exists():
+                yield Case(f"{number} {kind}s pooled", drawn(number), (one, second))
+                yield Case(f"{number} {kind}s held out", drawn(number), (one,), (second,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ def main() -> int:
     parser.add_argument("--to", type=int, default=16)
     parser.add_argument("--instance", type=int, default=0)
     parser.add_argument("--prefix", default="")
-    parser.add_argument("--only", default="", help="ULog, MCAP, pooled or held")
+    parser.add_argument("--only", default="", help="words of a case: ULog, MCAP, MCAPs, pooled, held")
     given = parser.parse_args()
     for number in range(given.first, given.to):
         flight = drawn(number)
