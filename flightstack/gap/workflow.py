@@ -11,14 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from flightstack.effects import EFFECTS
-from flightstack.gap import airspeed, gather, instruments, pooled
+from flightstack.gap import airspeed, estimator_bias, gather, instruments, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
 from flightstack.gap.classes import confused_with, doubled, without_motors
 from flightstack.gap.decisions import ALL_OF_ONE, HALF, MOSTLY, TENTH
-from flightstack.gap.estimator_bias import lost as bias_lost
-from flightstack.gap.estimator_bias import with_bias
 from flightstack.gap.held import fails_holdout, far_from_noise, interval_contains_nominal, surrogate_terms
 from flightstack.gap.likeness import same_flight, vehicle_mismatch
 from flightstack.gap.name import EVERYWHERE, Selection, name
@@ -252,7 +250,7 @@ def _refined(
         return naming, of
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
-    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, flights, masks, names) | bias_lost(flights, names)
+    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, flights, masks, names) | estimator_bias.lost(flights, names)
     refined = refine(vehicle, naming.vehicle, flights, masks, names, fixed)
     if refined is None:
         return naming, of
@@ -307,7 +305,7 @@ def _alone(vehicle: Vehicle, naming: Selection, samples: Samples, effects: Seque
     if not effects:
         return {}
     fixed = _fixed(naming) | airspeed.lost(naming.vehicle, [samples], [samples.valid], effects)
-    fixed |= bias_lost([samples], effects)
+    fixed |= estimator_bias.lost([samples], effects)
     refined = refine(vehicle, naming.vehicle, [samples], [samples.valid], effects, fixed)
     if refined is None:
         return {}
@@ -397,4 +395,4 @@ def _verdict(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit) -> Gap:
 
 def _without_bias(naming: Selection, of: FitHoldoutSplit) -> FitHoldoutSplit:
     """The flights less what an estimator believed of its accelerometer's bias, as these names leave it."""
-    return replace(of, flights=tuple(with_bias(naming.vehicle, s) for s in of.flights))
+    return replace(of, flights=tuple(estimator_bias.with_bias(naming.vehicle, s) for s in of.flights))
