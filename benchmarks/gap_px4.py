@@ -27,9 +27,14 @@ from benchmarks.px4.companion import VEHICLE, fly
 from benchmarks.px4.records import Bench
 from benchmarks.px4.station import Px4
 from flightstack.api import load_vehicle
+from flightstack.gap.decisions import DETECTABLE
+from flightstack.gap.name import name
+from flightstack.gap.naming.estimate import CI
+from flightstack.gap.pooled import split
 from flightstack.gap.result import GapResult
-from flightstack.gap.workflow import analyse
+from flightstack.gap.workflow import analyse, usable_flights
 from flightstack.types import InputError
+from flightstack.vehicle import Vehicle
 
 SEED = 20261124
 FAST, USUAL = 25, 1
@@ -117,18 +122,18 @@ class Case:
 
 
 def cases(out: Path, numbers: Sequence[int]) -> Iterator[Case]:
-    """Each ULog and each MCAP alone; each two of one truth pooled, and one held out."""
+    """Each ULog and each MCAP alone; each two of one kind and truth pooled, and one held out."""
     for number in numbers:
         folder = out / f"f{number:02d}"
-        second = out / f"f{number + SECOND}" / "flight.ulg"
+        other = out / f"f{number + SECOND}"
         if not (folder / "meta.json").exists():
             continue
-        one = folder / "flight.ulg"
-        yield Case(f"{number} ULog", drawn(number), (one,))
-        yield Case(f"{number} MCAP", drawn(number), (folder / "flight.mcap",))
-        if number < SECOND and second.exists():
-            yield Case(f"{number} pooled", drawn(number), (one, second))
-            yield Case(f"{number} held out", drawn(number), (one,), (second,))
+        for kind, file in (("ULog", "flight.ulg"), ("MCAP", "flight.mcap")):
+            one, second = folder / file, other / file
+            yield Case(f"{number} {kind}", drawn(number), (one,))
+            if number < SECOND and second.exists():
+                yield Case(f"{number} {kind}s pooled", drawn(number), (one, second))
+                yield Case(f"{number} {kind}s held out", drawn(number), (one,), (second,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +142,8 @@ class Judged:
 
     says: str
     names: bool
+    missed: tuple[str, ...]
+    """What is hidden and not named, where nothing false is said: a name, or that something is unexplained."""
     values: int
     """How many named values there are,"""
     hold: int
@@ -149,7 +156,7 @@ def judged(result: GapResult, flight: Drawn, *, lateral: bool) -> Judged:
     """Hold an answer against the truth; a log without fast motors (`lateral`) tells the drag by mass alone."""
     load, drag = flight.mass_kg - 1.0, flight.drag_kgps / (flight.mass_kg if lateral else 1.0)
     hidden = {
-        name for name, is_hidden in (("payload", load and not lateral), ("linear_drag", drag != 1.0)) if is_hidden
+        effect for effect, is_hidden in (("payload", load and not lateral), ("linear_drag", drag != 1.0)) if is_hidden
     }
     truth = {f"d_{axis}_kgps": drag for axis in "xyz"} | {"mass_kg": load, "scale": 1.0 / flight.mass_kg}
     errors, hold, words, false = [], 0, [], False
@@ -158,16 +165,42 @@ def judged(result: GapResult, flight: Drawn, *, lateral: bool) -> Judged:
         twins = {found.name, *found.indistinguishable_from}
         classes |= twins
         false |= not hidden & twins
-        told = [(name, value) for name, value in found.parameters.items() if value.told]
+        told = [(parameter, value) for parameter, value in found.parameters.items() if value.told]
         values = ", ".join(f"{value.estimate:.3g} ({value.low:.3g} to {value.high:.3g})" for _, value in told)
         words.append(f"{' or '.join((found.name, *found.indistinguishable_from))} {values}")
-        for name, value in told:
+        for parameter, value in told:
             if found.name in ("payload", "thrust_scale", "linear_drag"):
-                hold += value.low <= truth[name] <= value.high
-                errors.append(value.estimate / truth[name] - 1.0 if truth[name] else np.inf)
+                hold += value.low <= truth[parameter] <= value.high
+                errors.append(value.estimate / truth[parameter] - 1.0 if truth[parameter] else np.inf)
     tail = "; unexplained" if result.unexplained.significant else ""
     right = hidden <= classes and not false
-    return Judged(("; ".join(words) or "nothing") + tail, right, len(errors), hold, tuple(errors))
+    missed = () if false or result.unexplained.significant else tuple(sorted(hidden - classes))
+    return Judged(("; ".join(words) or "nothing") + tail, right, missed, len(errors), hold, tuple(errors))
+
+
+def is_too_small(case: Case, vehicle: Vehicle, change_kgps: float) -> bool:
+    """Whether a drag's change is less than half of its 95 % interval in this case on every level axis.
+
+    The interval is that of the flights' own information (`gap.identify`), the truth takes no part in it.
+    """
+    flights, kept = (usable_flights(logs, vehicle) for logs in (case.logs, case.holdout))
+    of = split(flights, kept)
+    seen = name(vehicle, of.flights, of.fit, of.holdout).identifiable
+    widths = [CI / DETECTABLE * row.smallest for row in seen if (row.effect, row.parameter) in _LEVEL_DRAG]
+    return bool(widths) and abs(change_kgps) < min(widths)
+
+
+_LEVEL_DRAG = (("linear_drag", "d_x_kgps"), ("linear_drag", "d_y_kgps"))
+
+
+def verdict(said: Judged, case: Case, vehicle: Vehicle, *, lateral: bool) -> str:
+    """In a word; a drag that is missed may be more than the log can tell."""
+    flight = case.flight
+    if said.names:
+        return "right"
+    change = flight.drag_kgps / (flight.mass_kg if lateral else 1.0) - 1.0
+    small = said.missed == ("linear_drag",) and is_too_small(case, vehicle, change)
+    return "right: within what the log can tell" if small else "WRONG"
 
 
 def main() -> int:
@@ -179,7 +212,7 @@ def main() -> int:
     parser.add_argument("--to", type=int, default=16)
     parser.add_argument("--instance", type=int, default=0)
     parser.add_argument("--prefix", default="")
-    parser.add_argument("--only", default="", help="ULog, MCAP, pooled or held")
+    parser.add_argument("--only", default="", help="words of a case: ULog, MCAP, MCAPs, pooled, held")
     given = parser.parse_args()
     for number in range(given.first, given.to):
         flight = drawn(number)
@@ -202,7 +235,7 @@ def main() -> int:
             lateral = case.flight.profile == USUAL and case.logs[0].suffix == ".ulg"
             said = judged(result, case.flight, lateral=lateral)
             truth = f"{case.flight.mass_kg - 1:.3f} kg, {case.flight.drag_kgps:g}"
-            right = "right" if said.names else "WRONG"
+            right = verdict(said, case, vehicle, lateral=lateral)
             errors = " ".join(f"{100 * e:.1f}" for e in said.errors)
             print(
                 f"{case.words} | {truth} | {right} {said.hold}/{said.values} | {errors} | {said.says} | "

@@ -96,8 +96,6 @@ class Companion:
         self._broken, self._swinging = BrokenPremise(observer), Swinging()
         self._hearing = Hearing(link, self._now, self._watch, self._voice, observer)
 
-    # ---------------------------------------------------------------- outside
-
     @property
     def state(self) -> State:
         """Where the handshake stands."""
@@ -198,8 +196,6 @@ class Companion:
         if now.state is State.OFFBOARD and self.mission is not None:
             self._phase_now = self.mission.phase(self._mission_time_s())
             now.mission_done = self._phase_now == "done"
-
-    # ---------------------------------------------------------------- act
 
     def _enter(self, state: State, event: HandshakeEvent, now_us: int) -> None:
         """What happens once, on the way into a state."""
@@ -366,8 +362,12 @@ class Companion:
             self._command_mode(mode, now_us)
 
     def _ours(self, now_us: int) -> bool:
-        """Of late the vehicle was in OFFBOARD: it is ours to command."""
-        return self.view.in_offboard and now_us - self.view.mode_at_us <= _MODE_KNOWN_US
+        """Of late the vehicle was in OFFBOARD, after any sleep in which PX4 may have left it: it is ours to command."""
+        mode_us, loss_s = self.view.mode_at_us, self.view.params.values.get("COM_OF_LOSS_T", 0.0)
+        if self._watch.pace.may_have_acted(mode_us, now_us, loss_s):
+            self._commands.ensure(self._request(m.CurrentMode), now_us)
+            return False
+        return self.view.in_offboard and now_us - mode_us <= _MODE_KNOWN_US
 
     def _calm(self, *, turning: bool = False) -> None:
         """Safe words: what PX4 may go on with until its own failsafe acts; `turning`: body rates, zero."""
@@ -387,8 +387,6 @@ class Companion:
         if phase != self.phase:
             self.phase = phase
             self._observer.on_event(t_us, "phase", phase, "info")
-
-    # ---------------------------------------------------------------- send
 
     def _command_mode(self, custom_mode: int, now_us: int) -> None:
         asked = self._commands.ensure(set_mode(custom_mode), now_us)

@@ -10,6 +10,9 @@ when no setpoint went out for `SILENCE_NS` although setpoints are streamed, the 
 3. repeats both until another mode than OFFBOARD is seen, for `GIVE_UP_NS` at most: then PX4's own failsafe acts;
 4. watches the mode for the rest of `WATCH_NS`, so that a companion that comes back knows whether Hold is still its own.
 
+Who notices the silence `LATE_NS` late has stood still, too (a machine that was suspended): PX4's own failsafe may have
+acted meanwhile, and what is read first is of before.  Then it asks, and says nothing else until it is told OFFBOARD.
+
 A companion that ticks again is left alone at once.
 """
 
@@ -37,6 +40,8 @@ from mavlink_bridge.dead_man_frames import (
 MS = 1_000_000
 SILENCE_NS = 50 * MS
 """Twelve ticks of 4 ms: stalls of a busy machine are shorter."""
+LATE_NS = 50 * MS
+"""PX4's failsafe acts after 0.1 s of silence at the soonest (COM_OF_LOSS_T)."""
 ANSWER_NS = 12 * MS
 """PX4 answers a request within 1 to 8 ms."""
 GIVE_UP_NS = 1_000 * MS
@@ -85,6 +90,8 @@ class DeadMan:
         self._mode_at_ns = 0
         self._armed = True
         self._asked_ns = self._rates_ns = self._hold_ns = 0
+        self._late = False
+        """The silence was noticed late."""
 
     def step(self, now_ns: int, companion: CompanionRecord, received: list[bytes]) -> list[bytes]:
         """What to send at `now_ns`, after what was received; `wake_ns` and `reading` say when and how to go on."""
@@ -119,6 +126,7 @@ class DeadMan:
         else:
             self._phase, self.reading, self.wake_ns = _ACTING, True, now_ns
             self._serial = companion.serial
+            self._late = now_ns > companion.sent_ns + SILENCE_NS + LATE_NS
             self._q = (companion.q_w, companion.q_x, companion.q_y, companion.q_z)
             self._mode, self._mode_at_ns, self._armed = -1, 0, True
             self._asked_ns = self._rates_ns = self._hold_ns = 0
@@ -174,6 +182,11 @@ class DeadMan:
         """Rates that level, the question for the mode, the command to hold: what is due of them."""
         out: list[bytes] = []
         answered = self._mode >= 0 and self._mode_at_ns > self._asked_ns
+        if self._late and not (self._asked_ns and answered):
+            if now_ns - self._asked_ns < _RATES_NS:
+                return out
+            self._asked_ns = self._asked_ns or now_ns
+            return [self._command(_REQUEST_MESSAGE, (float(CURRENT_MODE),), companion)]
         waited = now_ns - self._asked_ns >= ANSWER_NS and (self._mode >= 0 or bool(companion.flags & IN_OFFBOARD))
         holds = self._asked_ns and (answered or waited or self._hold_ns) and now_ns - self._hold_ns >= _HOLD_AGAIN_NS
         if (holds or now_ns - self._rates_ns >= _RATES_NS) and companion.thrust_norm > 0.0:

@@ -25,6 +25,10 @@ _ESTIMATOR_READY = 0x27
 ROUND_TRIP_MAX_S = 0.04
 """Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _LANDING_S, _LANDING_MPS = 60.0, 0.3
+_DISARMS_AFTER_S = 2.0
+"""So long after it has landed PX4 disarms (COM_DISARM_LAND): what is disarmed sooner was so by somebody."""
+_FALL = "velocity-against-imu"
+"""The fault for which the fall of a disarmed vehicle is taken, before a heartbeat says what it is."""
 _ESTIMATOR_POSITION = 0x18
 """Horizontal position, relative or absolute: one of them is enough."""
 
@@ -322,10 +326,12 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
 
 def _landing(now: Situation, now_us: int) -> Decision | None:
     view = now.view
+    why = f"{now.landing_for}; " if now.landing_for else ""
     if view.heartbeat_at_us > now.entered_us and not view.armed:
+        if why.startswith(_FALL) and _in_state_s(now, now_us) < _DISARMS_AFTER_S:
+            return Decision(HandshakeEvent.TOOK_OVER, f"{why}the vehicle was disarmed by someone else")
         return Decision(HandshakeEvent.DISARMED)
     settled = view.mode_at_us > now.entered_us + SECOND_US // 2
-    why = f"{now.landing_for}; " if now.landing_for else ""
     if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
         return Decision(
             HandshakeEvent.TOOK_OVER,

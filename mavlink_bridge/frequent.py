@@ -140,7 +140,7 @@ class Taking:
                 view.latency.look()
 
 
-class Reader:
+class FrequentReader:
     """Reads runs of one sender's messages; what `Link.read_runs` wants."""
 
     def __init__(self, system: int, component: int) -> None:

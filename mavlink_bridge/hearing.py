@@ -8,7 +8,7 @@ from typing import Any
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.decide import Situation
-from mavlink_bridge.frequent import Heard, Reader, Taking
+from mavlink_bridge.frequent import FrequentReader, Heard, Taking
 from mavlink_bridge.link import Link, Received
 from mavlink_bridge.onlookers import Observer
 from mavlink_bridge.voice import Voice
@@ -54,7 +54,7 @@ class Hearing:
         if isinstance(message, m.Heartbeat) and received.component == px4.COMPONENT_AUTOPILOT:
             self._now.system = self._voice.system = received.system
             self._link.expect_peer(received.system)
-            self._link.read_runs(Reader(received.system, received.component))
+            self._link.read_runs(FrequentReader(received.system, received.component))
             self._take(message, t_us, now_us)
 
     def _take(self, message: Any, t_us: int, now_us: int) -> None:

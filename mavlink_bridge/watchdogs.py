@@ -21,6 +21,8 @@ GAP_US = 250_000
 """No tick for so long: the vehicle flew on its last rates all the while."""
 SLEPT_US, AWAKE_US = 100_000, 250_000
 """No failsafe for want of setpoints acts sooner than the first; in the second all that has piled up is read."""
+_READ_US = 50_000
+"""That much of it is read within so long: a thousand datagrams a tick, 45 ms for 3 s of a real PX4."""
 _MISSED_SHARE = 0.84
 """Of the ticks of a second: 40 Hz are left, 25 ms between ticks.  At 25 Hz a figure of eight of 3 m/s with the noise of
 a real PX4 still flies as at 250 Hz in simulation (tilt at most 30 degrees, same error)."""
@@ -118,6 +120,8 @@ class PaceWatch:
     _sum: int = 0
     gap_us: int = 0
     """The newest one."""
+    slept_gap_us: int = 0
+    """The newest one of at least `SLEPT_US`."""
     _slept_us: int = -AWAKE_US
 
     def step(self, now_us: int, rate: float) -> str:
@@ -133,7 +137,7 @@ class PaceWatch:
         while self._missed and (now_us - self._missed[0][0]) * rate > _SECOND_US:
             self._sum -= self._missed.popleft()[1]
         if self.gap_us >= SLEPT_US:
-            self._slept_us = now_us
+            self._slept_us, self.slept_gap_us = now_us, self.gap_us
         if self.gap_us >= GAP_US:
             return "overrun-gap"
         return "overrun-rate" if self._sum * self.period_us >= _MISSED_SHARE * _SECOND_US else ""
@@ -141,6 +145,11 @@ class PaceWatch:
     def has_slept(self, now_us: int) -> bool:
         """There was no tick for so long that PX4 may have acted on it, and what it said since may not be read yet."""
         return now_us - self._slept_us < AWAKE_US
+
+    def may_have_acted(self, heard_us: int, now_us: int, loss_s: float) -> bool:
+        """Whether PX4, which acts on its own after `loss_s` without setpoints, may have another mode than was heard."""
+        slept_us = self.slept_gap_us if self.has_slept(now_us) else 0
+        return slept_us >= max(1e6 * loss_s, SLEPT_US) and heard_us <= self._slept_us + _READ_US
 
     def begin(self) -> None:
         """Forget what was missed so far."""

@@ -50,9 +50,8 @@ between two nodes the deviation is a parabola with its greatest value there.
 flight shows: of the sizes (standard deviation) prior / 2^i, i = 0..5, the largest whose likelihood of the points is
 within a factor of 7 (exp 1.92) of the best one's, so an upper confidence bound of 97.5 %; the likelihood is that with
 the likeliest noise (`posterior`: as measured or half as much again, and drift over 2 s of none, a quarter or all of
-it), a profile likelihood: noise that wanders is not taken for a function.  Everything named (drag, thrust, ground)
-keeps its prior.  Source of bounds by sets of hyper-parameters: A. Capone, A. Lederer, S. Hirche, "Gaussian process
-uniform error bounds with unknown hyperparameters for safety-critical applications", ICML 2022.
+it), a profile likelihood.  With the sizes it is asked whether there is a force up or down: the likelier counts.  All
+else keeps its prior.  Source: Capone, Lederer, Hirche, "GP uniform error bounds with unknown hyperparameters", 2022.
 
 **k_sigma.**  Each bound is two-sided and Gaussian; the union over all of them (`statements`: queries and gaps) fails
 with probability delta_n at most: k = Phi^-1(1 - delta_n / (2 statements)), delta_n = 6 delta / (pi n)^2 for the n-th
@@ -78,7 +77,7 @@ from scipy.special import ndtri, zeta
 
 from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.initial import DOWN, InitialKnowledge, require_authority, vertical_authority_weights
-from flightstack.barrier.posterior import Accelerations, proximity
+from flightstack.barrier.posterior import Accelerations
 from flightstack.barrier.queries import (
     Envelope,
     Steering,
@@ -89,6 +88,7 @@ from flightstack.barrier.queries import (
     queries,
     statements,
 )  # fmt: skip
+from flightstack.barrier.query_inputs import proximity
 from flightstack.barrier.records import Authority, Budget
 from flightstack.learning.sampler import THRUST, V_X
 from flightstack.model import Model
@@ -394,7 +394,7 @@ def _as_json(request: Request) -> dict[str, object]:
     if request.last:
         data["last"] = True
     if request.learned is not None:
-        lateral, vertical = request.learned.lateral.process, request.learned.vertical.process
+        lateral, vertical = (each.process for each in (request.learned.lateral, request.learned.vertical))
         data["lateral"], data["vertical"] = lateral.as_json(), vertical.as_json()
         data["sha256"] = hashlib.sha256(lateral.bytes + vertical.bytes).hexdigest()
     return data

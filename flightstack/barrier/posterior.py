@@ -5,9 +5,8 @@ A learner's store is copied once (`Process`) and factorised once (`Posterior`); 
 
 From residuals to accelerations.  A store's outputs are the specific force (m/s^2) that the model does not explain, in
 tilt axes (`learning.sampler`): for a thrust vector f (believed newton per believed kilogram, NED, thrust is -f), its
-length F and its direction b = f / F,
+direction b = f / |f| and x as `query_inputs` has it
 
-    x = (R(b)' velocity, b_n, b_e, F / g, (F / g) near),   near = (R / 4 height)^2, height at least R / 2
     a = g e_d - f + R(b) (residual(x) - D R(b)' v),      R(b): the shortest turn of down onto b, D = drag / mass
 
 so that a's standard deviation along an axis is that of a row of R(b) times three independent outputs; x and y share
@@ -18,6 +17,10 @@ effect explains, rho (1 + sum |w|), w the posterior weights of the points (`conf
 Noise is white, and wanders besides (`Drift`): what an accelerometer's bias or a slow gust does is the same for windows
 that are seconds apart, and taken for white it looks like a function of the path.  The points' covariance is then
 K + noise I + variance exp(-|t_i - t_j| / time); of an acceleration yet to come the variance is excess like any other.
+
+A force up or down is a constant along the thrust axis and, as -b_n w_d and -b_e w_d, a line in the lean across it.  The
+learner's prior has it small (vertically it trades against thrust's own error) or not at all, and its smooth part stands
+in for it, which says nothing where nothing was flown.  A certificate asks the points whether there is one.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from scipy.linalg import lapack
 
 from flightstack.barrier.confidence import ALLOWANCE, Colour, colour
 from flightstack.barrier.initial import DOWN
+from flightstack.barrier.query_inputs import inputs, turns
 from flightstack.barrier.sizes import SmoothSizes
 from flightstack.gp import Kernel, Matern, SquaredExponential, program
 from flightstack.gp.kernels import Product, Sum
@@ -92,6 +96,8 @@ class Process:
     """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
     drift: Drift = _STEADY
     """None where the stamps are not known."""
+    force: Kernel | None = None
+    """As `StorePrior`; what of it the data want is in the kernel (`sized_steps`)."""
 
     @classmethod
     def of(cls, store: Store, x: F64, y: F64) -> Process:
@@ -105,7 +111,9 @@ class Process:
         chosen = evidence.chosen(evidence.capacity)
         x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]
         excess = INFLATION**2 * evidence.excess
-        return cls(evidence.kernel, evidence.noise_var, x, y, excess, Colour.white(len(excess)), spans_us)
+        return cls(
+            evidence.kernel, evidence.noise_var, x, y, excess, Colour.white(len(excess)), spans_us, force=evidence.force
+        )
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers, lists and tables."""
@@ -240,16 +248,32 @@ class Posterior:
 def sized_steps(process: Process) -> Iterator[Posterior | None]:
     """The process with its smooth part as large as its points leave likely: None after each piece of work, then it.
 
-    Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; see `knowledge`.
+    Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; all of it without and
+    with a force up or down, and with one if the likeliest of all has it.  See `knowledge`.
     """
+    smooth = process.kernel.matrix(process.x) - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
+    tried: dict[tuple[bool, float], tuple[float, Process]] = {}
+    for force in dict.fromkeys((None, process.force)):
+        one = process if force is None else replace(process, kernel=process.kernel + force)
+        for share, done in _sizes_steps(one, smooth):
+            if done is not None:
+                tried[force is not None, share] = done
+            yield None
+    likeliest = max(tried, key=lambda key: tried[key][0])
+    least = tried[likeliest][0] - _LIKELY
+    share = max(s for (forced, s), (found, _) in tried.items() if forced == likeliest[0] and found >= least)
+    _, sized = tried[likeliest[0], share]
+    beyond = INFLATION**2 * sized.drift.variance
+    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)))
+
+
+def _sizes_steps(process: Process, smooth: F64) -> Iterator[tuple[float, tuple[float, Process] | None]]:
+    """Each share of the smooth part, with its likeliness and the likeliest noise after the last piece of its work."""
     whole = np.asfortranarray(process.kernel.matrix(process.x))
-    named = _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
-    smooth = whole - named
     dated = len(process.spans_us) > 0
     together = process.correlations if dated else None
     times_s = np.asarray(1e-6 * process.spans_us[:, 1] if dated else np.zeros(len(process.x)), np.float64)
-    sizes = SmoothSizes(named, smooth, process.y, process.noise_var, times_s, _DRIFT_S)
-    likeliest: list[tuple[float, Process, float]] = []
+    sizes = SmoothSizes(whole - smooth, smooth, process.y, process.noise_var, times_s, _DRIFT_S)
     for i in range(_SIZES):
         share, tried = 4.0**-i, []
         kernel = _scaled(process.kernel, share) if i else process.kernel
@@ -260,15 +284,9 @@ def sized_steps(process: Process) -> Iterator[Posterior | None]:
                 found = sizes.log_likelihood(share, noise_var, one.drift.variance)
             else:
                 found = Posterior(one, smooth * (share - 1.0) + whole, together).log_likelihood
-            tried.append((found, one, share))
-            yield None
-        likeliest.append(max(tried, key=lambda each: each[0]))
-    best = max(each[0] for each in likeliest)
-    _, sized, share = next(each for each in likeliest if each[0] >= best - _LIKELY)
-    beyond = INFLATION**2 * sized.drift.variance
-    gram = smooth * (share - 1.0)
-    gram += whole
-    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)), gram, together)
+            tried.append((found, one))
+            yield share, None
+        yield share, max(tried, key=lambda each: each[0])
 
 
 def _scaled(kernel: Kernel, by: float) -> Kernel:
@@ -368,33 +386,3 @@ class Accelerations:
                 if known.remainder_mps2.any():
                     rest += np.abs(along[:, columns]) @ known.remainder_mps2 * (1.0 + process.weight_sums(x))
         return mean, np.sqrt(variance), rest
-
-
-def inputs(speed: F64, thrust: F64, near: F64) -> F64:
-    """(M, D) the sampler's columns."""
-    size = np.sqrt(np.einsum("ij,ij->i", thrust, thrust))
-    weights = size / STANDARD_GRAVITY_MPS2
-    out = np.empty((len(thrust), D))
-    out[:, 3:5] = thrust[:, :2] / size[:, None]
-    out[:, :3] = np.einsum("mji,mj->mi", turns(out[:, AXIS_N], out[:, AXIS_E]), speed)
-    out[:, THRUST], out[:, GROUND] = weights, weights * near
-    return out
-
-
-def turns(axis_n: F64, axis_e: F64) -> F64:
-    """(M, 3, 3) tilt axes to NED of each thrust axis: `sampler.tilt_axes` for many."""
-    down = np.sqrt(np.maximum(1.0 - axis_n**2 - axis_e**2, 0.0))
-    share = 1.0 / (1.0 + down)
-    cross = -share * axis_n * axis_e
-    rows = [
-        [1.0 - share * axis_n**2, cross, axis_n],
-        [cross, 1.0 - share * axis_e**2, axis_e],
-        [-axis_n, -axis_e, down],
-    ]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
-
-
-def proximity(radius_m: float, height_m: float) -> float:
-    """(R / 4h)^2 with h at least R / 2: the ground term's share of thrust."""
-    share = 0.25 * radius_m / max(height_m, 0.5 * radius_m)
-    return share * share

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.posterior import proximity
+from flightstack.barrier.query_inputs import proximity
 from flightstack.barrier.records import Budget
 from flightstack.types import F64
 

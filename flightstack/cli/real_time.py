@@ -74,7 +74,7 @@ class RealTimeLoop:
         companion.step(now_us)
         watch.mark("sending and logging")
         for data in companion.link.datagrams_to_send():
-            if companion.state is State.STREAMING and monotonic_us() - now_us > SLEPT_US:
+            if monotonic_us() - now_us > SLEPT_US:
                 continue  # stopped in here: to a failsafe that has acted since, it would be the way back to OFFBOARD
             self.log.mavlink("tx", t_us, data)
             self.transport.send(data)

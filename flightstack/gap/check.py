@@ -21,6 +21,7 @@ from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
 from flightstack.gap.decisions import CLEAR_M, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
 from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal, how_to_record, ok, refused, warning
+from flightstack.gap.sources import FREED
 from flightstack.vehicle import Vehicle
 
 _GROUND_OFF_M = {"mcap": 0.05, "ulog": 0.05, "dataflash": 0.3, "tlog": 0.3}
@@ -33,6 +34,11 @@ _MISSED = {
     "vel_ned_mps": "velocity: it comes from the position",
     "pos_ned_m": "position: no ground effect",
 }
+
+_FREED_SAYS = (
+    "PX4's idea of the accelerometer's bias was subtracted: no steady side force below 0.4 m/s^2 can be told from its "
+    "errors; a ULog holds the accelerometer as it is"
+)
 
 
 def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinematics_only: bool = False) -> Checked:
@@ -89,6 +95,8 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         findings.append(warning("flight", f"only {seconds:.3g} s in the air; little can be told apart"))
     else:
         findings.append(ok("flight", f"{seconds:.1f} s in the air"))
+    if FREED in samples.derived:
+        findings.append(ok("bias", _FREED_SAYS))
     findings += quality.judge_quality(samples, signals)
     findings += quality.judge_consistency(signals, span, offsets)
     return Checked(read, None if _is_refused(findings) else samples, tuple(findings), offsets)

@@ -137,6 +137,8 @@ class Samples:
     """Up to here the slowest topic in use carries information."""
     command_late_s: float = 0.0
     """How much later the commands acted than the motor column says, where a log can't tell: within half a sample."""
+    bias_frd_mps2: F64 | None = None
+    """(N, 3) what is taken for the estimator's slow error in the specific force (`gap.estimator_bias`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,6 +29,7 @@ from flightstack.gap.airspeed import offset
 from flightstack.gap.chances import t_limit
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS
+from flightstack.gap.estimator_bias import bias_std
 from flightstack.gap.naming.candidates import plausible
 from flightstack.gap.records import Estimate, Samples
 from flightstack.gap.remainder import GROUPS
@@ -142,6 +143,9 @@ def _bias_prior(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) -> 
     none = np.zeros(3), np.full(3, 1e-6)
     if "accel_frd_mps2" in flight.missing:
         return none
+    believed = bias_std(vehicle, samples)
+    if believed.any():  # the estimator's tilt cancels it in the kinematic columns
+        return np.zeros(3), believed
     y = residual(vehicle, samples).y[mask & flight.usable, 9:12]
     length = round(_BLOCK_S / samples.dt_s)
     blocks = [y[k : k + length].mean(axis=0) for k in range(0, len(y) - length + 1, length)]

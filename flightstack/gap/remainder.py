@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flightstack.gap.compare import residual, velocity_noise
 from flightstack.gap.decisions import CLEAR_SHARE, HALF, MATTERS_MPS2, REST_EVIDENCE, SMALL_SHARE
+from flightstack.gap.estimator_bias import with_bias
 from flightstack.gap.naming.bench import SimulatorBench
 from flightstack.gap.naming.drivers import Blocks, block_means
 from flightstack.gap.naming.estimate import Estimates
@@ -257,8 +258,9 @@ def unexplained(told: Mapping[str, ResidualTest]) -> Unexplained:
 def residual_tests(bench: SimulatorBench, start: Vehicle, made: Estimates) -> dict[str, ResidualTest]:
     """What is left of each group of channels, told or not."""
     masks = [s.valid & (np.repeat(f | h, k)[: len(s.t_s)]) for s, f, h, k in _whole(bench)]
-    after = [residual(made.vehicle, s).y for s in bench.flights]
-    before = [residual(start, s).y for s in bench.flights]
+    flights = [with_bias(made.vehicle, s) for s in bench.flights]
+    after = [residual(made.vehicle, s).y for s in flights]
+    before = [residual(start, s).y for s in flights]
     none = [np.zeros((len(s.t_s), 6, 0)) for s in bench.flights]
     knobs = [FreeParameter(e, p) for e, p in made.slots]
     columns = [sensitivities(made.vehicle, s, knobs) for s in bench.flights] if knobs else none

@@ -125,7 +125,7 @@ def derivative(x: F64, dt_s: float) -> F64:
 def track(samples: Samples) -> ProcessedFlight:
     """Make a flight ready; kept for the last few flights, as every step of the workflow asks for it.
 
-    A flight whose commands alone are another's changed is ready but for these.
+    A flight whose commands or bias alone are another's changed is ready but for these.
     """
     like = next((flight for flight in _READY if _same_but_commands(flight.samples, samples)), None)
     if like is None:
@@ -133,15 +133,26 @@ def track(samples: Samples) -> ProcessedFlight:
         _READY.append(like)
         return like
     commands = step_commands(samples, like.every, samples.command_late_s)
-    return replace(like, samples=samples, commands=commands, usable=_usable(samples, like.cutoff_hz))
+    measured = _less_bias(like.measured, like.samples.bias_frd_mps2, samples.bias_frd_mps2)
+    usable = _usable(samples, like.cutoff_hz)
+    return replace(like, samples=samples, commands=commands, usable=usable, measured=measured)
+
+
+def _less_bias(measured: F64, was: F64 | None, now: F64 | None) -> F64:
+    """Measured (N, 12) whose specific force is less this slow error instead of that one."""
+    if was is now:
+        return measured
+    out = measured.copy()
+    out[:, 0:3] += (0.0 if was is None else was) - (0.0 if now is None else now)
+    return out
 
 
 _READY: deque[ProcessedFlight] = deque(maxlen=4)
 
 
 def _same_but_commands(a: Samples, b: Samples) -> bool:
-    """Whether all but the motors' commands and their lateness is the very same."""
-    names = (f.name for f in fields(a) if f.name not in ("motor", "command_late_s"))
+    """Whether all but the motors' commands, their lateness and the bias is the very same."""
+    names = (f.name for f in fields(a) if f.name not in ("motor", "command_late_s", "bias_frd_mps2"))
     return all(getattr(a, name) is getattr(b, name) for name in names)
 
 
@@ -163,7 +174,7 @@ def _made(samples: Samples) -> ProcessedFlight:
         position = _filled(samples.pos_ned_m) if whole else None
         smooth, velocity_std = fused(velocity, position, acc, dt, (q, force, samples.valid))
     path = complementary(_filled(samples.pos_ned_m), smooth, CROSSOVER_HZ, dt)
-    measured = _measured(force, rate, dt, missing, differentiated)
+    measured = _less_bias(_measured(force, rate, dt, missing, differentiated), None, samples.bias_frd_mps2)
     if "motor" in missing:  # no simulation without commands; from their mean it is that of the side force
         measured[:, slice(2, 6) if np.isfinite(samples.motor).any() else slice(6)] = np.nan
     every = max(1, int(np.ceil(dt / _SLOWEST_STEP_S - 1e-6)))

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flightstack.effects import EFFECTS
-from flightstack.gap import airspeed, gather, instruments, pooled
+from flightstack.gap import airspeed, estimator_bias, gather, instruments, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.check import check
@@ -61,14 +61,14 @@ def analyse(
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
     called = vehicle_name or vehicle.name
-    naming, of, gap = _concluded(vehicle, of, called, on_progress)
+    naming, of, gap = concluded(vehicle, of, called, on_progress)
     if naming.unexplained.significant:
         naming, of, gap = _looked_closely(vehicle, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     on_progress(0.9, "drawing")
     words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
-    report = gather.report(vehicle, naming, of, gap, (*checked, *kept), words)
+    report = gather.report(vehicle, naming, _without_bias(naming, of), gap, (*checked, *kept), words)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),
         called,
@@ -82,7 +82,7 @@ def analyse(
     )
 
 
-def _concluded(
+def concluded(
     vehicle: Vehicle, of: FitHoldoutSplit, called: str, on_progress: OnProgress = _silent, *, closely: bool = False
 ) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
@@ -118,7 +118,7 @@ def _concluded(
         if gone:
             naming = naming.without(gone, "what it explains depends on something else as well")
             gap = _verdict(vehicle, naming, of)
-    naming, gap = with_turbulence(vehicle, naming, of, gap)
+    naming, gap = with_turbulence(vehicle, naming, _without_bias(naming, of), gap)
     naming = replace(naming, unexplained=unexplained(naming.unexplained, gap, named=bool(naming.found)))
     if naming.can_be_fitted and not naming.found and not naming.unexplained.significant:
         learned = _verdict(vehicle, naming, replace(of, fit=of.holdout, holdout=of.fit))
@@ -134,7 +134,8 @@ def _without_loop_noise(
     Beside something unexplained instruments are bent by it as well.
     """
     while naming.found and not naming.unexplained.significant and not far_from_noise(gap):
-        wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, of.flights, of.fit, centre_s)
+        flights = _without_bias(naming, of).flights
+        wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, flights, of.fit, centre_s)
         gone = interval_contains_nominal(alone or ())
         gone = gone or tuple(f.name for f in alone or () if instruments.is_trifling(vehicle, f))
         gone = gone or interval_contains_nominal(wide)
@@ -156,7 +157,7 @@ def _looked_closely(
     Where nothing was named, all of force or of turning is enough.
     """
     try:
-        naming, of, gap = _concluded(vehicle, said[1], called, closely=True)
+        naming, of, gap = concluded(vehicle, said[1], called, closely=True)
     except InputError:
         return said
     if not naming.found or gap.closed is None:
@@ -175,7 +176,7 @@ def _turned_round(
     """
     of = pooled.split(flights, (), first=True)
     try:
-        naming, of, gap = _concluded(vehicle, of, called)
+        naming, of, gap = concluded(vehicle, of, called)
     except InputError:
         return said
     if not naming.found or naming.unexplained.significant:
@@ -249,7 +250,7 @@ def _refined(
         return naming, of
     flights, masks = [of.flights[k] for k in used], [of.fit[k] for k in used]
     names = [found.name for found in naming.found] if effects is None else effects
-    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, flights, masks, names)
+    fixed = _fixed(naming) | airspeed.lost(naming.vehicle, flights, masks, names) | estimator_bias.lost(flights, names)
     refined = refine(vehicle, naming.vehicle, flights, masks, names, fixed)
     if refined is None:
         return naming, of
@@ -304,6 +305,7 @@ def _alone(vehicle: Vehicle, naming: Selection, samples: Samples, effects: Seque
     if not effects:
         return {}
     fixed = _fixed(naming) | airspeed.lost(naming.vehicle, [samples], [samples.valid], effects)
+    fixed |= estimator_bias.lost([samples], effects)
     refined = refine(vehicle, naming.vehicle, [samples], [samples.valid], effects, fixed)
     if refined is None:
         return {}
@@ -335,7 +337,7 @@ def _judged(
         left = named.without(gone[-1:], "nothing of it is left once all are refined")
         named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
         naming, moved = _refined(vehicle, named, of)
-    gone = fails_holdout(vehicle, naming.found, moved, beside=naming.unexplained.significant)
+    gone = fails_holdout(vehicle, naming.found, _without_bias(naming, moved), beside=naming.unexplained.significant)
     if gone:
         named = named.without(gone, "does something else on data not used before")
         naming, moved = _refined(vehicle, named, of)
@@ -384,7 +386,13 @@ def _is_worse(gap: Gap, times: float = (1.0 + TENTH)) -> bool:
 
 
 def _verdict(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit) -> Gap:
+    of = _without_bias(naming, of)
     before = pooled.figures(vehicle, of)
     after = pooled.figures(naming.vehicle, of) if naming.found else before
     floor = pooled.noise_floor(naming.vehicle, of, after)
     return gap_of(before, after, floor)
+
+
+def _without_bias(naming: Selection, of: FitHoldoutSplit) -> FitHoldoutSplit:
+    """The flights less what an estimator believed of its accelerometer's bias, as these names leave it."""
+    return replace(of, flights=tuple(estimator_bias.with_bias(naming.vehicle, s) for s in of.flights))

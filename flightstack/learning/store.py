@@ -84,6 +84,8 @@ class Evidence:
     """(N, P)."""
     spans_us: NDArray[np.int64]
     """(N, 2) stamps of the first and the last sample of each point's window."""
+    force: Kernel | None = None
+    """As `StorePrior`."""
 
     def chosen(self, count: int) -> NDArray[np.int64]:
         """Indices of `count` pooled points that reach as far as all of them."""
@@ -138,9 +140,9 @@ class Store:
     """Points and calibration of one Gaussian process with outputs that share its factorisation; mutable."""
 
     __slots__ = (
-        "_age", "_block", "_choice", "_fresh", "_heard", "_least_noise_var", "_levels", "_next", "_places", "_pooled",
-        "_spans", "_spare", "_successor", "_values", "_wanted", "calm_excess", "excess", "floor", "gp", "outputs",
-        "relevance",
+        "_age", "_block", "_choice", "_force", "_fresh", "_heard", "_least_noise_var", "_levels", "_next", "_places",
+        "_pooled", "_spans", "_spare", "_successor", "_values", "_wanted", "calm_excess", "excess", "floor", "gp",
+        "outputs", "relevance",
     )  # fmt: skip
 
     def __init__(
@@ -153,7 +155,7 @@ class Store:
         floor: float,
         relevance: Relevance = "oldest",
     ) -> None:
-        self.outputs, self.relevance = outputs, relevance
+        self.outputs, self.relevance, self._force = outputs, relevance, prior.force
         self.gp, self._spare = (
             RecursiveGP(
                 prior.kernel, prior.noise_var, input_dim=inputs, output_dim=outputs, capacity=capacity,
@@ -252,7 +254,8 @@ class Store:
         """What a certificate needs of it, as of now; learning on does not change it."""
         places, values = self._places[: self._pooled].copy(), self._values[: self._pooled].copy()
         spans = self._spans[: self._pooled].copy()
-        return Evidence(self.gp.kernel, self.gp.noise_var, self.gp.capacity, self.excess.copy(), places, values, spans)
+        gp = self.gp
+        return Evidence(gp.kernel, gp.noise_var, gp.capacity, self.excess.copy(), places, values, spans, self._force)
 
     def _add(self, x: F64, y: F64, span_us: Span) -> None:
         dropped = self._drop(x) if len(self.gp) >= self.gp.capacity else -1

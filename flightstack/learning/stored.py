@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def fit_priors(vehicle: Vehicle, data: SampleWindows, *, seed: int = 0) -> Store
 
 def _fitted(prior: StorePrior, x: F64, y: F64, seed: int) -> StorePrior:
     found = fit(prior.kernel, prior.noise_var, x, y, seed=seed, restarts=0)
-    return StorePrior(found.kernel, found.noise_var)
+    return StorePrior(found.kernel, found.noise_var, prior.force)
 
 
 def to_json(stored: StoredPriors) -> str:
@@ -99,7 +99,15 @@ def parse_stored(text: str, source: str, vehicle: Vehicle) -> StoredPriors:
     if not isinstance(stores, Mapping):
         raise InputError(f"{source}: stores must be a table")
     only(stores, tuple(item.name for item in fields(Priors)), f"{source}: stores")
-    priors = Priors(*(_prior(stores.get(item.name), f"{source}: stores.{item.name}") for item in fields(Priors)))
+    usual = default_priors()
+    priors = Priors(
+        *(
+            replace(
+                _prior(stores.get(item.name), f"{source}: stores.{item.name}"), force=getattr(usual, item.name).force
+            )
+            for item in fields(Priors)
+        )
+    )
     count = int(number(data.get("windows"), f"{source}: windows", 1, 1e9))
     return StoredPriors(priors, str(data.get("vehicle")), str(data["vehicle_hash"]), str(data.get("data_hash")), count)
 

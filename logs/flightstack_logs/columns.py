@@ -63,7 +63,7 @@ _ORDERS = ("wxyz", "xyzw", "rpy")
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ColumnEntry:
     """One section: which columns, and how they become a signal."""
 
     section: str
@@ -80,7 +80,7 @@ class ColumnMap:
     source: str
     time: tuple[str, float] | None
     """Column and its unit in seconds; None where the log has stamps of its own."""
-    entries: tuple[Entry, ...]
+    entries: tuple[ColumnEntry, ...]
     lenient: bool
     """Sections whose columns a log lacks are left out; else they are an error."""
 
@@ -123,7 +123,7 @@ def _choice(said: Mapping[str, Any], key: str, known: Mapping[str, float], defau
     return known[value]
 
 
-def _entry(name: str, said: dict[str, Any], source: str) -> Entry:
+def _entry(name: str, said: dict[str, Any], source: str) -> ColumnEntry:
     section, where = _SECTIONS[name], f"{source}: {name}"
     columns = said.get("columns", [said["column"]] if "column" in said else None)
     if not isinstance(columns, list) or not all(isinstance(column, str) for column in columns):
@@ -139,7 +139,7 @@ def _entry(name: str, said: dict[str, Any], source: str) -> Entry:
     if not isinstance(signs, list) or len(signs) != count or any(sign not in (1, -1) for sign in signs):
         raise InputError(f"{where}.signs must be {count} times 1 or -1")
     scale = _choice(said, "unit", section.units, next(iter(section.units)), where)
-    return Entry(name, tuple(columns), scale, tuple(float(sign) for sign in signs), said)
+    return ColumnEntry(name, tuple(columns), scale, tuple(float(sign) for sign in signs), said)
 
 
 def _check_words(name: str, said: Mapping[str, Any], where: str) -> None:
@@ -189,7 +189,7 @@ def apply(
     return signals, sources, places
 
 
-def _signal(entry: Entry, raw: F64) -> F64:
+def _signal(entry: ColumnEntry, raw: F64) -> F64:
     said = entry.said
     if entry.section == "attitude":
         return _attitude(said, raw / entry.scale if said.get("order") != "rpy" else raw)

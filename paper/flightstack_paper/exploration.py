@@ -31,7 +31,7 @@ _SMALLER = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class Exploration:
     """One exploration; None: as `certify` has it."""
 
     plant: str
@@ -41,7 +41,7 @@ class Asked:
     duration_s: float | None = None
 
 
-def explore(asked: Asked, bench: PartContext) -> dict[str, Any]:
+def explore(asked: Exploration, bench: PartContext) -> dict[str, Any]:
     """What `certify` finds, with the figures' lines; PartFailed where no region came out."""
     options = FlyOptions(
         scenario="paper-barrier", seed=asked.seed, plant=asked.plant, duration_s=asked.duration_s, out=bench.folder,

@@ -52,9 +52,9 @@ def _inputs(bench: PartContext, **given: Any) -> dict[str, Any]:
 
 
 def _certify(bench: PartContext, **given: Any) -> dict[str, Any]:
-    from flightstack_paper.exploration import Asked, explore
+    from flightstack_paper.exploration import Exploration, explore
 
-    return explore(Asked(**given), bench)
+    return explore(Exploration(**given), bench)
 
 
 KINDS: Mapping[str, Callable[..., dict[str, Any]]] = {

@@ -134,6 +134,9 @@ class FakePx4:
                 if self.answers_heartbeat:
                     answer(0)
                     self._send_heartbeat()
+            elif command.params[0] == m.id_of(m.CurrentMode):
+                answer(0)
+                self.link.send(m.CurrentMode(0, self.mode, self.mode))
             elif self.answers_version:
                 answer(0)
                 self.link.send(m.AutopilotVersion(0xE8FF, 0x01120040))

@@ -39,7 +39,7 @@ WORD = frames.CompanionRecord(
     thrust_norm=0.5, thrust_factor=0.0, flags=frames.ACTIVE | frames.IN_OFFBOARD, system=1, own_system=240,
     own_component=191, sequence=250, peer_host=0, peer_port=0,
 )  # fmt: skip
-OFFBOARD, HOLD, POSITION = 0x00060000, 0x03040000, 0x00030000
+OFFBOARD, HOLD, POSITION, RTL = 0x00060000, 0x03040000, 0x00030000, 0x05040000
 
 
 # ---------------------------------------------------------------- frames
@@ -250,6 +250,27 @@ def test_whoever_touches_the_hold_is_remembered(touch: str) -> None:
     dead_man = DeadMan()
     _run(dead_man, WORD, NOW_NS + WATCH_NS, heard)
     assert dead_man.record.touched
+
+
+@pytest.mark.parametrize("told", [None, RTL, OFFBOARD])
+def test_who_was_frozen_too_only_asks_until_it_is_told_offboard(told: int | None) -> None:
+    """A machine that was suspended: PX4's own failsafe may have acted, and what is read first is of before."""
+    dead_man = DeadMan()
+    dead_man.step(NOW_NS, WORD, [])
+    now_ns, answer_ns = NOW_NS + 3_000 * MS, NOW_NS + 3_040 * MS  # later than it waits for otherwise
+    backlog, said = _vehicle(m.Heartbeat(2, 12, 0x81, OFFBOARD, 4)), []
+    while now_ns < NOW_NS + 3_200 * MS:
+        heard = backlog if dead_man.reading else []
+        backlog = [] if dead_man.reading else backlog
+        if told is not None and now_ns >= answer_ns and dead_man.reading:
+            heard, answer_ns = _vehicle(m.CurrentMode(0, told, told)), now_ns + 1_000 * MS
+        said += [(now_ns, message) for message in _heard(dead_man.step(now_ns, WORD, heard))]
+        now_ns = max(dead_man.wake_ns, now_ns + 1)
+    before = [one for at, one in said if at < NOW_NS + 3_040 * MS]
+    assert before
+    assert all(isinstance(one, m.CommandLong) and one.command == px4.Cmd.REQUEST_MESSAGE for one in before)
+    assert bool(_holds(said)) is (told == OFFBOARD)
+    assert any(isinstance(one, m.SetAttitudeTarget) for _, one in said) is (told == OFFBOARD)
 
 
 def test_a_companion_that_is_back_is_left_alone_and_answered_again_later() -> None:

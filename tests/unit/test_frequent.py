@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavlink_bridge import messages as m
-from mavlink_bridge.frequent import KINDS, Heard, Reader, Taking
+from mavlink_bridge.frequent import KINDS, FrequentReader, Heard, Taking
 from mavlink_bridge.link import Link
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.watchdogs import Watchdogs
@@ -35,7 +35,7 @@ MESSAGE = st.one_of(
 def _links(reading: tuple[int, int] = (1, 1)) -> tuple[Link, Link, Link]:
     """A vehicle, a link that reads one by one, and one that reads runs; both have heard the vehicle."""
     vehicle, single, runs = Link(1, 1), Link(240, 191), Link(240, 191)
-    runs.read_runs(Reader(*reading))
+    runs.read_runs(FrequentReader(*reading))
     vehicle.send(m.Heartbeat(2, 12, 0, 0, 4))
     for data in vehicle.datagrams_to_send():
         for link in (single, runs):

@@ -13,11 +13,13 @@ from log_samples import sample_record
 from shipped import load_vehicle
 
 from flightstack.gap.read import column_map, flight, rotor_order
-from flightstack.gap.sources.ulog import linearised
+from flightstack.gap.sources import FREED
+from flightstack.gap.sources.ulog import linearised, signals
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.columns import parse_columns
 from flightstack_logs.reader import read
+from flightstack_logs.tables import Log, Table
 from flightstack_logs.topics import TOPICS
 from flightstack_logs.writer import FlightLog
 from tests.flown import HEADER, flown, write_csv
@@ -217,6 +219,7 @@ def test_own_logs_give_what_the_vehicle_measured_never_the_truth(tmp_path: Path,
     with_log.close()
     got = flight(tmp_path / "a.mcap", vehicle).signals
     assert got["rate_frd_radps"].source.startswith("/vehicle/imu")
+    assert got["accel_frd_mps2"].source.endswith(FREED)
     for name, value in {
         "pos_ned_m": [1, 2, -3], "vel_ned_mps": [4, 5, 6], "q_ned_frd": [1, 0, 0, 0], "rate_frd_radps": [0.4, 0.5, 0.6],
         "accel_frd_mps2": [0.5, 0.0, -9.5], "motor": [0.2, 0.4, 0.6, 0.0],
@@ -225,6 +228,23 @@ def test_own_logs_give_what_the_vehicle_measured_never_the_truth(tmp_path: Path,
         np.testing.assert_allclose(got[name].t_s[50], 0.2, atol=1e-9, err_msg=name)
     assert got["landed"].value[[50, 150]].tolist() == [1.0, 0.0]
     assert got["battery_v"].value[0] == pytest.approx(16.25)
+
+
+@pytest.mark.parametrize(("raw_hz", "freed"), [(250, False), (5, True)])
+def test_a_ulog_without_a_fast_raw_accelerometer_has_one_less_the_estimators_bias(
+    vehicle: Vehicle, raw_hz: int, freed: bool
+) -> None:
+    def stamps(hz: int) -> np.ndarray:
+        return np.arange(10 * hz, dtype=np.int64) * (1_000_000 // hz)
+
+    raw, used = stamps(raw_hz), stamps(250)
+    ones = {"gyro_rad": np.ones((len(raw), 3)), "accelerometer_m_s2": np.ones((len(raw), 3))}
+    tables = {
+        "sensor_combined": Table("sensor_combined", raw, ones, {}),
+        "vehicle_acceleration": Table("vehicle_acceleration", used, {"xyz": np.ones((len(used), 3))}, {}),
+    }
+    log = Log(Path("a.ulg"), "ulog", True, (), tables, {}, {}, {}, (), 0)
+    assert signals(log, vehicle)[0]["accel_frd_mps2"].source.endswith(FREED) == freed
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.3, 0.7, 1.0])

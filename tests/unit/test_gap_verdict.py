@@ -80,7 +80,7 @@ def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
 ) -> None:
     turned = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(significant))
     of = pooled.FitHoldoutSplit((), (), ())
-    monkeypatch.setattr(workflow, "_concluded", lambda *given: (turned, given[1], None))
+    monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
     monkeypatch.setattr(workflow, "_verdict", lambda *given: SimpleNamespace(closed=closed))
     said = (SimpleNamespace(), of, None)
     got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")

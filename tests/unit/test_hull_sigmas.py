@@ -14,8 +14,9 @@ from scipy.stats import binom, multivariate_normal, norm, wishart
 from flightstack.barrier.budgets import budget
 from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
-from flightstack.barrier.posterior import Posterior, inputs, turns
+from flightstack.barrier.posterior import Posterior
 from flightstack.barrier.queries import queries
+from flightstack.barrier.query_inputs import inputs, turns
 from flightstack.barrier.response import C_LEAD_THRUST, CHAIN, STATE, lead
 from flightstack.certificate_check.knowledge import Box, read, tables
 from flightstack.certificate_check.reading import Refused

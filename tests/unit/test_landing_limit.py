@@ -5,10 +5,13 @@ The oracle is closed form: 60 s and the height at 0.3 m/s.
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from companions import flying
 from fake_px4 import LAND, exchange
 
+from mavlink_bridge import messages as m
 from mavlink_bridge.handshake import State
 
 
@@ -53,6 +56,28 @@ def test_a_vehicle_that_somebody_disarms_is_noticed_without_its_heartbeats() -> 
     exchange(companion, vehicle, 3.6, start_us=later)
     assert companion.state is State.PILOT
     assert companion.reason == "the vehicle was disarmed by someone else"
+
+
+def test_a_fall_after_a_stranger_disarmed_is_told_as_what_it_was() -> None:
+    """On a real PX4 its fall was seen 0.4 s before a heartbeat said that the motors stand still."""
+    companion, _, vehicle, start = flying()
+    vehicle.armed = False
+
+    def falls(message: Any) -> Any:
+        t_s = 1e-6 * (message[0] - start)
+        if isinstance(message, m.LocalPositionNed):
+            (n, e, d), (vn, ve, vd) = message.pos_ned_m, message.vel_ned_mps
+            return message._replace(pos_ned_m=(n, e, d + 4.9 * t_s**2), vel_ned_mps=(vn, ve, vd + 9.8 * t_s))
+        return message
+
+    vehicle.alter, vehicle.heartbeats = falls, False
+    later = exchange(companion, vehicle, 1.0, start_us=start, until=lambda: companion.state is State.LANDING)
+    assert companion.state is State.LANDING
+    vehicle.heartbeats = True
+    exchange(companion, vehicle, 1.1, start_us=later)
+    assert companion.state is State.PILOT
+    assert companion.reason.startswith("velocity-against-imu: ")
+    assert companion.reason.endswith("; the vehicle was disarmed by someone else")
 
 
 def test_a_vehicle_that_sends_its_heartbeats_is_not_asked_for_them() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from companions import MODEL, Flying, build, flying
-from fake_px4 import HOLD, LAND, STEP_US, FakePx4, exchange
+from fake_px4 import HOLD, LAND, RTL, STEP_US, FakePx4, exchange
 from tlog import recording
 
 from flightstack.consistency import EstimateWatch
@@ -268,6 +268,32 @@ def test_a_long_gap_between_ticks_hands_back_to_hold() -> None:
         vehicle.link.receive_datagram(data, now)
     vehicle.step(now)
     _assert_handed_back(flight, "overrun-gap", now)
+
+
+@pytest.mark.parametrize("acted", [True, False])
+def test_after_a_sleep_nothing_is_commanded_until_the_mode_is_heard_anew(acted: bool) -> None:
+    """Seen on a real PX4: frozen for 3 s it woke, had read of OFFBOARD only, and put Hold in place of PX4's Return."""
+    companion, _, vehicle, now = flying()
+    kept: list[bytes] = []
+    for tick in range(750):  # 3 s in which only the vehicle lives, of which the socket keeps the first
+        now += STEP_US
+        if tick == 260 and acted:
+            vehicle.mode = RTL
+        vehicle.step(now)
+        kept += vehicle.link.datagrams_to_send() if tick < 250 else []
+    commanded = len(vehicle.set_modes(176))
+    for data in kept:
+        companion.receive_datagram(data, now)
+    companion.step(now)
+    assert companion.state is State.HOLDING
+    for data in companion.link.datagrams_to_send():
+        vehicle.link.receive_datagram(data, now)
+    vehicle.step(now)
+    assert len(vehicle.set_modes(176)) == commanded
+    exchange(companion, vehicle, 0.5, start_us=now)
+    assert vehicle.mode == (RTL if acted else HOLD)
+    assert (len(vehicle.set_modes(176)) == commanded) is acted
+    assert companion.state is State.PILOT
 
 
 def test_too_many_missed_ticks_hand_back_to_hold() -> None:

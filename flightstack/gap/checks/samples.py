@@ -21,7 +21,7 @@ from flightstack.gap.checks.motion import rates_of
 from flightstack.gap.checks.speeds import MEASURED
 from flightstack.gap.filters import white_noise
 from flightstack.gap.records import Samples, Signal
-from flightstack.gap.sources import DERIVED, DERIVED_HZ
+from flightstack.gap.sources import DERIVED, DERIVED_HZ, FREED
 from flightstack.gap.voltage import quiet
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
@@ -132,6 +132,8 @@ def _derive(used: dict[str, Signal], columns: dict[str, F64], t_s: F64, dt_s: fl
         derived.append("motor")
     if "motor" in used and used["motor"].source.startswith(MEASURED):
         derived.append("command")
+    if "accel_frd_mps2" in used and used["accel_frd_mps2"].source.endswith(FREED):
+        derived.append(FREED)
     if "vel_ned_mps" not in used and "pos_ned_m" in used:
         columns["vel_ned_mps"] = np.gradient(columns["pos_ned_m"], dt_s, axis=0)
         derived.append("vel_ned_mps")

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from flightstack.gap import airspeed, voltage
+from flightstack.gap import airspeed, estimator_bias, voltage
 from flightstack.gap.compare import residual
+from flightstack.gap.estimator_bias import is_freed
 from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
@@ -87,7 +88,7 @@ class SimulatorBench:
         that is most of a torque, a loop's answers to its own noise are left, and the torque's gain is open.  And how
         much of the level velocity is its error, and by what it is off in the mean.
         """
-        columns = []
+        columns, freed = [], any(is_freed(s) for s in self.flights)
         for s, calm, k in zip(self.flights, self.calm, self.every, strict=True):
             late = timing(vehicle, s)[::k, :, None]
             base = predict(vehicle, s)
@@ -103,12 +104,16 @@ class SimulatorBench:
             unsure = airspeed.doubt(vehicle, s)[::k]
             off = airspeed.offset_columns(vehicle, s)[::k]
             columns.append(np.concatenate([late, bent, folded, gains, unsure, off], axis=2))
+            if freed:
+                columns[-1] = np.concatenate([columns[-1], estimator_bias.columns(vehicle, s, k)], axis=2)
         period = float(np.mean([s.dt_s for s in self.flights]))
         sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist(), 1.0, 1.0]
         offsets = [airspeed.offset(s, s.valid) for s in self.flights]
         sizes += np.maximum(np.mean(offsets, axis=0), 1e-6).tolist()  # 0: nothing says how far, and the columns are 0
-        at = np.arange(len(sizes))
-        fitted = (at > 0) & (at < len(sizes) - 3)  # when commands acted is the delay itself, and an offset a wind
+        at = np.arange(columns[0].shape[2])
+        never = len(sizes) - 3 + np.arange(3)
+        fitted = (at > 0) & ~np.isin(at, never)  # when commands acted is the delay itself, and an offset a wind
+        sizes += [1.0] * (len(at) - len(sizes))
         return columns, np.array(sizes), fitted
 
     def rate(self, flight: int) -> float:

@@ -2,5 +2,7 @@
 
 DERIVED = "derived from"
 """How the source of a signal begins that no sensor or estimator gave."""
+FREED = "freed of bias"
+"""How the source of a signal ends from which an estimator's idea of the bias was subtracted."""
 DERIVED_HZ = 4.0
 """Up to here a derived signal says what a measured one would."""

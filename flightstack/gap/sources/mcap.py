@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from flightstack.gap.records import Signal
+from flightstack.gap.sources import FREED
 from flightstack.types import F64, InputError
 from flightstack_logs.reader import Log, Table
 
@@ -32,7 +35,9 @@ def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
         found["q_ned_frd"] = _signal(attitude, "t_boot_us", "q_ned_frd")
         found["rate_frd_radps"] = _signal(attitude, "t_boot_us", "rate_frd_radps")
     if imu is not None:
-        found["accel_frd_mps2"] = _signal(imu, "t_us", "accel_frd_mps2")
+        accel = _signal(imu, "t_us", "accel_frd_mps2")
+        freed = log.kind == "mcap"  # HIGHRES_IMU as PX4 sends it
+        found["accel_frd_mps2"] = replace(accel, source=f"{accel.source}, {FREED}") if freed else accel
         found["rate_frd_radps"] = _signal(imu, "t_us", "rate_frd_radps")
     if motors is not None and motors["pwm_us"].ndim == 2 and motors["pwm_us"].shape[1] >= 4:
         raw = _signal(motors, "t_us", "pwm_us")

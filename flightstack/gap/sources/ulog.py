@@ -7,11 +7,13 @@ freed of the biases that the estimator believes in) where they are logged fast e
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from flightstack.gap.checks.speeds import linearised
 from flightstack.gap.records import Signal
+from flightstack.gap.sources import FREED
 from flightstack.types import F64, InputError
 from flightstack.vehicle import Vehicle
 from flightstack_logs.reader import Log, Table
@@ -179,6 +181,9 @@ def _imu(log: Log, found: dict[str, Signal]) -> None:
     forces = [sampled[1], *forces] if fast else [*forces, sampled[1]]
     _put(found, "rate_frd_radps", _first(log, *rates, width=3))
     _put(found, "accel_frd_mps2", _first(log, *forces, width=3))
+    accel = found.get("accel_frd_mps2")
+    if accel is not None and accel.source.startswith("vehicle_acceleration"):
+        found["accel_frd_mps2"] = replace(accel, source=f"{accel.source}, {FREED}")
     old = _table(log, "vehicle_attitude", "rollspeed", "pitchspeed", "yawspeed")
     if "rate_frd_radps" not in found and old is not None:
         values = np.stack([old[name] for name in ("rollspeed", "pitchspeed", "yawspeed")], axis=-1)
