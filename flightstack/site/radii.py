@@ -68,4 +68,4 @@ def _left(row: tuple[float, ...], loop: Loop, held: Held, motion: tuple[float, f
         return 0.0
     course = course_of(points[:count], _STILL_S)
     moments = tuple(STEP_S * len(course) * each for each in _MOMENTS)
-    return worst(loop, held, course, moments, rounds=16, starts=_STARTS)[0]
+    return worst(loop, held, course, moments, rounds=30, starts=_STARTS)[0]

@@ -76,7 +76,7 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
     [
         (_times("across", "radius_m", by=0.7), "across: the tube reaches"),
         (_times("across", "radius_m", by=0.95), "at rest is the widest"),
-        (_times("way_least", "rest_radius_m", by=0.88), "little motion) are left by"),
+        (_times("way_least", "rest_radius_m", by=0.85), "little motion) are left by"),
         (_times("way_least", "most_radius_m", by=0.9), "much motion) are left by"),
         (_times("way_least", "slow_mps4", by=9.0), "no more than all of the snap"),
         (_times("way_most", "lean_mps2", by=0.9), "less than that of the least gain"),
