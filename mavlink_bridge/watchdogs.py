@@ -149,7 +149,7 @@ class PaceWatch:
     def may_have_acted(self, heard_us: int, now_us: int, loss_s: float) -> bool:
         """Whether PX4, which acts on its own after `loss_s` without setpoints, may have another mode than was heard."""
         slept_us = self.slept_gap_us if self.has_slept(now_us) else 0
-        return slept_us >= max(1e6 * loss_s, SLEPT_US) and heard_us <= self._slept_us + _READ_US
+        return slept_us >= max(SLEPT_US, 1e6 * loss_s) and heard_us <= self._slept_us + _READ_US
 
     def begin(self) -> None:
         """Forget what was missed so far."""

@@ -21,7 +21,7 @@ from mavlink_bridge import messages as m
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import State
 from mavlink_bridge.vehicle_clock import VehicleClock
-from mavlink_bridge.watchdogs import PERIOD_US, ResetWatch, Watchdogs
+from mavlink_bridge.watchdogs import PERIOD_US, PaceWatch, ResetWatch, Watchdogs
 
 Alter = Callable[[Any, float], Any | None]
 """A message and the seconds since the fault began (0 for the first altered one) -> what arrives."""
@@ -254,26 +254,31 @@ def test_before_the_flight_begins_a_jump_is_left_as_it_is() -> None:
     assert moved.pos_ned_m == pytest.approx((5.0, 0.0, 0.0))
 
 
+def _wakes(flight: Flying, piled_up: list[bytes], now_us: int) -> None:
+    """The companion's first tick after a sleep, and what the vehicle makes of its words."""
+    for data in piled_up:
+        flight.companion.receive_datagram(data, now_us)
+    flight.companion.step(now_us)
+    assert flight.companion.state is State.HOLDING
+    for data in flight.companion.link.datagrams_to_send():
+        flight.vehicle.link.receive_datagram(data, now_us)
+    flight.vehicle.step(now_us)
+
+
 def test_a_long_gap_between_ticks_hands_back_to_hold() -> None:
     flight = flying()
-    companion, _, vehicle, now = flight
+    _, _, vehicle, now = flight
     for _ in range(75):  # 0.3 s in which only the vehicle lives
         now += STEP_US
         vehicle.step(now)
-    for data in vehicle.link.datagrams_to_send():
-        companion.receive_datagram(data, now)
-    companion.step(now)
-    assert companion.state is State.HOLDING
-    for data in companion.link.datagrams_to_send():
-        vehicle.link.receive_datagram(data, now)
-    vehicle.step(now)
+    _wakes(flight, vehicle.link.datagrams_to_send(), now)
     _assert_handed_back(flight, "overrun-gap", now)
 
 
 @pytest.mark.parametrize("acted", [True, False])
 def test_after_a_sleep_nothing_is_commanded_until_the_mode_is_heard_anew(acted: bool) -> None:
     """Seen on a real PX4: frozen for 3 s it woke, had read of OFFBOARD only, and put Hold in place of PX4's Return."""
-    companion, _, vehicle, now = flying()
+    companion, _, vehicle, now = flight = flying()
     kept: list[bytes] = []
     for tick in range(750):  # 3 s in which only the vehicle lives, of which the socket keeps the first
         now += STEP_US
@@ -282,18 +287,22 @@ def test_after_a_sleep_nothing_is_commanded_until_the_mode_is_heard_anew(acted: 
         vehicle.step(now)
         kept += vehicle.link.datagrams_to_send() if tick < 250 else []
     commanded = len(vehicle.set_modes(176))
-    for data in kept:
-        companion.receive_datagram(data, now)
-    companion.step(now)
-    assert companion.state is State.HOLDING
-    for data in companion.link.datagrams_to_send():
-        vehicle.link.receive_datagram(data, now)
-    vehicle.step(now)
+    _wakes(flight, kept, now)
     assert len(vehicle.set_modes(176)) == commanded
     exchange(companion, vehicle, 0.5, start_us=now)
     assert vehicle.mode == (RTL if acted else HOLD)
     assert (len(vehicle.set_modes(176)) == commanded) is acted
     assert companion.state is State.PILOT
+
+
+@pytest.mark.parametrize(("loss_s", "acted"), [(1.0, False), (0.2, True), (math.nan, True)])
+def test_whether_px4_may_have_acted_goes_by_its_own_loss_time(loss_s: float, acted: bool) -> None:
+    watch = PaceWatch()
+    watch.step(0, 1.0)
+    watch.step(500_000, 1.0)
+    assert watch.may_have_acted(500_000, 504_000, loss_s) is acted
+    assert not watch.may_have_acted(560_000, 564_000, loss_s)  # heard since
+    assert not watch.may_have_acted(500_000, 750_000, loss_s)  # long awake
 
 
 def test_too_many_missed_ticks_hand_back_to_hold() -> None:
