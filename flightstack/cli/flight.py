@@ -214,18 +214,20 @@ class SimulatedFlight:
         companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
         most_bytes = 0 if seam.bad else MAX_DATAGRAM
         server.advance(TICK_MS)
-        now_us = self._clock.step(self.vehicle.plant.t_us)
+        now_us, keeps_wire = self._clock.step(self.vehicle.plant.t_us), log.keeps_wire
         if self.faulty:
             for at_us, words in server.faults.new():
                 log.event(at_us, "fault", words)
         for data in self._carry(seam.out(ONBOARD, server.datagrams(ONBOARD, most_bytes)), self._theirs, self._ours):
-            log.mavlink("rx", now_us, data)
+            if keeps_wire:
+                log.mavlink("rx", now_us, data)
             companion.receive_datagram(data, now_us)
         engaged = companion.flight_start_us
         companion.step(now_us)
         answers = companion.link.datagrams_to_send(most_bytes)
-        for data in answers:
-            log.mavlink("tx", now_us, data)
+        if keeps_wire:
+            for data in answers:
+                log.mavlink("tx", now_us, data)
         for data in seam.into(ONBOARD, self._carry(answers, self._ours, self._theirs)):
             server.receive(ONBOARD, data)
         truth = self.vehicle.plant.truth()

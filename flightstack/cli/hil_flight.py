@@ -146,15 +146,17 @@ class HilFlight:
         companion = self.companion
         self.session.step(stop_requested)
         now_us = self.t_us
-        t_us = self._clock.step(now_us)
+        t_us, keeps_wire = self._clock.step(now_us), self._log.keeps_wire
         for data in self._link.receive_all():
-            self._log.mavlink("rx", t_us, data)
+            if keeps_wire:
+                self._log.mavlink("rx", t_us, data)
             companion.receive_datagram(data, now_us)
         engaged = companion.flight_start_us
         companion.step(now_us)
         self._ask_for_origin(now_us)
         for data in companion.link.datagrams_to_send():
-            self._log.mavlink("tx", t_us, data)
+            if keeps_wire:
+                self._log.mavlink("tx", t_us, data)
             self._link.send(data)
         truth = self.hil.plant.truth()
         if engaged != companion.flight_start_us:

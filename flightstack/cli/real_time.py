@@ -57,12 +57,13 @@ class RealTimeLoop:
 
     def _tick(self, watch: StallWatch, pace: Pace) -> None:
         stall = watch.tick("receiving")
-        companion, now_us = self.companion, monotonic_us()
+        companion, now_us, keeps_wire = self.companion, monotonic_us(), self.log.keeps_wire
         clock, counted = companion.view.clock, companion.state in _COUNTED
         received_us = now_us
         t_us = self.line.step(now_us, clock.vehicle_us(now_us) if clock.synchronised else None, clock.rate)
         for data in self.transport.receive_all():
-            self.log.mavlink("rx", t_us, data)
+            if keeps_wire:
+                self.log.mavlink("rx", t_us, data)
             companion.receive_datagram(data, now_us)
         watch.mark("deciding and flying")
         if self.dead_man is not None:
@@ -76,7 +77,8 @@ class RealTimeLoop:
         for data in companion.link.datagrams_to_send():
             if monotonic_us() - now_us > SLEPT_US:
                 continue  # stopped in here: to a failsafe that has acted since, it would be the way back to OFFBOARD
-            self.log.mavlink("tx", t_us, data)
+            if keeps_wire:
+                self.log.mavlink("tx", t_us, data)
             self.transport.send(data)
         if self.dead_man is not None:
             self.dead_man.tell()

@@ -18,6 +18,10 @@ class Recorder(Protocol):
     def failed(self) -> str | None:
         """The first thing that went wrong, one line."""
 
+    @property
+    def keeps_wire(self) -> bool:
+        """Whether `mavlink` keeps anything; a tick that knows need not call it for each datagram."""
+
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message of a topic of the table."""
 
@@ -56,6 +60,7 @@ class NoLog:
     """The recorder of a flight whose log nobody wants: what is made for a log alone need not be made."""
 
     path = failed = None
+    keeps_wire = False
 
     def _not_kept(self, *call: object, **named: object) -> None:
         pass

@@ -24,10 +24,6 @@ CAPACITY = 20_000
 """About six seconds of a flight."""
 
 
-def _nothing(*_: object) -> None:
-    """A datagram that is not kept."""
-
-
 class ThreadedLog:
     """A `FlightLog` behind a queue; it may only be used through this object until `close` has returned."""
 
@@ -38,8 +34,7 @@ class ThreadedLog:
         self._queue: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
         self._capacity, self._poll_s = capacity, poll_s
         self._last_t_us = 0
-        if not log.keeps_wire:  # most calls of a tick are for datagrams, and most logs don't keep them
-            self.mavlink = _nothing  # type: ignore[method-assign, assignment]
+        self.keeps_wire = log.keeps_wire
         self._stop = threading.Event()
         self._late = False
         self._closed = False
@@ -74,7 +69,8 @@ class ThreadedLog:
 
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
         """One datagram as it was on the wire; direction rx or tx, seen from the companion."""
-        self._put(t_us, self.log.mavlink, direction, t_us, data)
+        if self.keeps_wire:
+            self._put(t_us, self.log.mavlink, direction, t_us, data)
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack; `t_us`: log time, where it is not the vehicle's."""

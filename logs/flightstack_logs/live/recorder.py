@@ -75,6 +75,11 @@ class LiveRecorder:
         """The first thing that went wrong with the log, one line."""
         return None if self._log is None else self._log.failed
 
+    @property
+    def keeps_wire(self) -> bool:
+        """Whether the log beside it keeps datagrams."""
+        return self._log is not None and self._log.keeps_wire
+
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message of a topic of the table."""
         if self._log is not None:
