@@ -41,7 +41,7 @@ from flightstack.barrier.falsify import HAND_OVER
 from flightstack.barrier.packed import pack
 from flightstack.barrier.qp import NearestPoint
 from flightstack.barrier.records import AxisCertificate, Certificate
-from flightstack.barrier.response import M_MODE, new_memory, remember
+from flightstack.barrier.response import M_GOOD_SINCE, M_MODE, new_memory, remember
 from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.torque import within
 from flightstack.governor import GovernorLimits
@@ -137,9 +137,14 @@ class BarrierFilter:
         return state._replace(certificate=certificate, packed=packed, rest_ned_m=rest, handed_over=False)
 
     def governed(self, state: FilterState) -> GovernorLimits | None:
-        """Those of the certificate that is in force, engaged or not: half a second before engaging torque is calm."""
-        certificate = state.certificate
+        """Those of the certificate that is in force from half a second before engaging: then torque is calm.
+
+        Not before: GPS noise beside bounded torque rocks a lean that nothing limits, and it would never engage.
+        """
+        certificate, memory = state.certificate, state.memory
         if certificate is None or certificate.governor is None or state.handed_over:
+            return None
+        if not (memory[0, M_MODE] > 0.0 or memory[0, M_GOOD_SINCE] < math.inf):
             return None
         return certificate.governor.limits
 
@@ -186,9 +191,12 @@ class BarrierFilter:
             (work, self._rows, self._low, self._high), row,
         )  # fmt: skip
         row[F_STATUS], row[F_ITERATIONS], row[F_VERSION] = status, 0.0, certificate.version
-        if status == WAITING or not math.isfinite(row[F_WANTED]):  # what is not a number is for the guard to judge
+        kept = status == WAITING and row[F_INTERVENED] == 1.0
+        if (status == WAITING and not kept) or not math.isfinite(row[F_WANTED]):  # no number: for the guard to judge
             return state, command, Filtered(row)
         u, rate = np.empty(3), command.rate_frd_radps.copy()
+        if kept:
+            return state, self._steered(state, command, row[11:14].copy(), rate, row), Filtered(row)
         rate[2] = _gently(float(rate[2]), float(measurement.row[_YAW_RATE]), self.limits.rate_max_radps[2])
         if status == CHANGED:
             solution = self._qp.solve(self._rows, self._low, self._high, row[8:11])
@@ -207,11 +215,15 @@ class BarrierFilter:
             return state, command._replace(rate_frd_radps=rate), Filtered(row)
         if status != CHANGED:
             fallback(row, u)
-        norm = steer(packed, work, u, rate)
+        return state, self._steered(state, command, u, rate, row), Filtered(row)
+
+    def _steered(self, state: FilterState, command: Command, u: F64, rate: F64, row: F64) -> Command:
+        """The command that has the accelerations u (3,), and into `row` what it really does."""
+        norm = steer(state.packed, self._work, u, rate)
         safe, _ = self._limiter.limit(self.model.thrust_of(norm), rate, command.t_us)
-        settle(packed, work, safe.thrust_norm, safe.rate_frd_radps, row)
+        settle(state.packed, self._work, safe.thrust_norm, safe.rate_frd_radps, row)
         row[F_INTERVENED] = 1.0
-        return state, safe, Filtered(row)
+        return safe
 
 
 def _gently(wanted_radps: float, present_radps: float, most_radps: float) -> float:

@@ -32,7 +32,8 @@ _KEYS = (
 _SENSORS = ("mocap", "gps", "px4-sih", "px4-sih-ekf")
 _DURATION_S = (1.0, 3600.0)
 _FAR_M = 1000.0
-_ENVELOPE_MARGIN_M = 5.0
+_ENVELOPE_MARGIN_M, _REGION_MARGIN_M = 5.0, 1.0
+"""Of the guard's envelope: beyond the path; beyond the region, what an estimated place may be off by with GPS."""
 _LEAST_HEIGHT_M = 0.15
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -125,15 +126,16 @@ def parse_scenario(text: str, source: str) -> Scenario:
     if sensors not in _SENSORS:
         raise InputError(f"{source}: sensors = {sensors!r} is not known; known are {', '.join(_SENSORS)}")
     duration_s = number(duration, f"{source}: duration_s", *_DURATION_S)
+    region = _region(table(data, "region", source), source) if "region" in data else None
     return Scenario(
         name=words(data.get("name"), f"{source}: name"),
         description=words(data.get("description"), f"{source}: description"),
         duration_s=duration_s,
         sensors=str(sensors),
         trajectory=trajectory,
-        limits=_envelope(limits, table(data, "limits", source), trajectory, duration_s, source),
+        limits=_envelope(limits, table(data, "limits", source), trajectory, duration_s, region, source),
         truth=_truth(table(data, "truth", source), source),
-        region=_region(table(data, "region", source), source) if "region" in data else None,
+        region=region,
         events=tuple(_event(item, f"{source}: event {i}") for i, item in enumerate(_tables(data, "events", source), 1)),
         checks=tuple(_check(item, f"{source}: check {i}") for i, item in enumerate(_tables(data, "checks", source), 1)),
         knowledge=_knowledge(table(data, "knowledge", source), source) if "knowledge" in data else None,
@@ -152,7 +154,7 @@ def waypoints_scenario(waypoints: Waypoints, source: str) -> Scenario:
         duration_s=number(trajectory.duration_s, f"{source}: the path's duration_s", *_DURATION_S),
         sensors="mocap",
         trajectory=trajectory,
-        limits=_envelope(limits, {}, trajectory, trajectory.duration_s, source),
+        limits=_envelope(limits, {}, trajectory, trajectory.duration_s, None, source),
         truth=ScenarioTruth(),
         region=None,
         events=(),
@@ -229,9 +231,12 @@ def _limits(data: Mapping[str, object], source: str) -> Limits:
 
 
 def _envelope(
-    limits: Limits, given: Mapping[str, object], trajectory: Trajectory, duration_s: float, source: str
-) -> Limits:
-    """The guard's envelope: given, or 5 m beyond the path; the path itself must stay above the ground."""
+    limits: Limits, given: Mapping[str, object], trajectory: Trajectory, duration_s: float, region: Region | None,
+    source: str,
+) -> Limits:  # fmt: skip
+    """The guard's envelope: given, or 5 m beyond the path and no less than the region, in which the vehicle may be
+    anywhere (sideways where it is one of `axes`: of an ellipsoid down alone is certified); the path itself must stay
+    above the ground."""
     points = [trajectory.at(t).pos_ned_m for t in np.linspace(0.0, duration_s, 2001)]
     lowest = float(min(-p[2] for p in points))
     if lowest < _LEAST_HEIGHT_M - 1e-9:
@@ -241,6 +246,10 @@ def _envelope(
         )
     radius = max(math.hypot(p[0], p[1]) for p in points) + _ENVELOPE_MARGIN_M
     height = float(max(-p[2] for p in points)) + _ENVELOPE_MARGIN_M
+    if region is not None:
+        north, east, _ = (abs(c) + a for c, a in zip(region.centre_ned_m, region.semi_axes_m, strict=True))
+        height = max(height, region.semi_axes_m[2] - region.centre_ned_m[2] + _REGION_MARGIN_M)
+        radius = max(radius, math.hypot(north, east) + _REGION_MARGIN_M if region.kind == "axes" else 0.0)
     return replace(
         limits,
         radius_m=limits.radius_m if "radius_m" in given else radius,

@@ -46,10 +46,10 @@ from flightstack.barrier.response import (
     thrust_of,
 )
 from flightstack.barrier.shapes import piece_at
-from flightstack.barrier.turning import Turn, paced, straight
+from flightstack.barrier.turning import Turn, paced, stays_within, straight
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit
-from flightstack.rows import F_H, F_H_STATE, F_MARGIN, F_THRUST, F_WANTED, RATE_X, RATE_Y, VEL_D
+from flightstack.rows import F_H, F_H_STATE, F_INTERVENED, F_MARGIN, F_THRUST, F_WANTED, RATE_X, RATE_Y, VEL_D
 from flightstack.types import F64
 
 ENGAGE_H = 0.05
@@ -150,7 +150,11 @@ def assess(
     for i in range(3):
         out[11 + i] = out[8 + i]
     out[F_MARGIN] = _least_margin(flat, out)
-    if not _engaged(memory, min(out[F_H], out[F_H_STATE]), now_us):
+    lean, leans = predicted[1, 6:], flat[P_LEANS : P_LEANS + 4]
+    kept = stays_within(lean[:4], lean[4:7], leans, flat[P_TURNING], flat[P_TURNING + 1])
+    if not _engaged(memory, min(out[F_H], out[F_H_STATE]), kept, now_us):
+        if memory[0, M_GOOD_SINCE] < np.inf:
+            _keep_lean(flat, predicted, offset, rate, rows, low, high, out)
         return WAITING
     _limit_rows(flat, predicted, offset, rate, rows, low, high, out[8:11])
     if not feasible or low[2] > high[2]:
@@ -163,17 +167,31 @@ def assess(
 
 
 @njit
-def _engaged(memory: F64, h: float, now_us: float) -> bool:
-    """Whether the filter is engaged after this tick's h: once it has been at least ENGAGE_H for ENGAGE_US."""
+def _engaged(memory: F64, h: float, kept: bool, now_us: float) -> bool:
+    """Whether the filter is engaged after this tick's h: once it has been at least ENGAGE_H for ENGAGE_US, with a lean
+    that can be `kept` at the first and the last of these ticks; in between it is (`_keep_lean`)."""
     if memory[0, M_MODE] == DOUBTFUL:
         memory[0, M_MODE] = ENGAGED if h >= 0.0 else 0.0
     if not h >= ENGAGE_H:
         memory[0, M_GOOD_SINCE] = np.inf
-    elif memory[0, M_GOOD_SINCE] == np.inf:
+    elif memory[0, M_GOOD_SINCE] == np.inf and kept:
         memory[0, M_GOOD_SINCE] = now_us
-    if now_us - memory[0, M_GOOD_SINCE] >= ENGAGE_US:
+    if now_us - memory[0, M_GOOD_SINCE] >= ENGAGE_US and kept:
         memory[0, M_MODE] = ENGAGED
     return memory[0, M_MODE] > 0.0  # type: ignore[no-any-return]
+
+
+@njit
+def _keep_lean(
+    flat: F64, predicted: F64, offset: F64, rate: F64, rows: F64, low: F64, high: F64, out: F64
+) -> None:  # fmt: skip
+    """Into out[11:14] the wanted accelerations, moved to where the lean keeps within the certificate's: before the
+    filter engages nothing else is limited."""
+    _limit_rows(flat, predicted, offset, rate, rows, low, high, out[8:11])
+    for k in range(2):
+        out[11 + k] = min(max(out[8 + k], low[3 + k]), high[3 + k])
+        if abs(out[11 + k] - out[8 + k]) > 1e-6:
+            out[F_INTERVENED] = 1.0
 
 
 @njit

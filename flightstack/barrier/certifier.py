@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from flightstack.barrier.assess import PASSED
 from flightstack.barrier.budgets import HOVER_OFF, budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.design import SafeSet, safe_sets
@@ -40,6 +41,7 @@ from flightstack.barrier.records import Authority, AxisCertificate, Budget, Cert
 from flightstack.barrier.search import Axis, Ratios, Worth, ellipse, largest_steps
 from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import within
+from flightstack.barrier.turning import stays_within, turning
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
@@ -133,7 +135,7 @@ class OnlineCertifier:
         if ready is None:
             return state, None
         state.work = None
-        issued = self._judge(state, ready, measurement)
+        issued = self._judge(state, ready, measurement, filtered.status >= PASSED)
         again = self.config.every_s
         most = (_PATIENCE if state.certificate is not None else _EAGER) * again
         state.turn = (state.turn + 1) % len(self.config.thrusts)
@@ -160,8 +162,10 @@ class OnlineCertifier:
             state.widen_mps2 = np.maximum(state.widen_mps2, 1.5 * excess)
             state.falsified, state.work, state.begun_us = reason, None, -(10**12)
 
-    def _judge(self, state: CertifierState, ready: Certificate, measurement: Measurement) -> Certificate | None:
-        """The certificate to hand out for a finished piece of work, if any."""
+    def _judge(
+        self, state: CertifierState, ready: Certificate, measurement: Measurement, engaged: bool
+    ) -> Certificate | None:
+        """The certificate to hand out for a finished piece of work, if any; `engaged`: the filter is."""
         here = measurement.row[None, :6]  # as it is and looked ahead by lag and delay
         holds = bool(ready.axes) and least_h(ready, here, state.origin_ned_m) >= self.config.room_h
         area = area_of(ready) if ready.axes else 0.0
@@ -174,12 +178,22 @@ class OnlineCertifier:
                 return None
             state.falsified = ""
             area = area if holds else 0.0
-        elif holds and _leans_within(ready, measurement) and self._pays(ready, area, state):
+        elif holds and (not engaged or self._lean_is_kept(ready, measurement)) and self._pays(ready, area, state):
             issued = ready
         else:
             return None
         state.certificate, state.area, state.version = issued, area, issued.version
         return issued
+
+    def _lean_is_kept(self, certificate: Certificate, measurement: Measurement) -> bool:
+        """Whether the vehicle leans as an engaged filter keeps it: taken in the midst of a wider lean, or of one that
+        can't be stopped within, a certificate ends at once."""
+        premises, turn = certificate.premises, (0.0, 0.0)
+        assert premises is not None
+        if certificate.governor is not None:
+            turn = turning(certificate.governor, self.model, certificate.budget.low_mps2)
+        leans = np.array(premises.leans).ravel()
+        return stays_within(measurement.q_ned_frd, measurement.rate_frd_radps, leans, *turn)
 
     def _pays(self, ready: Certificate, area: float, state: CertifierState) -> bool:
         """Whether it is larger than the one in force, or hardly smaller and surer of every axis' acceleration."""
@@ -365,13 +379,6 @@ def compile_all() -> None:
     value(ellipse(axis, Ratios(0.3, 1.0)), 0.0, 0.0)
     quat_to_matrix(np.array([1.0, 0.0, 0.0, 0.0]))
     prepare()
-
-
-def _leans_within(certificate: Certificate, measurement: Measurement) -> bool:
-    """Whether the vehicle leans as the certificate lets it: taken in the midst of a wider lean, it ends at once."""
-    assert certificate.premises is not None
-    axis = quat_to_matrix(measurement.q_ned_frd)[:2, 2]
-    return all(least <= lean <= most for lean, (least, most) in zip(axis, certificate.premises.leans, strict=True))
 
 
 def _lateness(certificate: Certificate) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.design import SafeSet, safe_sets
+from flightstack.barrier.estimate_bounds import EstimateBounds
 from flightstack.barrier.initial import InitialKnowledge
 from flightstack.barrier.records import Certificate
 from flightstack.learning.learner import LearnerState
@@ -29,6 +30,8 @@ what the estimate is off by costs the less."""
 _DOUBTS_ACROSS = 3.5
 """Speed across as a multiple of what the estimate is known to: in a hover the vehicle follows what its estimate is off
 by, so that both are off by about as much."""
+_LESS = Thrust(0.75, 1.25, 0.8)
+"""Where the estimate is poor: less thrust and less lean are known sooner, and to less."""
 SETTLED_NEED_MPS2, SETTLED_ACROSS_MPS = 0.3, 0.35
 """The same of what comes of it: little thrust across, little speed."""
 
@@ -49,6 +52,12 @@ class GrowthConfig:
     across_mps: float = 0.55
     """Speed along an axis that is not certified, up to which the bounds of the others are asked for: the identification
     and the doubt about it."""
+
+
+def vertical_for(estimate: EstimateBounds) -> CertifierConfig:
+    """The vertical axis alone while a path is flown, with estimates as good as these."""
+    poor = _DOUBTS_ACROSS * max(estimate.vel_mps) > GrowthConfig().across_mps
+    return replace(VERTICAL, estimate=estimate, thrusts=(_LESS, *VERTICAL.thrusts) if poor else VERTICAL.thrusts)
 
 
 @dataclass(slots=True)

@@ -31,7 +31,8 @@ from flightstack.autopilot import effectiveness, mixer
 from flightstack.barrier.condition import Reach, Setting, doubt_of, interval
 from flightstack.barrier.shapes import piece_at
 from flightstack.barrier.torque import GovernorTerms
-from flightstack.jit import njit
+from flightstack.frames import quat_to_matrix
+from flightstack.jit import njit, njit_called
 from flightstack.model import Model
 from flightstack.rate_loop import steepness
 from flightstack.types import F64
@@ -59,6 +60,19 @@ def turning(terms: GovernorTerms, model: Model, low_mps2: float) -> tuple[float,
     alpha = float((moment_nm / np.array(vehicle["inertia_kgm2"])[:2]).min()) * bend
     least = (1.0 - vehicle["alpha_share"]) * alpha * terms.roll_pitch_max * math.sqrt(0.5)
     return least / terms.chi, model.rate_lag_s
+
+
+@njit_called
+def stays_within(q_ned_frd: F64, rate_frd_radps: F64, leans: F64, turn_radps2: float, wait_s: float) -> bool:
+    """Whether the leans are within these, (4,) least and most to north and to east, and turn no faster than can be
+    stopped there, by s and t0; s 0: nothing is governed, only the leans are asked for."""
+    r = quat_to_matrix(q_ned_frd)
+    for k in range(2):
+        lean, rate = r[k, 2], rate_frd_radps[1] * r[k, 0] - rate_frd_radps[0] * r[k, 1]
+        on = rate * (wait_s + 0.5 * abs(rate) / turn_radps2) if turn_radps2 > 0.0 else 0.0
+        if not leans[2 * k] <= min(lean, lean + on) <= max(lean, lean + on) <= leans[2 * k + 1]:
+            return False
+    return True
 
 
 class Turn(NamedTuple):
@@ -165,4 +179,4 @@ def after_turning(e: float, v: float, turn: Turn, way: float, brake: float, u: f
     return e + v * span + 0.5 * brake * span * span + way * more_e, v + brake * span + way * more_v
 
 
-__all__ = ["Turn", "after_turning", "paced", "straight", "turning"]
+__all__ = ["Turn", "after_turning", "paced", "stays_within", "straight", "turning"]

@@ -19,7 +19,7 @@ from pathlib import Path
 from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
-from flightstack.barrier.growing import VERTICAL, GrowingCertifier
+from flightstack.barrier.growing import VERTICAL, GrowingCertifier, vertical_for
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
 from flightstack.barrier.published_filter import PublishedFilter
@@ -233,7 +233,7 @@ def _online(
     governor = governor_for(believed, model, limits, sensors)
     estimate = estimate_bounds(error_statistics(load_grade(sensors)))
     if region.kind == "ellipsoid":
-        vertical = replace(VERTICAL, sensors=sensors, estimate=estimate, governor=governor)
+        vertical = replace(vertical_for(estimate), sensors=sensors, governor=governor)
         return GrowingCertifier(
             model, limits, region, initial=scenario.knowledge, certifier=vertical, elsewhere=elsewhere
         )

@@ -20,6 +20,7 @@ from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
+from flightstack.barrier.torque import governor_terms
 from flightstack.cli.workshop import Workshop
 from flightstack.frames import quat_from_euler
 from flightstack.learning.learner import GpLearner
@@ -127,18 +128,28 @@ def test_an_acceleration_beyond_its_bound_hands_over(calm: tuple[ClosedLoopFligh
     assert state.widen_mps2[2] > 0.5
 
 
-def test_a_certificate_is_not_taken_in_the_midst_of_a_lean_that_it_does_not_allow(
-    calm: tuple[ClosedLoopFlight, Kept],
+@pytest.mark.parametrize(
+    ("beyond", "rate_radps", "engaged", "is_taken"),
+    [(-1.0, 0.0, True, True), (0.01, 0.0, True, False), (-0.02, 1.5, True, False), (-0.02, -0.2, True, True),
+     (0.01, 0.0, False, True)],
+)  # fmt: skip
+def test_an_engaged_filter_is_given_no_certificate_in_the_midst_of_a_lean_that_it_does_not_allow(
+    calm: tuple[ClosedLoopFlight, Kept], beyond: float, rate_radps: float, engaged: bool, is_taken: bool
 ) -> None:
+    """Nor where it turns too fast to be stopped within; a filter that is not engaged waits for its lean."""
     _, kept = calm
     before, (_, measurement, _, _) = kept.last
     assert isinstance(measurement, Measurement)
-    ready = kept.issued[-1][1]
+    governor = governor_terms(load_vehicle("quad-x"), kept.model, kept.limits, (1e-3, 1e-3, 7e-4))
+    ready = dataclasses.replace(kept.issued[-1][1], governor=governor)
     assert ready.premises is not None
-    for lean, is_taken in ((0.0, True), (ready.premises.leans[0][1] + 0.01, False)):
-        state = CertifierState(origin_ned_m=before.origin_ned_m)
-        leaning = changed(measurement, q_ned_frd=quat_from_euler(0.0, math.asin(lean), 0.0))
-        assert (OnlineCertifier._judge(kept, state, ready, leaning) is ready) == is_taken
+    lean = max(ready.premises.leans[0][1] + beyond, 0.0)
+    state = CertifierState(origin_ned_m=before.origin_ned_m)
+    leaning = changed(
+        measurement, q_ned_frd=quat_from_euler(0.0, math.asin(lean), 0.0),
+        rate_frd_radps=np.array([0.0, rate_radps, 0.0]),
+    )  # fmt: skip
+    assert (OnlineCertifier._judge(kept, state, ready, leaning, engaged) is ready) == is_taken
 
 
 # ---------------------------------------------------------------- in a process of its own

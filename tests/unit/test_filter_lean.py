@@ -14,7 +14,7 @@ from test_safety_filter import HOVER_N, LIMITS, MODEL, QUAD, TILT, Hand, at, cer
 from flightstack.barrier.torque import governor_terms
 from flightstack.barrier.turning import turning
 from flightstack.frames import quat_from_rotation_vector, quat_to_matrix
-from flightstack.safety_filter import CHANGED
+from flightstack.safety_filter import CHANGED, WAITING
 from flightstack.types import changed
 
 TERMS = governor_terms(load_vehicle("quad-x"), QUAD, LIMITS, (1e-3, 1e-3, 7e-4))
@@ -75,3 +75,45 @@ def test_a_lean_keeps_within_its_own_axis_range_whatever_the_controller_wants(
     end = lean + w * t0 + way * w * w / (2.0 * s)
     assert -0.05 - 1e-3 <= end <= 0.3 + 1e-3
     assert way * w > 0.1, "as far as the range reaches it is let through"
+
+
+def stops_at(lean: float, lean_rate: float) -> float:
+    """Where a governed lean comes to rest: it goes on for t0, then is taken back at s."""
+    s, t0 = turning(TERMS, MODEL, INTO_THE_WIND.budget.low_mps2)
+    return lean + lean_rate * t0 + lean_rate * abs(lean_rate) / (2.0 * s)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("lean", "lean_rate"), [(0.2, 1.2), (0.05, -1.0), (-0.1, 0.0), (0.35, -0.5)])
+def test_it_does_not_engage_in_a_lean_that_cannot_be_stopped_within_the_range(
+    axis: int, lean: float, lean_rate: float
+) -> None:
+    """The range is -0.05 to 0.3 to either side: engaged in such a lean a premise would break at once."""
+    assert not -0.05 <= min(lean, stops_at(lean, lean_rate)) <= max(lean, stops_at(lean, lean_rate)) <= 0.3
+    hand, turn, rate = Hand(INTO_THE_WIND), np.zeros(3), np.zeros(3)
+    sign = 1.0 if axis == 0 else -1.0
+    turn[1 - axis], rate[1 - axis] = math.asin(lean) * sign, lean_rate / math.cos(math.asin(lean)) * sign
+    seen = changed(at(), q_ned_frd=quat_from_rotation_vector(turn), rate_frd_radps=rate)
+    for _ in range(300):
+        hand.sent = command(hand.t_us, HOVER_N, rate)
+        sent, filtered = hand.step(seen, command(hand.t_us, HOVER_N, rate))
+        assert (filtered.status, filtered.intervened) == (WAITING, 0.0)
+        assert sent is hand.wanted
+        assert hand.filter.governed(hand.state) is None
+    hand.sent = command(hand.t_us, HOVER_N)
+    hand.engaged()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_half_a_second_before_it_engages_the_lean_already_keeps_within_the_range(axis: int, way: float) -> None:
+    hand, rate, sign = Hand(INTO_THE_WIND), np.zeros(3), 1.0 if axis == 0 else -1.0
+    hand.step(at())
+    rate[1 - axis] = 6.0 * way * sign
+    sent, filtered = hand.step(at(), command(hand.t_us, HOVER_N, rate))
+    assert (filtered.status, filtered.intervened) == (WAITING, 1.0)
+    assert hand.filter.governed(hand.state) == TERMS.limits
+    end = stops_at(0.0, float(sent.rate_frd_radps[1 - axis]) * sign)
+    assert -0.05 - 1e-3 <= end <= 0.3 + 1e-3
+    assert abs(sent.rate_frd_radps[1 - axis]) > 0.1, "as far as the range reaches it is let through"
+    assert sent.thrust_n == pytest.approx(HOVER_N, rel=0.02)

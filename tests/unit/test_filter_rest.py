@@ -10,7 +10,7 @@ from shipped import load_vehicle
 from test_safety_filter import LIMITS, MODEL, QUAD, certified
 
 from flightstack.barrier.assess import ENGAGED
-from flightstack.barrier.response import M_MODE
+from flightstack.barrier.response import M_GOOD_SINCE, M_MODE
 from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import governor_terms
 from flightstack.safety_filter import BarrierFilter
@@ -82,6 +82,8 @@ def test_the_governors_limits_are_the_certificates_in_force_and_end_with_it() ->
     assert safety.governed(bare) is None  # it has no governor
     assert safety.in_force(bare) is bare.packed
     state = safety.adopt(state, dataclasses.replace(MADE, governor=terms))
+    assert safety.governed(state) is None, "not before the filter is about to engage"
+    state.memory[0, M_GOOD_SINCE] = 0.0
     assert safety.governed(state) == terms.limits
     ended = safety.adopt(state, dataclasses.replace(MADE, governor=terms, knowledge={"hand_over": True}))
     assert safety.governed(ended) is None

@@ -92,6 +92,16 @@ def test_the_envelope_reaches_5_metres_beyond_the_path_unless_given() -> None:
     assert parse_scenario(MINIMAL + "[limits]\nradius_m = 99\n", "s").limits.radius_m == 99.0
 
 
+def test_the_envelope_holds_the_region_that_is_asked_for() -> None:
+    """gps-barrier: 16 m round 20 m, where its path reaches 22 m; the paper's regions lie within 5 m of their paths."""
+    limits = {name: load_scenario(name).limits for name in ("gps-barrier", "paper-barrier", "paper-tracking")}
+    assert limits["gps-barrier"].height_m == 37.0
+    assert limits["gps-barrier"].radius_m == 5.0, "of an ellipsoid nothing is certified sideways"
+    assert limits["paper-barrier"].height_m == pytest.approx(0.8 + 0.35 + 5.0, abs=1e-3)
+    assert limits["paper-tracking"].height_m == pytest.approx(1.5 + 0.5 + 5.0, abs=1e-3)
+    assert 6.0 < limits["paper-tracking"].radius_m < math.hypot(1.5, 1.0) + 5.0
+
+
 def test_truth_effects_are_set_on_top_of_the_believed_ones() -> None:
     text = MINIMAL + "[truth.effects.linear_drag]\nd_x_kgps = 0.3\n[truth.effects.payload]\nmass_kg = 0.1\n"
     believed = with_effects(
