@@ -31,7 +31,7 @@ def test_what_was_decided_before_a_long_stop_is_not_said_after_it(
     nothing = SimpleNamespace(
         step=lambda *given: 0, mavlink=lambda *given: None, write=lambda *given: None, event=lambda *given: None,
         receive_all=list, send=said.append, tick=lambda *given: 0, missed=0, between_us=4000, busy_us=lambda: 0,
-        mark=lambda what: None, stop_requested=str, period_us=4000,
+        mark=lambda what: None, stop_requested=str, period_us=4000, keeps_wire=True,
     )  # fmt: skip
     nothing.tick = lambda *given: None
     companion: Any = SimpleNamespace(
