@@ -14,7 +14,6 @@ from flightstack.barrier.premise_watch import watched
 from flightstack.barrier.premises import ANY_BATTERY_V, Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
 from flightstack.barrier.shapes import Quadratic
-from flightstack.barrier.turning import stays_within
 from flightstack.consistency import EstimateWatch
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.mission import plan
@@ -63,7 +62,6 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     if stack.filter.enabled:
         ticks = _FILTER_TICKS
         held = _certificate(setpoint.pos_ned_m)
-        stays_within(measurement.q_ned_frd, measurement.rate_frd_radps, np.zeros(4), 0.0, 0.0)  # asked by the certifier
         state = state._replace(
             filter=stack.filter.adopt(state.filter, held),
             watch=watched(held.version, _PREMISES, held.axes[DOWN].authority.table),

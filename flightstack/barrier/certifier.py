@@ -42,7 +42,6 @@ from flightstack.barrier.search import Axis, Ratios, Worth, ellipse, largest_ste
 from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import within
 from flightstack.barrier.turning import stays_within, turning
-from flightstack.frames import quat_to_matrix
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -377,7 +376,7 @@ def compile_all() -> None:
     for _ in largest_steps(axis, needs, Ratios(0.3, 1.0)):
         pass
     value(ellipse(axis, Ratios(0.3, 1.0)), 0.0, 0.0)
-    quat_to_matrix(np.array([1.0, 0.0, 0.0, 0.0]))
+    stays_within(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(4), 0.0, 0.0)
     prepare()
 
 
