@@ -25,6 +25,9 @@ _COURSES, _OFF_RAD = ((0.0, 0.0), (1.0, 0.0), (0.5, 0.3), (0.75, 0.6), (0.25, 0.
 """Shares of a way's time; first courses: half turns of a direction, share of the time until the force turns round."""
 _STOP_SHARE = 0.75
 """Of the snap, what stops a turning that is faster than a way's own."""
+_LITTLE_MPS, _MUCH_MPS, _LEANT_S, _LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
+"""Motion with which a way is left no further than one from rest, and the furthest; what lean adds to it; the lean
+beyond what brakes that adds nothing by itself."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -42,7 +45,8 @@ class Loop(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How a way is laid out, and how far it may be left: with little motion at first, and with any."""
+    """How a way is laid out, and how far it may be left: with little motion at first, with much, and by how much
+    further for a lean."""
 
     across_mps2: float
     lean_mps2: float
@@ -55,6 +59,18 @@ class Way(NamedTuple):
     stoppable: float
     rest_radius_m: float
     most_radius_m: float
+    per_lean_s2: float
+
+    def brakes(self, v: complex) -> complex:
+        """The lean that it asks for."""
+        speed = max(abs(v), 1e-9)
+        return -min(self.across_mps2 / speed, self.fade_ps, self.ease / speed ** (1.0 / 3.0)) * v
+
+    def claimed_m(self, v: complex, a: complex) -> float:
+        """Radius of the tube, from a velocity and a lean."""
+        share = min(max((abs(v + _LEANT_S * a) - _LITTLE_MPS) / (_MUCH_MPS - _LITTLE_MPS), 0.0), 1.0)
+        leant = min(abs(a), abs(a - self.brakes(v))) - _LITTLE_MPS2
+        return self.rest_radius_m + max(share * (self.most_radius_m - self.rest_radius_m), self.per_lean_s2 * leant)
 
 
 def _cut(z: Any, most: Any) -> Any:
@@ -70,15 +86,13 @@ def _laid_out(way: Way, loop: Loop, v: complex, a: complex) -> _C:
         rows.append((p, v, a, asked))
         if abs(v) < 0.03 and abs(a) < 0.15:
             break
-        speed = max(abs(v), 1e-9)
-        brake = min(way.across_mps2 / speed, way.fade_ps, way.ease / speed ** (1.0 / 3.0))
-        hurry = min(max(2.0 * (speed / way.fast_mps - 1.0), 0.0), 1.0)
+        hurry = min(max(2.0 * (abs(v) / way.fast_mps - 1.0), 0.0), 1.0)
         stops = min(max(2.0 * (abs(j) / np.sqrt(way.slow_mps4 * way.across_mps2) - 0.8), 0.0), 1.0)
         most = max(
             way.slow_mps4 + hurry * (way.fast_mps4 - way.slow_mps4),
             way.slow_mps4 + stops * (_STOP_SHARE * loop.snap_mps4 - way.slow_mps4),
         )
-        short = -brake * v - a - late * (j + loop.rotors_s * s)
+        short = way.brakes(v) - a - late * (j + loop.rotors_s * s)
         size = max(abs(short), 1e-9)
         turn = min(_LEAN_GAIN_PS * size, way.stoppable * np.sqrt(2.0 * most * size), way.jerk_mps3) / size
         asked += _STEP_S * complex(_cut(_JERK_GAIN_PS * (turn * short - asked), most))

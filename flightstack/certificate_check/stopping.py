@@ -1,4 +1,4 @@
-"""Certificates of a stop (`flightstack.stopping/3`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/4`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
 + k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j,
@@ -18,14 +18,18 @@ from .intervals import F64
 from .left import Loop, Way, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/3"
+SCHEMA = "flightstack.stopping/4"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
 _LEAD_S, _SEEN_SHARE = 0.05, 0.85
 _LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 0j), (2 + 0j, -3 + 0j))
 _MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
-"""Ways out whose worst is looked for, by speed and lean: with little motion at first, and with much."""
+_LEANT = (
+    (0j, 6 + 0j), (1 + 0j, 4.5 + 2.5j), (2 + 0j, 6j), (2 + 0j, -1.5 + 5j), (2 + 0j, -5 + 2.5j), (3 + 0j, -2.5 + 5.5j),
+    (4 + 0j, -4 + 0.5j), (6 + 0j, -4.5 + 1j), (6 + 0j, -6 + 0j),
+)  # fmt: skip
+"""Ways out whose worst is looked for, by speed and lean: with little motion at first, with much, and leaning."""
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
 _K_SIGMA = 4.3
@@ -192,7 +196,7 @@ def _turning(value: Any, braking: Any, high: float) -> tuple[float, float, float
 def _way(value: Any, name: str, turning: tuple[float, float, float]) -> Way:
     """How ways are laid out, for the least gain or the greatest; they take no more than all of the snap."""
     way = Way(*numbers(value, Way._fields, name))
-    if not (min(way) > 0.0 and way.slow_mps4 <= way.fast_mps4 <= turning[0]):
+    if not (min(way[:-1]) > 0.0 and way.per_lean_s2 >= 0.0 and way.slow_mps4 <= way.fast_mps4 <= turning[0]):
         raise Refused(f"{name}: nothing of it may be 0, and a way takes no more than all of the snap")
     if not way.lean_mps2 >= turning[1]:
         raise Refused(f"{name}: a lean of {way.lean_mps2:.3f} m/s^2 is less than that of the least gain")
@@ -208,15 +212,18 @@ def _left(
         raise Refused("across: the tube at rest is the widest of both ways'")
     for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
         loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
-        found = left(way, loop, sizes, [*_LITTLE, *_MUCH])
+        found = left(way, loop, sizes, [*_LITTLE, *_MUCH, *_LEANT])
+        little, much, leant = np.split(found, [len(_LITTLE), len(_LITTLE) + len(_MUCH)])
         for kind, most, radius in (
-            ("little", float(found[: len(_LITTLE)].max()), way.rest_radius_m),
-            ("much", float(found.max()), way.most_radius_m),
+            ("little motion", float(little.max()), way.rest_radius_m),
+            ("much motion", float(much.max()), way.most_radius_m),
+            *(
+                (f"leaning {abs(a):.1f} m/s^2", float(m), way.claimed_m(v, a))
+                for (v, a), m in zip(_LEANT, leant, strict=True)
+            ),
         ):
             if not radius >= (1.0 - _ROOM) * most:
-                raise Refused(
-                    f"across: ways out (gain {name}, {kind} motion) are left by {most:.4f} m, not {radius:.4f} m"
-                )
+                raise Refused(f"across: ways out (gain {name}, {kind}) are left by {most:.4f} m, not {radius:.4f} m")
         lines.append(f"ways out (gain {name}): left by up to {found.max():.3f} m, tube of {way.most_radius_m:.3f} m")
     return lines
 

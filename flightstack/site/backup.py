@@ -53,21 +53,22 @@ carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
     POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST,
-    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PARAMETERS,
-) = *range(23), *range(26, 35)  # fmt: skip
+    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PER_LEAN, PARAMETERS,
+) = *range(23), *range(26, 36)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
 lean on the way, m/s^2; of thrust what is kept for the force, m/s^2; what the rotors' lag makes later, s; and
 how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`.  Of the lean
 out of the brake its size for a speed of 1 m/s; the snap of a way that is faster than a speed, and that speed; lags with
-the lead (`law`); of the turning that can be stopped, the share that is used; radii of the tube (`wide`)."""
+the lead (`law`); of the turning that can be stopped, the share that is used; radii of the tube,
+and what it grows by for a lean (`wide`)."""
 _ASKED_N, _ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
-LITTLE_MPS, MUCH_MPS, LEANT_S = 2.0, 4.0, 0.4
+LITTLE_MPS, MUCH_MPS, LEANT_S, LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 """Motion of a way's beginning (speed, and what its lean adds in that time) with which it is left by no more than one
-from rest, and from which on by the most."""
+from rest, and from which on by the most; and the lean beyond what braking asks for up to which that holds."""
 FASTEST, STOP_SHARE = 2.0, 0.75
 """Turning while a way is followed, by its own greatest; of the snap, what stops turning faster than the way's."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
@@ -120,10 +121,28 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
 
 @njit
 def wide(start: F64, p: F64) -> float:
-    """Radius of the tube of a way that begins so: more where it begins with much motion."""
+    """Radius of the tube of a way that begins so: more where it begins with much motion, or with a lean that is not
+    the one it brakes with."""
     north, east = start[VEL_N] + LEANT_S * start[ACC_N], start[VEL_E] + LEANT_S * start[ACC_E]
     share = (math.sqrt(north * north + east * east) - LITTLE_MPS) / (MUCH_MPS - LITTLE_MPS)
-    return p[REST_RADIUS] + min(max(share, 0.0), 1.0) * (p[MOST_RADIUS] - p[REST_RADIUS])  # type: ignore[no-any-return]
+    moved = min(max(share, 0.0), 1.0) * (p[MOST_RADIUS] - p[REST_RADIUS])
+    return p[REST_RADIUS] + max(moved, p[PER_LEAN] * (leant(start, p) - LITTLE_MPS2))  # type: ignore[no-any-return]
+
+
+@njit
+def leant(start: F64, p: F64) -> float:
+    """The lean of a way's beginning, or what it lacks of the one that brakes, whichever is less."""
+    north, east = start[VEL_N], start[VEL_E]
+    brake = _braking(math.sqrt(north * north + east * east), p)
+    short_n, short_e = start[ACC_N] + brake * north, start[ACC_E] + brake * east
+    return math.sqrt(min(start[ACC_N] ** 2 + start[ACC_E] ** 2, short_n * short_n + short_e * short_e))
+
+
+@njit
+def _braking(speed: float, p: F64) -> float:
+    """How hard a way brakes, by its speed (1/s)."""
+    fast = max(speed, 1e-9)
+    return min(p[ACROSS] / fast, p[FADE], p[EASE] / fast ** (1.0 / 3.0))
 
 
 @njit
@@ -152,7 +171,7 @@ def apart(points: F64, count: int, north: float, east: float) -> float:
 def _step(x: F64, p: F64, dt: float) -> None:
     """A step of the way out, in place."""
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E])
-    brake = min(p[ACROSS] / max(speed, 1e-9), p[FADE], p[EASE] / max(speed, 1e-9) ** (1.0 / 3.0))
+    brake = _braking(speed, p)
     hurry = min(max(2.0 * (speed / p[FAST] - 1.0), 0.0), 1.0)
     most = p[SNAP] + hurry * (p[SNAP_FAST] - p[SNAP])
     turns = math.sqrt(x[JERK_N] * x[JERK_N] + x[JERK_E] * x[JERK_E]) / math.sqrt(p[SNAP] * p[ACROSS])

@@ -1,7 +1,8 @@
 """How wide a tube is: the furthest that a search (`worst`) finds the loop driven from rest and from ways out.
 
 The loop's pole is the one that is driven least far at rest.  Ways out from some motions are searched then: those that
-begin with little motion, and any others.  Claimed is ROOM times what is found, for a search may find too little.
+begin with little motion, with more, and with a lean that is not the one they brake with (`backup.wide`).  Claimed is
+ROOM times what is found, for a search may find too little.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ _POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
 _RESTING_S, ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
 _LITTLE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 1.7, 1.7), (0.0, 3.0, 0.0), (2.0, -3.0, 0.0))
 _MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.0, 4.0, 0.0), (3.0, 0.0, 4.0))
-"""Ways whose worst is searched for, with little motion at first and with more: speed north, lean north, east."""
+_LEANT = (
+    (0.0, 6.0, 0.0), (1.0, 4.5, 2.5), (1.0, 0.0, 4.0), (2.0, 0.0, 6.0), (2.0, -1.5, 5.0), (2.0, -5.0, 2.5),
+    (3.0, -2.3, 1.3), (3.0, -2.5, 5.5), (3.0, -4.0, 0.0), (4.0, -4.0, 0.5), (4.0, -6.0, 0.7), (6.0, -4.5, 1.0),
+    (6.0, -6.0, 0.0), (1.5, 5.5, 5.5),
+)  # fmt: skip
+"""Ways whose worst is searched for, with little motion at first, with more and leaning: speed north, lean north, east."""
 _MOMENTS, _STILL_S, _STARTS = tuple(0.12 + 0.07 * k for k in range(10)), 2.5, 12
 """Shares of a way's time.  Half of the first courses find up to a third less, sixteen times as many a tenth more of
 single ways."""
@@ -47,15 +53,26 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
     one, the others by the first one as well."""
     loop = Loop.of(tube.gains, lags_s)
     whole = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
-    found = np.zeros((2, 2))
+    found = np.zeros((2, 3))
     for at in [-1] if whole.all() else [-1, 0]:
         ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
-        for i, starts in enumerate((_LITTLE, _MUCH)):
-            found[at, i] = max(found[-1, i], *(_left(tuple(rows[at].tolist()), loop, ends, start) for start in starts))
-    found[:, 0] = ROOM * np.maximum(found[:, 0], tube.radius_m[-1])
-    found[:, 1] = np.maximum(ROOM * found[:, 1], found[:, 0])
+        row = tuple(rows[at].tolist())
+        little, much, leant = ([ROOM * _left(row, loop, ends, each) for each in of] for of in (_LITTLE, _MUCH, _LEANT))
+        rest = max(found[-1, 0], ROOM * float(tube.radius_m[-1]), *little)
+        most = max(found[-1, 1], rest, *much)
+        found[at] = rest, most, max(found[-1, 2], _per_lean(rows[at], (rest, most), leant))
     rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
     return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
+
+
+def _per_lean(row: F64, radii_m: tuple[float, float], left_m: list[float]) -> float:
+    """By how much a tube grows for a lean (s^2), so that it holds what `_LEANT` are left by."""
+    given, start, most = np.array([*row[: b.REST_RADIUS], *radii_m, 0.0]), np.zeros(b.ROW), 0.0
+    for motion, left in zip(_LEANT, left_m, strict=True):
+        start[VEL_N], start[ACC_N], start[ACC_E] = motion
+        if left > b.wide(start, given):
+            most = max(most, (left - radii_m[0]) / max(b.leant(start, given) - b.LITTLE_MPS2, 0.1))
+    return most
 
 
 @lru_cache(maxsize=1024)
