@@ -64,7 +64,8 @@ class Way(NamedTuple):
     def brakes(self, v: complex) -> complex:
         """The lean that it asks for."""
         speed = max(abs(v), 1e-9)
-        return -min(self.across_mps2 / speed, self.fade_ps, self.ease / speed ** (1.0 / 3.0)) * v
+        share: float = min(self.across_mps2 / speed, self.fade_ps, self.ease / speed ** (1.0 / 3.0))
+        return -share * v
 
     def claimed_m(self, v: complex, a: complex) -> float:
         """Radius of the tube, from a velocity and a lean."""

@@ -27,7 +27,7 @@ _LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 
 _MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
 _LEANT = (
     (0j, 6 + 0j), (1 + 0j, 4.5 + 2.5j), (2 + 0j, 6j), (2 + 0j, -1.5 + 5j), (2 + 0j, -5 + 2.5j), (3 + 0j, -2.5 + 5.5j),
-    (4 + 0j, -4 + 0.5j), (6 + 0j, -4.5 + 1j), (6 + 0j, -6 + 0j),
+    (4 + 0j, -4 + 0.5j), (6 + 0j, -4.5 + 1j), (6 + 0j, -6 + 0j), (6 + 0j, -3 + 5j),
 )  # fmt: skip
 """Ways out whose worst is looked for, by speed and lean: with little motion at first, with much, and leaning."""
 _ROOM = 0.01
@@ -214,14 +214,13 @@ def _left(
         loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
         found = left(way, loop, sizes, [*_LITTLE, *_MUCH, *_LEANT])
         little, much, leant = np.split(found, [len(_LITTLE), len(_LITTLE) + len(_MUCH)])
-        for kind, most, radius in (
+        claims = [
             ("little motion", float(little.max()), way.rest_radius_m),
             ("much motion", float(much.max()), way.most_radius_m),
-            *(
-                (f"leaning {abs(a):.1f} m/s^2", float(m), way.claimed_m(v, a))
-                for (v, a), m in zip(_LEANT, leant, strict=True)
-            ),
-        ):
+        ]
+        for (v, a), most in zip(_LEANT, leant.tolist(), strict=True):
+            claims.append((f"leaning {abs(a):.1f} m/s^2", most, way.claimed_m(v, a)))
+        for kind, most, radius in claims:
             if not radius >= (1.0 - _ROOM) * most:
                 raise Refused(f"across: ways out (gain {name}, {kind}) are left by {most:.4f} m, not {radius:.4f} m")
         lines.append(f"ways out (gain {name}): left by up to {found.max():.3f} m, tube of {way.most_radius_m:.3f} m")

@@ -90,7 +90,7 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
     """
     x = start.copy()
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D])
-    late, radius = p[LATE_S] * speed, wide(start, p)
+    late = p[LATE_S] * speed
     dt = STEP_S / _SUBSTEPS
     most = max(p[STEEPEST] * p[STEEPEST], x[ACC_N] * x[ACC_N] + x[ACC_E] * x[ACC_E])
     for k in range(STEPS):
@@ -103,7 +103,10 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
         if still:
             for i in range(3, ROW):
                 points[k, i] = 0.0
-            way[k, WAY_RADIUS], way[k, WAY_HALF] = radius + late, half[STEPS - 1] + late
+            way[k, WAY_RADIUS], way[k, WAY_HALF] = late, half[STEPS - 1] + late
+            radius = widest(points, k + 1, p)
+            for i in range(k + 1):
+                way[i, WAY_RADIUS] += radius
             _all_heights(way, k + 1)
             return k + 1
         for _ in range(_SUBSTEPS):
@@ -112,7 +115,7 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
             return 0
         across = math.sqrt((x[0] - at_n) ** 2 + (x[1] - at_e) ** 2)
         way[k, WAY_RADIUS], way[k, WAY_HALF] = (
-            radius + late + 0.5 * across,
+            late + 0.5 * across,
             half[k] + late + 0.5 * abs(x[2] - at_d),
         )
         way[k, 0], way[k, 1], way[k, 2] = 0.5 * (at_n + x[0]), 0.5 * (at_e + x[1]), -0.5 * (at_d + x[2])
@@ -120,9 +123,20 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
 
 
 @njit
+def widest(points: F64, count: int, p: F64) -> float:
+    """Radius of the tube of a way: the most of its parts until the turning that it begins with has been stopped."""
+    most = wide(points[0], p)
+    for k in range(1, count):
+        if points[k, JERK_N] * points[0, JERK_N] + points[k, JERK_E] * points[0, JERK_E] <= 0.0:
+            break
+        most = max(most, wide(points[k], p))
+    return most
+
+
+@njit
 def wide(start: F64, p: F64) -> float:
-    """Radius of the tube of a way that begins so: more where it begins with much motion, or with a lean that is not
-    the one it brakes with."""
+    """Radius of the tube of a way that begins so and does not turn: more where it begins with much motion, or with a
+    lean that is not the one it brakes with."""
     north, east = start[VEL_N] + LEANT_S * start[ACC_N], start[VEL_E] + LEANT_S * start[ACC_E]
     share = (math.sqrt(north * north + east * east) - LITTLE_MPS) / (MUCH_MPS - LITTLE_MPS)
     moved = min(max(share, 0.0), 1.0) * (p[MOST_RADIUS] - p[REST_RADIUS])
@@ -142,7 +156,7 @@ def leant(start: F64, p: F64) -> float:
 def _braking(speed: float, p: F64) -> float:
     """How hard a way brakes, by its speed (1/s)."""
     fast = max(speed, 1e-9)
-    return min(p[ACROSS] / fast, p[FADE], p[EASE] / fast ** (1.0 / 3.0))
+    return min(p[ACROSS] / fast, p[FADE], p[EASE] / fast ** (1.0 / 3.0))  # type: ignore[no-any-return]
 
 
 @njit

@@ -42,7 +42,7 @@ from flightstack.site.backup import (
     follow,
     point_of,
     roll,
-    wide,
+    widest,
 )
 from flightstack.site.clearance import CHUTE, FLOOR, GROUND, OPEN, TILT_CODE, clear_of
 from flightstack.site.tube import OBSERVER_S
@@ -319,7 +319,7 @@ def _held(
         target[i] += now.origin[i]
     off = apart(committed, int(n[COMMITTED]), state[0] - now.origin[0], state[1] - now.origin[1])
     step = int(min(max(time_s / STEP_S, 0.0), STEPS - 1.0))
-    n[OFF] = max(off - wide(committed[0], of.row), abs(state[2] - target[2]) - of.half[step])
+    n[OFF] = max(off - widest(committed, int(n[COMMITTED]), of.row), abs(state[2] - target[2]) - of.half[step])
     brake_norm = follow(of.row, chain, state, now.spin, now.offset, n[GAIN], target, brake)
     for share in _SHARES:
         share_norm = min(max(brake_norm + share * (norm - brake_norm), chain[C_NORM_LOW]), chain[C_NORM_HIGH])

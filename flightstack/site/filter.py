@@ -24,7 +24,7 @@ from flightstack.rows import ATTITUDE, F_H, F_INTERVENED, F_STATUS, F_THRUST, F_
 from flightstack.site import bend as bending
 from flightstack.site import decide as d
 from flightstack.site import slide
-from flightstack.site.backup import LATE_S, ROW, STEPS, wide
+from flightstack.site.backup import LATE_S, ROW, STEPS, widest
 from flightstack.site.clearance import CHUTE, GROUND, OPEN, clear_of, edge_name, packed
 from flightstack.site.shape import Site
 from flightstack.site.stopping import GAIN_STEP, SMOOTH_M, StoppingCertificate
@@ -177,7 +177,7 @@ class SiteFilter:
         steps = np.vstack([np.diff(way[:, :3], axis=0), np.zeros(3)])
         middle, half = way[:, :3] + 0.5 * steps, half + late + 0.5 * np.abs(steps[:, 2])
         low, high = float((-middle[:, 2] - half).min()), float((-middle[:, 2] + half).max())
-        across = wide(way[0], row) + late + 0.5 * np.hypot(steps[:, 0], steps[:, 1])
+        across = widest(way, len(way), row) + late + 0.5 * np.hypot(steps[:, 0], steps[:, 1])
         flat = np.full((len(way), 2), [0.5 * (low + high), 0.5 * (high - low)])
         return np.ascontiguousarray(np.column_stack([middle[:, :2], flat[:, 0], across, flat[:, 1]]))
 

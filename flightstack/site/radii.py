@@ -25,9 +25,10 @@ _MUCH = ((3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0), (8.0, 0.0, 0.0), (2.
 _LEANT = (
     (0.0, 6.0, 0.0), (1.0, 4.5, 2.5), (1.0, 0.0, 4.0), (2.0, 0.0, 6.0), (2.0, -1.5, 5.0), (2.0, -5.0, 2.5),
     (3.0, -2.3, 1.3), (3.0, -2.5, 5.5), (3.0, -4.0, 0.0), (4.0, -4.0, 0.5), (4.0, -6.0, 0.7), (6.0, -4.5, 1.0),
-    (6.0, -6.0, 0.0), (1.5, 5.5, 5.5),
+    (6.0, -6.0, 0.0), (6.0, -3.0, 5.0), (5.0, 2.5, 6.0), (1.5, 5.5, 5.5),
 )  # fmt: skip
-"""Ways whose worst is searched for, with little motion at first, with more and leaning: speed north, lean north, east."""
+"""Ways whose worst is searched for, with little motion at first, with more, and leaning: speed north, lean north,
+east."""
 _MOMENTS, _STILL_S, _STARTS = tuple(0.12 + 0.07 * k for k in range(10)), 2.5, 12
 """Shares of a way's time.  Half of the first courses find up to a third less, sixteen times as many a tenth more of
 single ways."""
@@ -67,22 +68,27 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
 
 def _per_lean(row: F64, radii_m: tuple[float, float], left_m: list[float]) -> float:
     """By how much a tube grows for a lean (s^2), so that it holds what `_LEANT` are left by."""
-    given, start, most = np.array([*row[: b.REST_RADIUS], *radii_m, 0.0]), np.zeros(b.ROW), 0.0
+    given, most = np.array([*row[: b.REST_RADIUS], *radii_m, 0.0]), 0.0
     for motion, left in zip(_LEANT, left_m, strict=True):
-        start[VEL_N], start[ACC_N], start[ACC_E] = motion
-        if left > b.wide(start, given):
-            most = max(most, (left - radii_m[0]) / max(b.leant(start, given) - b.LITTLE_MPS2, 0.1))
+        points = _laid_out(given, motion)
+        if left > b.widest(points, len(points), given):
+            most = max(most, (left - radii_m[0]) / max(b.leant(points[0], given) - b.LITTLE_MPS2, 0.1))
     return most
+
+
+def _laid_out(row: F64, motion: tuple[float, float, float]) -> F64:
+    """The points of the way from a motion; none where there is no way."""
+    start, points, way = np.zeros(b.ROW), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+    start[VEL_N], start[ACC_N], start[ACC_E] = motion
+    return points[: b.roll(start, row, np.zeros(b.STEPS), points, way)]
 
 
 @lru_cache(maxsize=1024)
 def _left(row: tuple[float, ...], loop: Loop, held: Held, motion: tuple[float, float, float]) -> float:
     """How far the way from a motion can be left; 0 where there is none."""
-    start, points, way = np.zeros(b.ROW), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
-    start[VEL_N], start[ACC_N], start[ACC_E] = motion
-    count = b.roll(start, np.array(row), np.zeros(b.STEPS), points, way)
-    if not count:
+    points = _laid_out(np.array(row), motion)
+    if not len(points):
         return 0.0
-    course = course_of(points[:count], _STILL_S)
+    course = course_of(points, _STILL_S)
     moments = tuple(STEP_S * len(course) * each for each in _MOMENTS)
     return worst(loop, held, course, moments, rounds=30, starts=_STARTS)[0]

@@ -18,7 +18,7 @@ from flightstack.cli.certify_site import narrowed
 from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
-from flightstack.rows import ACC_E, ACC_N, VEL_N
+from flightstack.rows import ACC_E, ACC_N, VEL_N, WAY_RADIUS
 from flightstack.site import backup
 from flightstack.site.certificate import _WAY, as_json, prior_of, require_same
 from flightstack.site.law import led_lags
@@ -57,7 +57,8 @@ def test_an_honest_file_is_valid_and_stops_as_is_asked(made: StoppingCertificate
 
 
 LEANT = [
-    (4.5 + 0j, -5 + 0j), (3.5 + 0j, -3.5 + 2j), (2.5 + 0j, 4j), (1.5 + 0j, 2 + 1j), (5.5 + 0j, -5.5 + 1j), (1 + 0j, 6 + 0j),
+    (4.5 + 0j, -5 + 0j), (3.5 + 0j, -3.5 + 2j), (2.5 + 0j, 4j), (1.5 + 0j, 2 + 1j), (5.5 + 0j, -5.5 + 1j),
+    (1 + 0j, 6 + 0j),
     (1.2 + 0j, 4 + 0j), (2.2 + 0j, 1 + 5.8j), (0.8 + 0j, -4 + 4j), (2.8 + 0j, -4 + 4j), (0.2j, 5 + 0j),
 ]  # fmt: skip
 
@@ -76,12 +77,13 @@ def test_a_way_that_begins_leaning_far_keeps_its_tube(prior: Prior, at: int) -> 
     )  # fmt: skip
     force = np.hypot(*(line.across_mps2 for line in made.ledger[:2]))
     found = left.left(way, loop, np.array([force, *made.doubts[0][1:]]), LEANT)
-    claimed = []
+    claimed, points, laid = [], np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed, lean in LEANT:
         start = np.zeros(backup.ROW)
         start[VEL_N : VEL_N + 2] = speed.real, speed.imag
         start[ACC_N], start[ACC_E] = lean.real, lean.imag
-        claimed.append(backup.wide(start, row))
+        count = backup.roll(start, row, np.zeros(backup.STEPS), points, laid)
+        claimed.append(float(np.min(laid[:count, WAY_RADIUS])) if count else np.inf)
     assert np.all(found < claimed), (found, claimed)
 
 
