@@ -228,8 +228,8 @@ def test_without_its_margins_a_way_out_is_left(tmp_path: Path, away: str, leaves
 
 
 def test_leaning_far_at_slow_speed_beside_a_wall_keeps_its_tube(tmp_path: Path) -> None:
-    """To and fro along the wall with the lean's tangent 0.6, so that it stays slow, against a force that knows the loop:
-    where a way's tube did not count its lean, it was left in 317 of 1,500 ticks."""
+    """To and fro along the wall with a lean's tangent of 0.6, so that it stays slow, against a force that knows the
+    loop: where a way's tube did not count its lean, it was left in 80 of 1,500 ticks."""
     (tmp_path / "wall.toml").write_text(WALL.replace("12.0", "2.5"))
     world = World(**{"seed": 1, "scenario": "hover", "wind_g": (0.15, 0.0, 0.0), **EDGE})  # type: ignore[arg-type]
     flown = FenceFlight(world, tmp_path / "wall.toml", Attack(PUSH, seed=1, knows=True, errs=True), unslid=True)
