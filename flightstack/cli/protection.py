@@ -19,6 +19,7 @@ from pathlib import Path
 from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
+from flightstack.barrier.flown import planned_of
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, vertical_for
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -239,7 +240,7 @@ def _online(
         )
     config = CertifierConfig(
         sensors=sensors, estimate=estimate, governor=governor, spared_h=_SPARED_H,
-        thrusts=_THRUSTS,
+        planned=planned_of(scenario.trajectory, scenario.duration_s, region), thrusts=_THRUSTS,
     )  # fmt: skip
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 
