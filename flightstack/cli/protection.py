@@ -114,6 +114,14 @@ class Protection:
         """Why protection that was asked for can't be had, known before anything moves; empty where it may be had."""
         return self.words.removeprefix("off: ") if self.asked and not self.filter.enabled else ""
 
+    def not_taken(self, engaged_ticks: int) -> str:
+        """Why a certificate that was given protected nothing; empty where it did, or none was given."""
+        if self.given is None or engaged_ticks:
+            return ""
+        return (
+            f"the vehicle was never within region, speeds and leans of the certificate for half a second ({self.words})"
+        )
+
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
         return self.workshop or nullcontext()
