@@ -28,7 +28,7 @@ from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
 from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
-from flightstack_logs.report.certified import Exploration, kernel_outline, outline, render
+from flightstack_logs.report.certified import ExplorationPage, kernel_outline, outline, render
 from flightstack_logs.report.plot import Plot, ticks
 
 SLOW, FAST = Stopping(-0.4, 0.4, 0.2, 0.8, 2.0), Stopping(-0.5, 0.5, 0.2, 1.2, 3.0)
@@ -194,12 +194,12 @@ class _Tags(HTMLParser):
             self.wrong.append(tag)
 
 
-def _exploration(**changes: object) -> Exploration:
+def _exploration(**changes: object) -> ExplorationPage:
     path = np.zeros((200, 6))
     path[:, 2], path[:, 5] = 0.2 * np.sin(np.linspace(0.0, 6.0, 200)), 0.3 * np.cos(np.linspace(0.0, 6.0, 200))
     certificates: tuple[Certificate, ...] = (certificate_of(axis_of(SLOW)), certificate_of(axis_of(FAST), version=2))
     rounds = (Round(2, 5.0, 1, 1.0, 0.4, (0.1, 0.3), (0.2, 0.5)), Round(2, 9.0, 2, 1.5, 0.3, None, None))
-    made = Exploration(
+    made = ExplorationPage(
         "a <b> flight", True, "it & ended", (("Area", "1.5", "of <2>"),), certificates, rounds, path,
         (0.6, -2.0, 8.0), ("seal: fits",),
     )  # fmt: skip
