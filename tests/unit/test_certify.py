@@ -21,7 +21,8 @@ from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
 from flightstack.cli.barrier_score import WatchedCertifier
 from flightstack.cli.certified import counted_mps2
-from flightstack.cli.certify import CERTIFICATE, ExplorationPlanner, write_certificate
+from flightstack.cli.certify import CERTIFICATE, CertifyResult, ExplorationPlanner, write_certificate
+from flightstack.cli.result import NO_GP, NO_LOOP, FlightResult
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
 from flightstack.learning.learner import GpLearner, LearnerState, Learnt
 from flightstack.mission import Mission, plan
@@ -204,6 +205,21 @@ def _exploration(**changes: object) -> ExplorationPage:
         (0.6, -2.0, 8.0), ("seal: fits",),
     )  # fmt: skip
     return replace(made, **changes)  # type: ignore[arg-type]
+
+
+_FLOWN = FlightResult(
+    scenario="a", seed=0, log=None, completed=True, reason="", flight_time_s=300.0, wall_time_s=1.0, clock_time_s=300.0,
+    plant="native", controller="flatness", tracking={}, gp=NO_GP, loop=NO_LOOP,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ended", "words"), [("", "its time was up, after 300 s"), ("down: all of it", "down: all of it")]
+)
+def test_how_an_exploration_ended_is_never_left_out(ended: str, words: str) -> None:
+    state = replace(Explorer().init(0.0, np.zeros(3)), ended=ended)
+    result = CertifyResult(_FLOWN, state, None, None, 0.0, as_published=False, span_us=(5_000_000, 305_000_000))
+    assert result.words == words
 
 
 def test_the_page_is_whole_escaped_and_needs_nothing_from_outside() -> None:
