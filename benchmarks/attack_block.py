@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -85,14 +86,33 @@ def block(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
 def premises(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
     """Who ends his own protection: 32 strategies of `seconds` each on `paper-tracking`, eight that shake rates,
     lean to and fro and push thrust, and 24 points of the adversary's cube, the same for every seed; `plant`."""
+    drawn = [adversary.decode(np.random.default_rng([77, k]).uniform(size=20)) for k in range(24)]
+    return _on_its_own_truth(values, seed, LEANING + drawn)
+
+
+def dither(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
+    """Rates that are dithered while thrust is pushed to its ends, `attacks` times for `seconds` each on
+    `paper-tracking`: the known dither, then amplitudes of 0 to 6 rad/s and 1 to 15 Hz of every wave; `plant`."""
+    rng = np.random.default_rng([78, seed])
+    drawn = [
+        adversary.KNOWN._replace(
+            roll_radps=float(rng.uniform(0.0, 6.0)), pitch_radps=float(rng.uniform(0.0, 6.0)),
+            hz=float(15.0 ** rng.uniform()), phase_rad=float(rng.uniform(0.0, 2.0 * math.pi)), wave=k % 3,
+            together=bool(rng.uniform() < 0.5),
+        )
+        for k in range(int(values["attacks"]) - 1)
+    ]  # fmt: skip
+    return _on_its_own_truth(values, seed, [adversary.KNOWN, *drawn])
+
+
+def _on_its_own_truth(values: dict[str, Any], seed: int, strategies: list[adversary.Strategy]) -> dict[str, Any]:
     flight = AttackFlight(World(seed=seed, plant=str(values["plant"])), seed)
     if (engaged_s := flight.fly_until_engaged(LEARNING_S)) is None or flight.certificate is None:
         return {"engaged": False, "ended": flight.ended}
     flight.held.hold(flight.certificate)
-    drawn = [adversary.decode(np.random.default_rng([77, k]).uniform(size=20)) for k in range(24)]
     rows: list[dict[str, Any]] = [
         apart(lambda k=k, strategy=strategy: _one(flight, strategy, seed * 100 + k, float(values["seconds"])))  # type: ignore[misc]
-        for k, strategy in enumerate(LEANING + drawn)
+        for k, strategy in enumerate(strategies)
     ]
     for k, row in enumerate(rows):
         row["k"] = k

@@ -30,7 +30,7 @@ from flightstack.barrier.budgets import HOVER_OFF, budget_for
 from flightstack.barrier.certifier_config import CertifierConfig, CertifierState, Elsewhere, Thrust
 from flightstack.barrier.design import SafeSet, safe_sets
 from flightstack.barrier.falsify import doubt, marked, prepare
-from flightstack.barrier.flown import least_h
+from flightstack.barrier.flown import FlownPath, least_h
 from flightstack.barrier.initial import DOWN, InitialKnowledge
 from flightstack.barrier.knowledge import Knowledge, Request
 from flightstack.barrier.margins import Accuracy, Doubts, Ledger
@@ -107,7 +107,7 @@ class OnlineCertifier:
 
     def init(self) -> CertifierState:
         """Nothing certified yet."""
-        return CertifierState()
+        return CertifierState(flown=FlownPath(self.config.planned))
 
     def step(
         self, state: CertifierState, learner: LearnerState, measurement: Measurement, learned: Learned,

@@ -11,7 +11,7 @@ import numpy as np
 
 from flightstack.barrier.estimate_bounds import BENCH, EstimateBounds
 from flightstack.barrier.falsify import Witness
-from flightstack.barrier.flown import FlownPath
+from flightstack.barrier.flown import NOTHING_PLANNED, FlownPath
 from flightstack.barrier.lateness import Lateness
 from flightstack.barrier.margins import USUAL, Doubts
 from flightstack.barrier.records import Certificate
@@ -75,8 +75,10 @@ class CertifierConfig:
     governor: GovernorTerms | None = None
     """What bounds torque while a certificate is in force."""
     spared_h: float = -math.inf
-    """h that a first certificate must give to all that was flown of late, and another as much or no less than the one
-    before it: one that gives less bends what is flown well inside."""
+    """h that a first certificate must give to all that was flown of late and is planned, and another as much or no less
+    than the one before it: one that gives less bends what is flown well inside."""
+    planned: F64 = field(default_factory=NOTHING_PLANNED.copy, compare=False)
+    """Places and speeds (n, 6) that are planned, NED from where the flight begins."""
     room_h: float = 0.05
     """h that the vehicle must have in a certificate that is taken."""
 

@@ -180,7 +180,9 @@ def _filter(result: FlightResult) -> str:
             outside = "" if violations is None else f" ({violations} ticks outside)"
             parts.append(f"least h of the {of} {least:.3f}{outside}")
     if not result.region.get("filtered_ticks"):
-        parts.append("nothing was certified in time: it never engaged")
+        parts.append(
+            "it never engaged" if result.unprotected_because else "nothing was certified in time: it never engaged"
+        )
     parts.append(f"{barrier['interventions']} interventions, {result.qp['infeasible']} infeasible")
     if solve_us["p50"] is not None:
         parts.append(f"step {solve_us['p50']:.0f} us (p99 {solve_us['p99']:.0f} us)")

@@ -19,6 +19,7 @@ from pathlib import Path
 from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.certifier_config import CertifierConfig, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
+from flightstack.barrier.flown import planned_of
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, vertical_for
 from flightstack.barrier.initial import require_authority
 from flightstack.barrier.published_certifier import PublishedCertifier
@@ -112,6 +113,14 @@ class Protection:
     def unattainable(self) -> str:
         """Why protection that was asked for can't be had, known before anything moves; empty where it may be had."""
         return self.words.removeprefix("off: ") if self.asked and not self.filter.enabled else ""
+
+    def not_taken(self, engaged_ticks: int) -> str:
+        """Why a certificate that was given protected nothing; empty where it did, or none was given."""
+        if self.given is None or engaged_ticks:
+            return ""
+        return (
+            f"the vehicle was never within region, speeds and leans of the certificate for half a second ({self.words})"
+        )
 
     def beside(self) -> AbstractContextManager[object]:
         """What works beside the flight, to be entered for as long as that lasts."""
@@ -239,7 +248,7 @@ def _online(
         )
     config = CertifierConfig(
         sensors=sensors, estimate=estimate, governor=governor, spared_h=_SPARED_H,
-        thrusts=_THRUSTS,
+        planned=planned_of(scenario.trajectory, scenario.duration_s, region), thrusts=_THRUSTS,
     )  # fmt: skip
     return OnlineCertifier(model, limits, region, initial=scenario.knowledge, config=config, elsewhere=elsewhere)
 

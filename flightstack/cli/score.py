@@ -171,7 +171,9 @@ class FlightScore:
             flown=asdict(flown),
             protection=protection_of(asked, self._filter.spans, region, exits),
             filter_words=prepared.protection.words,
-            unprotected_because=prepared.protection.unattainable or (watched.hindrance if watched else ""),
+            unprotected_because=prepared.protection.unattainable
+            or (watched.hindrance if watched else "")
+            or prepared.protection.not_taken(self._filter.acting),
             log_problem=log.failed or "",
         )
         if checked:

@@ -36,7 +36,7 @@ def test_an_exit_counts_even_where_the_flight_ended_soon_after() -> None:
     assert attack_block.told([_row()])["failure"] == ""
 
 
-@pytest.mark.parametrize("name", ["barrier", "barrier-filters", "gap-blind", "gap-rough", "planted-tilt"])
+@pytest.mark.parametrize("name", ["barrier", "barrier-filters", "dither", "gap-blind", "gap-rough", "planted-tilt"])
 def test_the_campaign_files_name_tasks_and_values_that_there_are(name: str) -> None:
     spec = load_spec(ROOT / f"campaigns/{name}.toml")
     assert callable(function(spec.task))

@@ -26,6 +26,7 @@ from flightstack.cli.barrier_score import (
     engaged_from,
     qp_summary,
 )
+from flightstack.cli.protection import Protection
 from flightstack.cli.result import NO_BARRIER, NO_GP, NO_LOOP, NO_QP, FlightResult
 from flightstack.model import Model
 from flightstack.region import Region
@@ -290,7 +291,17 @@ def test_the_summary_says_why_there_was_no_filter(capsys: pytest.CaptureFixture[
 def test_a_filter_that_never_engaged_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     region = scored(BOX, np.zeros(300))
     result = flown(barrier=barrier_summary(True, region, FilterScore()), qp=NO_QP | {"infeasible": 0}, region=region)
-    assert "it never engaged" in printed(result, capsys)
+    assert "nothing was certified in time: it never engaged" in printed(result, capsys)
+    result.unprotected_because = Protection("sound, certificate f", given=certificate()).not_taken(0)
+    assert "never within region, speeds and leans of the certificate" in result.unprotected_because
+    told = printed(result, capsys)
+    assert "it never engaged" in told
+    assert "certified in time" not in told
     result.region["filtered_ticks"] = 1
     assert "it never engaged" not in printed(result, capsys)
     assert result.passed
+
+
+def test_a_certificate_that_was_taken_or_is_made_in_flight_is_not_called_not_taken() -> None:
+    assert Protection("sound, certificate f", given=certificate()).not_taken(1) == ""
+    assert Protection("sound, certified in flight").not_taken(0) == ""

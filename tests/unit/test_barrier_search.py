@@ -9,11 +9,12 @@ from measured import measured
 
 from flightstack.barrier.condition import interval
 from flightstack.barrier.design import SafeSet
-from flightstack.barrier.flown import FlownPath
+from flightstack.barrier.flown import FlownPath, planned_of
 from flightstack.barrier.margins import Accuracy, Ledger
 from flightstack.barrier.records import Authority, AxisCertificate, Response
 from flightstack.barrier.search import Axis, again, largest_steps, whole
 from flightstack.region import Region
+from flightstack.trajectory import Sinusoid
 from flightstack.types import Measurement
 
 SLOW = Response(0.06, 0.0, 0.035)
@@ -133,3 +134,32 @@ def test_what_was_flown_before_the_edge_was_near_is_forgotten() -> None:
     assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) < 1.0
     flown.take(at(20.0, 1.8, 0.0), REGION, np.zeros(3))
     assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) == area
+
+
+def to_north_by(amplitude_m: float) -> Sinusoid:
+    rows = ([0.0, 0.0, -1.5], [amplitude_m, 0.0, 0.0], [0.6, 0.6, 0.6], [0.0, 0.0, 0.0])
+    return Sinusoid(np.array(rows))
+
+
+def test_what_is_planned_counts_before_it_is_flown_and_with_what_was() -> None:
+    axis, needs = to_north()
+    planned = planned_of(to_north_by(1.5), 12.0, REGION)
+    assert planned[:, 0] == pytest.approx(1.5 * np.sin(0.6 * np.arange(0.0, 12.0, 0.25)))
+    assert planned[:, 3] == pytest.approx(0.9 * np.cos(0.6 * np.arange(0.0, 12.0, 0.25)))
+    found = whole(largest_steps(axis, needs))
+    assert found is not None
+    flown = FlownPath(planned)
+    asked = path().worth(axis, needs, 0.0, 0.0)(found[0].barrier)
+    assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) == pytest.approx(asked, abs=0.02)
+    assert flown.worth(axis, needs, 0.0, 7.0)(found[0].barrier) == flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier)
+    for number in range(20):  # slower than the plan
+        flown.take(at(0.1 * number, 0.1, 0.0), REGION, np.zeros(3))
+    assert flown.worth(axis, needs, 0.0, 0.0)(found[0].barrier) == pytest.approx(asked, abs=0.02)
+
+
+def test_what_is_planned_near_the_edge_of_what_was_asked_for_does_not_count() -> None:
+    planned = planned_of(to_north_by(1.9), 60.0, REGION)
+    assert 0 < len(planned) < 120
+    assert ((planned[:, 0] / 2.0) ** 2 + (planned[:, 3] / 1.8) ** 2).max() <= 0.7
+    outside = to_north_by(1.5).moved(np.array([9.0, 0.0, 0.0]))
+    assert planned_of(outside, 60.0, REGION).shape == (0, 6)

@@ -39,7 +39,7 @@ def _profile(bench: Bench, runs: int) -> Row:
         if spans and spans[0]["from_s"] <= ENGAGED_WITHIN_S and protection == "held":
             begins.append(spans[0]["from_s"])
         else:
-            said = flown.result.get("protection_words") or flown.said[-200:]
+            said = flown.result.get("reason") or flown.said[-200:]
             notes.append(f"run {number}: exit {flown.code}, protection {protection}: {said!r}")
     engaged = f"from {min(begins):.0f} to {max(begins):.0f} s" if begins else "never"
     measured = f"held in {len(begins)} of {runs}, engaged {engaged}; settled rmse {np.nanmean(errors):.3f} m"
