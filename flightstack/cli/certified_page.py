@@ -10,7 +10,7 @@ from flightstack.cli.certified import counted_mps2, vertical
 from flightstack.explore import width_mps2
 from flightstack.types import F64
 from flightstack_logs.reader import read
-from flightstack_logs.report.certified import Exploration, render
+from flightstack_logs.report.certified import ExplorationPage, render
 
 if TYPE_CHECKING:
     from flightstack.cli.certify import CertifyResult
@@ -22,7 +22,7 @@ def page_of(result: CertifyResult, limit_m: float) -> str:
     kernel = None
     if axis is not None and (counted := counted_mps2(axis))[0] < 0.0 < counted[1]:
         kernel = (limit_m, *counted)
-    exploration = Exploration(
+    exploration = ExplorationPage(
         title=f"{result.flight.scenario}: {'as published' if result.as_published else 'certified in flight'}",
         good=result.passed,
         words=result.failure() or result.words,

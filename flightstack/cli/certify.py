@@ -103,7 +103,9 @@ class CertifyResult:
     @property
     def words(self) -> str:
         """How the exploration ended, and what the certificate is not."""
-        ended = self.state.ended if self.state is not None else "the exploration did not begin"
+        ended = "the exploration did not begin"
+        if self.state is not None:
+            ended = self.state.ended or f"its time was up, after {1e-6 * (self.span_us[1] - self.span_us[0]):.0f} s"
         return f"{ended}; {NOT_ROBUST}" if self.as_published else ended
 
     def failure(self) -> str:

@@ -168,7 +168,7 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
     """Whether the way out after a command that is held for a tick is clear; the way is in `scratch` and `way`."""
     chain, n, p, origin = now.chain, now.numbers, of.row, now.origin
     after, spin, start, asked = now.state.copy(), now.spin.copy(), np.empty(ROW), np.empty(3)
-    turn_on(after, spin, chain, now.rotors_s, norm, rate, n[HOLD_S], now.offset, n[GAIN])
+    turn_on(after, spin, chain, now.rotors_s, norm, rate, n[HOLD_S], (now.offset, n[GAIN]))
     ahead_radps = p[SNAP] * p[LEAD_S] / STANDARD_GRAVITY_MPS2  # what changes the lean's jerk by the snap
     for i in range(3):  # the governor lets rates lead the present ones by so much
         asked[i] = min(max(rate[i], after[RATE_X + i] - ahead_radps), after[RATE_X + i] + ahead_radps)
@@ -271,7 +271,7 @@ def _predict(
         offset[i] = n[FORCE + i] - drag * measured[3 + i]
     offset[2] += STANDARD_GRAVITY_MPS2
     span_us = times_us[1], times_us[2] + chain[C_RATE_DELAY]
-    ahead(kept.memory, chain, vehicle[_ROTORS_S], measured, span_us, offset, n[GAIN], state, spin)
+    ahead(kept.memory, chain, vehicle[_ROTORS_S], measured, span_us, (offset, n[GAIN]), state, spin)
 
 
 @njit

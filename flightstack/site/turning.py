@@ -76,9 +76,10 @@ def turning(vehicle: Vehicle, model: Model, governor: GovernorTerms, limits: Lim
 
 @njit
 def turn_on(
-    state: F64, spin: F64, chain: F64, rotors_s: float, norm: float, rate: F64, span: float, offset: F64, gain: float
+    state: F64, spin: F64, chain: F64, rotors_s: float, norm: float, rate: F64, span: float, force: tuple[F64, float]
 ) -> None:  # fmt: skip
-    """One step with held commands; `spin` (2,): what roll and pitch rate change by, 1/s^2, in place."""
+    """One step with held commands; `spin` (2,): what roll and pitch rate change by, 1/s^2, in place; `force`:
+    acceleration without thrust (3,) and thrust's gain."""
     command = np.zeros(5)
     left, follows = math.exp(-span / rotors_s), 1.0 - math.exp(-span / chain[C_RATE_LAG])
     for i in range(2):
@@ -86,7 +87,7 @@ def turn_on(
         after = aim + left * (spin[i] - aim)
         command[2 + i] = state[RATE_X + i] + 0.5 * (spin[i] + after) * span / follows
         spin[i] = after
-    advance(state, chain, norm, command, span, offset, gain)
+    advance(state, chain, norm, command, span, *force)
 
 
 @njit
@@ -99,7 +100,7 @@ def seen(memory: F64, chain: F64, rotors_s: float, measured: F64, at_us: float, 
 
 @njit
 def ahead(
-    memory: F64, chain: F64, rotors_s: float, measured: F64, times_us: tuple[float, float], offset: F64, gain: float,
+    memory: F64, chain: F64, rotors_s: float, measured: F64, times_us: tuple[float, float], force: tuple[F64, float],
     state: F64, spin: F64,
 ) -> None:  # fmt: skip
     """`response.ahead` with the rotors' lag in the turning: state (STATE,) and spin (2,) at the second of two times,
@@ -110,7 +111,5 @@ def ahead(
     t, to_us = times_us
     while t < to_us:
         thrust_at, rate_at, until = held_until(memory, chain, t, to_us)
-        turn_on(
-            state, spin, chain, rotors_s, memory[thrust_at, 1], memory[rate_at, 2:4], (until - t) * 1e-6, offset, gain
-        )
+        turn_on(state, spin, chain, rotors_s, memory[thrust_at, 1], memory[rate_at, 2:4], (until - t) * 1e-6, force)
         t = until

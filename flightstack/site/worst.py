@@ -70,6 +70,17 @@ class Loop(NamedTuple):
         return cls(vel_ps2 / acc_ps, pos_ps3 / acc_ps, acc_ps, *lags_s, sum(led_lags(*lags_s)))
 
 
+class Closed(NamedTuple):
+    """A closed loop, as compiled functions take it."""
+
+    loop: F64
+    """`Loop`."""
+    held: F64
+    """`Held`."""
+    here: F64
+    """(12,) the state in which it begins; not a number: the worst one at the way's beginning."""
+
+
 @njit
 def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None:
     """What the snap goes to, (2,), within what there is."""
@@ -223,13 +234,11 @@ def _course(kind: int, drawn: F64, steps: int, most: F64, inputs: F64, first: F6
 
 
 @njit
-def _away(
-    way: F64, places: F64, inputs: F64, first: F64, here: F64, loop: F64, held: F64, states: F64, toward: F64
-) -> float:  # fmt: skip
+def _away(way: F64, places: F64, inputs: F64, first: F64, of: Closed, states: F64, toward: F64) -> float:
     """How far from all of some places a course ends, and which way, into `toward` (2,)."""
     last = len(inputs)
-    _begin(way, first, here, states[0])
-    _run(way, inputs, loop, held, states)
+    _begin(way, first, of.here, states[0])
+    _run(way, inputs, of.loop, of.held, states)
     n, e, nearest = states[last, 0], states[last, 1], np.inf
     for k in range(len(places)):
         away = (n - places[k, 0]) ** 2 + (e - places[k, 1]) ** 2
@@ -243,18 +252,18 @@ def _away(
 
 @njit
 def _driven(
-    way: F64, places: F64, loop: F64, held: F64, here: F64, rounds: int, inputs: F64, first: F64, spare: Spare
+    way: F64, places: F64, of: Closed, rounds: int, inputs: F64, first: F64, spare: Spare
 ) -> float:  # fmt: skip
     """How far a course (inputs and first, in place) is driven from all places at its end, uphill."""
     bounds, tried, states, toward, ends, begun = spare
-    last, most = len(inputs), held[3:7]
-    away, share = _away(way, places, inputs, first, here, loop, held, states, toward), 0.0
+    last, most = len(inputs), of.held[3:7]
+    away, share = _away(way, places, inputs, first, of, states, toward), 0.0
     for _ in range(rounds):
         if share < _LEAST_SHARE:  # uphill from here
             if share > 0.0:
                 break
-            _away(way, places, inputs, first, here, loop, held, states, toward)
-            g = _climbed(way, inputs, loop, held, states, toward, bounds[:last])
+            _away(way, places, inputs, first, of, states, toward)
+            g = _climbed(way, inputs, of.loop, of.held, states, toward, bounds[:last])
             for k in range(last):
                 for at in range(0, _INPUTS, 2):
                     _to_bound(bounds[k, at : at + 2], most[at // 2], bounds[k, at : at + 2])
@@ -264,7 +273,7 @@ def _driven(
             share = 1.0
         tried[:last] = (1.0 - share) * inputs + share * bounds[:last]
         begun[:] = (1.0 - share) * first + share * ends
-        found = _away(way, places, tried[:last], begun, here, loop, held, states, toward)
+        found = _away(way, places, tried[:last], begun, of, states, toward)
         if found > away:
             is_done = found < _GAIN * away
             away, share = found, 0.0
@@ -278,7 +287,7 @@ def _driven(
 
 @njit_called
 def search(
-    way: F64, places: F64, loop: F64, held: F64, here: F64, steps: F64, rounds: int, drawn: F64, out: F64, course: F64
+    way: F64, places: F64, of: Closed, steps: F64, rounds: int, drawn: F64, out: F64, course: F64
 ) -> None:  # fmt: skip
     """The greatest distance from places (n, 2) of a way that is found at each of some steps, into `out`; drawn (steps,
     first courses, 2): 0 to 1; the inputs that lead to the last of them into `course` (n, 8).
@@ -301,10 +310,10 @@ def search(
         last = int(steps[m])
         for kind in range(kinds + (1 if beside >= 0 else 0)):
             if kind < kinds:
-                _course(kind, drawn[m, kind], last, held[3:7], inputs, first)
+                _course(kind, drawn[m, kind], last, of.held[3:7], inputs, first)
             else:
                 inputs[:], first[:] = courses[beside], begins[beside]
-            away = _driven(way, places, loop, held, here, rounds, inputs[:last], first, spare)
+            away = _driven(way, places, of, rounds, inputs[:last], first, spare)
             if away > out[m]:
                 out[m] = away
                 courses[m, :last], begins[m] = inputs[:last], first
@@ -335,5 +344,5 @@ def worst(
     steps = np.minimum(np.round(np.array(until_s) / STEP_S), float(len(way) - 1))
     found, course = np.zeros(len(steps)), np.zeros((len(way), _INPUTS))
     drawn = np.random.default_rng(1).uniform(size=(len(steps), starts, 2))
-    search(way, places, np.array(loop), np.array(held), here, steps, rounds, drawn, found, course)
+    search(way, places, Closed(np.array(loop), np.array(held), here), steps, rounds, drawn, found, course)
     return float(found.max()), course[: int(steps[-1]), :2]

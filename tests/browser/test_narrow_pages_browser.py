@@ -13,7 +13,7 @@ from certified import certificate
 from test_report_browser import CHROMIUM, opened
 
 from flightstack.explore import Round
-from flightstack_logs.report.certified import Exploration, render
+from flightstack_logs.report.certified import ExplorationPage, render
 from flightstack_paper.page import page
 from flightstack_paper.rows import ResultLine
 
@@ -60,7 +60,7 @@ def certified_page() -> str:
     rounds = tuple(Round(2, 5.0 * k, 1, 1.6, 0.4, (0.1, 0.3), (0.2, 0.5)) for k in range(1, 25))
     vertical = certificate()
     vertical = replace(vertical, axes=vertical.axes[2:])
-    made = Exploration(
+    made = ExplorationPage(
         "paper-barrier: certified in flight", True, "24 rounds were flown", figures, (vertical,), rounds,
         np.zeros((50, 6)), (0.6, -2.0, 8.0), ("down: 1179 cells meet the condition " * 3,) * 6,
     )  # fmt: skip

@@ -21,14 +21,15 @@ from flightstack.barrier.shapes import Quadratic, Stopping, value
 from flightstack.certificate_check import check
 from flightstack.cli.barrier_score import WatchedCertifier
 from flightstack.cli.certified import counted_mps2
-from flightstack.cli.certify import CERTIFICATE, ExplorationPlanner, write_certificate
+from flightstack.cli.certify import CERTIFICATE, CertifyResult, ExplorationPlanner, write_certificate
+from flightstack.cli.result import NO_GP, NO_LOOP, FlightResult
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, Round
 from flightstack.learning.learner import GpLearner, LearnerState, Learnt
 from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
 from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
-from flightstack_logs.report.certified import Exploration, kernel_outline, outline, render
+from flightstack_logs.report.certified import ExplorationPage, kernel_outline, outline, render
 from flightstack_logs.report.plot import Plot, ticks
 
 SLOW, FAST = Stopping(-0.4, 0.4, 0.2, 0.8, 2.0), Stopping(-0.5, 0.5, 0.2, 1.2, 3.0)
@@ -194,16 +195,31 @@ class _Tags(HTMLParser):
             self.wrong.append(tag)
 
 
-def _exploration(**changes: object) -> Exploration:
+def _exploration(**changes: object) -> ExplorationPage:
     path = np.zeros((200, 6))
     path[:, 2], path[:, 5] = 0.2 * np.sin(np.linspace(0.0, 6.0, 200)), 0.3 * np.cos(np.linspace(0.0, 6.0, 200))
     certificates: tuple[Certificate, ...] = (certificate_of(axis_of(SLOW)), certificate_of(axis_of(FAST), version=2))
     rounds = (Round(2, 5.0, 1, 1.0, 0.4, (0.1, 0.3), (0.2, 0.5)), Round(2, 9.0, 2, 1.5, 0.3, None, None))
-    made = Exploration(
+    made = ExplorationPage(
         "a <b> flight", True, "it & ended", (("Area", "1.5", "of <2>"),), certificates, rounds, path,
         (0.6, -2.0, 8.0), ("seal: fits",),
     )  # fmt: skip
     return replace(made, **changes)  # type: ignore[arg-type]
+
+
+_FLOWN = FlightResult(
+    scenario="a", seed=0, log=None, completed=True, reason="", flight_time_s=300.0, wall_time_s=1.0, clock_time_s=300.0,
+    plant="native", controller="flatness", tracking={}, gp=NO_GP, loop=NO_LOOP,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ended", "words"), [("", "its time was up, after 300 s"), ("down: all of it", "down: all of it")]
+)
+def test_how_an_exploration_ended_is_never_left_out(ended: str, words: str) -> None:
+    state = replace(Explorer().init(0.0, np.zeros(3)), ended=ended)
+    result = CertifyResult(_FLOWN, state, None, None, 0.0, as_published=False, span_us=(5_000_000, 305_000_000))
+    assert result.words == words
 
 
 def test_the_page_is_whole_escaped_and_needs_nothing_from_outside() -> None:

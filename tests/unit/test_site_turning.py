@@ -45,7 +45,7 @@ def answered(turn: Turning, asked: F64) -> F64:
     state[6], chain[C_RATE_LAG] = 1.0, turn.lag_s
     for each in asked:
         rates.append(state[RATE_X])
-        turn_on(state, spin, chain, turn.rotors_s, 0.5, np.array([each, 0.0, 0.0]), STEP_S, np.zeros(3), 1.0)
+        turn_on(state, spin, chain, turn.rotors_s, 0.5, np.array([each, 0.0, 0.0]), STEP_S, (np.zeros(3), 1.0))
     return np.array(rates)
 
 

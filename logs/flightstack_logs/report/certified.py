@@ -21,7 +21,7 @@ _ORDER = (2, 0, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exploration:
+class ExplorationPage:
     """What the page shows."""
 
     title: str
@@ -43,7 +43,7 @@ class Exploration:
     """Area (m^2/s) and largest bound (m/s^2) of the certificate that all data gave after landing; None without one."""
 
 
-def render(exploration: Exploration) -> str:
+def render(exploration: ExplorationPage) -> str:
     """One self-contained HTML page."""
     style = resources.files("flightstack_logs.report").joinpath("page.css").read_text(encoding="utf-8")
     last = exploration.certificates[-1]
@@ -139,7 +139,7 @@ def _axis(certificate: Certificate, number: int) -> AxisCertificate | None:
     return next((axis for axis in certificate.axes if axis.axis == number), None)
 
 
-def _regions(exploration: Exploration, last: AxisCertificate) -> str:
+def _regions(exploration: ExplorationPage, last: AxisCertificate) -> str:
     number = last.axis
     shapes = [axis.barrier for each in exploration.certificates if (axis := _axis(each, number)) is not None]
     lines = [outline(shape) for shape in _thinned(shapes)]
@@ -188,15 +188,15 @@ def _cover(axis: AxisCertificate) -> str:
     return f'{plot.svg()}<p class="hint">Darker: more margin, up to {float(margin.max()):.2f} 1/s; {least}.</p>'
 
 
-def _growth(exploration: Exploration, settled: float | None) -> str:
+def _growth(exploration: ExplorationPage, settled: float | None) -> str:
     return _steps(exploration, "area_m2ps", "certified area (m²/s)", settled)
 
 
-def _widths(exploration: Exploration, settled: float | None) -> str:
+def _widths(exploration: ExplorationPage, settled: float | None) -> str:
     return _steps(exploration, "width_mps2", "largest bound (m/s²)", settled)
 
 
-def _steps(exploration: Exploration, name: str, label: str, settled: float | None) -> str:
+def _steps(exploration: ExplorationPage, name: str, label: str, settled: float | None) -> str:
     """A mark a round, and one more for what the whole flight's data gave after landing."""
     rows = [(row.t_s, float(getattr(row, name))) for row in exploration.rounds if row.axis == _first_axis(exploration)]
     if not rows:
@@ -213,7 +213,7 @@ def _steps(exploration: Exploration, name: str, label: str, settled: float | Non
     return plot.svg() + hint
 
 
-def _first_axis(exploration: Exploration) -> int:
+def _first_axis(exploration: ExplorationPage) -> int:
     return exploration.rounds[0].axis if exploration.rounds else 2
 
 
