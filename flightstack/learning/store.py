@@ -36,9 +36,9 @@ from flightstack.types import F64
 
 Relevance = Literal["oldest", "kernel"]
 Span = tuple[int, int]
+"""Stamps of a window's first and last sample, us."""
 MOVED: Span = (-1, -1)
 """Of a point that is not its window's mean, so that no log can tell it: learned, but no evidence."""
-"""Stamps of a window's first and last sample, us."""
 
 INFLATION = 1.05
 """What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
