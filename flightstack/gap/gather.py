@@ -10,7 +10,7 @@ from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.add import companion
 from flightstack.gap.compare import residual, sensor_noise
-from flightstack.gap.identify import Identifiable
+from flightstack.gap.identify import IN_PROPORTION, Identifiable
 from flightstack.gap.locate import regimes
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit, Mask
@@ -126,19 +126,45 @@ def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
     """One line an effect: the worst seen of its parameters decides."""
     lines = []
     for effect in dict.fromkeys(row.effect for row in rows):
-        mine = [row for row in rows if row.effect == effect]
+        mine = [row for row in rows if row.effect == effect and row.parameter != IN_PROPORTION]
+        whole = next((row for row in rows if row.effect == effect and row.parameter == IN_PROPORTION), None)
+        in_all = whole is not None and whole.shown
         worst = max(mine, key=lambda row: row.smallest / row.matters if row.matters > 0.0 else np.inf)
         units = {p.name: p.unit for p in EFFECTS[effect].params}
-        level = "shown" if all(row.shown for row in mine) else "weak" if any(row.shown for row in mine) else "hidden"
+        level = "weak" if in_all or any(row.shown for row in mine) else "hidden"
+        level = "shown" if all(row.shown for row in mine) else level
         if np.isfinite(worst.smallest):
             words = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()
         else:
             words = f"nothing of {worst.parameter}"
+        words += f"; all of the file's from {_off(whole)}" if whole is not None and in_all else ""
         alike = next((row.like for row in mine if row.like), "")
         words += f"; hard to tell from {alike.replace('_', ' ')}" if alike else ""
-        lines.append(Shown(effect, level, words, "" if level == "shown" else worst.manoeuvre))
+        manoeuvre = "" if level == "shown" else worst.manoeuvre
+        sizes = {row.parameter: row.smallest for row in mine}
+        lines.append(Shown(effect, level, words, manoeuvre, sizes, None if whole is None else whole.smallest))
     order = {"shown": 0, "weak": 1, "hidden": 2}
     return tuple(sorted(lines, key=lambda line: order[line.level]))
+
+
+def limits(rows: Sequence[Identifiable]) -> str:
+    """Where nothing is named, in words: how large a payload, or an error of what the file has, would have been."""
+    whole = [row for row in rows if row.parameter == IN_PROPORTION]
+    named = [f"{_words(row)} off by {_off(row)}" for row in whole if row.shown]
+    named += [
+        f"{_words(row)} of {row.smallest:.2g} kg" for row in rows if row.effect == "payload" and row.smallest < np.inf
+    ]
+    hidden = " and ".join(_words(row) for row in whole if not row.shown)
+    told = [f"named would have been {', '.join(named)} or more"] if named else []
+    return "; ".join([*told, *([f"nothing can be told of the file's {hidden}"] if hidden else [])])
+
+
+def _off(row: Identifiable) -> str:
+    return f"{100.0 * row.smallest:.2g} %"
+
+
+def _words(row: Identifiable) -> str:
+    return EFFECTS[row.effect].words
 
 
 def _whiteness(corrected: Vehicle, of: FitHoldoutSplit, k: int) -> tuple[tuple[str, str], ...]:

@@ -67,7 +67,8 @@ def analyse(
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     on_progress(0.9, "drawing")
-    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
+    limits = gather.limits(naming.identifiable)
+    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights), limits=limits)
     report = gather.report(vehicle, naming, _without_bias(naming, of), gap, (*checked, *kept), words)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),
