@@ -55,10 +55,15 @@ def pruned(state: SelectionState) -> Fit:
     fuller = joined(state, best)
     if fuller is best:
         return best
+    before = replace(state, fits=dict(state.fits))
     move_to(state, fuller.vehicle)
-    best = _without_the_thin(state, judged_fit(state, fuller.effects, fuller.vehicle, state.point.rest, fuller.used))
-    spared = [evidence(state, best, e) - _evidence_in_full(state, best, e) for e in best.effects]
-    return replace(best, score=best.score - max(spared, default=0.0))
+    fuller = judged_fit(state, fuller.effects, fuller.vehicle, state.point.rest, fuller.used)
+    kept = _without_the_thin(state, fuller)
+    if kept is not fuller:
+        state.point, state.metric, state.fits, state.rope_m = before.point, before.metric, before.fits, before.rope_m
+        return best
+    spared = [evidence(state, kept, e) - _evidence_in_full(state, kept, e) for e in kept.effects]
+    return replace(kept, score=kept.score - max(spared))
 
 
 def _without_the_thin(state: SelectionState, best: Fit) -> Fit:
