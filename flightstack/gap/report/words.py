@@ -62,10 +62,11 @@ def sentence(
     *,
     side_only: bool = False,
     limits: str = "",
+    untold: str = "",
 ) -> str:
     """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more.
 
-    `limits` says what would have been named, for where nothing is.
+    `limits` says what would have been named, for where nothing is; `untold` what no log of this kind can tell.
     """
     if found:
         parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained, gap), *_doubt(found)]
@@ -75,6 +76,7 @@ def sentence(
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
         parts = ["Model and measurement agree within the noise: nothing to name", limits]
+    parts.append(untold)
     if side_only:
         parts.append(_SIDE_ONLY)
     return "; ".join(part for part in parts if part) + "."
