@@ -12,7 +12,7 @@ The unexplained fraction is 1 - closed, so that the two never contradict each ot
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from flightstack.gap.decisions import GAP_FROM, MOSTLY
 from flightstack.gap.records import Figures, Gap, Unexplained
@@ -29,6 +29,15 @@ def closed(before: Figures, after: Figures, floor: Figures) -> float | None:
     """(before - after) / (before - floor) of one step: the worse of force and torque; None without a gap in either."""
     shares = [(was - now) / (was - least) for was, now, least in _with_a_gap(before, after, floor)]
     return min(shares, default=None)
+
+
+def closed_by_channel(gap: Gap) -> dict[str, float]:
+    """Shares as `closed`, of force and of turning, where each has a gap."""
+    out = {}
+    for name, channel in zip(ONE_STEP, ("force", "turning"), strict=True):
+        for was, now, least in _with_a_gap(gap.before, gap.after, gap.noise_floor, (name,)):
+            out[channel] = (was - now) / (was - least)
+    return out
 
 
 def closed_power(gap: Gap) -> float:
@@ -56,9 +65,11 @@ def unexplained(rest: Unexplained, gap: Gap, *, named: bool) -> Unexplained:
     return Unexplained(False, (), left)
 
 
-def _with_a_gap(tested: Figures, after: Figures, floor: Figures) -> Iterator[tuple[float, float, float]]:
+def _with_a_gap(
+    tested: Figures, after: Figures, floor: Figures, names: Sequence[str] = ONE_STEP
+) -> Iterator[tuple[float, float, float]]:
     """(tested, after, floor) of each one-step figure of `tested` that holds a gap."""
-    for name in ONE_STEP:
+    for name in names:
         was, now, least = getattr(tested, name), getattr(after, name), getattr(floor, name)
         if was is not None and now is not None and least is not None and was >= GAP_FROM * least:
             yield was, now, least

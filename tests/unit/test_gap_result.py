@@ -77,6 +77,13 @@ def test_the_headline_has_names_and_what_was_closed_but_no_numbers_of_an_effect(
     assert words.headline(GapReport("Nothing.", "quad-x", GAP, (), (), left, ())) == "Nothing."
 
 
+def test_a_force_that_is_closed_is_not_called_open_for_what_turning_leaves() -> None:
+    gap = Gap(figures(1.13, 1.36), figures(0.239, 1.36), figures(0.0163, 0.085), 0.0)
+    said = words.sentence((found("payload", mass_kg=(0.2, 0.1, 0.3)),), gap, Unexplained(True, ("airspeed",), 1.0))
+    assert "with it 80 % of the gap in force and 0 % of the gap in turning are closed" in said  # 0.891 of 1.1137
+    assert "100 % of the gap in turning is left that no effect explains" in said
+
+
 def test_the_sentence_says_what_how_sure_how_much_and_what_would_settle_it() -> None:
     said = words.sentence((found("payload", mass_kg=(0.216, 0.21, 0.222)),), GAP, NOTHING)
     assert said == (

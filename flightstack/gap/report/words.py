@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import TENTH
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
 from flightstack.gap.report.record import GapReport
+from flightstack.gap.verdict import closed_by_channel
 
 _IN_FULL = 2
 """Effects that the sentence gives with intervals and classes."""
@@ -127,7 +130,16 @@ def _in_short(found: IdentifiedEffect) -> str:
 def _closed(gap: Gap, count: int) -> str:
     if gap.closed is None:
         return ""
-    return f"with {'it' if count == 1 else 'them'} {percent(gap.closed)} of the gap on data not used before is closed"
+    shares, them = closed_by_channel(gap), "it" if count == 1 else "them"
+    if _differ(shares):
+        parts = [f"{percent(share)} of the gap in {channel}" for channel, share in shares.items()]
+        return f"with {them} {' and '.join(parts)} are closed on data not used before"
+    return f"with {them} {percent(gap.closed)} of the gap on data not used before is closed"
+
+
+def _differ(shares: Mapping[str, float]) -> bool:
+    """Whether one share would not tell of both."""
+    return max(shares.values(), default=0.0) - min(shares.values(), default=0.0) > 2.0 * TENTH
 
 
 def _rest(unexplained: Unexplained, gap: Gap) -> list[str]:
@@ -138,7 +150,11 @@ def _rest(unexplained: Unexplained, gap: Gap) -> list[str]:
 
 def left_over(unexplained: Unexplained, gap: Gap) -> str:
     """How much is left; of no gap there is no share."""
-    return "something" if gap.closed is None else f"{percent(unexplained.fraction)} of the gap"
+    if gap.closed is None:
+        return "something"
+    shares = closed_by_channel(gap)
+    where = f" in {min(shares, key=shares.__getitem__)}" if _differ(shares) else ""
+    return f"{percent(unexplained.fraction)} of the gap{where}"
 
 
 def _depends(unexplained: Unexplained) -> list[str]:
