@@ -27,7 +27,6 @@ from benchmarks.px4.companion import VEHICLE, fly
 from benchmarks.px4.records import Bench
 from benchmarks.px4.station import Px4
 from flightstack.api import load_vehicle
-from flightstack.gap.decisions import DETECTABLE
 from flightstack.gap.name import name
 from flightstack.gap.naming.estimate import CI
 from flightstack.gap.pooled import split
@@ -186,7 +185,7 @@ def is_too_small(case: Case, vehicle: Vehicle, change_kgps: float) -> bool:
     flights, kept = (usable_flights(logs, vehicle) for logs in (case.logs, case.holdout))
     of = split(flights, kept)
     seen = name(vehicle, of.flights, of.fit, of.holdout).identifiable
-    widths = [CI / DETECTABLE * row.smallest for row in seen if (row.effect, row.parameter) in _LEVEL_DRAG]
+    widths = [CI * row.error for row in seen if (row.effect, row.parameter) in _LEVEL_DRAG]
     return bool(widths) and abs(change_kgps) < min(widths)
 
 

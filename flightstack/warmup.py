@@ -23,7 +23,9 @@ from flightstack.stack import Stack
 from flightstack.state_observer import StateObserver
 from flightstack.types import F64, TickRecord
 
-_TICKS = 40
+_SETTLING_TICKS = 20
+"""At rest where it begins, until the thrust as modelled has settled: noise that is none leaves no evidence."""
+_TICKS = 60
 """Two of the learner's windows and some."""
 _FILTER_TICKS = 400
 """Past the half second after which the barrier filter engages, and long enough to certify something."""
@@ -54,6 +56,7 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     StateObserver(_STATISTICS).refine(measurement)
     assert streams.observer.weight.shape == (3,)  # the log asks for it
     mission = plan(scenario, np.zeros(3))
+    rest = mission.reference(0.0)
     for time_s in (0.0, mission.takeoff_end_s, mission.track_start_s, mission.track_end_s):
         setpoint = mission.reference(time_s + 0.1)
     state = stack.init(measurement)
@@ -67,11 +70,12 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
             watch=watched(held.version, _PREMISES, held.axes[DOWN].authority.table),
         )
     for left in range(ticks, 0, -1):
-        place = setpoint.pos_ned_m + (_FAR_M if left == 2 else 0.0)
-        state, _, record = stack.tick(state, predict(streams, now_us), setpoint, now_us)
+        goal = rest if left > ticks - _SETTLING_TICKS else setpoint
+        place = goal.pos_ned_m + (_FAR_M if left == 2 else 0.0)
+        state, _, record = stack.tick(state, predict(streams, now_us), goal, now_us)
         now_us += 4000
         streams.attitude(now_us, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        streams.position(now_us, tuple(place), tuple(setpoint.vel_ned_mps))
+        streams.position(now_us, tuple(place), tuple(goal.vel_ned_mps))
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
     late = predict(streams, now_us)
     assert late is not None

@@ -62,9 +62,6 @@ CLEAR_EVIDENCE = decide(
 )
 ALIKE_SHARE = decide(0.002, "share", "of what an effect explains, that a good model may miss anyway", (3, 0, 2, 0, 2))
 ALIKE_COSINE = decide(0.95, "cosine", "from which two columns or estimates are one for a log", (24, 0, 1, 0, 1))
-DETECTABLE = decide(
-    5.0, "standard deviations", "that an effect must stand out by for a log to be able to show it", (24, 0, 1, 0, 2)
-)
 
 # --- what is small
 NEGLIGIBLE = decide(

@@ -25,6 +25,7 @@ from flightstack.gap.sources import FREED
 from flightstack.gap.track import COLUMNS, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
+from flightstack_logs.turn import rotate
 
 LEVEL = (0, 1)
 """Channels of the specific force along the body's level axes."""
@@ -60,6 +61,18 @@ def with_bias(vehicle: Vehicle, samples: Samples) -> Samples:
         known = ok & np.isfinite(y[:, axis])
         bias[:, axis] = np.clip(slow_error(y[:, axis], known, samples.dt_s), -_LIMIT_MPS2, _LIMIT_MPS2)
     return replace(plain, bias_frd_mps2=bias) if bias.any() else plain
+
+
+def mean_level_mps2(samples: Samples) -> float:
+    """Of what was taken for the estimator's (`with_bias`), the mean over the flight, in axes of the world or the body.
+
+    A force, a wind or a tilt that is as steady is not told from it; the frame in which it is steadier counts.
+    """
+    if samples.bias_frd_mps2 is None or not samples.valid.any():
+        return 0.0
+    in_body = samples.bias_frd_mps2
+    in_world = rotate(track(samples).q_ned_frd, in_body)
+    return max(float(np.linalg.norm(each[samples.valid, :2].mean(axis=0))) for each in (in_body, in_world))
 
 
 def bias_std(vehicle: Vehicle, samples: Samples) -> F64:

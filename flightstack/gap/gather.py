@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from flightstack.effects import EFFECTS
-from flightstack.gap import pooled
+from flightstack.gap import estimator_bias, pooled
 from flightstack.gap.add import companion
 from flightstack.gap.compare import residual, sensor_noise
-from flightstack.gap.identify import Identifiable
+from flightstack.gap.decisions import MATTERS_MPS2
+from flightstack.gap.identify import IN_PROPORTION, Identifiable
 from flightstack.gap.locate import regimes
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit, Mask
-from flightstack.gap.records import REGIMES, SIGNALS, Checked, Gap
+from flightstack.gap.records import REGIMES, SIGNALS, Checked, Gap, Samples
+from flightstack.gap.report import words
 from flightstack.gap.report.record import GapReport, LogQuality, RegimeRow, Shown, Step, Trace
 from flightstack.gap.simulate import predict
 from flightstack.gap.track import track
@@ -27,13 +29,14 @@ _COLUMNS = len(SIGNALS)
 
 
 def report(
-    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, logs: Sequence[Checked], sentence: str
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, logs: Sequence[Checked], *, side_only: bool
 ) -> GapReport:
-    """Everything the page shows; `logs` in the order of the split's flights."""
+    """Everything the page shows; `logs` in the order of the split's flights; `side_only`: of `words.sentence`."""
     drawn = _drawn_first(of)
     takes, learner = _companion(vehicle, naming)
+    told = {"limits": limits(naming.identifiable), "untold": untold_force(of.flights)}
     return GapReport(
-        sentence=sentence,
+        sentence=words.sentence(naming.found, gap, naming.unexplained, side_only=side_only, **told),
         vehicle=vehicle.name,
         gap=gap,
         found=naming.found,
@@ -126,19 +129,57 @@ def _shown(rows: Sequence[Identifiable]) -> tuple[Shown, ...]:
     """One line an effect: the worst seen of its parameters decides."""
     lines = []
     for effect in dict.fromkeys(row.effect for row in rows):
-        mine = [row for row in rows if row.effect == effect]
+        mine = [row for row in rows if row.effect == effect and row.parameter != IN_PROPORTION]
+        whole = next((row for row in rows if row.effect == effect and row.parameter == IN_PROPORTION), None)
+        in_all = whole is not None and whole.shown
         worst = max(mine, key=lambda row: row.smallest / row.matters if row.matters > 0.0 else np.inf)
         units = {p.name: p.unit for p in EFFECTS[effect].params}
-        level = "shown" if all(row.shown for row in mine) else "weak" if any(row.shown for row in mine) else "hidden"
+        level = "weak" if in_all or any(row.shown for row in mine) else "hidden"
+        level = "shown" if all(row.shown for row in mine) else level
         if np.isfinite(worst.smallest):
-            words = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()
+            text = f"{worst.parameter} from {worst.smallest:.2g} {units[worst.parameter]}".strip()
         else:
-            words = f"nothing of {worst.parameter}"
+            text = f"nothing of {worst.parameter}"
+        text += f"; all of the file's from {_off(whole)}" if whole is not None and in_all else ""
         alike = next((row.like for row in mine if row.like), "")
-        words += f"; hard to tell from {alike.replace('_', ' ')}" if alike else ""
-        lines.append(Shown(effect, level, words, "" if level == "shown" else worst.manoeuvre))
+        text += f"; hard to tell from {alike.replace('_', ' ')}" if alike else ""
+        manoeuvre = "" if level == "shown" else worst.manoeuvre
+        sizes = {row.parameter: row.smallest for row in mine}
+        lines.append(Shown(effect, level, text, manoeuvre, sizes, None if whole is None else whole.smallest))
     order = {"shown": 0, "weak": 1, "hidden": 2}
     return tuple(sorted(lines, key=lambda line: order[line.level]))
+
+
+def limits(rows: Sequence[Identifiable]) -> str:
+    """Where nothing is named, in words: how large a payload, or an error of what the file has, would have been."""
+    whole = [row for row in rows if row.parameter == IN_PROPORTION]
+    named = [f"{_words(row)} off by {_off(row)}" for row in whole if row.shown]
+    named += [
+        f"{_words(row)} of {row.smallest:.2g} kg" for row in rows if row.effect == "payload" and row.smallest < np.inf
+    ]
+    hidden = " and ".join(_words(row) for row in whole if not row.shown)
+    told = [f"named would have been {', '.join(named)} or more"] if named else []
+    return "; ".join([*told, *([f"nothing can be told of the file's {hidden}"] if hidden else [])])
+
+
+def untold_force(flights: Sequence[Samples]) -> str:
+    """In words: the level force that an autopilot's own idea of its accelerometer's bias stands for, and its class."""
+    most = max((estimator_bias.mean_level_mps2(samples) for samples in flights), default=0.0)
+    if most < MATTERS_MPS2:
+        return ""
+    return (
+        f"a level force of {most:.2f} m/s² is the autopilot's own estimate of its accelerometer's bias or a constant "
+        "force, a steady wind, an accelerometer bias or a misaligned attitude, which this log can't tell apart (raw "
+        "accelerometer data would, as in a ULog)"
+    )
+
+
+def _off(row: Identifiable) -> str:
+    return f"{100.0 * row.smallest:.2g} %"
+
+
+def _words(row: Identifiable) -> str:
+    return EFFECTS[row.effect].words
 
 
 def _whiteness(corrected: Vehicle, of: FitHoldoutSplit, k: int) -> tuple[tuple[str, str], ...]:

@@ -6,7 +6,7 @@ A battery's sag is none where a thrust that only drifts with time explains the f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from flightstack.gap.decisions import CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE
 from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
+from flightstack.gap.naming.in_file import in_proportion, joined
 from flightstack.gap.naming.search import Fit, SelectionState, judged_fit, members, move_to
 from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.simulate import FreeParameter, value
@@ -50,7 +51,22 @@ def pruned(state: SelectionState) -> Fit:
     key = state.best_key
     if state.fits[key].vehicle is not state.point.vehicle:
         move_to(state, state.fits[key].vehicle)
-    best = state.fits[key]
+    best = _without_the_thin(state, state.fits[key])
+    fuller = joined(state, best)
+    if fuller is best:
+        return best
+    before = replace(state, fits=dict(state.fits))
+    move_to(state, fuller.vehicle)
+    fuller = judged_fit(state, fuller.effects, fuller.vehicle, state.point.rest, fuller.used)
+    kept = _without_the_thin(state, fuller)
+    if kept is not fuller:
+        state.point, state.metric, state.fits, state.rope_m = before.point, before.metric, before.fits, before.rope_m
+        return best
+    spared = [evidence(state, kept, e) - _evidence_in_full(state, kept, e) for e in kept.effects]
+    return replace(kept, score=kept.score - max(spared))
+
+
+def _without_the_thin(state: SelectionState, best: Fit) -> Fit:
     while best.effects:
         weakest, drop = "", np.inf
         for effect in best.effects:
@@ -68,7 +84,11 @@ def pruned(state: SelectionState) -> Fit:
 
 
 def evidence(state: SelectionState, best: Fit, effect: str) -> float:
-    """By how much the score would rise without the effect."""
+    """By how much the score would rise without the effect; of one of the file, at least what one factor on it says."""
+    return max(_evidence_in_full(state, best, effect), in_proportion(state, best.effects, effect))
+
+
+def _evidence_in_full(state: SelectionState, best: Fit, effect: str) -> float:
     used = len(best.effects[effect])
     price = used * np.log(max(float(state.metric.rows.sum()), 2.0)) + 2.0 * np.log(len(state.point.candidates))
     return _chi2_decrease(state, best.effects, effect) - float(price)

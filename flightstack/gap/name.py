@@ -279,7 +279,7 @@ def name(
     judged = judge(state, best)
     rests = residual_tests(bench, vehicle, judged.estimates)
     told = structured_residuals(bench, judged.estimates, rests)
-    seen = identify(state.point)
+    seen = identify(state.point, vehicle, {f.name for f in judged.found})
     doubtful = {e for group in told for e in _confounded_terms(state, judged, rests, group)}
     left = unexplained(above_noise(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)

@@ -17,6 +17,7 @@ from flightstack.gap.records import (
     Unexplained,
 )
 from flightstack.gap.report import GapReport
+from flightstack.gap.report.record import Shown
 from flightstack.vehicle import Vehicle
 
 SCHEMA = "flightstack.gap/1"
@@ -70,6 +71,7 @@ def as_json(result: GapResult) -> dict[str, Any]:
         },
         "flights": [_across(row) for row in result.across],
         "rejected": [_rejected(row) for row in result.rejected],
+        "shown": [_shown(row) for row in result.report.shown],
         "data": [_log(log) for log in result.report.logs],
     }
 
@@ -123,6 +125,11 @@ def _estimate(value: Estimate) -> dict[str, Any]:
 
 def _rejected(row: Rejected) -> dict[str, Any]:
     return {"name": row.name, "delta_bic": _known(row.delta_bic), "reason": row.reason}
+
+
+def _shown(row: Shown) -> dict[str, Any]:
+    sizes = {parameter: _known(size) for parameter, size in row.sizes.items()}
+    return {"effect": row.effect, "level": row.level, "smallest": sizes, "share_of_file": _known(row.share)}
 
 
 def _figures(figures: Figures) -> dict[str, float | None]:

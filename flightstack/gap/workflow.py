@@ -25,7 +25,6 @@ from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Gap, IdentifiedEffect, Samples
 from flightstack.gap.refine import refine
-from flightstack.gap.report.words import sentence
 from flightstack.gap.result import GapResult
 from flightstack.gap.verdict import closed_power, gap_of, unexplained
 from flightstack.types import InputError
@@ -67,8 +66,8 @@ def analyse(
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     on_progress(0.9, "drawing")
-    words = sentence(naming.found, gap, naming.unexplained, side_only=without_motors(of.flights))
-    report = gather.report(vehicle, naming, _without_bias(naming, of), gap, (*checked, *kept), words)
+    side_only = without_motors(of.flights)
+    report = gather.report(vehicle, naming, _without_bias(naming, of), gap, (*checked, *kept), side_only=side_only)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),
         called,

@@ -37,6 +37,8 @@ from flightstack.types import F64
 Relevance = Literal["oldest", "kernel"]
 Span = tuple[int, int]
 """Stamps of a window's first and last sample, us."""
+MOVED: Span = (-1, -1)
+"""Of a point that is not its window's mean, so that no log can tell it: learned, but no evidence."""
 
 INFLATION = 1.05
 """What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
@@ -250,6 +252,11 @@ class Store:
             _calibrate(y - mean, variance, self.gp.noise_var, self.floor, self._levels, self._block)
         self._add(x, y, span_us)
 
+    @property
+    def has_evidence(self) -> bool:
+        """Whether a point stands for its window as a log has it."""
+        return self._pooled > 0
+
     def evidence(self) -> Evidence:
         """What a certificate needs of it, as of now; learning on does not change it."""
         places, values = self._places[: self._pooled].copy(), self._values[: self._pooled].copy()
@@ -265,6 +272,8 @@ class Store:
         if taken:
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
+            if span_us == MOVED:
+                return
             self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
             self._pooled += 1
             if self._pooled == _THINNED:

@@ -9,6 +9,7 @@ import pytest
 
 from flightstack.gap import pooled
 from flightstack.gap.estimator_bias import slow_error, with_bias
+from flightstack.gap.gather import untold_force
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, Samples
@@ -16,7 +17,7 @@ from flightstack.gap.sources import FREED
 from flightstack.gap.track import track
 from flightstack.gap.workflow import concluded
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack_logs.turn import multiply, turned
+from flightstack_logs.turn import multiply, rotate_inverse, turned
 from tests.gap_flights import Reference, as_samples, fly, hidden, quad, wander
 
 DRAG = {"linear_drag": {f"d_{axis}_kgps": 0.4 for axis in "xyz"}}
@@ -129,3 +130,14 @@ def test_a_drag_beside_it_is_named_alone() -> None:
     assert all(e.low <= 0.6 <= e.high for e in found.parameters.values())
     assert gap.closed is not None
     assert gap.closed > 0.9
+
+
+def test_a_level_force_that_is_taken_for_the_belief_is_said_with_its_class() -> None:
+    """0.2 and 0.1 m/s^2 in axes of the world are 0.22 m/s^2 however the vehicle turns; of no belief nothing is said."""
+    flown = as_samples(fly(BELIEVED, BELIEVED, wander(), seconds=20.0, seed=1))
+    force = np.broadcast_to([0.2, 0.1, 0.0], flown.accel_frd_mps2.shape)
+    told = untold_force([replace(flown, bias_frd_mps2=rotate_inverse(track(flown).q_ned_frd, force))])
+    assert "0.22 m/s" in told
+    for effect in ("constant force", "steady wind", "accelerometer bias", "misaligned attitude"):
+        assert effect in told
+    assert untold_force([flown]) == ""

@@ -15,11 +15,14 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from flightstack.gap.decisions import NAME_EVIDENCE
+from flightstack.gap.identify import IN_PROPORTION, identify
+from flightstack.gap.judge import pruned
 from flightstack.gap.naming import whitening
 from flightstack.gap.naming.candidates import candidates, negligible
 from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import estimate
 from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
+from flightstack.gap.naming.in_file import in_proportion
 from flightstack.gap.naming.metric import bounded_step
 from flightstack.gap.naming.search import SelectionState, members, search
 from flightstack.gap.naming.whitening import Mask
@@ -265,6 +268,44 @@ def test_intervals_cover_as_often_as_they_say(quad: Vehicle) -> None:
         made = estimate(state, {"payload": {"mass_kg": 0.0}})
         held += abs(made.values[0] - 60.0 * size) < 1.96 * np.sqrt(made.covariance[0, 0])
     assert held >= 51
+
+
+@pytest.fixture(scope="module")
+def dragged() -> Vehicle:
+    path = _QUAD.with_name("px4-sihsim-quadx.toml")
+    return parse_vehicle(path.read_text("utf-8"), path.name)
+
+
+def _drag_off_by(share: float, vehicle: Vehicle) -> dict[tuple[str, str], float]:
+    return {("linear_drag", p): share * x for p, x in vehicle.effects["linear_drag"].items()}
+
+
+def test_one_factor_on_what_the_file_has_gains_what_least_squares_gains(dragged: Vehicle) -> None:
+    """By the dense covariance of rows in which every candidate is a little there."""
+    state = searched(MadeUp(2, _drag_off_by(0.02, dragged), dragged), dragged)
+    point = state.point
+    rows = point.fit_rows()
+    whole, _ = point.learned()
+    inverse = np.linalg.inv(np.eye(len(whole)) + whole @ np.diag(point.sizes**2) @ whole.T)
+    origin = [s.origin * (point.candidates[s.candidate].effect == "linear_drag") for s in point.slots]
+    along = inverse @ (point.x[rows] @ np.array(origin))
+    gain = float(along @ point.y[rows]) ** 2 / float(along @ point.x[rows] @ np.array(origin))
+    assert in_proportion(state, {}, "linear_drag") == pytest.approx(gain - np.log(rows.sum()), rel=1e-3)
+    assert in_proportion(state, {}, "rotor_drag") == -np.inf  # not in the file
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_drag_of_the_file_off_by_what_would_be_named_is_named(dragged: Vehicle, seed: int) -> None:
+    """All its coefficients and the choice among candidates are more than the flights can pay for; one factor is not."""
+    clean = searched(MadeUp(seed, {}, dragged), dragged)
+    assert dict(pruned(clean).effects) == {}
+    of = {(row.effect, row.parameter): row for row in identify(clean.point, dragged, ())}
+    row = of["linear_drag", IN_PROPORTION]
+    state = searched(MadeUp(seed, _drag_off_by(row.smallest, dragged), dragged), dragged)
+    best = pruned(state)
+    assert set(best.effects) == {"linear_drag"}
+    for value_ in best.effects["linear_drag"].values():
+        assert value_ == pytest.approx(1.0 + row.smallest, abs=5.0 * np.sqrt(3.0) * row.error)
 
 
 def test_whatever_has_not_changed_is_constant(quad: Vehicle) -> None:

@@ -12,6 +12,8 @@ from shipped import load_vehicle
 
 from flightstack.cli.main import main
 from flightstack.gap.decisions import GUARD_S
+from flightstack.gap.gather import limits
+from flightstack.gap.identify import Identifiable
 from flightstack.gap.pooled import split
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report import words
@@ -204,3 +206,17 @@ def test_what_was_simulated_before_is_within_its_chart_however_far_off() -> None
         cut = drawn[f"trace-{key}"].cut
         assert cut is not None
         assert cut[0] < value < cut[1]
+
+
+def test_what_would_have_been_named_is_said_where_nothing_is() -> None:
+    def row(effect: str, parameter: str, smallest: float) -> Identifiable:
+        return Identifiable(effect, parameter, smallest / 7.0, smallest, 1.0, smallest < 1.0, "", 0.0, "")
+
+    inf = float("inf")
+    rows = (row("payload", "mass_kg", 0.083), row("linear_drag", "d_x_kgps", 0.2), row("linear_drag", "", 0.14))
+    told = limits((*rows, row("angular_damping", "", inf)))
+    assert "linear drag off by 14 %" in told
+    assert "payload of 0.083 kg" in told
+    assert told.endswith("nothing can be told of the file's angular damping")
+    assert told in words.sentence((), GAP, NOTHING, limits=told)
+    assert told not in words.sentence((found("payload", mass_kg=(0.2, 0.1, 0.3)),), GAP, NOTHING, limits=told)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from flightstack.gap.records import (
     Across,
@@ -38,6 +39,10 @@ class Shown:
     """What limits it, or how well it would be known."""
     manoeuvre: str = ""
     """What to fly, where it is not shown."""
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    """Parameter -> smallest change that these logs would have named, inf: none."""
+    share: float | None = None
+    """The same for all that the file has of the effect, off by one factor; None: it has none, or it is named."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,9 +56,18 @@ _SIDE_ONLY = "vertical force and torques were not looked at, as motors were logg
 
 
 def sentence(
-    found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False
+    found: tuple[IdentifiedEffect, ...],
+    gap: Gap,
+    unexplained: Unexplained,
+    *,
+    side_only: bool = False,
+    limits: str = "",
+    untold: str = "",
 ) -> str:
-    """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more."""
+    """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more.
+
+    `limits` says what would have been named, for where nothing is; `untold` what no log of this kind can tell.
+    """
     if found:
         parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained, gap), *_doubt(found)]
     elif unexplained.significant:
@@ -66,7 +75,8 @@ def sentence(
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
-        parts = ["Model and measurement agree within the noise: nothing to name"]
+        parts = ["Model and measurement agree within the noise: nothing to name", limits]
+    parts.append(untold)
     if side_only:
         parts.append(_SIDE_ONLY)
     return "; ".join(part for part in parts if part) + "."
