@@ -110,7 +110,8 @@ bench-log: $(BIN)/.installed
 bench-gp: $(BIN)/.installed-bench
 	$(BIN)/python benchmarks/gp.py
 
-bench-barrier: $(BIN)/.installed
+bench-barrier: $(BIN)/.installed-bench
+	$(BIN)/python benchmarks/filter.py
 	$(BIN)/python -m benchmarks.barrier
 
 paper: $(BIN)/.installed

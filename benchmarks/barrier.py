@@ -1,29 +1,29 @@
-"""Times of the cover, of re-certification and of the design, and the cells of a cover beside uniform ones.
+"""Times of a flight's certificates, of cover and design beside a grid of hj_reachability, and the cells of a cover.
 
 Run: python -m benchmarks.barrier
 """
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.reachability import grids
 from flightstack.barrier import viability
 from flightstack.barrier.certifier import OnlineCertifier
+from flightstack.barrier.certifier_config import CertifierState
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.cover import best_command, cover, outside, region_box
 from flightstack.barrier.design import SafeSet, at_speed, grow, largest, slice_area, worst_slice_area
-from flightstack.barrier.growing import VERTICAL
-from flightstack.barrier.records import Authority, Response
-from flightstack.barrier.search import Axis, Ledger, again, largest_steps, whole
+from flightstack.barrier.records import Authority, Certificate, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
-from flightstack.cli import files
-from flightstack.learning.learner import GpLearner
-from flightstack.model import Model
-from flightstack.types import Learned, changed
+from flightstack.cli.flight import FlyOptions, fly
+from flightstack.learning.learner import LearnerState
+from flightstack.types import Learned
 
 U_LOW, U_HIGH = -2.80286, 9.81
 SAFE = SafeSet(0.6)
@@ -71,48 +71,47 @@ def uniform_cells(shape: Barrier, at: Authority) -> int:
     return -1
 
 
-def recertification() -> str:
-    """The vertical slice with a live learner of 300 points: bounds, ledger, size and proof, as one call."""
-    vehicle, _ = files.load_vehicle(None)
-    scenario, _ = files.load_scenario("paper-barrier")
-    model, region = Model.from_vehicle(vehicle), scenario.region
-    assert region is not None
-    learner, learned = GpLearner(model).init(), changed(Learned.nothing(), latency_s=0.02)
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        weights, speed, lean = rng.uniform(0.6, 1.8), rng.uniform(-1.2, 1.2, 3), rng.uniform(-0.15, 0.15, 2)
-        x = np.array([*speed, *lean, weights, 1e-3 * weights])
-        noise = 0.02 * rng.normal(size=3)
-        learner.lateral.gp.add(x, noise[:2])
-        learner.vertical.gp.add(x, 9.81 * weights * (1.0 - 1.0 / 1.4) + noise[2:])
-    config = dataclasses.replace(VERTICAL, slice_only=True)
-    certifier = OnlineCertifier(
-        model, scenario.limits, region, initial=scenario.knowledge, config=config, safe={2: SafeSet(0.6, 1.4)}
-    )
+def certificates(scenario: str, duration_s: float, out: Path) -> str:
+    """How long the certificates of a flight take, each as the flight's own certifier makes it, of all that it learned.
 
-    def asked() -> tuple[Axis, Ledger]:
-        return certifier.axis_of(2, certifier.knowledge_now(learner), learned)
+    Processor time, for lockstep makes them beside everything else; from the posterior to the proof.
+    """
+    took: list[tuple[float, int, int]] = []
+    make = OnlineCertifier.work
 
-    first = whole(largest_steps(*asked()))
-    assert first is not None
+    def timed(
+        self: OnlineCertifier, learner: LearnerState, learned: Learned, state: CertifierState
+    ) -> Iterator[Certificate | None]:
+        pieces, spent, points = make(self, learner, learned, state), 0.0, len(learner.vertical.gp)
+        while True:
+            begin = time.process_time()
+            try:
+                found = next(pieces)
+            except StopIteration:
+                return
+            spent += time.process_time() - begin
+            if found is not None and found.axes:
+                took.append((1e3 * spent, points, len(found.axes)))
+            yield found
 
-    def again_now() -> float:
-        axis, ledger = asked()
-        found = again(axis, ledger, first[0])
-        assert found is not None
-        return found.barrier.area_m2ps
-
-    again_now()
-    half, most = milliseconds(again_now, 200)
-    return (
-        f"re-certification of the vertical slice, live learner of {len(learner.vertical.gp)} points: "
-        f"{half:.2f} ms (p99 {most:.2f} ms), {again_now():.3f} m^2/s; {first[0].barrier.area_m2ps:.3f} before"
-    )
+    OnlineCertifier.work = timed  # type: ignore[method-assign]
+    try:
+        flown = fly(FlyOptions(scenario=scenario, duration_s=duration_s, out=out), stop_requested=lambda: "")
+    finally:
+        OnlineCertifier.work = make  # type: ignore[method-assign]
+    assert flown.completed
+    assert took
+    full = [ms for ms, points, _ in took if points == max(points for _, points, _ in took)]
+    return f"| {scenario}, {took[-1][2]} axes | {took[-1][1]} | {len(full)} | {np.median(full):.0f} | {max(full):.0f} |"
 
 
 def main() -> None:
     """Print the tables."""
-    print(recertification())
+    print("| certificates of a flight | points of a process | made | ms p50 | worst |")
+    print("|---|---|---|---|---|")
+    with TemporaryDirectory() as folder:
+        for scenario in ("gps-barrier", "paper-tracking"):
+            print(certificates(scenario, 60.0, Path(folder) / scenario))
     print()
     print("| shape | authority's nodes | cover ms p50 / p99 | cells | uniform cells | grow ms p50 / p99 |")
     print("|---|---|---|---|---|---|")
@@ -148,6 +147,8 @@ def main() -> None:
                 f"| {worst_slice_area(design.barrier, LATE, U_LOW, U_HIGH):.3f} "
                 f"| {len(design.cover.cells)} | {took:.2f} |"
             )
+    print()
+    print(grids(SAFE.limit_m, U_LOW + 0.1, U_HIGH - 0.1))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 
+from threadpoolctl import threadpool_limits
+
 from mavlink_bridge.transport.clock import monotonic_us, sleep_until_us
 from mavlink_bridge.transport.machine import ahead_of_others, locked_memory
 
@@ -56,6 +58,8 @@ class Pace:
 def undisturbed(*, real_time: bool) -> Iterator[bool]:
     """No garbage collection inside the loop, and other threads give the interpreter back within 20 us.
 
+    Linear algebra keeps to one thread: a second one beside a busy core makes matrices of 300 rows several times slower.
+
     real_time: the loop is to keep pace with a clock, so this thread and those that it starts meanwhile get real-time
     priority and memory is locked, both where that is permitted; tells whether the priority was.
     """
@@ -65,7 +69,11 @@ def undisturbed(*, real_time: bool) -> Iterator[bool]:
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
-        with ahead_of_others() if real_time else nullcontext(False) as is_ahead, locked_memory(real_time):
+        with (
+            threadpool_limits(1, "blas"),
+            ahead_of_others() if real_time else nullcontext(False) as is_ahead,
+            locked_memory(real_time),
+        ):
             yield is_ahead
     finally:
         sys.setswitchinterval(interval)

@@ -268,15 +268,6 @@ class OnlineCertifier:
             )
         )  # fmt: skip
 
-    def knowledge_now(self, learner: LearnerState, version: int = 1, turn: int = 0) -> Knowledge:
-        """The same from the learner's own recursion as it stands, in one go: quick enough for a tick."""
-        live = Accelerations.live(learner, self.model)
-        box, _ = self._budget(live, self.config.thrusts[turn])
-        delta, torque = self.config.delta, self.torque_mps2
-        return Knowledge.of(
-            Request(live, self.model, self._envelope(), box, self.initial, delta, version, torque_mps2=torque)
-        )
-
     def certificate(self, knowledge: Knowledge, axes: tuple[AxisCertificate, ...]) -> Certificate:
         """Of these axes, with all that they rest on."""
         config = self.config

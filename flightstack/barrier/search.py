@@ -28,7 +28,6 @@ _SLANT_MOST, _SPEED_LEAST = 0.85, 0.3
 _ROUNDS = 6
 GROWING = ("eta", "off_m", "off_mps", "inner")
 _LEAST_BRAKE_MPS2 = 0.05
-_AGAIN_MOST = 1.5
 
 
 class Ratios(NamedTuple):
@@ -101,11 +100,6 @@ def _better(
     return found, ratios
 
 
-def again(axis: Axis, ledger: Ledger, before: AxisCertificate) -> AxisCertificate | None:
-    """A certificate's shape at the size that what is known now leaves it, in one go: a matter of milliseconds."""
-    return whole(_grown(axis, ledger, before.barrier, before.setting, most=_AGAIN_MOST))
-
-
 def whole(steps: Generator[None, None, _T]) -> _T:
     """What comes of a piece-wise search, without a pause."""
     while True:
@@ -117,7 +111,7 @@ def whole(steps: Generator[None, None, _T]) -> _T:
 
 
 def _grown(
-    axis: Axis, ledger: Ledger, shape: Barrier, before: Setting | None, most: float = 1.0
+    axis: Axis, ledger: Ledger, shape: Barrier, before: Setting | None
 ) -> Generator[None, None, AxisCertificate | None]:
     """One shape at its largest level, whose own ledger is no larger than the one that it was grown with.
 
@@ -127,7 +121,7 @@ def _grown(
     if before is not None:
         setting = setting._replace(**{part: max(getattr(setting, part), getattr(before, part)) for part in GROWING})
     for _ in range(_ROUNDS):
-        design = grow(shape, axis.safe, setting, axis.authority, most=most)
+        design = grow(shape, axis.safe, setting, axis.authority, most=1.0)
         yield
         if design.barrier is None or design.cover is None:
             return None

@@ -17,6 +17,8 @@ from contextlib import suppress
 from multiprocessing import get_context
 from typing import NamedTuple
 
+from threadpoolctl import threadpool_limits
+
 from flightstack.barrier.certifier import OnlineCertifier, compile_all
 from flightstack.barrier.certifier_config import CertifierState
 from flightstack.barrier.records import Certificate
@@ -200,7 +202,7 @@ def serve(end: socket.socket) -> None:
         signal.signal(word, signal.SIG_IGN)
     stand_back(_NICENESS)
     compile_all()
-    with end, suppress(OSError):
+    with threadpool_limits(1, "blas"), end, suppress(OSError):
         while (message := _read(end)) is not None:
             answer = pickle.dumps(_made(message), pickle.HIGHEST_PROTOCOL)
             end.sendall(_LENGTH.pack(len(answer)) + answer)

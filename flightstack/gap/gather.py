@@ -9,7 +9,7 @@ import numpy as np
 from flightstack.effects import EFFECTS
 from flightstack.gap import estimator_bias, pooled
 from flightstack.gap.add import companion
-from flightstack.gap.compare import residual, sensor_noise
+from flightstack.gap.compare import residual
 from flightstack.gap.decisions import MATTERS_MPS2
 from flightstack.gap.identify import IN_PROPORTION, Identifiable
 from flightstack.gap.locate import regimes
@@ -102,7 +102,9 @@ def _trace(before: Vehicle, after: Vehicle, of: FitHoldoutSplit, k: int) -> Trac
     )
     measured = np.where(flight.usable[:, None], measured, np.nan)
     t_s = samples.t_s - samples.t_s[0]
-    noise = sensor_noise(samples)[:_COLUMNS]
+    noise = residual(before, samples).noise[
+        :_COLUMNS
+    ]  # as everywhere: a page with two kinds of noise contradicts itself
     return Trace(samples.name, t_s, measured, was, now, noise, _spans(t_s, of.holdout[k]))
 
 
@@ -158,7 +160,7 @@ def limits(rows: Sequence[Identifiable]) -> str:
         f"{_words(row)} of {row.smallest:.2g} kg" for row in rows if row.effect == "payload" and row.smallest < np.inf
     ]
     hidden = " and ".join(_words(row) for row in whole if not row.shown)
-    told = [f"named would have been {', '.join(named)} or more"] if named else []
+    told = [f"{' and '.join(named)} or more would have been named"] if named else []
     return "; ".join([*told, *([f"nothing can be told of the file's {hidden}"] if hidden else [])])
 
 

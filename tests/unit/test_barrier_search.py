@@ -12,7 +12,7 @@ from flightstack.barrier.design import SafeSet
 from flightstack.barrier.flown import FlownPath, planned_of
 from flightstack.barrier.margins import Accuracy, Ledger
 from flightstack.barrier.records import Authority, AxisCertificate, Response
-from flightstack.barrier.search import Axis, again, largest_steps, whole
+from flightstack.barrier.search import Axis, largest_steps, whole
 from flightstack.region import Region
 from flightstack.trajectory import Sinusoid
 from flightstack.types import Measurement
@@ -55,26 +55,12 @@ def test_slow_rotors_and_a_late_link_leave_a_region_of_a_fair_size() -> None:
     assert found[0].barrier.area_m2ps > 0.5 * np.pi * 0.6 * 1.1  # half of the ellipse that 2 m/s^2 brake in 0.6 m
 
 
-@pytest.mark.parametrize(("before", "now"), [(0.5, 0.3), (0.4, 0.45)])
-def test_made_again_it_is_as_large_as_what_is_known_now_leaves_it(before: float, now: float) -> None:
-    axis, needs = asked(before)
-    first = whole(largest_steps(axis, needs))
-    assert first is not None
-    axis, needs = asked(now)
-    second = again(axis, needs, first[0])
-    assert second is not None
-    proven(axis, needs, second)
-    if now < before:
-        assert second.barrier.area_m2ps >= 0.999 * first[0].barrier.area_m2ps
-
-
 def test_without_enough_braking_there_is_none() -> None:
     axis, needs = asked(0.5)
     first = whole(largest_steps(axis, needs))
     assert first is not None
     axis, needs = asked(1.2, low=-1.0, high=1.0)
     assert whole(largest_steps(axis, needs)) is None
-    assert again(axis, needs, first[0]) is None
 
 
 NORTH = SafeSet(2.0, 1.8)

@@ -60,6 +60,9 @@ def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Pat
     assert result.gap.closed is not None
     assert result.gap.closed > 0.9
     assert "vertical force and torques were not looked at" in result.report.sentence
+    drawn, where = result.report.traces[0], {row.signal: row for row in result.report.where}
+    for column, signal in enumerate(("specific_force_x", "specific_force_y")):  # one noise on the whole page
+        assert drawn.noise[column] == pytest.approx(where[signal].expected_noise, rel=1e-9)
 
 
 def test_without_motors_nothing_upright_is_told_of_a_force_or_a_wind(flown: Flown, tmp_path: Path) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import os
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.transport import machine
@@ -33,6 +35,18 @@ def test_a_loop_in_real_time_has_it_and_one_in_lockstep_does_not(real_time: bool
         assert not gc.isenabled()
     assert os.sched_getscheduler(0) == before
     assert gc.isenabled()
+
+
+def test_linear_algebra_keeps_to_one_thread_while_something_flies() -> None:
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    np.linalg.inv(np.eye(2))
+    with threadpool_limits(2, "blas"):  # as a program has it that imports numpy before
+        before = threads()
+        with undisturbed(real_time=False):
+            assert threads() == {1}
+        assert threads() == before
 
 
 @linux

@@ -67,12 +67,15 @@ def exclude_ground_contact(samples: Samples, vehicle: Vehicle, stands_m: float =
 
 
 def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
-    """(N,) at the end of the flight, as long as more is felt for the thrust than before: by a third."""
+    """(N,) at the end of the flight, as long as more is felt for the thrust than before: by a third.
+
+    Means over half a second tell it, which motors at 10 Hz have, too.
+    """
     out = np.zeros(len(samples.t_s), np.bool_)
     thrust, felt = rotor_thrust(vehicle, samples.motor).sum(axis=1), -samples.accel_frd_mps2[:, 2]
     rows = np.flatnonzero(samples.valid & np.isfinite(thrust) & np.isfinite(felt))
     window = round(_STANDING_S / samples.dt_s)
-    if len(rows) < 4 * window or {"motor", "accel_frd_mps2"} & set(samples.derived):
+    if len(rows) < 4 * window or "accel_frd_mps2" in samples.derived:
         return out
     thrust, felt = (np.convolve(each[rows], np.ones(window) / window, mode="same") for each in (thrust, felt))
     more = CLEAR_SHARE * felt > np.median(felt / np.maximum(thrust, 1e-6)) * thrust

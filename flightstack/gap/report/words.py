@@ -75,7 +75,7 @@ def sentence(
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
-        parts = ["Model and measurement agree within the noise: nothing to name", limits]
+        parts = ["Model and measurement agree within the noise", limits]
     parts.append(untold)
     if side_only:
         parts.append(_SIDE_ONLY)
