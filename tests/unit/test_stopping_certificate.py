@@ -110,7 +110,7 @@ def test_a_way_that_begins_leaning_far_keeps_its_tube(prior: Prior, at: int) -> 
 
 @pytest.mark.parametrize(("prior", "at"), [KINDS[0], KINDS[2], KINDS[3]])
 def test_a_way_that_begins_turning_keeps_its_tube(prior: Prior, at: int) -> None:
-    """As above: without what turning adds, ways were left by up to 2.8 times the claim."""
+    """As above: without what turning adds, ways were left by up to 3.2 times the claim."""
     made, motions = _of_prior(prior), _turning(16)
     found, claimed = _left_and_claimed(made, made.rows[at], motions)
     is_way = np.isfinite(claimed)
