@@ -28,6 +28,8 @@ _STOP_SHARE = 0.75
 _LITTLE_MPS, _MUCH_MPS, _LEANT_S, _LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 """Motion with which a way is left no further than one from rest, and the furthest; what lean adds to it; the lean
 beyond what brakes that adds nothing by itself."""
+_QUICK_MPS3, _FASTEST_BEGUN_MPS3 = 8.0, 25.0
+"""Turning beyond which a tube grows with its square; what no way begins with more than."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -60,6 +62,7 @@ class Way(NamedTuple):
     rest_radius_m: float
     most_radius_m: float
     per_lean_s2: float
+    per_turn_s6pm: float
 
     def brakes(self, v: complex) -> complex:
         """The lean that it asks for."""
@@ -67,8 +70,17 @@ class Way(NamedTuple):
         share: float = min(self.across_mps2 / speed, self.fade_ps, self.ease / speed ** (1.0 / 3.0))
         return -share * v
 
-    def claimed_m(self, v: complex, a: complex) -> float:
-        """Radius of the tube, from a velocity and a lean."""
+    def claimed_m(self, laid: _C) -> float:
+        """Radius of the tube of a way: the most of its parts until its first turning has been stopped, and what that
+        turning adds."""
+        j = laid[:, 4]
+        stopped = np.nonzero((j[1:] * np.conj(j[0])).real <= 0.0)[0]
+        most = max(self._wide_m(v, a) for _, v, a, *_ in laid[: stopped[0] + 1].tolist())
+        turning = float(abs(j[0]))
+        return most + self.per_turn_s6pm * turning * (turning + _QUICK_MPS3)
+
+    def _wide_m(self, v: complex, a: complex) -> float:
+        """The radius by a velocity and a lean."""
         share = min(max((abs(v + _LEANT_S * a) - _LITTLE_MPS) / (_MUCH_MPS - _LITTLE_MPS), 0.0), 1.0)
         leant = min(abs(a), abs(a - self.brakes(v))) - _LITTLE_MPS2
         return self.rest_radius_m + max(share * (self.most_radius_m - self.rest_radius_m), self.per_lean_s2 * leant)
@@ -79,12 +91,15 @@ def _cut(z: Any, most: Any) -> Any:
     return z * np.minimum(1.0, most / np.maximum(np.abs(z), 1e-9))
 
 
-def _laid_out(way: Way, loop: Loop, v: complex, a: complex) -> _C:
-    """(n, 4) place, velocity, lean, rate that is asked for; at rest for a while at its end; empty: it does not rest."""
-    p, j, s, asked, rows = 0j, 0j, 0j, 0j, []
+def laid_out(way: Way, loop: Loop, v: complex, a: complex, j: complex = 0j) -> _C:
+    """(n, 5) place, velocity, lean, rate that is asked for, the one that there is (at first both are j); at rest for a
+    while at its end; empty: it does not rest, or turns too fast."""
+    p, s, asked, rows = 0j, 0j, j, []
     late = max(loop.lag_s, 2.0 * _STEP_S)
+    if abs(j) > _FASTEST_BEGUN_MPS3:
+        return np.zeros((0, 5), dtype=np.complex128)
     for _ in range(_LONGEST):
-        rows.append((p, v, a, asked))
+        rows.append((p, v, a, asked, j))
         if abs(v) < 0.03 and abs(a) < 0.15:
             break
         hurry = min(max(2.0 * (abs(v) / way.fast_mps - 1.0), 0.0), 1.0)
@@ -102,15 +117,15 @@ def _laid_out(way: Way, loop: Loop, v: complex, a: complex) -> _C:
         p, v = p + _STEP_S * (v + 0.5 * _STEP_S * a), v + _STEP_S * (a + 0.5 * _STEP_S * j)
         a += _STEP_S * j * (1.0 + (abs(a) / 9.80665) ** 2)
     else:
-        return np.zeros((0, 4), dtype=np.complex128)
-    return np.array(rows + [(p, 0.0, 0.0, 0.0)] * round(_STILL_S / _STEP_S))
+        return np.zeros((0, 5), dtype=np.complex128)
+    return np.array(rows + [(p, 0.0, 0.0, 0.0, 0.0)] * round(_STILL_S / _STEP_S))
 
 
 class _Lanes(NamedTuple):
     """Courses side by side, of which those that end last come first."""
 
     laid: _C
-    """(n, 4, ways)."""
+    """(n, 5, ways)."""
     way: _I
     last: _I
     """Of each lane its way, and the step at which it ends."""
@@ -195,7 +210,7 @@ def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
     x = np.zeros((len(lanes.laid) + 1, 6, len(lanes.way)), dtype=np.complex128)
     begins, first = lanes.laid[0][:, lanes.way], courses.first
     x[0, 0], x[0, 1], x[0, 2] = begins[0] + first[1], begins[1] + first[2], begins[2] - first[0]
-    x[0, 5], follows = first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
+    x[0, 3], x[0, 5], follows = begins[3], first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
     for k in range(int(lanes.last.max())):
         m = int(lanes.running[k])
         u, here, after = courses.inputs[k, :, :m], x[k, :, :m], x[k + 1, :, :m]
@@ -300,13 +315,12 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
     return _Courses(inputs * sizes[None, :, None], first)
 
 
-def left(way: Way, loop: Loop, sizes: F64, motions: list[tuple[complex, complex]]) -> F64:
-    """How far the ways from motions (velocity, lean) are left; sizes: force, what no sensor shows, place, velocity.
-    0 where there is no way."""
-    laid_out = [_laid_out(way, loop, *motion) for motion in motions]
-    rows = [each for each in laid_out if len(each)]
+def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
+    """How far some ways (`laid_out`) are left; sizes: force, what no sensor shows, place, velocity.  0 where there is
+    no way."""
+    rows = [each for each in ways if len(each)]
     if not rows:
-        return np.zeros(len(motions))
+        return np.zeros(len(ways))
     lengths = np.array([len(each) for each in rows])
     laid = np.stack([np.concatenate([w, np.repeat(w[-1:], lengths.max() - len(w), axis=0)]) for w in rows], axis=2)
     greatest, shape = np.zeros(len(rows)), (len(_MOMENTS), len(rows))
@@ -323,6 +337,6 @@ def left(way: Way, loop: Loop, sizes: F64, motions: list[tuple[complex, complex]
         before, after = (best[np.clip(np.arange(len(best)) + step, 0, len(best) - 1)] for step in (-1, 1))
         taken = np.stack([before, after], axis=2).reshape(-1)  # what is worst a moment before, and after
         plain, courses = _lanes(laid, lengths, 2), _Courses(*(each[..., taken] for each in driven))
-    result = np.zeros(len(motions))
-    result[[len(each) > 0 for each in laid_out]] = greatest
+    result = np.zeros(len(ways))
+    result[[len(each) > 0 for each in ways]] = greatest
     return result

@@ -1,4 +1,4 @@
-"""Certificates of a stop (`flightstack.stopping/4`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/5`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
 + k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j,
@@ -15,21 +15,24 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
-from .left import Loop, Way, left
+from .left import Loop, Way, laid_out, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/4"
+SCHEMA = "flightstack.stopping/5"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
 _LEAD_S, _SEEN_SHARE = 0.05, 0.85
 _LITTLE = ((0j, 0j), (1 + 0j, 0j), (2 + 0j, 0j), (1 + 0j, 1.7 + 1.7j), (0j, 3 + 0j), (2 + 0j, -3 + 0j))
-_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (8 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
-_LEANT = (
-    (0j, 6 + 0j), (1 + 0j, 4.5 + 2.5j), (2 + 0j, 6j), (2 + 0j, -1.5 + 5j), (2 + 0j, -5 + 2.5j), (3 + 0j, -2.5 + 5.5j),
-    (4 + 0j, -4 + 0.5j), (6 + 0j, -4.5 + 1j), (6 + 0j, -6 + 0j), (6 + 0j, -3 + 5j),
+_MUCH = ((3 + 0j, 0j), (5 + 0j, 0j), (6 + 0j, 0j), (2 + 0j, 4 + 0j), (3 + 0j, 4j))
+_MOVING = (
+    (0j, 6 + 0j), (1 + 0j, 4.5 + 2.5j), (2 + 0j, 6j), (2 + 0j, -5 + 2.5j), (3 + 0j, -2.5 + 5.5j), (4 + 0j, -4 + 0.5j),
+    (6 + 0j, -4.5 + 1j), (6 + 0j, -6 + 0j), (5 + 0j, 0.8 - 2.8j, 1.2 - 1.1j), (2 + 0j, 1.2 + 2.8j, 4.5 + 0.3j),
+    (3 + 0j, 0.9 + 3.3j, -21.5 + 5j), (4 + 0j, -2.9 + 4.2j, 19.6 - 5.2j), (1.5 + 0j, -2.9 - 1.2j, 24.2 + 0.2j),
+    (3 + 0j, 4.8 - 3j, -10 - 8.2j), (6 + 0j, -0.8 - 1.3j, 7.4 - 15.7j),
 )  # fmt: skip
-"""Ways out whose worst is looked for, by speed and lean: with little motion at first, with much, and leaning."""
+"""Ways out whose worst is looked for, by speed, lean and its turning: with little motion at first, with much, and
+leaning or turning."""
 _ROOM = 0.01
 """Share by which a claimed radius may be less than what is found: both are integrated in steps."""
 _K_SIGMA = 4.3
@@ -196,7 +199,7 @@ def _turning(value: Any, braking: Any, high: float) -> tuple[float, float, float
 def _way(value: Any, name: str, turning: tuple[float, float, float]) -> Way:
     """How ways are laid out, for the least gain or the greatest; they take no more than all of the snap."""
     way = Way(*numbers(value, Way._fields, name))
-    if not (min(way[:-1]) > 0.0 and way.per_lean_s2 >= 0.0 and way.slow_mps4 <= way.fast_mps4 <= turning[0]):
+    if not (min(way[:-2]) > 0.0 and min(way[-2:]) >= 0.0 and way.slow_mps4 <= way.fast_mps4 <= turning[0]):
         raise Refused(f"{name}: nothing of it may be 0, and a way takes no more than all of the snap")
     if not way.lean_mps2 >= turning[1]:
         raise Refused(f"{name}: a lean of {way.lean_mps2:.3f} m/s^2 is less than that of the least gain")
@@ -212,14 +215,17 @@ def _left(
         raise Refused("across: the tube at rest is the widest of both ways'")
     for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
         loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
-        found = left(way, loop, sizes, [*_LITTLE, *_MUCH, *_LEANT])
-        little, much, leant = np.split(found, [len(_LITTLE), len(_LITTLE) + len(_MUCH)])
+        ways_out = [laid_out(way, loop, *motion) for motion in (*_LITTLE, *_MUCH, *_MOVING)]
+        found = left(ways_out, loop, sizes)
+        little, much, moving = np.split(found, [len(_LITTLE), len(_LITTLE) + len(_MUCH)])
         claims = [
             ("little motion", float(little.max()), way.rest_radius_m),
             ("much motion", float(much.max()), way.most_radius_m),
         ]
-        for (v, a), most in zip(_LEANT, leant.tolist(), strict=True):
-            claims.append((f"leaning {abs(a):.1f} m/s^2", most, way.claimed_m(v, a)))
+        for (_, lean, *turns), most, laid in zip(_MOVING, moving.tolist(), ways_out[-len(_MOVING) :], strict=True):
+            began = f", turning {abs(turns[0]):.1f} m/s^3" if turns else ""
+            if len(laid):
+                claims.append((f"leaning {abs(lean):.1f} m/s^2{began}", most, way.claimed_m(laid)))
         for kind, most, radius in claims:
             if not radius >= (1.0 - _ROOM) * most:
                 raise Refused(f"across: ways out (gain {name}, {kind}) are left by {most:.4f} m, not {radius:.4f} m")

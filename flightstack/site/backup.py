@@ -53,8 +53,8 @@ carries the weight, and jerk the weight times its rate of turning."""
 (
     ACROSS, UP, DOWN, JERK, SNAP, FADE, FADE_DOWN, LAG_DOWN, JERK_DOWN, ACC_GAIN, VEL_GAIN, POS_GAIN, VEL_DOWN,
     POS_DOWN, LEAN, LATE_S, LEAD_S, THRUST, UPRIGHT, STEEPEST, RESERVE, ROTORS_S, TURN, SURE, EASE, SNAP_FAST, FAST,
-    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PER_LEAN, PARAMETERS,
-) = *range(23), *range(26, 36)  # fmt: skip
+    LATE_LED_S, STOPPABLE, REST_RADIUS, MOST_RADIUS, PER_LEAN, PER_TURN, PARAMETERS,
+) = *range(23), *range(26, 37)  # fmt: skip
 """Braking across, of a fall and of a climb (m/s^2); jerk and snap across; how fast braking fades, 1/s, across and
 down; lag of thrust, its jerk; gains across and down; greatest acceleration by lean; doubt of time; the rates' lag;
 the greatest thrust, m/s^2; the least cosine of the tilt; the steepest
@@ -62,13 +62,16 @@ lean on the way, m/s^2; of thrust what is kept for the force, m/s^2; what the ro
 how jerk (less what is asked for) and snap go on over a step (2, 2), and the snap that is sure: `turning`.  Of the lean
 out of the brake its size for a speed of 1 m/s; the snap of a way that is faster than a speed, and that speed; lags with
 the lead (`law`); of the turning that can be stopped, the share that is used; radii of the tube,
-and what it grows by for a lean (`wide`)."""
-_ASKED_N, _ASKED_E = 11, 12
+and what it grows by for a lean (`wide`) and for turning (`turns`)."""
+ASKED_N, ASKED_E = 11, 12
 SNAP_N = 13
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
 LITTLE_MPS, MUCH_MPS, LEANT_S, LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 """Motion of a way's beginning (speed, and what its lean adds in that time) with which it is left by no more than one
 from rest, and from which on by the most; and the lean beyond what braking asks for up to which that holds."""
+QUICK_MPS3, MOST_TURN_MPS3 = 8.0, 25.0
+"""A tube grows with turning, and beyond this with its square (`turns`); a way that begins with more than the last is
+none: further none is searched."""
 FASTEST, STOP_SHARE = 2.0, 0.75
 """Turning while a way is followed, by its own greatest; of the snap, what stops turning faster than the way's."""
 _STILL_MPS, _STILL_MPS2 = 0.03, 0.15
@@ -86,8 +89,11 @@ def turned(lag_s: float, rotors_s: float) -> list[float]:
 def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
     """The way out from a point (ROW,): into `points` (STEPS, ROW) and the discs of `way` (STEPS, 5); how many, or 0.
 
-    half (STEPS,): half height of the tube after each step.  0: it does not come to rest in time, or leans too far.
+    half (STEPS,): half height of the tube after each step.  0: it does not come to rest in time, leans too far, or
+    begins to turn too fast.
     """
+    if turning_of(start, p) > MOST_TURN_MPS3:
+        return 0
     x = start.copy()
     speed = math.sqrt(x[VEL_N] * x[VEL_N] + x[VEL_E] * x[VEL_E] + x[VEL_D] * x[VEL_D])
     late = p[LATE_S] * speed
@@ -124,13 +130,28 @@ def roll(start: F64, p: F64, half: F64, points: F64, way: F64) -> int:
 
 @njit
 def widest(points: F64, count: int, p: F64) -> float:
-    """Radius of the tube of a way: the most of its parts until the turning that it begins with has been stopped."""
+    """Radius of the tube of a way: the most of its parts until the turning that it begins with has been stopped, and
+    what that turning adds."""
     most = wide(points[0], p)
     for k in range(1, count):
         if points[k, JERK_N] * points[0, JERK_N] + points[k, JERK_E] * points[0, JERK_E] <= 0.0:
             break
         most = max(most, wide(points[k], p))
-    return most
+    return most + p[PER_TURN] * turns(points[0], p)  # type: ignore[no-any-return]
+
+
+@njit
+def turning_of(start: F64, p: F64) -> float:
+    """How fast the lean turns, or will once its snap has faded, m/s^3."""
+    north, east = start[JERK_N] + p[ROTORS_S] * start[SNAP_N], start[JERK_E] + p[ROTORS_S] * start[SNAP_N + 1]
+    return math.sqrt(max(start[JERK_N] ** 2 + start[JERK_E] ** 2, north * north + east * east))
+
+
+@njit
+def turns(start: F64, p: F64) -> float:
+    """What a tube grows with, by turning."""
+    turning = turning_of(start, p)
+    return turning * (turning + QUICK_MPS3)
 
 
 @njit
@@ -196,12 +217,12 @@ def _step(x: F64, p: F64, dt: float) -> None:
     short = max(math.sqrt(jn * jn + je * je), 1e-9)
     turn = min(_LEAN_GAIN_PS * short, p[STOPPABLE] * math.sqrt(2.0 * most * short), p[JERK]) / short
     jn, je = turn * jn, turn * je
-    sn, se = _JERK_GAIN_PS * (jn - x[_ASKED_N]), _JERK_GAIN_PS * (je - x[_ASKED_E])
+    sn, se = _JERK_GAIN_PS * (jn - x[ASKED_N]), _JERK_GAIN_PS * (je - x[ASKED_E])
     size = math.sqrt(sn * sn + se * se)
     if size > most:
         sn, se = sn * most / size, se * most / size
-    x[_ASKED_N] += dt * sn
-    x[_ASKED_E] += dt * se
+    x[ASKED_N] += dt * sn
+    x[ASKED_E] += dt * se
     for i in range(2):
         behind, snap = x[9 + i] - x[11 + i], x[SNAP_N + i]
         x[9 + i] = x[11 + i] + p[TURN] * behind + p[TURN + 1] * snap
@@ -274,7 +295,7 @@ def follow(p: F64, chain: F64, state: F64, spin: F64, offset: F64, gain: float, 
     short = max(math.sqrt(short_n * short_n + short_e * short_e), 1e-9)
     turn = min(turn_towards(short, p[ACC_GAIN], p[SURE], p[LATE_LED_S]), FASTEST * p[JERK]) / short
     turn /= 1.0 + (here[ACC_N] * here[ACC_N] + here[ACC_E] * here[ACC_E]) / STANDARD_GRAVITY_MPS2**2
-    jn, je = target[_ASKED_N] + turn * short_n, target[_ASKED_E] + turn * short_e
+    jn, je = target[ASKED_N] + turn * short_n, target[ASKED_E] + turn * short_e
     sn, se = snap_asked(
         (jn, je), (here[JERK_N], here[JERK_E]), (here[SNAP_N], here[SNAP_N + 1]), p[SURE], (p[LEAD_S], p[ROTORS_S])
     )

@@ -1,4 +1,4 @@
-"""Certificates of a stop as files, `flightstack.stopping/4` (JSON): what was learned, and all that follows from it.
+"""Certificates of a stop as files, `flightstack.stopping/5` (JSON): what was learned, and all that follows from it.
 
 A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
 the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
@@ -16,13 +16,13 @@ from flightstack.site.stopping import Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
-SCHEMA = "flightstack.stopping/4"
+SCHEMA = "flightstack.stopping/5"
 _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
 _WAY = {
     "across_mps2": b.ACROSS, "lean_mps2": b.LEAN, "jerk_mps3": b.JERK, "slow_mps4": b.SNAP, "fast_mps4": b.SNAP_FAST,
     "fast_mps": b.FAST, "ease": b.EASE, "fade_ps": b.FADE, "stoppable": b.STOPPABLE, "rest_radius_m": b.REST_RADIUS,
-    "most_radius_m": b.MOST_RADIUS, "per_lean_s2": b.PER_LEAN,
+    "most_radius_m": b.MOST_RADIUS, "per_lean_s2": b.PER_LEAN, "per_turn_s6pm": b.PER_TURN,
 }  # fmt: skip
 """Of the row of the least gain, and of the greatest."""
 

@@ -308,7 +308,7 @@ def _rows(
             down.vel_ps2, down.pos_ps3, lean_most, told.late * _LATE_S, lags_s[0], gain * high,
             math.cos(limits.tilt_max_rad + _TILT_ROOM_RAD), G * math.tan(limits.tilt_max_rad),
             told.force * _OVER * force, lags_s[1], *steps, turn.sure_mps4, _EASE * snap ** (1.0 / 3.0),
-            turn.way_fast_mps4, fast_mps, sum(led_lags(*lags_s)), stoppable, 0.0, 0.0, 0.0,
+            turn.way_fast_mps4, fast_mps, sum(led_lags(*lags_s)), stoppable, 0.0, 0.0, 0.0, 0.0,
         ])  # fmt: skip
     return np.array(rows)
 

@@ -350,7 +350,7 @@ def test_without_its_dead_man_the_router_hands_over(rig: Rig) -> None:
     assert rig.router.score.handed_over
 
 
-REPLACED = int(os.environ.get("FLIGHTSTACK_REPLACED", "8"))
+REPLACED = int(os.environ.get("FLIGHTSTACK_REPLACED", "12"))
 """How often; docs/site.md tells of a hundred."""
 
 
@@ -373,7 +373,7 @@ def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(
         rig.run(1.5)
         rig.say = lambda speed=speed: velocity(*speed)  # type: ignore[misc]
         rig.run(float(rng.uniform(0.2, 1.8)))
-        began, ahead = len(rig.places), rng.uniform(0.1, (3.0, 3.0, 2.0))
+        began, ahead = len(rig.places), rng.uniform(0.1, (5.0, 5.0, 3.0))
         walls = np.minimum(rig.places[-1] * (1.0, 1.0, -1.0) + ahead, room)
         said = rig.router.replace_site(_room(*walls.tolist()))
         rig.run(1.5)
