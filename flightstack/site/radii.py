@@ -71,7 +71,6 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
         most = max(found[-1, 1], rest, *much)
         per_lean = max(found[-1, 2], _per_lean(rows[at], (rest, most), leant))
         found[at] = rest, most, per_lean, max(found[-1, 3], _per_turn(rows[at], (rest, most, per_lean), turning))
-    found[:, 3] = found[:, 3].max()  # the lightest's turning ways were found to need the heaviest's
     rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
     return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
 
