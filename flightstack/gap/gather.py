@@ -102,9 +102,7 @@ def _trace(before: Vehicle, after: Vehicle, of: FitHoldoutSplit, k: int) -> Trac
     )
     measured = np.where(flight.usable[:, None], measured, np.nan)
     t_s = samples.t_s - samples.t_s[0]
-    noise = residual(before, samples).noise[
-        :_COLUMNS
-    ]  # as everywhere: a page with two kinds of noise contradicts itself
+    noise = residual(before, samples).noise[:_COLUMNS]  # as in every table of the page
     return Trace(samples.name, t_s, measured, was, now, noise, _spans(t_s, of.holdout[k]))
 
 
