@@ -1,9 +1,10 @@
 """A flight as one reference over time: climb, settle, run-up, track, and how to stop.
 
 From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw (a high
-climb turns on its way, at a steady speed), waits a moment, then runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that
-tracking begins without a step.  After the trajectory the reference brakes and stands still; by then the companion has
-been told "done" and lands.  Time is seconds since take-off began; coordinates are those of the vehicle's estimate.
+climb turns on its way, at a steady speed), waits a moment, then runs up by one minimum-snap segment to the trajectory's
+whole first state (position to jerk), so that tracking begins without a step.  After the trajectory the reference brakes
+and stands still; by then the companion has been told "done" and lands.  Time is seconds since take-off began;
+coordinates are those of the vehicle's estimate.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _CLIMB_MPS = 1.2
 _YAW_RATE_RADPS = 0.7
 _REST_TO_REST_PEAK = 2.1875  # peak speed of the rest-to-rest segment, in mean speeds
 _HIGH_M = 3.5
-"""A higher climb gathers speed first: one segment from rest to rest would take ten seconds to rise by half a metre, over
-which a vehicle that stands and can't turn as it is told winds its autopilot's rate loop up."""
+"""A higher climb gathers speed first: one segment from rest to rest would take ten seconds to rise by half a metre,
+over which a vehicle stands on the ground with nearly the thrust that lifts it."""
 _GATHER_S = 2.0
 """To the climb's speed, and from it to rest."""
 _SETTLE_S = 1.5

@@ -23,8 +23,8 @@ _FROM_S, _TO_S = 0.4, 1.4
 _CLIMB_LEAST_M = 0.5
 """A lower first climb is not told from what an estimate wanders by."""
 _ASKED_M, _RISEN = 2.0, 0.25
-"""In a high climb: once so much is asked for, the vehicle has risen by this share of it (one that lifts off is less than
-half a metre behind)."""
+"""In a high climb: once so much is asked for, the vehicle has risen by this share of it (one that lifts off is less
+than half a metre behind)."""
 
 
 class HoverCheck:

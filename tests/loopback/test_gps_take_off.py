@@ -1,4 +1,4 @@
-"""From the ground with GPS: nothing turns before the vehicle flies, no rotor winds up to its limit, and it rises gently."""
+"""From the ground with GPS: nothing turns before the vehicle flies, no rotor is at its limit, and it rises gently."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A point that was moved to the thrust that was asked for is learned; evidence is its window's mean, as a log has it."""
+"""A point moved to the thrust that was asked for is learned; evidence is its window's mean, as a log has it."""
 
 from __future__ import annotations
 
