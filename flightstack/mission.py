@@ -1,8 +1,9 @@
 """A flight as one reference over time: climb, settle, run-up, track, and how to stop.
 
-From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw (a high
-climb turns on its way, at a steady speed), waits a moment, then runs up by one minimum-snap segment to the trajectory's
-whole first state (position to jerk), so that tracking begins without a step.  After the trajectory the reference brakes
+From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw (by more
+than the climb has time for afterwards, in a high climb at a steady speed: on the ground it can't), waits a moment, then
+runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that tracking begins
+without a step.  After the trajectory the reference brakes
 and stands still; by then the companion has been told "done" and lands.  Time is seconds since take-off began;
 coordinates are those of the vehicle's estimate.
 """
@@ -153,18 +154,17 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     turn = math.remainder(first.yaw_rad - start_yaw_rad, 2.0 * math.pi)
     above = _above(scenario, first)
     ground = np.array([0.0, 0.0, 0.0, first.yaw_rad - turn])
-    climb = _climb(ground, above)
-    climb_s = math.fsum(path.duration_s for path in climb)
-    ready_s = climb_s + _SETTLE_S
-    legs = [
-        _Leg("takeoff", math.fsum(path.duration_s for path in climb[:k]), climb[k].moved(start))
-        for k in range(len(climb))
-    ]
+    legs, ready_s, climb_s = list[_Leg](), 0.0, 0.0
+    for phase, part in _climb(ground, above):
+        legs.append(_Leg(phase, ready_s, part.moved(start)))
+        ready_s += part.duration_s
+        climb_s = ready_s if phase == "takeoff" else climb_s
     path = (run_up or run_up_of(scenario)).path
-    track_start_s = ready_s if path is None else ready_s + path.duration_s
     _, _, down, yaw = above
     settled = hover((0.0, 0.0, float(down)), yaw_rad=float(yaw))
-    legs.append(_Leg("approach", climb_s, settled.moved(start)))
+    legs.append(_Leg("approach", ready_s, settled.moved(start)))
+    ready_s += _SETTLE_S
+    track_start_s = ready_s if path is None else ready_s + path.duration_s
     if path is not None:
         legs.append(_Leg("approach", ready_s, path.moved(start)))
     legs.append(_Leg("track", track_start_s, scenario.trajectory.moved(start)))
@@ -174,12 +174,16 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
-def _climb(ground: F64, above: F64) -> list[Polynomial]:
-    """From rest on the ground to rest above, (4,) each: one segment, or three where it is high."""
+def _climb(ground: F64, above: F64) -> list[tuple[str, Polynomial]]:
+    """From rest on the ground to rest above, (4,) each: phases and their paths."""
     rise_m, turn_s = abs(float(above[2])), _REST_TO_REST_PEAK * abs(float(above[3] - ground[3])) / _YAW_RATE_RADPS
     if rise_m <= _HIGH_M:
-        climb_s = max(_LEAST_CLIMB_S, _REST_TO_REST_PEAK * rise_m / _CLIMB_MPS, turn_s)
-        return [minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))]
+        climb_s = max(_LEAST_CLIMB_S, _REST_TO_REST_PEAK * rise_m / _CLIMB_MPS)
+        if turn_s <= climb_s:
+            return [("takeoff", minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s])))]
+        over = np.append(above[:3], ground[3])
+        climb = minimum_snap(np.stack([ground, over]), np.array([0.0, climb_s]))
+        return [("takeoff", climb), ("approach", minimum_snap(np.stack([over, above]), np.array([0.0, turn_s])))]
     speed_mps = min(_CLIMB_MPS, rise_m / (turn_s + _GATHER_S))
     gathered = np.array([0.0, 0.0, -0.5 * _GATHER_S * speed_mps, 0.0])
     places = np.stack([ground, ground + gathered, above - gathered, above])
@@ -187,7 +191,8 @@ def _climb(ground: F64, above: F64) -> list[Polynomial]:
     ends = (None, steady, steady, None)
     spans_s = (_GATHER_S, rise_m / speed_mps - _GATHER_S, _GATHER_S)
     return [
-        minimum_snap(places[k : k + 2], np.array([0.0, spans_s[k]]), start=ends[k], end=ends[k + 1]) for k in range(3)
+        ("takeoff", minimum_snap(places[k : k + 2], np.array([0.0, spans_s[k]]), start=ends[k], end=ends[k + 1]))
+        for k in range(3)
     ]
 
 
