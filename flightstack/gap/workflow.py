@@ -52,7 +52,7 @@ def analyse(
     naming, of, gap = concluded(vehicle, of, called, on_progress)
     if naming.unexplained.significant:
         naming, of, gap = _looked_closely(vehicle, (naming, of, gap), called)
-    if not (held or naming.found) and naming.unexplained.significant:
+    if not held and naming.unexplained.significant:
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
@@ -96,14 +96,18 @@ def _turned_round(
     """The verdict with the first third of each flight held out, where that explains all; else what was said.
 
     What acts in the last third only (one low pass before landing) can't be named from the first two.  Learned from, it
-    must close the gap there, and must leave nothing open in the first third.
+    must close the gap there, and must leave nothing open in the first third.  Beside names (which must stay) that is
+    tried where most of what they leave open comes late.
     """
+    if said[0].found and pooled.split_by_power(said[0].vehicle, flights) is None:
+        return said
     of = pooled.split(flights, (), first=True)
     try:
         naming, of, gap = concluded(vehicle, of, called)
     except InputError:
         return said
-    if not naming.found or naming.unexplained.significant:
+    before = {each.name for each in said[0].found}
+    if not naming.found or naming.unexplained.significant or not before <= {each.name for each in naming.found}:
         return said
     closed = held_out_gap(vehicle, naming, replace(said[1], flights=of.flights)).closed
     return said if closed is None or closed < MOSTLY else (naming, of, gap)

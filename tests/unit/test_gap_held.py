@@ -292,6 +292,17 @@ def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
     assert interval_contains_nominal([nothing, some, rope, fixed]) == ("payload",)
 
 
+def test_a_drag_that_shows_in_the_last_third_only_is_named_beside_what_always_shows(tmp_path: Path) -> None:
+    case = make("three", 4620011)  # hovers for 24 of 38 s with a shifted mass, then moves; its drag was "unexplained"
+    log, _, _ = write(case, tmp_path, "case")
+    said = analyse([log], case.believed)
+    assert {found.name for found in said.found} >= {"com_offset", "parasitic_drag"}
+    assert not said.unexplained.significant
+    drag = next(found for found in said.found if found.name == "parasitic_drag").parameters
+    for name in ("c_x_kg_per_m", "c_y_kg_per_m"):
+        assert drag[name].low <= case.answer.effects["parasitic_drag"][name] <= drag[name].high
+
+
 def test_a_jet_of_air_is_no_force_that_is_the_same_everywhere(tmp_path: Path) -> None:
     case = make("outside:jet", 90003)  # beside a constant force a twelfth of what it explains would depend on the place
     log, _, _ = write(case, tmp_path, "jet")

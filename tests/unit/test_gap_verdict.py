@@ -78,11 +78,28 @@ def test_the_first_third_can_be_held_out_in_place_of_the_last() -> None:
 def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
     monkeypatch: pytest.MonkeyPatch, named: bool, significant: bool, closed: float | None, adopted: bool
 ) -> None:
-    turned = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(significant))
+    turned = SimpleNamespace(found=(SimpleNamespace(name="new"),) * named, unexplained=Unexplained(significant))
     of = pooled.FitHoldoutSplit((), (), ())
     monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
     monkeypatch.setattr(workflow, "held_out_gap", lambda *given: SimpleNamespace(closed=closed))
-    said = (SimpleNamespace(), of, None)
+    said = (SimpleNamespace(found=()), of, None)
+    got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
+    assert (got is not said) == adopted
+
+
+@pytest.mark.parametrize(
+    ("late", "names", "adopted"),
+    [(True, ("old", "new"), True), (True, ("new",), False), (False, ("old", "new"), False)],
+)
+def test_beside_names_what_comes_late_is_learned_from_only_where_they_stay(
+    monkeypatch: pytest.MonkeyPatch, late: bool, names: tuple[str, ...], adopted: bool
+) -> None:
+    of = pooled.FitHoldoutSplit((), (), ())
+    turned = SimpleNamespace(found=tuple(SimpleNamespace(name=each) for each in names), unexplained=NOTHING)
+    monkeypatch.setattr(workflow.pooled, "split_by_power", lambda *given: of if late else None)
+    monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
+    monkeypatch.setattr(workflow, "held_out_gap", lambda *given: SimpleNamespace(closed=1.0))
+    said = (SimpleNamespace(found=(SimpleNamespace(name="old"),), vehicle=None), of, None)
     got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
     assert (got is not said) == adopted
 
