@@ -197,6 +197,16 @@ def test_a_forged_file_is_refused(text: str, forge: Callable[[dict[str, Any]], N
     assert said in verdict.lines[-1]
 
 
+@pytest.mark.parametrize("schema", ["flightstack.stopping/3", "flightstack.stopping/50", "flightstack.stopping/"])
+def test_one_of_another_version_is_told_which_is_read(text: str, schema: str) -> None:
+    verdict = check(text.replace("flightstack.stopping/5", schema))
+    assert not verdict.valid
+    assert not verdict.readable
+    assert verdict.lines == [
+        f'schema is "{schema}", not "flightstack.stopping/5": make the certificate of a stop anew with certify --site'
+    ]
+
+
 def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], float]]:
     """Every number of a file and its place."""
     parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
