@@ -63,9 +63,9 @@ def check_stopping(text: str) -> list[str]:
     except (ValueError, RecursionError):
         raise Unreadable("not valid JSON") from None
     if isinstance(said, dict) and said.get("schema") != SCHEMA:
-        found = str(said.get("schema"))[:40]
+        schema = str(said.get("schema"))[:40]
         raise Unreadable(
-            f'schema is "{found}", not "{SCHEMA}": make the certificate of a stop anew with certify --site'
+            f'schema is "{schema}", not "{SCHEMA}": make the certificate of a stop anew with certify --site'
         )
     top = table_of(said, _TOP, "certificate")
     low, high, force_g = numbers(top["prior"], ("mass_low", "mass_high", "force_g"), "prior")
