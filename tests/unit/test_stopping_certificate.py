@@ -32,11 +32,11 @@ LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60
 """What a flight would have to show for the prior below."""
 
 
-def _of_prior(prior: Prior) -> StoppingCertificate:
-    believed, _ = files.load_vehicle(None)
+def _of_prior(prior: Prior, grade: str = "mocap", vehicle: str | None = None) -> StoppingCertificate:
+    believed, _ = files.load_vehicle(vehicle)
     model = Model.from_vehicle(believed)
-    estimate = estimate_bounds(error_statistics(load_grade("mocap")))
-    return stopping(believed, model, Limits(), estimate, governor_for(believed, model, Limits(), "mocap"), prior)
+    estimate = estimate_bounds(error_statistics(load_grade(grade)))
+    return stopping(believed, model, Limits(), estimate, governor_for(believed, model, Limits(), grade), prior)
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +121,25 @@ def test_a_way_that_begins_turning_keeps_its_tube(prior: Prior, at: int) -> None
     before = _left_and_claimed(made, row, motions)[1]
     assert np.array_equal(np.isfinite(before), is_way)
     assert np.any(found[is_way] > before[is_way])
+
+
+@pytest.mark.parametrize(
+    ("grade", "vehicle", "motion", "driven_m"),
+    [
+        ("gps", None, (0j, -5.43979 + 2.96471j, -2.50079 - 18.53281j), 21.73),
+        ("mocap", "px4-sihsim-quadx", (2 + 0j, 5.73 - 3.6j, -22.06 - 2.05j), 15.35),
+        ("mocap", "px4-sihsim-quadx", (0j, -3.04 + 5.68j, 19.2 - 2.14j), 13.27),
+        ("mocap", "px4-sihsim-quadx", (0.5 + 0j, 3.18 + 4.11j, 9.12 - 13.39j), 8.83),
+    ],
+)
+def test_a_way_of_the_lightest_that_was_drawn_afterwards_keeps_its_tube(
+    grade: str, vehicle: str | None, motion: tuple[complex, ...], driven_m: float
+) -> None:
+    """So far the product's search drives the model; 20.4, 12.8, 10.6 and 8.5 m were claimed by what the lightest's own
+    ways need."""
+    made = _of_prior(Prior(), grade, vehicle)
+    found, claimed = _left_and_claimed(made, made.rows[-1], [motion])
+    assert max(float(found[0]), driven_m) < claimed[0] < np.inf
 
 
 def test_no_way_begins_with_more_turning_than_is_searched(made: StoppingCertificate) -> None:
