@@ -166,7 +166,7 @@ class AttackFlight:
         self.seen.origin_ned_m = self.vehicle.plant.pos_ned_m.copy()
         origin = np.mean(places[-_REST_TICKS:], axis=0)
         self.mission = plan(self.scenario, origin)
-        self.state: StackState = self.stack.init(first, origin)
+        self.state: StackState = self.stack.init(first, origin, stands=True)
         self.start_us = self.t_us
         self.record: TickRecord | None = None
         self.ended = ""

@@ -239,7 +239,7 @@ class FenceFlight:
         self.start_ned_m = self.vehicle.plant.pos_ned_m.copy()
         self.origin = np.mean(places[-_REST_TICKS:], axis=0)
         self.mission = plan(self.scenario, self.origin)
-        self.state = self.stack.init(first, self.origin)
+        self.state = self.stack.init(first, self.origin, stands=True)
         self.start_us = self.vehicle.t_us
 
     def _measured(self, state: StackState | None) -> Measurement | None:

@@ -1,9 +1,11 @@
 """A flight as one reference over time: climb, settle, run-up, track, and how to stop.
 
-From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw, waits a
-moment, then runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that
-tracking begins without a step.  After the trajectory the reference brakes and stands still; by then the companion has
-been told "done" and lands.  Time is seconds since take-off began; coordinates are those of the vehicle's estimate.
+From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw (by more
+than the climb has time for afterwards, in a high climb at a steady speed: on the ground it can't), waits a moment, then
+runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that tracking begins
+without a step.  After the trajectory the reference brakes
+and stands still; by then the companion has been told "done" and lands.  Time is seconds since take-off began;
+coordinates are those of the vehicle's estimate.
 """
 
 from __future__ import annotations
@@ -21,6 +23,11 @@ from flightstack.types import F64, FlatOutput, InputError, changed
 _CLIMB_MPS = 1.2
 _YAW_RATE_RADPS = 0.7
 _REST_TO_REST_PEAK = 2.1875  # peak speed of the rest-to-rest segment, in mean speeds
+_HIGH_M = 3.5
+"""A higher climb gathers speed first: one segment from rest to rest would take ten seconds to rise by half a metre,
+over which a vehicle stands on the ground with nearly the thrust that lifts it."""
+_GATHER_S = 2.0
+"""To the climb's speed, and from it to rest."""
 _SETTLE_S = 1.5
 _RUN_UPS_S = (*(3.0 * 1.15**k for k in range(22)), *(3.0 / 1.15**k for k in range(1, 10)))
 """Durations tried in their order: 3 s, longer ones up to a minute for fast starts, shorter ones where one would have to
@@ -146,20 +153,18 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     first = scenario.trajectory.at(0.0)
     turn = math.remainder(first.yaw_rad - start_yaw_rad, 2.0 * math.pi)
     above = _above(scenario, first)
-    climb_s = max(
-        _LEAST_CLIMB_S,
-        _REST_TO_REST_PEAK * abs(above[2]) / _CLIMB_MPS,
-        _REST_TO_REST_PEAK * abs(turn) / _YAW_RATE_RADPS,
-    )
     ground = np.array([0.0, 0.0, 0.0, first.yaw_rad - turn])
-    climb = minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s]))
-    ready_s = climb_s + _SETTLE_S
-    legs = [_Leg("takeoff", 0.0, climb.moved(start))]
+    legs, ready_s, climb_s = list[_Leg](), 0.0, 0.0
+    for phase, part in _climb(ground, above):
+        legs.append(_Leg(phase, ready_s, part.moved(start)))
+        ready_s += part.duration_s
+        climb_s = ready_s if phase == "takeoff" else climb_s
     path = (run_up or run_up_of(scenario)).path
-    track_start_s = ready_s if path is None else ready_s + path.duration_s
     _, _, down, yaw = above
     settled = hover((0.0, 0.0, float(down)), yaw_rad=float(yaw))
-    legs.append(_Leg("approach", climb_s, settled.moved(start)))
+    legs.append(_Leg("approach", ready_s, settled.moved(start)))
+    ready_s += _SETTLE_S
+    track_start_s = ready_s if path is None else ready_s + path.duration_s
     if path is not None:
         legs.append(_Leg("approach", ready_s, path.moved(start)))
     legs.append(_Leg("track", track_start_s, scenario.trajectory.moved(start)))
@@ -169,10 +174,37 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
     return Mission(tuple(legs), float(start[2]), climb_s, track_start_s, track_end_s)
 
 
+def _climb(ground: F64, above: F64) -> list[tuple[str, Polynomial]]:
+    """From rest on the ground to rest above, (4,) each: phases and their paths."""
+    rise_m, turn_s = abs(float(above[2])), _REST_TO_REST_PEAK * abs(float(above[3] - ground[3])) / _YAW_RATE_RADPS
+    if rise_m <= _HIGH_M:
+        climb_s = max(_LEAST_CLIMB_S, _REST_TO_REST_PEAK * rise_m / _CLIMB_MPS)
+        if turn_s <= climb_s:
+            return [("takeoff", minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s])))]
+        over = np.append(above[:3], ground[3])
+        climb = minimum_snap(np.stack([ground, over]), np.array([0.0, climb_s]))
+        return [("takeoff", climb), ("approach", minimum_snap(np.stack([over, above]), np.array([0.0, turn_s])))]
+    speed_mps = min(_CLIMB_MPS, rise_m / (turn_s + _GATHER_S))
+    gathered = np.array([0.0, 0.0, -0.5 * _GATHER_S * speed_mps, 0.0])
+    places = np.stack([ground, ground + gathered, above - gathered, above])
+    steady = Boundary(np.array([0.0, 0.0, -speed_mps, 0.0]), np.zeros(4), np.zeros(4))
+    ends = (None, steady, steady, None)
+    spans_s = (_GATHER_S, rise_m / speed_mps - _GATHER_S, _GATHER_S)
+    return [
+        ("takeoff", minimum_snap(places[k : k + 2], np.array([0.0, spans_s[k]]), start=ends[k], end=ends[k + 1]))
+        for k in range(3)
+    ]
+
+
 def never_flew(rose_m: float | None, climb_m: float) -> str:
     """Why a vehicle that rose no higher has not flown, one line."""
     rose = "its height is not known" if rose_m is None else f"it rose {max(rose_m, 0.0):.2f} m"
     return f"never flew: {rose} of the {climb_m:.2f} m of its first climb (at least half counts)"
+
+
+def stands(rose_m: float, asked_m: float) -> str:
+    """Why a vehicle that is left behind by its first climb is not flying, one line."""
+    return f"never flew: it rose {max(rose_m, 0.0):.2f} m where its first climb is {asked_m:.2f} m high already"
 
 
 def first_height_m(scenario: Scenario) -> float:

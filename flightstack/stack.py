@@ -29,6 +29,7 @@ from flightstack.barrier.records import Certificate
 from flightstack.control.feedback import FlatnessController
 from flightstack.governor import Governor, GovernorState
 from flightstack.guard import Guard, carried_thrust, stale
+from flightstack.lift_off import LiftOff
 from flightstack.model import Limiter, Limits, Model
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
@@ -61,6 +62,7 @@ class StackState(NamedTuple):
     """What the learner said last."""
     under_way: F64 | None = None
     """Commands sent of late; None: none yet.  Written in place."""
+    lift_off: LiftOff = LiftOff()
 
 
 class Stack:
@@ -100,10 +102,11 @@ class Stack:
         self.limiter = Limiter(model, self.limits)
         self.under_way = UnderWay(model)
 
-    def init(self, measurement: Measurement, origin_ned_m: F64 | None = None) -> StackState:
+    def init(self, measurement: Measurement, origin_ned_m: F64 | None = None, *, stands: bool = False) -> StackState:
         """State at the start: nothing is corrected, learned or carried beyond the weight.
 
-        `origin_ned_m` (3,): where the flight began, if that is better known than from this one measurement.
+        `origin_ned_m` (3,): where the flight began, if that is better known than from this one measurement; `stands`:
+        at rest on the ground, where nothing is to turn before it flies.
         """
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
@@ -114,6 +117,7 @@ class Stack:
         return StackState(
             control, self.learner.init(), certifier, filtered, _UNFILTERED, measurement, sent, origin, weight,
             governor=None if self.governor is None else self.governor.init(), under_way=self.under_way.init(),
+            lift_off=LiftOff(stands),
         )  # fmt: skip
 
     def resume(self, state: StackState, measurement: Measurement) -> StackState:
@@ -148,8 +152,9 @@ class Stack:
         usable = not stale(measurement, self.limits)
         control, learner, certifier, safe, before, _, sent, origin, carried, applied, governing, premises, *_ = state
         proposal, learned, wanted, saturated = _NO_PROPOSAL, _NOT_LEARNING, sent, False
-        filtered, turned = _UNFILTERED, False
+        filtered, turned, lift_off = _UNFILTERED, False, state.lift_off
         if usable:
+            lift_off = lift_off.step(seen, (now_us - sent.t_us) * 1e-6)
             applied = applied.follow(sent, seen.motor_command, self.model, now_us - sent.t_us)
             learner, learned = self.learner.step(learner, seen, applied.of(sent), setpoint)
             certifier, certificate = self.certifier.step(certifier, learner, seen, learned, before)
@@ -169,6 +174,7 @@ class Stack:
             if premises.version >= 0:
                 filtered = filtered.with_premise(premises.broken, premises.ended)
         command, guard = self.guard.check(wanted, measurement, origin, carried, now_us, turned)
+        command = command if guard else lift_off.of(command)
         governing, command, governed = self._govern(governing, command, safe, seen)
         if guard and not self._pilot(premises).healthy(control):
             control = self._pilot(premises).init(now_us)
@@ -177,7 +183,7 @@ class Stack:
         record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
         after = StackState(
             control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises,
-            learned if usable else state.learned, state.under_way,
+            learned if usable else state.learned, state.under_way, lift_off,
         )  # fmt: skip
         return after, command, record
 

@@ -256,7 +256,8 @@ class Companion:
         if self._rested:  # the mean at rest is better than any one noisy sample
             self.start_ned_m = self._rest_ned_m.copy()
         self.mission = plan(self._scenario, self.start_ned_m, yaw_of(measurement.q_ned_frd), self._run_up)
-        self._stack_state = self._stack.init(measurement, self.start_ned_m)
+        stands = self._rested > 0 and self.view.on_ground
+        self._stack_state = self._stack.init(measurement, self.start_ned_m, stands=stands)
         self._watch.begin()
         self._notes.begin()
         self.flight_start_us = t_us

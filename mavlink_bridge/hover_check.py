@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 
 from flightstack.airframe import HOVER_TOLERANCE, hover_differs, hover_setpoint, unsettled_hover
-from flightstack.mission import LEAST_RISE, Mission, never_flew
+from flightstack.mission import LEAST_RISE, Mission, never_flew, stands
 from flightstack.model import Model
 from flightstack.types import TickRecord
 from mavlink_bridge.vehicle_view import VehicleView
@@ -22,6 +22,9 @@ _FROM_S, _TO_S = 0.4, 1.4
 
 _CLIMB_LEAST_M = 0.5
 """A lower first climb is not told from what an estimate wanders by."""
+_ASKED_M, _RISEN = 2.0, 0.25
+"""In a high climb: once so much is asked for, the vehicle has risen by this share of it (one that lifts off is less
+than half a metre behind)."""
 
 
 class HoverCheck:
@@ -87,4 +90,9 @@ class RiseCheck:
             climb_m = mission.ground_down_m - float(mission.reference(mission.takeoff_end_s).pos_ned_m[2])
             if climb_m > _CLIMB_LEAST_M and not self._rose_m >= LEAST_RISE * climb_m:
                 self._stop(never_flew(self._rose_m, climb_m))
+        elif t_s < mission.takeoff_end_s:
+            asked_m = mission.ground_down_m - float(mission.reference(t_s).pos_ned_m[2])
+            if asked_m > _ASKED_M and self._rose_m < _RISEN * asked_m:
+                self._decided = True
+                self._stop(stands(self._rose_m, asked_m))
         return mission

@@ -117,7 +117,7 @@ class OnlineCertifier:
         if state.origin_ned_m is None:
             state.origin_ned_m = measurement.pos_ned_m.copy()
         state.lateness.take(measurement)
-        if learned.stage < _VALID or not learner.vertical.has_evidence:
+        if learned.stage < _VALID:
             return state, None
         self._watch(state, measurement, learned)
         state.flown.take(measurement, self.region, state.origin_ned_m)

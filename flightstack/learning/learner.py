@@ -32,7 +32,7 @@ from flightstack.learning import sampler as s
 from flightstack.learning.learned_row import SLOPE, assemble, calibrated, weighed
 from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
-from flightstack.learning.store import INFLATION, MOVED, Evidence, Relevance, Span, Store
+from flightstack.learning.store import INFLATION, Evidence, Point, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
 from flightstack.model import Model
 from flightstack.rows import L_GAIN_SIGMA, L_SIGMA
@@ -330,7 +330,7 @@ def _take_turn(state: LearnerState, window: FullWindow, turn: int) -> None:
         state.lateral.take(x, y[:2], span_us)
     elif turn == _VERTICAL:
         state.vertical.hear(noise[2])
-        state.vertical.take(*_as_asked(state, mean, noise[2], span_us))
+        state.vertical.take(*_as_asked(state, mean, noise[2]), span_us, (x, y[2:3]))
     else:
         state.rates.take(mean[s.D + 3 : s.D + 6], mean[s.D + 6 : s.D + 9])
         state.rates_due = True
@@ -338,8 +338,8 @@ def _take_turn(state: LearnerState, window: FullWindow, turn: int) -> None:
     state.window = window._replace(left=left) if left else None
 
 
-def _as_asked(state: LearnerState, mean: F64, noise_var: float, span_us: Span) -> tuple[F64, F64, Span]:
-    """Input (D,), target (1,) and span of the vertical store's point: a window's mean, moved to the thrust asked for.
+def _as_asked(state: LearnerState, mean: F64, noise_var: float) -> Point:
+    """Input (D,) and target (1,) of the vertical store's point: a window's mean, moved to the thrust asked for.
 
     Thrust that answers errors of the estimate is worse than nothing as an input (`asked`).  How much of what was not
     asked for does so is told by the noise as measured: none with up to twice the deviation that the prior says of a
@@ -348,11 +348,11 @@ def _as_asked(state: LearnerState, mean: F64, noise_var: float, span_us: Span) -
     x, y = mean[: s.D], mean[s.D + 2 : s.D + 3]
     shift = max(1.0 - state.noise_quiet / noise_var, 0.0) * mean[s.D + 9]
     if shift == 0.0:
-        return x, y, span_us
+        return x, y
     x = x.copy()
     x[s.GROUND] *= 1.0 - shift / x[s.THRUST]
     x[s.THRUST] -= shift
-    return x, y - shift * state.forward[0, SLOPE], MOVED
+    return x, y - shift * state.forward[0, SLOPE]
 
 
 def _look_at_gain(state: LearnerState) -> None:

@@ -37,8 +37,8 @@ from flightstack.types import F64
 Relevance = Literal["oldest", "kernel"]
 Span = tuple[int, int]
 """Stamps of a window's first and last sample, us."""
-MOVED: Span = (-1, -1)
-"""Of a point that is not its window's mean, so that no log can tell it: learned, but no evidence."""
+Point = tuple[F64, F64]
+"""Input (D,) and target (P,)."""
 
 INFLATION = 1.05
 """What the rule above still lacks: the mean over time is less than the error in a manoeuvre.  Set on simulated flights
@@ -179,7 +179,7 @@ class Store:
         self._heard = -_NOISE_EVERY
         self._successor: _Successor | None = None
         self._wanted = 0
-        self._fresh: list[tuple[F64, F64, Span]] = []
+        self._fresh: list[tuple[F64, F64, Span, Point | None]] = []
         self._places, self._values = np.zeros((_POOL, inputs)), np.zeros((_POOL, outputs))
         self._spans = np.zeros((_POOL, 2), np.int64)
         self._pooled = 0
@@ -232,10 +232,13 @@ class Store:
         if successor is not None and successor.carry_on():
             self.gp, self._spare, self._successor = successor.gp, self.gp, None
 
-    def take(self, x: F64, y: F64, span_us: Span = (0, 0)) -> None:
-        """A new point of a window between two stamps: test the prediction with it, then learn it."""
+    def take(self, x: F64, y: F64, span_us: Span = (0, 0), seen: Point | None = None) -> None:
+        """A new point of a window between two stamps: test the prediction with it, then learn it.
+
+        `seen`: the window's mean as a log has it, where the point is another one: evidence in its place.
+        """
         if self.renewing:
-            self._fresh.append((x.copy(), y.copy(), span_us))
+            self._fresh.append((x.copy(), y.copy(), span_us, seen))
             if len(self._fresh) < self._wanted:
                 return
             self._wanted = 0
@@ -250,12 +253,7 @@ class Store:
         if len(self.gp):
             mean, variance = self.expect(x)
             _calibrate(y - mean, variance, self.gp.noise_var, self.floor, self._levels, self._block)
-        self._add(x, y, span_us)
-
-    @property
-    def has_evidence(self) -> bool:
-        """Whether a point stands for its window as a log has it."""
-        return self._pooled > 0
+        self._add(x, y, span_us, seen)
 
     def evidence(self) -> Evidence:
         """What a certificate needs of it, as of now; learning on does not change it."""
@@ -264,7 +262,7 @@ class Store:
         gp = self.gp
         return Evidence(gp.kernel, gp.noise_var, gp.capacity, self.excess.copy(), places, values, spans, self._force)
 
-    def _add(self, x: F64, y: F64, span_us: Span) -> None:
+    def _add(self, x: F64, y: F64, span_us: Span, seen: Point | None) -> None:
         dropped = self._drop(x) if len(self.gp) >= self.gp.capacity else -1
         taken = bool(self.gp.add(x, y))
         if self._successor is not None:
@@ -272,9 +270,9 @@ class Store:
         if taken:
             self._age[len(self.gp) - 1] = self._next
             self._next += 1
-            if span_us == MOVED:
-                return
-            self._places[self._pooled], self._values[self._pooled], self._spans[self._pooled] = x, y, span_us
+            pooled = self._pooled
+            self._places[pooled], self._values[pooled] = seen or (x, y)
+            self._spans[pooled] = span_us
             self._pooled += 1
             if self._pooled == _THINNED:
                 self._choice = Spread(self._places[:_THINNED], _KEPT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -98,3 +99,19 @@ def test_a_vehicle_that_does_not_rise_is_stopped_after_the_first_climb(share: fl
         assert check.step(MISSION, t_s, seen) is MISSION  # type: ignore[arg-type]
     assert [reason for _, reason in stops] == ([why] if why else [])
     assert all(at_s == pytest.approx(MISSION.takeoff_end_s + 1.4, abs=2 * STEP_S) for at_s, _ in stops)
+
+
+@pytest.mark.parametrize("behind_m", [0.5, math.inf])
+def test_a_vehicle_that_a_high_climb_leaves_behind_is_stopped_before_its_end(behind_m: float) -> None:
+    """One that stood on the ground with its reference 14 m above it was left to come free at full thrust."""
+    mission = plan(load_scenario("gps-barrier"), np.zeros(3))
+    stops: list[tuple[float, str]] = []
+    check = RiseCheck(lambda reason: stops.append((t_s, reason)))
+    for tick in range(round((mission.takeoff_end_s + 3.0) / STEP_S)):
+        t_s = tick * STEP_S
+        at = np.minimum(mission.reference(t_s).pos_ned_m + behind_m, 0.0)
+        assert check.step(mission, t_s, _Seen(_Measured(at))) is mission  # type: ignore[arg-type]
+    assert [reason for _, reason in stops] == (
+        ["never flew: it rose 0.00 m where its first climb is 2.00 m high already"] if behind_m > 1.0 else []
+    )
+    assert all(float(mission.reference(at_s).pos_ned_m[2]) == pytest.approx(-2.0, abs=0.02) for at_s, _ in stops)

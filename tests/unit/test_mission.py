@@ -12,7 +12,7 @@ from shipped import load_scenario
 from flightstack.mission import Mission, plan, require_run_up
 from flightstack.types import F64, FlatOutput, InputError
 
-NAMES = ["hover", "figure8", "minimum-snap", "paper-tracking", "paper-barrier"]
+NAMES = ["hover", "figure8", "minimum-snap", "paper-tracking", "paper-barrier", "gps-barrier"]
 START = np.array([0.3, -0.7, -0.18])
 
 
@@ -60,6 +60,20 @@ def test_once_climbed_it_stays_above_40_cm_and_runs_up_without_haste(name: str) 
     climb = [mission.reference(float(t)) for t in np.arange(0.0, mission.takeoff_end_s, 0.01)]
     assert max(-p.vel_ned_mps[2] for p in climb) <= 1.2 + 1e-6
     assert max(abs(p.vel_ned_mps[0]) for p in climb) < 1e-9, "straight up"
+
+
+def test_a_high_climb_leaves_the_ground_at_once_and_turns_on_its_way() -> None:
+    """Gathering speed evenly over two seconds it is 0.5 m v / T t^2 high; one segment to 20 m is 3 cm high by then."""
+    mission = made("gps-barrier", 3.0)
+    risen = [START[2] - mission.reference(t).pos_ned_m[2] for t in (1.0, 2.0)]
+    assert risen[1] == pytest.approx(1.2, rel=1e-6)
+    assert 0.1 < risen[0] < 0.3
+    assert mission.takeoff_end_s == pytest.approx(20.0 / 1.2 + 2.0)
+    times = np.linspace(0.0, mission.takeoff_end_s, 400)
+    rates = np.array([abs(mission.reference(float(t)).yaw_rate_radps) for t in times])
+    assert rates.max() <= 0.71
+    assert rates[times < 2.0].max() < 1e-9
+    assert {mission.phase(float(t)) for t in times[:-1]} == {"takeoff"}
 
 
 def test_phases_come_in_order_and_the_track_lasts_as_long_as_the_scenario_says() -> None:
