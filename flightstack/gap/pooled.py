@@ -55,6 +55,23 @@ def _third(samples: Samples, *, first: bool) -> tuple[Mask, Mask]:
     return samples.valid & learned, samples.valid & kept
 
 
+def split_by_power(vehicle: Vehicle, flights: Sequence[Samples]) -> FitHoldoutSplit | None:
+    """The last third of each flight's squared disagreement held out; None where that is about its last third."""
+    parts, later = [], False
+    for s in flights:
+        rows = np.flatnonzero(s.valid)
+        y = compare.residual(vehicle, s)
+        noise = np.where(y.noise > 0.0, y.noise, np.inf)
+        off = np.nan_to_num(y.y[rows] / noise)[:, :6]
+        power = np.cumsum(np.sum(off**2, axis=1))
+        if not len(rows) or power[-1] <= 0.0:
+            return None
+        begin = float(s.t_s[rows[np.searchsorted(power, (1.0 - HELD_SHARE) * power[-1])]])
+        parts.append((s.valid & (s.t_s < begin - GUARD_S), s.valid & (s.t_s >= begin)))
+        later = later or begin > float(s.t_s[np.flatnonzero(_third(s, first=False)[1])[0]]) + GUARD_S
+    return FitHoldoutSplit(tuple(flights), *zip(*parts, strict=True)) if later else None
+
+
 def figures(vehicle: Vehicle, of: FitHoldoutSplit) -> Figures:
     """The held-out figures of the simulator of this vehicle."""
     return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flightstack.gap import pooled
+from flightstack.gap.concluded import concluded
 from flightstack.gap.estimator_bias import slow_error, with_bias
 from flightstack.gap.gather import untold_force
 from flightstack.gap.name import Selection
@@ -15,7 +16,6 @@ from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, Samples
 from flightstack.gap.sources import FREED
 from flightstack.gap.track import track
-from flightstack.gap.workflow import concluded
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import multiply, rotate_inverse, turned
 from tests.gap_flights import Reference, as_samples, fly, hidden, quad, wander

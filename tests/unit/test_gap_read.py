@@ -312,3 +312,36 @@ def test_a_csv_that_jumps_back_in_time_mixes_clocks(
             flight(tmp_path / "a.csv", vehicle)
     else:
         assert np.all(np.diff(flight(tmp_path / "a.csv", vehicle).signals["vel_ned_mps"].t_s) > 0.0)
+
+
+@pytest.mark.parametrize("wrong_s", [0.0, 1e6])
+def test_single_rows_with_a_wrong_time_are_left_out(tmp_path: Path, vehicle: Vehicle, wrong_s: float) -> None:
+    """A buffer that was not filled yet, or a bit that fell over: the rows round it are one clock's."""
+    times = [5.0 + 0.01 * k for k in range(600)]
+    times[200] = times[411] = wrong_s
+    rows = "\n".join(f"{t:.2f},{k},0,0" for k, t in enumerate(times))
+    (tmp_path / "a.csv").write_text(f"time_s,vel_n_mps,vel_e_mps,vel_d_mps\n{rows}\n")
+    read = flight(tmp_path / "a.csv", vehicle)
+    assert read.signals["vel_ned_mps"].value[:, 0].tolist() == [k for k in range(600) if k not in (200, 411)]
+    assert any("2 rows with a time far from both" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(
+    ("before", "header", "cell"),
+    [
+        ("# flight 3\n#\n\n", "time_s,vel_n_mps,vel_e_mps,vel_d_mps", "{:.2f},1.5,-2.5,0"),
+        ("# flight 3\n", "# time_s,vel_n_mps,vel_e_mps,vel_d_mps", "{:.2f},1.5,-2.5,0"),  # numpy.savetxt
+        ("", "time_s;vel_n_mps;vel_e_mps;vel_d_mps", "{:.2f};1.5;-2.5;0"),
+        ("\ufeff", "time_s;vel_n_mps;vel_e_mps;vel_d_mps", "{:.2f};1,5;-2,5;0"),  # decimal commas
+    ],
+)
+def test_what_spreadsheets_and_numpy_write_is_read(
+    tmp_path: Path, vehicle: Vehicle, before: str, header: str, cell: str
+) -> None:
+    lines = [cell.format(0.01 * k) for k in range(300)]
+    lines = [line.replace(".", ",") if "1,5;" in cell else line for line in lines]
+    for end in ("\n", "\r\n"):
+        (tmp_path / "a.csv").write_bytes((before + "\n".join([header, *lines]) + "\n").replace("\n", end).encode())
+        got = flight(tmp_path / "a.csv", vehicle).signals["vel_ned_mps"]
+        assert got.t_s[-1] - got.t_s[0] == pytest.approx(2.99)
+        np.testing.assert_allclose(got.value, np.tile([1.5, -2.5, 0.0], (300, 1)))

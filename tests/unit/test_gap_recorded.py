@@ -5,6 +5,7 @@ The whole workflow on all of them takes minutes: `make gap-recorded`.
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,20 @@ def test_gazebo_s_rotor_drag_is_the_simulator_s(recorded: Path) -> None:
     got = refine(believed, start, [samples], [mask], ["rotor_drag"])
     assert got is not None
     assert got.parameters["rotor_drag"]["k_d_kg_per_rad"].estimate == pytest.approx(DRAG, rel=0.05)
+
+
+def test_a_flight_that_hovers_for_two_thirds_has_its_drag_named(recorded: Path, tmp_path: Path) -> None:
+    """The first 60 % of Gazebo's flight hover for 24 of 34 s: what was learned from held no drag, so none was named."""
+    with gzip.open(recorded / "gazebo_iris_sitl_56s.csv.gz", "rt") as file:
+        lines = file.readlines()
+    log = tmp_path / "first.csv"
+    log.write_text("".join(lines[: int(0.6 * len(lines))]), "utf-8")
+    result = analyse([log], own("gazebo-iris"), columns="gazebo_iris")
+    drag = next(found for found in result.found if found.name == "rotor_drag").parameters["k_d_kg_per_rad"]
+    assert drag.low <= DRAG <= drag.high
+    assert drag.estimate == pytest.approx(DRAG, rel=0.15)
+    assert {found.name for found in result.found} <= {"rotor_drag", "payload", "thrust_scale"}
+    assert result.unexplained.significant  # most of its turning
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flightstack.gap import pooled, workflow
-from flightstack.gap.records import Figures, Samples, Unexplained
+from flightstack.gap.records import Figures, Gap, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.verdict import gap_of, unexplained
 from flightstack.vehicle import Vehicle
@@ -81,7 +81,58 @@ def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
     turned = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(significant))
     of = pooled.FitHoldoutSplit((), (), ())
     monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
-    monkeypatch.setattr(workflow, "_verdict", lambda *given: SimpleNamespace(closed=closed))
+    monkeypatch.setattr(workflow, "held_out_gap", lambda *given: SimpleNamespace(closed=closed))
     said = (SimpleNamespace(), of, None)
     got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
+    assert (got is not said) == adopted
+
+
+def hovers_until(moves_s: float) -> tuple[Samples, pooled.compare.Residual]:
+    """A flight of 30 s that is off by five times its noise once it moves."""
+    t_s = np.arange(0.0, 30.0, 0.01)
+    y = np.ones((len(t_s), 12))
+    y[t_s >= moves_s, 0] = 5.0
+    flight = cast(Samples, SimpleNamespace(t_s=t_s, valid=np.ones(len(t_s), bool)))
+    return flight, pooled.compare.Residual(y, np.ones(12), np.ones(12))
+
+
+@pytest.mark.parametrize("moves_s", [0.0, 21.0, 24.0])
+def test_what_a_flight_is_off_by_is_held_out_by_its_last_third(monkeypatch: pytest.MonkeyPatch, moves_s: float) -> None:
+    """Squares: 6 a row while it hovers, 30 once it moves; one that always moves needs no other split."""
+    flight, off = hovers_until(moves_s)
+    monkeypatch.setattr(pooled.compare, "residual", lambda *given: off)
+    of = pooled.split_by_power(cast(Vehicle, None), [flight])
+    if moves_s == 0.0:
+        assert of is None
+        return
+    assert of is not None
+    expected = moves_s + (2.0 / 3.0 * (6.0 * moves_s + 30.0 * (30.0 - moves_s)) - 6.0 * moves_s) / 30.0
+    assert flight.t_s[of.holdout[0]].min() == pytest.approx(expected, abs=0.02)
+    assert flight.t_s[of.fit[0]].max() == pytest.approx(expected - 2.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("named", "closed", "before", "adopted"),
+    [
+        (True, 0.2, 0.4, True),  # four and seven tenths of the rms: 0.96 and 0.84 of the mean square
+        (True, 0.7, 0.2, False),
+        (True, 0.2, 0.7, False),
+        (False, 0.2, 0.2, False),
+    ],
+)
+def test_what_the_last_of_the_disagreement_confirms_is_said_where_most_is_closed(
+    monkeypatch: pytest.MonkeyPatch, named: bool, closed: float, before: float, adopted: bool
+) -> None:
+    """`closed` and `before`: what is left of 1 m/s^2 over a noise of nothing, by the new split and by the first."""
+
+    def left(rms: float) -> Gap:
+        return gap_of(of_force(1.0), of_force(rms), of_force(0.0))
+
+    of = pooled.FitHoldoutSplit((), (), ())
+    told = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(True))
+    monkeypatch.setattr(workflow.pooled, "split_by_power", lambda *given: of)
+    monkeypatch.setattr(workflow, "concluded", lambda *given: (told, of, left(closed)))
+    monkeypatch.setattr(workflow, "held_out_gap", lambda *given: left(before))
+    said = (SimpleNamespace(), of, None)
+    got = workflow._split_by_what_is_off(cast(Vehicle, None), (), cast(Any, said), "")
     assert (got is not said) == adopted

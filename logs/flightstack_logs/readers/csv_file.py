@@ -5,6 +5,7 @@ The log has one table, `flight`, whose columns are signals in SI, NED and FRD; w
 
 from __future__ import annotations
 
+import codecs
 import io
 from pathlib import Path
 
@@ -47,13 +48,37 @@ _UNSORTED = 0.01
 
 
 def is_text_table(data: bytes) -> bool:
-    """Whether the first line is printable text of several fields."""
-    line = data[:65536].splitlines()[0] if data.strip() else b""
+    """Whether the header is printable text of several fields."""
+    header = _from_header(data[:65536])[0]
     try:
-        text = line.decode("utf-8-sig")
+        text = header.decode("utf-8-sig")
     except UnicodeDecodeError:
         return False
     return text.replace("\t", " ").isprintable() and _separator(text) is not None
+
+
+def _from_header(data: bytes) -> tuple[bytes, bytes]:
+    """The header's line and what follows; lines of comment before are left out.
+
+    Where numbers follow comments at once, the last of these is the header (`numpy.savetxt` writes it so).
+    """
+    line, after, comment = b"", data.removeprefix(codecs.BOM_UTF8), b""
+    while after:
+        rest = after
+        line, _, after = (part.strip(b"\r") for part in rest.partition(b"\n"))
+        if not line.startswith(b"#") and line.strip():
+            return (line, after) if not (comment and _is_number(line)) else (comment.lstrip(b"# "), rest)
+        comment = line or comment
+    return comment, after
+
+
+def _is_number(line: bytes) -> bool:
+    """Whether its first cell is one."""
+    try:
+        float(line.replace(b";", b",").replace(b"\t", b",").split(b",")[0])
+    except ValueError:
+        return False
+    return True
 
 
 def _separator(header: str) -> str | None:
@@ -105,12 +130,10 @@ def _check_motors(raw: dict[str, F64], where: str) -> None:
 
 def raw_table(data: bytes, where: str) -> tuple[dict[str, F64], list[str]]:
     """Column name -> numbers (NaN where a cell is none) and what was noticed."""
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("utf-8-sig", "replace")
-    header, _, body = text.partition("\n")
+    header, body = (part.decode("utf-8", "replace") for part in _from_header(data))
     separator = _separator(header) or ","
+    if separator == ";" and "." not in body:  # decimal commas
+        body = body.replace(",", ".")
     names = [name.strip().strip('"') for name in header.split(separator)]
     named = [name for name in names if name]
     if len(set(named)) != len(named):
@@ -156,6 +179,15 @@ def _word(cell: str) -> float:
     return {"true": 1.0, "false": 0.0}.get(cell.strip().strip('"').lower(), float("nan"))
 
 
+def _stray(t_s: F64) -> np.ndarray:
+    """Single rows (N,) whose time is far from both neighbours', which are near each other."""
+    far = _MOST_BACK * float(np.median(np.abs(np.diff(t_s)))) if len(t_s) > 1 else np.inf
+    stray = np.zeros(len(t_s), dtype=bool)
+    before, own, after = t_s[:-2], t_s[1:-1], t_s[2:]
+    stray[1:-1] = (np.abs(after - before) <= far) & (np.minimum(np.abs(own - before), np.abs(own - after)) > far)
+    return stray
+
+
 def _in_time(t_s: F64, signals: dict[str, F64], where: str) -> tuple[np.ndarray, dict[str, F64], list[str]]:
     """Rows in ascending order of time, each time once; InputError where there is no time to speak of."""
     notes = []
@@ -165,6 +197,10 @@ def _in_time(t_s: F64, signals: dict[str, F64], where: str) -> tuple[np.ndarray,
     if not good.all():
         notes.append(f"{int(np.sum(~good))} rows without a time were left out")
     kept = np.flatnonzero(good)
+    stray = _stray(t_s[kept])
+    if 0 < stray.sum() < _UNSORTED * len(kept):
+        notes.append(f"{int(stray.sum())} rows with a time far from both neighbours' were left out")
+        kept = kept[~stray]
     backwards = int(np.sum(np.diff(t_s[kept]) < 0.0))
     if backwards:
         usual = float(np.median(np.abs(np.diff(t_s[kept]))))
