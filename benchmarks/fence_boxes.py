@@ -21,11 +21,11 @@ from flightstack.cli import files
 from flightstack.cli.controllers import build
 from flightstack.mission import plan
 from flightstack.seams import NoFilter
-from flightstack.site import backup
+from flightstack.site import backup, bend, slide
 from flightstack.site.clearance import clear_of
 
 _LAPS, _SMOOTH_M = 3, 0.1
-_LEAST_GAIN, _HEIGHT_M = 0.84, 1.6
+_LEAST_GAIN, _HEIGHT_M, _STEP_S = 0.84, 1.6, 0.02
 _FASTEST_MPS = 4.0
 
 
@@ -66,14 +66,20 @@ def flight_of(box: Box, seed: int, folder: Path, given: Path | None = None) -> F
 
 
 def is_deep_inside(flight: FenceFlight) -> bool:
-    """Whether the way out from every point of the reference, and what smoothness needs, is clear."""
+    """Whether the way out from every point of the reference is clear, and nothing of it is bent to be smooth."""
     made, score = flight.plan_of.certificate, flight.score
-    row, half = made.rows[made.row_of(_LEAST_GAIN)], made.halves()[1]
+    row, half, soft = made.rows[made.row_of(_LEAST_GAIN)], made.halves()[1], made.soft[made.row_of(_LEAST_GAIN)]
     points, way = np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
-    for t_s in np.arange(flight.mission.track_start_s, flight.mission.track_end_s, 0.05).tolist():
-        at = flight.mission.reference(t_s).row
+    memory, near, bent = np.zeros(bend.SIZE), np.zeros((slide.MOST_ROWS, 6)), np.zeros(17)
+    for t_s in np.arange(flight.mission.track_start_s, flight.mission.track_end_s, _STEP_S).tolist():
+        at = flight.mission.reference(t_s).row.copy()
+        at[:3] -= flight.origin
+        if memory[bend.KNOWN] == 0.0:
+            bend.begin(memory, at, np.zeros(3))
+        if bend.bend(memory, score.packed, soft, at, _STEP_S, near, way, bent):
+            return False
         start = np.zeros(backup.ROW)
-        start[:3] = at[:3] - flight.origin
+        start[:3] = at[:3]
         start[3:9], start[9:11], start[11:13] = at[3:9], at[9:11], at[9:11]
         count = backup.roll(start, row, half, points, way)
         way[:, 3:] += _SMOOTH_M

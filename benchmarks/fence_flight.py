@@ -46,7 +46,7 @@ from flightstack_sim.simulated_vehicle import simulated_vehicle
 NOMINAL, THROUGH, PUSH, DITHER, RANDOM = "nominal", "through", "push", "dither", "random"
 _REST_TICKS = 250
 _UNSLID_S = 0.05
-_TURNED_S = 1.5
+_TURNED_S, _JAMMED = 1.5, 50.0
 
 
 @dataclass(slots=True)
@@ -63,6 +63,10 @@ class Attack:
     turns: bool = False
     """Instead it is against the velocity until a way out is followed, and along it from then on: what the observer has
     seen is wrong by twice the force, just where braking leaves least to catch up with."""
+    jams: bool = False
+    """Once a way out is followed, all of the rates are asked for, outwards: nothing of such a command is let through,
+    so that the way is followed on, and the loop can be driven for as long as it takes; with `turns` the force is along
+    the velocity from then on."""
     knows: bool = False
     """Instead as `turns`, but while a way out is followed it takes the course that a search of the model finds to drive
     the loop furthest from that way, searched anew from the true state every 0.2 s."""
@@ -121,7 +125,7 @@ class Adversary:
     ) -> tuple[Any, Proposal]:
         """The inner controller's proposal, and what the attack makes of it."""
         state, proposal = self.inner.step(state, measurement, reference, learned, sent, now_us)
-        if not self.on or self.attack.kind in (NOMINAL, THROUGH):
+        if not self.on or self.kind in (NOMINAL, THROUGH):
             return state, proposal
         if self.time_s > self.until_s:
             self._turn()
@@ -136,6 +140,12 @@ class Adversary:
             rate += self.size * np.sign(np.sin(2.0 * math.pi * self.hz * self.time_s + np.array([0.0, 1.5, 0.7])))
         np.clip(rate, -self.rate_max, self.rate_max, out=rate)
         return state, dataclasses.replace(proposal, row=row, thrust_n=thrust)
+
+    def jam(self, place_ned_m: F64) -> None:
+        """All of the rates outwards, for ever; the place is relative to the start."""
+        if self.kind != PUSH or self.until_s < math.inf:
+            self.kind, self.until_s, self.push = PUSH, math.inf, 0.0
+            self.lean = _JAMMED * place_ned_m[:2] / max(float(np.linalg.norm(place_ned_m[:2])), 1e-6)
 
     def _turn(self) -> None:
         """Another way to push, for a while."""
@@ -301,10 +311,11 @@ class FenceFlight:
         self.vehicle.plant.set_effect("constant_force", values)
 
     def _turned_way(self, time_s: float) -> F64:
-        """Against the velocity; once a way is followed along what it was then, for a second and a half."""
+        """Against the velocity; once a way is followed along what it was then, for a second and a half, or (`jams`)
+        along what it is."""
         vel: F64 = self.vehicle.plant.vel_ned_mps * np.array([1.0, 1.0, 0.0])
         followed = bool(self.timed.numbers[KEPT] > 0.0)
-        self._wind_until_s = time_s + (_TURNED_S if followed else 0.02)
+        self._wind_until_s = time_s + (_TURNED_S if followed and not self.attack.jams else 0.02)
         return vel if followed else -vel
 
     def _drawn_way(self, time_s: float) -> F64:
@@ -323,6 +334,8 @@ class FenceFlight:
             self.adversary.time_s = time_s
             if self.adversary.on:
                 self._blow(time_s)
+                if self.attack.jams and self.timed.numbers[KEPT] > 0.0:
+                    self.adversary.jam(self.vehicle.plant.pos_ned_m - self.start_ned_m)
             if self._count % self.world.period_ticks == 0:
                 record = self._tick(time_s, now_us)
                 self._judge(out, record, time_s, keep)

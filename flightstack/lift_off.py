@@ -16,6 +16,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from flightstack.types import STANDARD_GRAVITY_MPS2, Command, Measurement
 
 _FELT_MPS = 0.15
@@ -49,4 +51,4 @@ class LiftOff(NamedTuple):
 
     def of(self, command: Command) -> Command:
         """The command without its rates while the vehicle stands."""
-        return command._replace(rate_frd_radps=0.0 * command.rate_frd_radps) if self.stands else command
+        return command._replace(rate_frd_radps=np.zeros(3)) if self.stands else command

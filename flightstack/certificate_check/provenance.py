@@ -5,7 +5,7 @@
                 certificate that the log itself ends with
     points      each x and y is the mean of the samples of its own window, to 1e-9; no two windows overlap
     noise       stated with the windows' own colour (`confidence`), at least the lower limit of what all windows show
-    windows     all windows from the first that is named on, not only those chosen, miss mean -+ 3 sigma no more often
+    windows     all windows from a store's first on, not only those chosen, miss mean -+ 3 sigma no more often
                 than 1 % can explain
     lag, delay  some pair within the doubts of both (the lag's and half a tick) explains the force's fast part as well
                 as the best of all pairs does: as one in 40 true ones does not, by chi squared of two.  Below 0.2 m/s^2
@@ -201,9 +201,9 @@ def all_windows(found: DerivedSamples, from_us: int) -> tuple[F64, F64, NDArray[
 
 def _check_windows(known: StatedKnowledge, found: DerivedSamples) -> list[str]:
     """Noise and misses of all windows."""
-    lines, start = [], min(int(store.windows_us.min()) for store in known.stores)
-    x, y, last = all_windows(found, start)
+    lines = []
     for name, store, columns in zip(("lateral", "vertical"), known.stores, (slice(0, 2), slice(2, 3)), strict=True):
+        x, y, last = all_windows(found, int(store.windows_us.min()))
         mean, variance, _ = posterior(store.spec, store.x, store.y, store.lower, x, name)
         error = y[:, columns] - mean
         steady = error - store.drifted(found.t_us[last])

@@ -18,7 +18,8 @@ from .intervals import F64
 from .left import Loop, Way, laid_out, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
-SCHEMA = "flightstack.stopping/5"
+_KIND = "flightstack.stopping/"
+SCHEMA = f"{_KIND}5"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
@@ -51,8 +52,8 @@ _TOP = (
 
 
 def is_stopping(text: str) -> bool:
-    """Whether a text looks like one."""
-    return SCHEMA in text[:400]
+    """Whether a text looks like one, of whatever version."""
+    return _KIND in text[:400]
 
 
 def check_stopping(text: str) -> list[str]:
@@ -61,6 +62,11 @@ def check_stopping(text: str) -> list[str]:
         said = json.loads(text)
     except (ValueError, RecursionError):
         raise Unreadable("not valid JSON") from None
+    if isinstance(said, dict) and said.get("schema") != SCHEMA:
+        schema = str(said.get("schema"))[:40]
+        raise Unreadable(
+            f'schema is "{schema}", not "{SCHEMA}": make the certificate of a stop anew with certify --site'
+        )
     top = table_of(said, _TOP, "certificate")
     low, high, force_g = numbers(top["prior"], ("mass_low", "mass_high", "force_g"), "prior")
     if not (0.3 <= low <= high <= 3.0 and 0.0 <= force_g <= 1.0):

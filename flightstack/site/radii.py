@@ -29,8 +29,8 @@ _LEANT = (
 _TURNING = (
     (2.0, 1.2, 2.8, 4.5, 0.3), (3.0, 0.9, 3.3, -21.5, 5.0), (4.0, -2.9, 4.2, 19.6, -5.2),
     (1.5, -2.9, -1.2, 24.2, 0.2), (6.0, -0.8, -1.3, 7.4, -15.7), (4.0, -4.4, -1.6, -5.8, 0.2),
-    (3.0, 6.1, -2.9, -2.3, -22.4), (6.0, 4.3, 3.2, -16.8, 13.2), (3.0, 4.8, -3.0, -10.0, -8.2),
-    (4.0, 4.2, -5.5, 3.1, 17.5), (1.5, 0.7, -2.9, -0.9, -5.4),
+    (3.0, 4.8, -3.0, -10.0, -8.2), (1.5, 0.7, -2.9, -0.9, -5.4), (1.5, -4.5, 1.2, 22.3, 8.7),
+    (6.0, -3.8, -0.6, 12.7, -10.5), (5.0, 0.0, 0.0, 13.3, 4.3),
 )  # fmt: skip
 """Ways whose worst is searched for, with little motion at first, with more, leaning, and turning: speed north, lean
 north, east, how fast that turns north, east."""
@@ -71,6 +71,7 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
         most = max(found[-1, 1], rest, *much)
         per_lean = max(found[-1, 2], _per_lean(rows[at], (rest, most), leant))
         found[at] = rest, most, per_lean, max(found[-1, 3], _per_turn(rows[at], (rest, most, per_lean), turning))
+    found[:, 3] = found[:, 3].max()  # drawn ways of the lightest need what the heaviest's do
     rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
     return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
 
