@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -195,18 +196,32 @@ def gain(state: SelectionState, made: Estimates, effect: str) -> float:
     return lost / max(whole + 1e-9, lost, 1e-9)
 
 
-def prefers_time_trend(state: SelectionState, made: Estimates) -> bool:
-    """Whether a thrust that only drifts with time explains the flights better than the battery's voltage does."""
+def better_as_drift(state: SelectionState, made: Estimates) -> tuple[str, ...]:
+    """The battery's sag, and what leans on it, where a thrust that only drifts with time explains the flights better.
+
+    A sag that a drift passes for may have brought a curve and a payload with it to bend the voltage's way into the
+    drift's, so each of the other names may go with it.
+    """
     layout = state.point.layout
     thrust = state.bench.columns(made.vehicle, [FreeParameter("thrust_scale", "scale")])
-    drift = [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
-    sag = [i for i, (e, _) in enumerate(made.slots) if e == "battery_sag"]
-    others = [i for i in range(len(made.slots)) if i not in sag]
-    without = made.rows + made.x[:, sag] @ parameter_change(state, made)[sag]
-    k, b = state.metric.normal(np.hstack([layout.stack(drift), made.x[:, others]]), without)
-    explained = state.metric.chi2(without) - float(b @ np.linalg.lstsq(k, b, rcond=1e-10)[0])
-    price = np.log(max(float(state.metric.rows.sum()), 2.0))  # a drift begins somewhere: a coefficient more
-    return explained + float(price) < state.metric.chi2(made.rows)
+    drift = layout.stack(
+        [np.concatenate([np.nan_to_num(x), _along(len(x)) * np.nan_to_num(x)], axis=2) for x in thrust]
+    )
+    without = made.rows + made.x @ parameter_change(state, made)
+    k, b = state.metric.normal(np.hstack([drift, made.x]), without)
+    whole = state.metric.chi2(without)
+    price = np.log(max(float(state.metric.rows.sum()), 2.0))
+    others = [name for name in dict.fromkeys(effect for effect, _ in made.slots) if name != "battery_sag"]
+    best = state.metric.chi2(made.rows) + price * len(made.slots)
+    gone: tuple[str, ...] = ()
+    for size in range(len(others) + 1):
+        for leaning in combinations(others, size):
+            away = {"battery_sag", *leaning}
+            used = [0, 1] + [2 + i for i, (effect, _) in enumerate(made.slots) if effect not in away]
+            explained = float(b[used] @ np.linalg.lstsq(k[np.ix_(used, used)], b[used], rcond=1e-10)[0])
+            if (score := whole - explained + price * len(used)) < best:
+                best, gone = score, ("battery_sag", *leaning)
+    return gone
 
 
 def _along(count: int) -> F64:

@@ -27,7 +27,7 @@ from flightstack.gap.compare import residual
 from flightstack.gap.decisions import FICKLE_P, GAP_FROM, LEAST_GAIN, NAME_EVIDENCE, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.identify import Identifiable, identify
-from flightstack.gap.judge import Judged, evidence, judge, parameters_of, prefers_time_trend, pruned
+from flightstack.gap.judge import Judged, better_as_drift, evidence, judge, parameters_of, pruned
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
 from flightstack.gap.naming.candidates import plausible
@@ -283,9 +283,9 @@ def name(
     doubtful = {e for group in told for e in _confounded_terms(state, judged, rests, group)}
     left = unexplained(above_noise(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and prefers_time_trend(state, judged.estimates):
+    if sagging and (drifting := better_as_drift(state, judged.estimates)):
         names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
-        doubtful |= set(names[names.index("battery_sag") :])
+        doubtful |= {*drifting, *names[names.index("battery_sag") :]}
         left = Unexplained(True, ("time", "battery"), 1.0)
     doubtful |= {f.name for f in judged.found if all(confounded_with_attitude(s, f.name) for s in bench.flights)}
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
