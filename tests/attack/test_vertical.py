@@ -28,4 +28,4 @@ def test_dither_timed_or_not_does_not_take_it_out(vertical: int, wave: int, gate
     strategy = Strategy(
         1.6, 1.6, 0.0, 10.8, 1.0, 1.57, wave, gate_h, INNER, vertical, 0.3, 8.0, 1.3, 0.0, 0.0, 4, 1.0, 0.0, together
     )  # fmt: skip
-    held(attacked(World(0, scenario="paper-barrier", wind_g=(0.0, 0.0, 0.05)), 1, strategy), may_break=SPEED_ACROSS)
+    held(attacked(World(0, scenario="paper-barrier", wind_g=(0.0, 0.0, 0.05)), 4, strategy), may_break=SPEED_ACROSS)
