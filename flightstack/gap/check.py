@@ -63,9 +63,8 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     if span is None:
         findings.append(_not_flying(flight.kind))
         return Checked(flight, None, tuple(findings), ())
-    signals, spikes = quality.without_spikes(signals, span)
     signals, more = conventions.settle(signals, span)
-    findings += [*spikes, *more, *judge_rates(signals, span, flight.kind)]
+    findings += [*more, *judge_rates(signals, span, flight.kind)]
     offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)

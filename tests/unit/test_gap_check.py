@@ -469,21 +469,3 @@ def _stood_before(log: Flight, seconds: float) -> Flight:
         signals[name] = Signal(np.concatenate([before, each.t_s + seconds]), np.concatenate([stood, each.value]), name)
     signals["landed"] = Signal(np.array([0.0, seconds]), np.array([1.0, 0.0]), "landed")
     return replace(log, signals=signals)
-
-
-def _spiky(name: str, size: float) -> Callable[[Flight], Flight]:
-    def spoil(log: Flight) -> Flight:
-        value = log.signals[name].value.copy()
-        rng = np.random.default_rng(5)
-        value[rng.choice(len(value), 6, replace=False), 0] += size * rng.choice([-1.0, 1.0], 6)
-        return with_signal(log, name, value)
-
-    return spoil
-
-
-@pytest.mark.parametrize(("name", "size"), [("accel_frd_mps2", 500.0), ("vel_ned_mps", 1e6), ("rate_frd_radps", 1e3)])
-def test_single_samples_that_no_flight_makes_are_left_out(name: str, size: float) -> None:
-    spoilt = check(_spiky(name, size)(flight()), vehicle())
-    found = [each.text for each in spoilt.findings if each.name == "spikes"]
-    assert found == [f"{name}: 6 single samples that no flight makes are left out"]
-    assert usable(spoilt).noise[name] == pytest.approx(NOISE[name], rel=0.08)

@@ -9,7 +9,6 @@ import numpy as np
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
-from flightstack.gap.decisions import EDGE_S
 from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -28,42 +27,6 @@ _MOTOR_UNITS = {
     "16-bit numbers": (-1.0, 65536.0, 0.0, 65535.0),
 }
 """Name -> least, greatest value that it takes, value at command 0, at command 1."""
-_MOVING = ("accel_frd_mps2", "rate_frd_radps", "vel_ned_mps", "pos_ned_m")
-_SPIKE_SPREADS, _SPIKE_RANGES = 30.0, 3.0
-"""By which a sample is off its neighbours: so many times what others are, and the span of nearly all, in any unit."""
-_SPIKE_OF = 5
-"""Samples, of whose median one is off."""
-_TRUSTED = 0.01
-"""Share of samples that may be spikes of a good sensor."""
-
-
-def without_spikes(
-    signals: Mapping[str, Signal], span_s: tuple[float, float]
-) -> tuple[dict[str, Signal], list[Finding]]:
-    """Single samples of the flight that none makes (a lost bit, a sentinel of 1e6) are left out; many are kept.
-
-    Samples 20 ms apart and more may show something that lasts for one of them, and the ground knocks.
-    """
-    out, findings = dict(signals), []
-    for name in _MOVING:
-        signal = out.get(name)
-        if signal is None or len(signal.t_s) < 10 * _SPIKE_OF or period_s(signal) >= 1.0 / _RAW_HZ:
-            continue
-        low, high = np.quantile(signal.value, (2.0 * _TRUSTED, 1.0 - 2.0 * _TRUSTED), axis=0)
-        least = _SPIKE_RANGES * (high - low)
-        if not np.any(np.abs(np.diff(signal.value, axis=0)) > least):
-            continue
-        half = _SPIKE_OF // 2
-        padded = np.pad(signal.value, ((half, half), (0, 0)), mode="edge")
-        middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _SPIKE_OF, axis=0), axis=-1)
-        off = np.abs(signal.value - middle)
-        wrong = np.any((off > least) & (off > _SPIKE_SPREADS * np.median(off, axis=0)), axis=1)
-        wrong &= (signal.t_s > span_s[0] + EDGE_S) & (signal.t_s < span_s[1] - EDGE_S)
-        if 0 < wrong.sum() <= _TRUSTED * len(wrong):
-            out[name] = Signal(signal.t_s[~wrong], signal.value[~wrong], signal.source)
-            text = f"{name}: {int(wrong.sum())} single samples that no flight makes are left out"
-            findings.append(warning("spikes", text))
-    return out, findings
 
 
 def settle_battery(signals: Mapping[str, Signal], vehicle: Vehicle) -> tuple[dict[str, Signal], list[Finding]]:
