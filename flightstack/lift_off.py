@@ -1,9 +1,10 @@
-"""When a vehicle that began at rest on the ground has left it: before that nothing is to turn.
+"""When a vehicle that began at rest on the ground has left it: before that it is to turn gently only.
 
 Held by the ground a vehicle can't turn as it is told, so that an autopilot's rate loop winds up: one rotor ends at its
 limit and takes the collective with it (PX4 lowers that for the sake of torque), and the vehicle tips over, or stands
-until it comes free at full thrust.  PX4's own take-off avoids corrections until it flies, too.  So rates are commanded
-as zero until
+until it comes free at full thrust.  PX4's own take-off avoids corrections until it flies, too.  None at all would let
+wind carry a vehicle off that is nearly as light as it pushes.  So each rate is at most 0.5 rad/s (of which PX4's
+default gains make an eighth of the range of torque in half a second) until
 
     the upward acceleration felt, less its slow mean, adds up to 0.15 m/s, forgotten within half a second, or
     the estimate moves at 0.5 m/s
@@ -25,6 +26,7 @@ _FELT_MPS = 0.15
 _MOVING_MPS = 0.5
 """Six deviations of what the GPS grade states."""
 _FORGOTTEN_S = 0.5
+GENTLE_RADPS = 0.5
 _SLOW_S = 2.0
 _DT_MAX_S = 0.05
 
@@ -50,5 +52,8 @@ class LiftOff(NamedTuple):
         return LiftOff(True, felt, self.level_mps2 + dt_s / _SLOW_S * (up_mps2 - self.level_mps2))
 
     def of(self, command: Command) -> Command:
-        """The command without its rates while the vehicle stands."""
-        return command._replace(rate_frd_radps=np.zeros(3)) if self.stands else command
+        """The command with gentle rates while the vehicle stands."""
+        rate = command.rate_frd_radps
+        if not self.stands or float(np.abs(rate).max()) <= GENTLE_RADPS:
+            return command
+        return command._replace(rate_frd_radps=np.clip(rate, -GENTLE_RADPS, GENTLE_RADPS))

@@ -106,7 +106,7 @@ class Stack:
         """State at the start: nothing is corrected, learned or carried beyond the weight.
 
         `origin_ned_m` (3,): where the flight began, if that is better known than from this one measurement; `stands`:
-        at rest on the ground, where nothing is to turn before it flies.
+        at rest on the ground, where it turns gently only before it flies.
         """
         weight = self.model.weight_n
         sent = Command(measurement.t_us, weight, self.model.norm_of(weight), np.zeros(3))
