@@ -144,7 +144,7 @@ class RecursiveGP:
         self._query[:] = x
         self._value[:] = y
         leaving, self._leaving = self._leaving, -1
-        taken = bool(update.enter(*self._arrays, leaving))
+        taken = bool(update.ENTER.call(*self._arrays, leaving))
         self._count += taken and self._count < self.capacity
         return int(taken)
 
@@ -173,7 +173,7 @@ class RecursiveGP:
             if self._leaving >= 0:
                 self._settle()
             self._query[:] = x
-            update.predict(*self._arrays)
+            update.PREDICT.call(*self._arrays)
             answer = self._answer.copy()
             return answer[: self.output_dim], answer[self.output_dim :]
         xs = np.asarray(x, np.float64)
@@ -193,7 +193,7 @@ class RecursiveGP:
             self._settle()
         self._query[:] = self._shaped(x, self._x_shape, "x")
         self._rate[:] = self._shaped(x_rate, self._x_shape, "x_rate")
-        update.predict_along(self._rows, self._state, self._real)
+        update.ALONG.call(self._rows, self._state, self._real)
         answer = self._answer.copy()
         return answer[: self.output_dim], answer[self.output_dim :]
 

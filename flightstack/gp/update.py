@@ -25,7 +25,7 @@ from flightstack.gp import program, store
 from flightstack.gp.panel import multiply, update_multiply
 from flightstack.gp.rebuild import rebuild
 from flightstack.gp.store import I64
-from flightstack.jit import njit, njit_called
+from flightstack.jit import Entry, njit, njit_called
 from flightstack.types import F64
 
 _LEAST_PIVOT = 0.5
@@ -264,3 +264,8 @@ def least_covariant(rows: F64, state: I64, real: F64) -> int:
         if abs(k[place]) < abs(k[other]) or (abs(k[place]) == abs(k[other]) and entered[place] < entered[other]):
             best = i
     return best
+
+
+PREDICT = Entry(predict, "f8[:, ::1], f8[:, ::1], i8[::1], f8[::1]")
+ALONG = Entry(predict_along, "f8[:, ::1], i8[::1], f8[::1]")
+ENTER = Entry(enter, "f8[:, ::1], f8[:, ::1], i8[::1], f8[::1], i8")
