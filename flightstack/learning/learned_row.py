@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.learning import sampler as s
 from flightstack.learning.store import INFLATION
 from flightstack.rows import (
@@ -162,3 +162,11 @@ def assemble(
         row[22 + i] = rate_sigma[i]
     row[L_POINTS], row[L_FED], row[L_REFUSED], row[L_CHANGES], row[L_SURPRISE] = points, fed, refused, changes, surprise
     relax(row, limits[_JERK], fed_forward)
+
+
+WEIGHED = Entry(weighed, "f8[::1], f8, f8[::1], UniTuple(f8[::1], 2), f8[::1], UniTuple(f8[::1], 2), f8[::1]")
+ASSEMBLE = Entry(
+    assemble,
+    "f8[::1], f8[:, ::1], f8[:, ::1], f8, f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1], i8, f8[::1], f8[::1], "
+    "i8, i8, i8, i8, f8, f8[::1], f8, f8[::1]",
+)

@@ -29,7 +29,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from flightstack.learning import sampler as s
-from flightstack.learning.learned_row import SLOPE, assemble, calibrated, weighed
+from flightstack.learning.learned_row import ASSEMBLE, SLOPE, WEIGHED, calibrated
 from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import INFLATION, Evidence, Point, Relevance, Store
@@ -182,10 +182,11 @@ class LearnerState:
     def weigh(self, most: float) -> bool:
         """Both calibrated variances for this posterior; whether the sample may be learned from (`fits`)."""
         lateral, vertical = self.lateral, self.vertical
-        return weighed(
+        fit: bool = WEIGHED.call(
             self.sample, most, self.posterior, (lateral.excess, vertical.excess), self.variance,
             (lateral.calm_excess, vertical.calm_excess), self.calm_variance,
         )  # fmt: skip
+        return fit
 
 
 class GpLearner:
@@ -242,7 +243,7 @@ class GpLearner:
         elif state.steps % _GAIN_EVERY == 1:
             _look_at_gain(state)
         row, carry_s = np.empty(33), 1e-6 * (measurement.t_us - state.forward_us)
-        assemble(
+        ASSEMBLE.call(
             self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
             state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,
             state.refused, state.changes, state.watch.surprise, state.fed_forward, state.usual_thrust, row,

@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from flightstack.frames import quat_to_matrix
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.learning import asked
 from flightstack.model import Model
 from flightstack.rows import VEL_D
@@ -109,13 +109,10 @@ class Sampler:
 
     def __init__(self, model: Model, away_m: float = AWAY_M) -> None:
         """`away_m`: so far from the place of take-off, as estimated, samples begin."""
-        self._constants = np.array(
-            [
-                model.mass_kg, model.max_thrust_n, model.thrust_model_factor, max(model.motor_lag_s, 1e-4),
-                max(model.rate_lag_s, 1e-4), *model.drag_kgps, model.rotor_radius_m, model.transport_delay_s,
-                away_m,
-            ]
-        )  # fmt: skip
+        m = model
+        lags_s = max(m.motor_lag_s, 1e-4), max(m.rate_lag_s, 1e-4)
+        row = m.mass_kg, m.max_thrust_n, m.thrust_model_factor, *lags_s, *m.drag_kgps, m.rotor_radius_m
+        self._constants = np.array([*row, m.transport_delay_s, away_m])
 
     def init(self) -> F64:
         """State before the first measurement."""
@@ -127,7 +124,7 @@ class Sampler:
 
     def step(self, memory: F64, measurement: Measurement, sent: Command, out: F64) -> None:
         """One sample into `out` (SAMPLE,): OK is 0 where it is not fit to learn from."""
-        _sample(
+        _SAMPLED.call(
             self._constants, memory, measurement.row, sent.rate_frd_radps, float(sent.thrust_norm),
             (sent.t_us * 1e-6, measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6), out,
         )  # fmt: skip
@@ -143,7 +140,7 @@ class Sampler:
         thrust axis; one fixed-point step a tick, from the tick before, follows it.  The thrust columns of
         out[0] are 0 and (R / 4h)^2: per unit of thrust; those of out[1] are 0 and its derivative.
         """
-        _at_reference(self._constants, memory, reference.row, learned, out)
+        _REFERENCE.call(self._constants, memory, reference.row, learned, out)
 
 
 @njit
@@ -397,3 +394,7 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
     out[1, THRUST] = 0.0
     out[0, GROUND] = near
     out[1, GROUND] = 2.0 * near * reference[VEL_D] / height if height > 0.5 * constants[_C_ROTOR_RADIUS] else 0.0
+
+
+_SAMPLED = Entry(_sample, "f8[::1], f8[::1], f8[::1], f8[::1], f8, UniTuple(f8, 3), f8[::1]")
+_REFERENCE = Entry(_at_reference, "f8[::1], f8[::1], f8[::1], f8[::1], f8[:, ::1]")

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.learning import sampler as s
 from flightstack.types import F64
 
@@ -62,7 +62,7 @@ class Watch:
 
     def step(self, sample: F64, expected: F64, variance: F64) -> int:
         """A fit sample against what was expected (3,) with this calibrated variance (3,): which alarm it raises."""
-        alarm, self.surprise = _step(self._row, sample, expected, variance, self.alarm_sigmas, self.error)
+        alarm, self.surprise = _STEP.call(self._row, sample, expected, variance, self.alarm_sigmas, self.error)
         return int(alarm)
 
     def reset(self) -> None:
@@ -137,3 +137,6 @@ def _step(
     for j in range(_SUMMED):
         row[_W_SUMS + j] += sample[s.S_INPUT + j]
     return alarm, surprise
+
+
+_STEP = Entry(_step, "f8[::1], f8[::1], f8[::1], f8[::1], f8, f8[::1]")
