@@ -61,6 +61,8 @@ def _climbed(height_m: float, beside: str = "") -> Callable[[Scene], None]:
 
     def deed(scene: Scene) -> None:
         _begin(scene, height_m, beside=beside)
+        scene.wait(lambda: _lifting(scene), LIMIT_S)
+        scene.began_s = time.monotonic()
         scene.wait(lambda: scene.ended, _FLOWN_S)
         if max(each.up_m for each in scene.px4.truth) < 0.8 * height_m:
             scene.notes.append("did not climb")
