@@ -7,16 +7,18 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from flightstack.types import InputError, Tuple3
 
+_MOST_SHOWN = 200
+
 
 def load_toml(text: str, source: str, schema: str, known: Iterable[str]) -> dict[str, object]:
     """The top table of a TOML text, its schema and its keys checked."""
     try:
         data: dict[str, object] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # tomllib's own, and Python's for a number of thousands of digits
         raise InputError(f"{source}: not valid TOML: {error}") from None
     only(data, ("schema", *known), source)
     if data.get("schema") != schema:
-        raise InputError(f'{source}: schema = {data.get("schema")!r} is not known; this version reads "{schema}"')
+        raise InputError(f'{source}: schema = {shown(data.get("schema"))} is not known; this version reads "{schema}"')
     return data
 
 
@@ -32,7 +34,7 @@ def table(data: Mapping[str, object], key: str, source: str) -> Mapping[str, obj
     """A table under `key`; empty where it is absent."""
     value = data.get(key, {})
     if not isinstance(value, Mapping):
-        raise InputError(f"{source}: {key} = {value!r} must be a table")
+        raise InputError(f"{source}: {key} = {shown(value)} must be a table")
     return value
 
 
@@ -40,14 +42,14 @@ def number(value: object, where: str, minimum: float, maximum: float) -> float:
     """A finite number within its range, both ends included."""
     number_like = isinstance(value, int | float) and not isinstance(value, bool)
     if not number_like or not minimum <= value <= maximum:  # type: ignore[operator]
-        raise InputError(f"{where} = {_shown(value)} is not allowed; it must be a number in {minimum:g} to {maximum:g}")
+        raise InputError(f"{where} = {shown(value)} is not allowed; it must be a number in {minimum:g} to {maximum:g}")
     return float(value)  # type: ignore[arg-type]
 
 
 def vector(value: object, where: str, minimum: float, maximum: float) -> Tuple3:
     """Three numbers (north, east, down), each within the range."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
-        raise InputError(f"{where} = {_shown(value)} must be a list of 3 numbers, each {minimum:g} to {maximum:g}")
+        raise InputError(f"{where} = {shown(value)} must be a list of 3 numbers, each {minimum:g} to {maximum:g}")
     n, e, d = (number(part, where, minimum, maximum) for part in value)
     return n, e, d
 
@@ -55,9 +57,14 @@ def vector(value: object, where: str, minimum: float, maximum: float) -> Tuple3:
 def words(value: object, where: str) -> str:
     """A line of printable text."""
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise InputError(f"{where} = {_shown(value)} must be a line of text")
+        raise InputError(f"{where} = {shown(value)} must be a line of text")
     return value
 
 
-def _shown(value: object) -> str:
-    return "missing" if value is None else repr(value)
+def shown(value: object) -> str:
+    """A value as an error line has it: its beginning."""
+    try:
+        text = "missing" if value is None else repr(value)
+    except ValueError:
+        text = "a number of thousands of digits"
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -45,6 +45,26 @@ def ulog(
     for t_us, severity, text in lines:
         out += _message("L", struct.pack("<BQ", ord("0") + severity, t_us) + text.encode())
     return out
+
+
+def as_logged(data: bytes, stamp_us: Callable[[str, int], int]) -> bytes:
+    """A ULog of `ulog` with its messages in order of time, as a logger writes them; then each is stamped anew.
+
+    `stamp_us`: topic and true time -> what the message says.
+    """
+    at, head, rows, names = 16, data[:16], [], {}
+    while at < len(data):
+        size, kind = struct.unpack_from("<HB", data, at)
+        body, at = data[at + 3 : at + 3 + size], at + 3 + size
+        if kind == ord("D"):
+            rows.append((*struct.unpack_from("<HQ", body), body[10:]))
+        else:
+            head += struct.pack("<HB", size, kind) + body
+        if kind == ord("A"):
+            names[struct.unpack_from("<H", body, 1)[0]] = body[3:].decode()
+    rows.sort(key=lambda row: row[1])
+    parts = [_message("D", struct.pack("<HQ", k, stamp_us(names[k], t)) + rest) for k, t, rest in rows]
+    return head + b"".join(parts)
 
 
 def px4_flight(signals: Mapping[str, np.ndarray], t_us: np.ndarray, parameters: Mapping[str, float]) -> bytes:

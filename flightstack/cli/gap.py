@@ -73,6 +73,8 @@ def show_gap(result: GapResult, out: Path) -> None:
         for finding in log.findings:
             if finding.level != "ok":
                 table.add_row("data", escape(f"{log.name}: {finding.text}"))
+        for note in log.notes:
+            table.add_row("data", escape(f"{log.name}: {note}"))
     for found in result.found:
         shown = ", ".join(words.parameter(found, name) for name in found.parameters)
         table.add_row("effect", escape(f"{found.name}: {shown}"))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.checked import load_toml, number, only
+from flightstack.checked import load_toml, number, only, shown
 from flightstack.geodesy import LocalFrame
 from flightstack.site.shape import FAR_M, MOST_EDGES, KeepOut, Site, checked
 from flightstack.types import F64, InputError
@@ -43,7 +43,7 @@ def _from_toml(text: str, source: str) -> Site:
     data = load_toml(text, source, SCHEMA, known)
     frame = data.get("frame", "local")
     if frame not in ("local", "global"):
-        raise InputError(f'{source}: frame = {frame!r} is not known; it must be "local" or "global"')
+        raise InputError(f'{source}: frame = {shown(frame)} is not known; it must be "local" or "global"')
     keep_outs = data.get("keep_out", [])
     if not isinstance(keep_outs, list):
         raise InputError(f"{source}: keep_out must be a list of tables: [[keep_out]]")
@@ -81,7 +81,7 @@ def _keep_out(value: object, name: str, source: str) -> KeepOut:
         return KeepOut(name, _corners(value["polygon"], f"{where}.polygon"), floor_m=floor, ceiling_m=ceiling)
     centre = value["centre"]
     if not isinstance(centre, Sequence) or isinstance(centre, str) or len(centre) not in (2, 3):
-        raise InputError(f"{where}.centre = {centre!r} must be 2 numbers, or 3 (with the height) of a sphere")
+        raise InputError(f"{where}.centre = {shown(centre)} must be 2 numbers, or 3 (with the height) of a sphere")
     places = [number(part, f"{where}.centre", -2.0 * FAR_M, 2.0 * FAR_M) for part in centre]
     radius = number(value.get("radius_m"), f"{where}.radius_m", 1e-3, FAR_M)
     if len(places) == 3 and ("floor_m" in value or "ceiling_m" in value):
@@ -98,7 +98,7 @@ def _height(table: Mapping[str, object], key: str, missing: float, where: str) -
 def _switch(table: Mapping[str, object], key: str, missing: bool, where: str) -> bool:
     given = table.get(key, missing)
     if not isinstance(given, bool):
-        raise InputError(f"{where}: {key} = {given!r} must be true or false")
+        raise InputError(f"{where}: {key} = {shown(given)} must be true or false")
     return given
 
 
@@ -111,7 +111,7 @@ def _corners(value: object, where: str) -> F64:
     found = []
     for i, corner in enumerate(value):
         if not isinstance(corner, Sequence) or isinstance(corner, str) or len(corner) < 2:
-            raise InputError(f"{where}: corner {i} = {corner!r} must be 2 numbers")
+            raise InputError(f"{where}: corner {i} = {shown(corner)} must be 2 numbers")
         found.append([number(part, f"{where}: corner {i}", -1e6, 1e6) for part in corner[:2]])
     if len(found) > 1 and found[0] == found[-1]:
         found.pop()
@@ -177,6 +177,7 @@ def _round(centre: Sequence[float], radius_m: float) -> F64:
 def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
     """One polygon to stay in; further features with "keep_out": true are kept out of."""
     kind = data.get("type")
+    _require_wgs84(data, source)
     features = data.get("features") if kind == "FeatureCollection" else [data]
     if not isinstance(features, list):
         raise InputError(f"{source}: neither a QGroundControl plan nor GeoJSON")
@@ -204,16 +205,31 @@ def _from_geojson(data: Mapping[str, Any], source: str) -> Site:
     return Site(source, True, *inside[0], tuple(out))
 
 
+def _require_wgs84(part: Mapping[str, Any], where: str) -> None:
+    """Of an older GeoJSON's reference system (`crs`): InputError where it is not what GeoJSON's places are in today."""
+    given = part.get("crs")
+    if given is None:
+        return
+    said = given.get("properties") if isinstance(given, Mapping) else given
+    name = said.get("name") if isinstance(said, Mapping) else said
+    if not isinstance(name, str) or not name.upper().endswith((":CRS84", ":4326")):
+        raise InputError(
+            f"{where}: crs = {shown(name)} is not taken, only longitude and latitude of WGS 84 (EPSG:4326)"
+        )
+
+
 def _geometry(feature: object, where: str) -> tuple[list[Any], Mapping[str, Any]]:
     """The polygons (each a list of rings) of a feature or a bare geometry, and what its properties say."""
     if not isinstance(feature, Mapping):
         raise InputError(f"{where} is no GeoJSON object")
+    _require_wgs84(feature, where)
     is_feature = feature.get("type") == "Feature"
     shape = feature.get("geometry") if is_feature else feature
     said = feature.get("properties") if is_feature else {}
     kind = shape.get("type") if isinstance(shape, Mapping) else shape
     if not isinstance(shape, Mapping) or kind not in ("Polygon", "MultiPolygon"):
-        raise InputError(f"{where}: {kind!r} is not taken, only a Polygon or a MultiPolygon is")
+        raise InputError(f"{where}: {shown(kind)} is not taken, only a Polygon or a MultiPolygon is")
+    _require_wgs84(shape, where)
     found = shape.get("coordinates")
     if not isinstance(found, list):
         raise InputError(f"{where}: a {kind} needs coordinates")

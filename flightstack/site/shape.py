@@ -140,7 +140,7 @@ def _check_degrees(where: str, places: F64) -> None:
     for i, (latitude, longitude) in enumerate(places.tolist()):
         if not abs(latitude) <= 90.0:
             raise InputError(
-                f"{where}: corner {i} has latitude {latitude:g}, beyond 90: latitude comes first, are they swapped?"
+                f"{where}: corner {i} has latitude {latitude:g}, beyond 90: are latitude and longitude swapped?"
             )
         if not abs(longitude) <= 180.0:
             raise InputError(f"{where}: corner {i} has longitude {longitude:g}, which is beyond 180")

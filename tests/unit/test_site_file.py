@@ -54,6 +54,10 @@ def test_the_contract_s_example() -> None:
         (f"{HEAD}inside = [" + "[0.0, 1.0], " * 1_002 + "]", "at most 1000"),
         ("x" * 2_100_000, "more than 1000 edges"),
         ("not = [toml", "not valid TOML"),
+        (f"{HEAD}inside = [[{'9' * 5000}, 0.0], [4.0, 0.0], [4.0, 4.0]]", "not valid TOML"),
+        (f"{HEAD}inside = [[0x{'f' * 5000}, 0.0], [4.0, 0.0], [4.0, 4.0]]", "corner 0"),
+        (f"{HEAD}inside = [[1{'0' * 400}, 0.0], [4.0, 0.0], [4.0, 4.0]]", "corner 0"),
+        (f"{HEAD}inside = [[0x{'f' * 5000}], [4.0, 0.0], [4.0, 4.0]]", "corner 0"),
     ],
 )
 def test_a_bad_site_is_one_line(text: str, said: str) -> None:
@@ -165,6 +169,30 @@ def test_a_bad_import_is_one_line(text: str, name: str, said: str) -> None:
         parse_site(text, name)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_taken"),
+    [
+        ("urn:ogc:def:crs:OGC:1.3:CRS84", True),
+        ("EPSG:4326", True),
+        ("urn:ogc:def:crs:EPSG::4326", True),
+        ("urn:ogc:def:crs:EPSG::4267", False),  # NAD27, in degrees: up to 200 m from WGS 84
+        ("EPSG:3857", False),
+        (4326, False),
+    ],
+)
+@pytest.mark.parametrize("place", ["top", "feature", "geometry"])
+def test_coordinates_of_another_reference_system_are_refused(name: object, is_taken: bool, place: str) -> None:
+    feature = _feature({})
+    collection = {"type": "FeatureCollection", "features": [feature]}
+    where = {"top": collection, "feature": feature, "geometry": feature["geometry"]}[place]
+    where["crs"] = {"type": "name", "properties": {"name": name}}  # type: ignore[index]
+    if is_taken:
+        assert parse_site(json.dumps(collection), "a.geojson").edges == 4
+        return
+    with pytest.raises(InputError, match=f"crs = .*{name}.*longitude and latitude of WGS 84"):
+        parse_site(json.dumps(collection), "a.geojson")
 
 
 def test_a_site_elsewhere_and_swapped_coordinates() -> None:

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
-from flightstack.gap.decisions import GOOD_HZ, LEAST_HZ, SMALL_SHARE
+from flightstack.gap.decisions import GOOD_HZ, GUARD_S, LEAST_HZ, SMALL_SHARE
 from flightstack.gap.records import Finding, Signal, how_to_record, refused, warning
 from flightstack.types import F64
 
 SLOW = ("battery_v", "landed", "height_m")
 """Signals that may come as rarely as they like."""
 _HELD = 0.02
+_LONG_GAP_S = 10.0
 _TIME_UNITS = {"ms": (0.9, 90.0, 1e-3), "us": (400.0, 90e3, 1e-6), "ns": (4e5, 90e6, 1e-9)}
 """Unit -> period that it would show as seconds, from, to; its size."""
 
@@ -25,7 +26,7 @@ def settle_clocks(signals: Mapping[str, Signal], kind: str) -> tuple[dict[str, S
     out = _time_unit(signals, kind, findings)
     out = {name: _fresh(name, each, kind, findings) for name, each in out.items()}
     _mixed(out, findings)
-    return out, findings
+    return (out if findings and findings[-1].level == "refused" else _closed_up(out, findings)), findings
 
 
 def _time_unit(signals: Mapping[str, Signal], kind: str, findings: list[Finding]) -> dict[str, Signal]:
@@ -98,6 +99,33 @@ def _mixed(signals: Mapping[str, Signal], findings: list[Finding]) -> None:
         if fast[begin].t_s[0] >= fast[end].t_s[-1]:
             findings.append(refused("clock", f"{begin} begins after {end} has ended: they are stamped by different "
                                     "clocks. Stamp all topics by one clock"))  # fmt: skip
+
+
+def _closed_up(signals: Mapping[str, Signal], findings: list[Finding]) -> dict[str, Signal]:
+    """Long gaps that all fast topics share (a log that stopped, a clock that jumped) last no longer than it takes to
+    forget: else a minute that nobody flew would be a third of the flight."""
+    fast = [each.t_s for name, each in signals.items() if name not in SLOW and len(each.t_s) > 3]
+    if not fast:
+        return dict(signals)
+    said = np.unique(np.concatenate(fast))
+    at = np.flatnonzero(np.diff(said) > _LONG_GAP_S)
+    if not len(at):
+        return dict(signals)
+    begin, lost = said[at], np.diff(said)[at] - GUARD_S
+    total = np.concatenate([[0.0], np.cumsum(lost)])
+    findings.append(warning("gaps", f"no topic says anything for {np.max(lost) + GUARD_S:.3g} s after {begin[0]:.1f} s"
+                            f"{f', and {len(at) - 1} times more' if len(at) > 1 else ''}: its parts were put "
+                            f"{GUARD_S:.0f} s apart"))  # fmt: skip
+    # what a slow topic said in a gap counts as said at its end
+    out = {}
+    for name, each in signals.items():
+        after = np.searchsorted(begin, each.t_s, side="left")
+        gone = np.where(
+            after > 0, np.minimum(lost[after - 1], np.maximum(0.0, each.t_s - begin[after - 1] - GUARD_S)), 0
+        )
+        earlier = total[np.maximum(after - 1, 0)]
+        out[name] = Signal(each.t_s - earlier - gone, each.value, each.source)
+    return out
 
 
 def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float], kind: str) -> list[Finding]:

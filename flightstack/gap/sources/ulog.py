@@ -92,7 +92,9 @@ def _stamps(table: Table) -> F64:
     stamps = table.t_us.astype(np.float64)
     if "timestamp_sample" in table.columns:
         sampled = table["timestamp_sample"].astype(np.float64)
-        stamps = np.where((sampled > 0.0) & (np.abs(stamps - sampled) < 1e6), sampled, stamps)
+        known = (sampled > 0.0) & (np.abs(stamps - sampled) < 1e6)
+        usual = float(np.median((stamps - sampled)[known])) if known.any() else 0.0
+        stamps = np.where(known, sampled, stamps - usual)
     return stamps * 1e-6
 
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from flightstack.types import InputError
-from flightstack_logs.readers.ulog_frames import mended
+from flightstack_logs.readers.ulog_clock import Stamped, on_one_clock
+from flightstack_logs.readers.ulog_frames import Frames, mended
 from flightstack_logs.tables import About, Log, Table
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -37,6 +38,7 @@ def read_ulog(path: Path, data: bytes) -> Log:
     except Exception as error:  # a parser on damaged bytes: whatever it raises means the same
         raise InputError(f"log {path}: is a ULog too damaged to read ({_line(error)}); copy it again") from None
     topics = [topic for topic in log.data_list if "timestamp" in topic.data and len(topic.data["timestamp"])]
+    clock_notes = _restamp(topics, frames)
     span = _span(log.start_timestamp, [topic.data["timestamp"] for topic in topics])
     tables = {}
     for topic in topics:
@@ -45,7 +47,7 @@ def read_ulog(path: Path, data: bytes) -> Log:
     if not tables:
         raise InputError(f"log {path}: is a ULog without data; record a flight with SDLOG_MODE 0 and SDLOG_PROFILE 1")
     tables |= _said(log, span, tables.keys())
-    notes = [*frames.damage, *_notes(log)]
+    notes = [*frames.damage, *clock_notes, *_notes(log)]
     return Log(
         path=path,
         kind="ulog",
@@ -89,6 +91,25 @@ def _said(log: Any, span: tuple[float, float], taken: Collection[str]) -> dict[s
         "text": np.array([line.message for line in lines], np.str_),
     }
     return {SAID: _table(SAID, data, span)}
+
+
+def _restamp(topics: list[Any], frames: Frames) -> list[str]:
+    """Put the stamps of all topics on one clock, in place; what was done."""
+    stamped, whose = [], []
+    for topic in topics:
+        place = np.flatnonzero(frames.topics == topic.msg_id)
+        if len(place) == len(topic.data["timestamp"]):  # else something was not parsed, and the order is not known
+            stamped.append(Stamped(topic.name, place, topic.data["timestamp"].astype(np.float64)))
+            whose.append(topic)
+    done, notes = on_one_clock(stamped)
+    for topic, each in zip(whose, done, strict=True):
+        if not each.keep.all():
+            topic.data.update({column: values[each.keep] for column, values in topic.data.items()})
+        added = each.added_us[each.keep].astype(np.int64)
+        for column in ("timestamp", "timestamp_sample") if added.any() else ():
+            if column in topic.data:
+                topic.data[column] = (topic.data[column].astype(np.int64) + added).astype(np.uint64)
+    return notes
 
 
 def _span(said_us: int, stamps: list[np.ndarray]) -> tuple[float, float]:

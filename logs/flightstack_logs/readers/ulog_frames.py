@@ -10,12 +10,15 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 HEADER_BYTES = 16
 _FRAME = struct.Struct("<HB")
 _SYNC = b"\x08\x00S\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _DEFINITIONS = b"FIMPQ"
 _KNOWN = frozenset(b"BFIMPQARSOLCD")
-_FLAGS = ord("B")
+_FLAGS, _DATA = ord("B"), ord("D")
 _FLAG_BYTES = 40
 _BASIC = {"int8_t", "uint8_t", "int16_t", "uint16_t", "int32_t", "uint32_t", "int64_t", "uint64_t", "float", "double",
           "bool", "char"}  # fmt: skip
@@ -29,6 +32,8 @@ class Frames:
 
     data: bytes
     damage: list[str] = field(default_factory=list)
+    topics: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(0, np.uint16))
+    """(N,) number of the topic of each message of data, in the order of the file."""
 
 
 @dataclass(slots=True)
@@ -62,7 +67,8 @@ def mended(data: bytes) -> Frames:
     incompatible = flags[8:16]
     if len(incompatible) == 8 and (incompatible[0] & ~1 or any(incompatible[1:])):
         damage.append("of a newer format than this program knows; what it knows was read")
-    return Frames(head + b"".join(walk.definitions) + b"".join(kept), damage)
+    topics = np.frombuffer(b"".join(part[3:5] for part in kept if part[2] == _DATA and len(part) > 5), np.uint16)
+    return Frames(head + b"".join(walk.definitions) + b"".join(kept), damage, topics)
 
 
 def _walk(data: bytes, at: int, end: int, walk: _Walk, *, last: bool) -> None:
