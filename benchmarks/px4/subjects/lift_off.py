@@ -134,7 +134,7 @@ def _judge(truth: list[Truth], watched: tuple[float, float], moment_s: float, st
         before.up_m - ground_m,
         -before.vel_d_mps,
         math.degrees(max(each.tilt_rad for each in after)),
-        math.degrees(max(landing)),
+        math.degrees(max(landing, default=0.0)),
         max((each.vel_d_mps for each in after if each.up_m - ground_m < _NEAR_M), default=0.0),
         max(each.up_m for each in after) - ground_m,
         0,
